@@ -13,7 +13,7 @@ from graycast.base.errors import GraycastError
 from graycast.dataset.training import open_examples
 from graycast.learn.detect import Augmentation, Detector, load_detector
 from graycast.learn.detect.detector import autocast, without_denormals
-from graycast.learn.detect.training_pictures import Pictures, collate
+from graycast.learn.detect.training_pictures import TrainingPictures, collate
 
 from .figures import Figures, Show, in_turn
 
@@ -78,7 +78,7 @@ def _step(detector: Detector, dataset: Path) -> Figures:
             "larger dataset"
         )
     with tempfile.TemporaryDirectory() as folder:
-        pictures = Pictures(
+        pictures = TrainingPictures(
             [(examples, detector.about.classes(examples.categories))],
             detector.about.encoding,
             Path(folder) / "pictures.npy",

@@ -10,10 +10,10 @@ from statistics import median
 
 from graycast.cell.engine import (
     Failed,
-    Made,
     Pool,
     SceneMaker,
     SceneTask,
+    TaskResult,
     Workers,
     make_all,
     open_pool,
@@ -92,7 +92,7 @@ class _Narrowed:
         self._running += 1
         self._pool.submit(scene_id)
 
-    def gather(self) -> Made | Failed:
+    def gather(self) -> TaskResult | Failed:
         self._running -= 1
         return self._pool.gather()
 
@@ -103,7 +103,7 @@ class _Narrowed:
 def _all_by(pool: Pool) -> Callable[[list[int]], None]:
     def make(scene_ids: list[int]) -> None:
         for outcome in make_all(pool, scene_ids):
-            if not isinstance(outcome, Made):
+            if not isinstance(outcome, TaskResult):
                 raise outcome.error
 
     return make

@@ -27,7 +27,7 @@ def main(samples: int) -> None:
     with open_cell_renderer(cell) as renderer:
         shot = make_scene(cell, 0, seed=1, renderer=renderer)
 
-    scanner, truth = shot.sample.scanner, shot.sample.truth
+    scanner, truth = shot.sample.scanner_depth, shot.sample.truth
     error_mm = 1000 * (scanner.depth_m - truth.depth_m)
     longest_ms = 1000 * np.max(shot.capture.exposure_s)
     print(f"{shot.capture.frames.shape[0]} frames, exposed for up to {longest_ms:.2f} ms")

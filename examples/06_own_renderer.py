@@ -67,7 +67,7 @@ def main(samples: int) -> None:
         for density_per_m in (0.0, 0.5, 1.0):
             foggy = FoggyRenderer(clear, density_per_m)
             shot = graycast.make_scene(cell, 0, seed=1, renderer=foggy)
-            decoded = np.isfinite(shot.sample.scanner.depth_m).mean()
+            decoded = np.isfinite(shot.sample.scanner_depth.depth_m).mean()
             exposure_ms = 1000 * np.max(shot.capture.exposure_s)
             print(f"density {density_per_m:3.1f} /m: {exposure_ms:6.3f} ms, {decoded:6.1%} decoded")
 

@@ -69,7 +69,7 @@ def measured(cell: Cell, renderer, *, seed: int) -> BinView:
     """What the camera measures of the bin with parts left in it."""
     shot = make_scene(cell, 0, seed=seed, renderer=renderer)
     return BinView(
-        name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner.depth_m
+        name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner_depth.depth_m
     )
 
 

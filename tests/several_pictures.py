@@ -88,7 +88,7 @@ def sample_of(scene_id, place):
         ),
         rgb=rgb,
         gray=gray,
-        scanner=DepthMap(
+        scanner_depth=DepthMap(
             depth_m=np.where(reason == 0, measured, np.nan),
             sigma_m=np.where(reason == 0, SIGMA_M, np.nan),
             reason=reason,

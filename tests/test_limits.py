@@ -23,17 +23,12 @@ FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 LONG_FILES = {
     "camera/decode/filters.py": 460,
     "cli/detecting.py": 433,
-    "dataset/bop.py": 401,
     "dataset/stored.py": 470,
     "learn/detect/training.py": 445,
-    "real/fit_bin/registration.py": 408,
     "real/twin/restaging.py": 455,
-    "render/mitsuba_paths.py": 402,
     "rig/pair.py": 449,
 }
-LONG_FUNCTIONS = {
-    "real/calibrate/calibration.py calibrate_rig": 90,
-}
+LONG_FUNCTIONS: dict[str, int] = {}
 MANY_ARGUMENTS = {
     "camera/decode/bits.py _weigh_doubts": 10,
     "camera/decode/bits.py read_gray": 10,
@@ -61,31 +56,6 @@ MANY_ARGUMENTS = {
     "robot/pose/closest.py settle": 10,
     "robot/pose/drawing.py draw": 9,
     "robot/pose/pairs.py votes": 11,
-}
-# Public classes that share their name with another one.
-SAME_NAMES = {
-    "Body",
-    "Camera",
-    "Drawn",
-    "Figures",
-    "Heap",
-    "Held",
-    "Judged",
-    "Kind",
-    "Label",
-    "Look",
-    "Looked",
-    "Maker",
-    "Pictures",
-    "Row",
-    "Run",
-    "Shown",
-    "Sight",
-    "Summary",
-    "Surface",
-    "Target",
-    "Truth",
-    "World",
 }
 
 
@@ -151,7 +121,7 @@ def test_public_classes_have_names_of_their_own():
     for name, node in definitions():
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             places[node.name].append(name)
-    assert {name for name, files in places.items() if len(files) > 1} == SAME_NAMES
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}
 
 
 def test_the_package_and_its_pages_grow_by_a_reason_alone():

@@ -41,7 +41,7 @@ def run(cell, out, *, scenes, seed=0, workers=1):
         device="cpu",
         workers=Workers(count=workers),
         progress=meter,
-        on_made=lambda scene: made.append(scene.scene_id),
+        on_result=lambda scene: made.append(scene.scene_id),
     )
     counts = [done for what, done, total in meter.counts if (what, total) == ("scenes", scenes)]
     assert counts == list(range(counts[0], scenes + 1 - len(summary.set_aside)))
@@ -211,7 +211,7 @@ def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_
             scenes=3,
             seed=0,
             device="cpu",
-            on_made=stop,
+            on_result=stop,
         )
     assert {entry.name for entry in (out / "train").iterdir()} == {"000000", "000001"}
     _, _, made = run(cell, out, scenes=3)
@@ -381,7 +381,7 @@ from graycast.cell.generate import generate
 path, out, count = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 generate(
     resolve_cell(load_config(path), path.parent), out, scenes=int(count), seed=0, device="cpu",
-    on_made=lambda made: print(made.rss_bytes),
+    on_result=lambda made: print(made.rss_bytes),
 )
 """
 

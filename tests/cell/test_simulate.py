@@ -84,7 +84,7 @@ def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
 
 def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(made):
     _, shot = made
-    reason, on_part = shot.sample.scanner.reason, shot.rendering.truth.instance >= 0
+    reason, on_part = shot.sample.scanner_depth.reason, shot.rendering.truth.instance >= 0
     assert on_part.any()
     for key, within in (("reasons", np.ones_like(on_part)), ("part_reasons", on_part)):
         for name, share in shot.sample.manifest[key].items():

@@ -100,7 +100,7 @@ def test_the_first_image_is_that_of_the_cell_without_views(shots, tmp_path, mits
     first = shots[0].sample
     for name in ("rgb", "gray", "modulation"):
         np.testing.assert_array_equal(getattr(first, name), getattr(alone, name))
-    np.testing.assert_array_equal(first.scanner.depth_m, alone.scanner.depth_m)
+    np.testing.assert_array_equal(first.scanner_depth.depth_m, alone.scanner_depth.depth_m)
     np.testing.assert_array_equal(first.truth.depth_m, alone.truth.depth_m)
 
 

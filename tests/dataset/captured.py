@@ -81,7 +81,7 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
         sample,
         scene=replace(sample.scene, rig=scanner.rig),
         gray=picture_of(capture),
-        scanner=depth,
+        scanner_depth=depth,
         modulation=found.modulation,
         manifest={**sample.manifest, "reasons": shares},
         raw=Raw(scanner=scanner, capture=capture, codes=found),

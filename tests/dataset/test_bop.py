@@ -86,7 +86,7 @@ def origin(sample):
 
 def test_depth_pictures_times_their_scale_are_the_depth(scene, samples):
     scale = load_json(scene / "scene_camera.json")[0]["depth_scale"]
-    scanner = samples[0].scanner
+    scanner = samples[0].scanner_depth
     for name, depth_m in (("depth", samples[0].truth.depth_m), ("depth_sl", scanner.depth_m)):
         mode, steps = load_image(scene / name / "000000.png")
         assert mode == "I;16"
@@ -120,7 +120,7 @@ def test_info_counts_as_calc_gt_info_counts(scene, samples):
     h, w = sample.truth.instance.shape
     visible = np.full((3 * h, 3 * w), -1)
     visible[h : 2 * h, w : 2 * w] = sample.truth.instance
-    for suffix, depth_m in (("", sample.truth.depth_m), ("_sl", sample.scanner.depth_m)):
+    for suffix, depth_m in (("", sample.truth.depth_m), ("_sl", sample.scanner_depth.depth_m)):
         infos = load_json(scene / f"scene_gt_info{suffix}.json")[0]
         assert len(infos) == 8
         for i, info in enumerate(infos):
@@ -296,11 +296,11 @@ def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samp
 
 
 def test_a_measured_depth_too_deep_for_the_scale_is_refused(samples):
-    depth_m = samples[0].scanner.depth_m.copy()
-    depth_m[samples[0].scanner.reason == Reason.DECODED] = 6.6
-    scanner = replace(samples[0].scanner, depth_m=depth_m)
+    depth_m = samples[0].scanner_depth.depth_m.copy()
+    depth_m[samples[0].scanner_depth.reason == Reason.DECODED] = 6.6
+    scanner = replace(samples[0].scanner_depth, depth_m=depth_m)
     with pytest.raises(DatasetError, match=r"6\.6 m does not fit"):
-        dict(scene_files([replace(samples[0], scanner=scanner)], 0.1))
+        dict(scene_files([replace(samples[0], scanner_depth=scanner)], 0.1))
 
 
 def test_images_of_another_size_than_the_camera_s_are_refused(samples, rig):

@@ -67,7 +67,7 @@ def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_pa
     places = open_dataset(out).scenes
     drawn = card.sampled(places)
     assert len(drawn) == 2 and drawn == card.sampled(open_dataset(out).scenes)
-    monkeypatch.setattr(card, "_SHOWN", 0)
+    monkeypatch.setattr(card, "_MOST", 0)
     for place in places:
         if place not in drawn:
             shutil.rmtree(place.folder / "depth_sl")

@@ -99,14 +99,16 @@ def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(kept, case):
     scene = out / "train/000000"
     scanner = load_scanner(scene / "frames/rig.yaml")
     result = decode_stack(scene / "frames/stack.yaml", scanner.rig, filters=scanner.filters)
-    np.testing.assert_array_equal(result.depth.depth_m, sample.scanner.depth_m)
-    np.testing.assert_array_equal(result.depth.sigma_m, sample.scanner.sigma_m)
-    np.testing.assert_array_equal(result.depth.reason, sample.scanner.reason)
+    np.testing.assert_array_equal(result.depth.depth_m, sample.scanner_depth.depth_m)
+    np.testing.assert_array_equal(result.depth.sigma_m, sample.scanner_depth.sigma_m)
+    np.testing.assert_array_equal(result.depth.reason, sample.scanner_depth.reason)
     step = cv2.imread(str(scene / "depth_sl/000000.png"), cv2.IMREAD_UNCHANGED)
     depth_m = np.nan_to_num(result.depth.depth_m.astype(np.float64))
     np.testing.assert_array_equal(np.rint(depth_m * (1e3 / SCALE_MM)), step)
     assert (step > 0).mean() > 0.4
-    assert (sample.scanner.reason == Reason.OUTLIER).any() == ("outliers" in case or "filt" in case)
+    assert (sample.scanner_depth.reason == Reason.OUTLIER).any() == (
+        "outliers" in case or "filt" in case
+    )
 
 
 @pytest.mark.slow
@@ -141,7 +143,7 @@ def test_code_maps_are_read_by_opencv_and_give_the_depth_again(kept):
     reason = np.where(np.isfinite(maps["column"]), 0, Reason.SHADOW).astype(np.uint8)
     codes = CodeMap(**maps, modulation=sample.modulation, reason=reason)
     depth = triangulate(codes, sample.scene.rig)
-    np.testing.assert_array_equal(depth.depth_m, sample.scanner.depth_m)
+    np.testing.assert_array_equal(depth.depth_m, sample.scanner_depth.depth_m)
 
 
 @pytest.mark.slow
@@ -318,7 +320,7 @@ def decoded(capsys, *arguments):
 def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(kept, capsys, tmp_path):
     out, sample = kept("phases, filtered")
     decoded(capsys, out / "train/000000/frames", "--out", tmp_path)
-    np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), sample.scanner.depth_m)
+    np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), sample.scanner_depth.depth_m)
 
 
 @pytest.mark.slow

@@ -142,7 +142,7 @@ def test_what_is_stored_of_each_image_comes_back(made):
             content = one.content()
             np.testing.assert_array_equal(content.rgb, sample.rgb)
             np.testing.assert_array_equal(content.label, sample.truth.instance)
-            np.testing.assert_array_equal(content.reason, sample.scanner.reason)
+            np.testing.assert_array_equal(content.reason, sample.scanner_depth.reason)
             assert content.manifest["reasons"] == sample.manifest["reasons"]
             assert content.manifest["seeds"] == sample.manifest["seeds"]
 

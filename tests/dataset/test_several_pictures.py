@@ -28,7 +28,7 @@ def test_every_picture_is_read_as_it_was_taken(several):  # noqa: F811
         sample = samples[shot.scene_id][shot.place]
         assert np.array_equal(shot.rgb(), sample.rgb)
         assert shot.depth_m("depth_sl") == pytest.approx(
-            sample.scanner.depth_m.astype(np.float32), abs=2e-5, nan_ok=True
+            sample.scanner_depth.depth_m.astype(np.float32), abs=2e-5, nan_ok=True
         )
         assert np.array_equal(shot.content().label, sample.truth.instance)
         assert stored.picture(shot.image_id) == shot
@@ -101,7 +101,7 @@ def test_figures_are_of_all_pictures_and_scenes_are_counted_once(several):  # no
     assert statistics.sizes_px == {(160, 120): 4, (128, 96): 4}
     assert list(statistics.of_picture) == list(NAMES)
     for place, (name, told) in enumerate(statistics.of_picture.items()):
-        reason = np.stack([samples[i][place].scanner.reason for i in SCENES])
+        reason = np.stack([samples[i][place].scanner_depth.reason for i in SCENES])
         assert told.pictures == len(SCENES), name
         assert told.decoded == pytest.approx((reason == 0).mean())
 

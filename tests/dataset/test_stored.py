@@ -27,7 +27,7 @@ def test_instances_labels_and_label_map_are_those_of_the_sample(made):
         sample, content = samples[scene.scene_id], scene.content()
         np.testing.assert_array_equal(content.label, sample.truth.instance)
         np.testing.assert_array_equal(content.rgb, sample.rgb)
-        np.testing.assert_array_equal(content.reason, sample.scanner.reason)
+        np.testing.assert_array_equal(content.reason, sample.scanner_depth.reason)
         area_px = [int((sample.truth.instance == i).sum()) for i in range(8)]
         assert [one.area_px for one in content.instances] == area_px
         assert [one.obj_id for one in content.instances] == list(scene.obj_ids())

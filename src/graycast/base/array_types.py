@@ -16,8 +16,8 @@ else:
         class _Unchecked:
             """Annotates an array without a check of its axes and its type."""
 
-            def __class_getitem__(cls, told: tuple[type, str]) -> type:
-                return told[0]
+            def __class_getitem__(cls, annotation: tuple[type, str]) -> type:
+                return annotation[0]
 
         Bool = Float = Float32 = Int = UInt8 = UInt16 = _Unchecked
 

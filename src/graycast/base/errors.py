@@ -38,7 +38,7 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def told(error: Exception) -> str:
+def error_line(error: Exception) -> str:
     """An error as one line; an error of the operating system begins with its path."""
     text = one_line(error)
     if not isinstance(error, OSError):

@@ -82,18 +82,18 @@ def whole_folder(out: Path) -> Iterator[Path]:
     Raises:
         GraycastError: `out` cannot be written.
     """
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    new_folders = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         with _refusals(out), _aside(out, ".part-") as aside:
             yield aside
-            for made_now in sorted(aside.iterdir()):
-                place = out / made_now.name
-                if made_now.is_dir() and place.is_dir():
+            for entry in sorted(aside.iterdir()):
+                place = out / entry.name
+                if entry.is_dir() and place.is_dir():
                     place.rename(aside / f".before-{place.name}")  # no folder replaces a full one
-                made_now.rename(place)
+                entry.rename(place)
     finally:
         with suppress(OSError):  # what holds something stays: the result, or what was there
-            for folder in made:
+            for folder in new_folders:
                 folder.rmdir()
 
 
@@ -171,10 +171,10 @@ def refuse_foreign(out: Path, mark: str) -> None:
     if not out.exists() or (out / mark).exists():
         return
     with _refusals(out):
-        held = sorted(entry.name for entry in out.iterdir() if not entry.name.startswith(".part-"))
-    if held:
+        names = sorted(entry.name for entry in out.iterdir() if not entry.name.startswith(".part-"))
+    if names:
         raise GraycastError(
-            f"{out}: is not empty and holds no earlier result of this command (it has {held[0]}): "
+            f"{out}: is not empty and holds no earlier result of this command (it has {names[0]}): "
             "choose another folder"
         )
 

@@ -30,14 +30,14 @@ def header(
     *,
     vertices: int,
     faces: int | None = None,
-    said: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> bytes:
-    """The header of a file; `properties` are (type, name), `said` comments and `obj_info`."""
+    """The header of a file; `properties` are (type, name), `notes` and `obj_info`."""
     element = [f"element face {faces}", "property list uchar int vertex_indices"]
     lines = [
         "ply",
         f"format {form} 1.0",
-        *said,
+        *notes,
         f"element vertex {vertices}",
         *(f"property {kind} {name}" for kind, name in properties),
         *(element if faces is not None else []),
@@ -75,7 +75,7 @@ def cloud_bytes(
         "binary_little_endian",
         [(kind, name) for name, kind in kinds.items()],
         vertices=len(table),
-        said=[f"comment {frame}", *size],
+        notes=[f"comment {frame}", *size],
     )
     return head + table.astype(table.dtype.newbyteorder("<")).tobytes()
 

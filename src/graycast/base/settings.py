@@ -70,14 +70,14 @@ def check_fields(value: object) -> None:
     """
     kind: Any = type(value)  # a type that the cache takes, which mypy doubts
     for name, (allowed, default, about) in _limits(kind).items():
-        given = getattr(value, name)
-        if given is default or default == math.inf == given:  # another infinity from a pickle
+        item = getattr(value, name)
+        if item is default or default == math.inf == item:  # another infinity from a pickle
             continue
         try:
-            allowed.validate_python(given)
+            allowed.validate_python(item)
         except ValidationError as error:
             why = _reason(error.errors(include_url=False)[0]["msg"])
-            raise ValueError(f"{name} is {given!r}: {why}{about}") from None
+            raise ValueError(f"{name} is {item!r}: {why}{about}") from None
 
 
 def section_of(
@@ -240,12 +240,12 @@ class _OneOfEachKey(yaml.SafeLoader):
     """YAML that refuses a key written twice, where PyYAML would take the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        seen = set()
+        keys = set()
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            if key.value in seen:
+            if key.value in keys:
                 why = f"{key.value} is given twice"
                 raise yaml.constructor.ConstructorError(None, None, why, key.start_mark)
-            seen.add(key.value)
+            keys.add(key.value)
         return super().construct_mapping(node, deep)
 
 

@@ -65,12 +65,12 @@ def crop(
     """
     x, y, columns, rows = mask_box(inside)
     box = np.s_[y : y + rows, x : x + columns]
-    held = depth_m[box][inside[box]]
-    held = held[np.isfinite(held)]
-    if not len(held):
+    depths_m = depth_m[box][inside[box]]
+    depths_m = depths_m[np.isfinite(depths_m)]
+    if not len(depths_m):
         return None
     f_px = math.sqrt(camera.fx_px * camera.fy_px)
-    middle_m = float(np.median(held))
+    middle_m = float(np.median(depths_m))
     beyond = math.ceil(reach_m / middle_m * f_px)
     top, bottom = max(y - beyond, 0), min(y + rows + beyond, camera.height_px)
     left, right = max(x - beyond, 0), min(x + columns + beyond, camera.width_px)

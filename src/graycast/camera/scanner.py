@@ -140,11 +140,11 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
-    shown = _shown(scanner, stack)
+    stack_of = _pictures(scanner, stack)
     capture = merge_exposures(
         [
             expose(
-                shown(int(own)),
+                stack_of(int(own)),
                 background,
                 scanner.sensor,
                 exposure_s=factor * time_s,
@@ -181,7 +181,7 @@ def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
     return sigma_px
 
 
-def _shown(
+def _pictures(
     scanner: Scanner, stack: Float[np.ndarray, "n h w"]
 ) -> Callable[[int], Float[np.ndarray, "n h w"]]:
     """The light of one exposure, by its seed: the projector shines anew in each."""
@@ -218,8 +218,8 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     rig = scanner.rig
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
     if rig.speckle_contrast:
-        seen = _seen_reflectance(scanner, capture, depth)
-        light_contrast = material_contrast(seen, rig.speckle_volume)
+        own_reflectance = _effective_reflectance(scanner, capture, depth)
+        light_contrast = material_contrast(own_reflectance, rig.speckle_volume)
     if rig.speckle_contrast or rig.line_noise:
         # By how much speckle puts each pixel's light off its centre (one sigma).
         off_px = footprint_px(scanner.sensor, side=_side(scanner)) * _of_black(scanner)
@@ -253,7 +253,7 @@ def _side(scanner: Scanner) -> float:
     return math.sqrt(scanner.rig.camera.fill_factor)
 
 
-def _seen_reflectance(
+def _effective_reflectance(
     scanner: Scanner, capture: Capture, depth: DepthMap
 ) -> Float[np.ndarray, "h w"]:
     """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
@@ -264,8 +264,8 @@ def _seen_reflectance(
     """
     rig, sensor = scanner.rig, scanner.sensor
     # From the darkest frame to the brightest; a code's own modulation may be of thin lines.
-    seen_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
-    electrons = seen_dn / sensor.gain_dn_per_e
+    span_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
+    electrons = span_dn / sensor.gain_dn_per_e
     light = electrons / (sensor.responsivity * capture.exposure_s)
     point = points(rig.camera, depth.depth_m)
     distance2_m2 = np.square(point - rig.T_cam_proj[:3, 3]).sum(axis=-1)

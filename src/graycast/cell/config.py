@@ -76,11 +76,11 @@ class BinSection(Settings):
         # By value: what is read back from a manifest gives every key.
         of_other = ("unit", "up_axis") if self.mesh is None else ("inner_m", "wall_m")
         fields = BinSection.model_fields
-        given = [name for name in of_other if getattr(self, name) != fields[name].default]
-        if given and self.mesh is None:
-            raise ValueError(f"{' and '.join(given)} of a bin belong to a mesh: name its file")
-        if given:
-            raise ValueError(f"a mesh has its own size: remove {' and '.join(given)}, or mesh")
+        names = [name for name in of_other if getattr(self, name) != fields[name].default]
+        if names and self.mesh is None:
+            raise ValueError(f"{' and '.join(names)} of a bin belong to a mesh: name its file")
+        if names:
+            raise ValueError(f"a mesh has its own size: remove {' and '.join(names)}, or mesh")
         return self
 
 
@@ -227,10 +227,10 @@ class Config(ScannerSections):
         if self.scanners is None:
             return self
         own = [*ScannerSections.model_fields, "rig"]
-        given = [name for name in own if getattr(self, name) != Config.model_fields[name].default]
-        if given:
+        keys = [name for name in own if getattr(self, name) != Config.model_fields[name].default]
+        if keys:
             raise ValueError(
-                f"{', '.join(given)} and scanners are both given: say it in each of the scanners"
+                f"{', '.join(keys)} and scanners are both given: say it in each of the scanners"
             )
         names = [entry.name.lower() for entry in self.scanners]
         if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -292,10 +292,10 @@ def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]
     Raises:
         ConfigError, MeshError: a file cannot be used; the error names it.
     """
-    given = None if section.material is None else resolve_material(section.material, folder)
+    own_material = None if section.material is None else resolve_material(section.material, folder)
     floor = None if section.floor is None else resolve_material(section.floor, folder)
     if section.mesh is None:
-        material = given or Material(texture=wood_texture(), roughness=0.6)
+        material = own_material or Material(texture=wood_texture(), roughness=0.6)
         box = Bin(
             inner_m=section.inner_m,
             wall_m=section.wall_m,
@@ -308,8 +308,8 @@ def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]
     box = Bin(
         inner_m=found.inner_m,
         mesh=found.mesh,
-        own_texture=given is None and found.material.texture is not None,
-        material=given or found.material,
+        own_texture=own_material is None and found.material.texture is not None,
+        material=own_material or found.material,
         floor=floor,
         friction=section.friction,
     )

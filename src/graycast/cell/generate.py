@@ -35,7 +35,7 @@ from ..dataset.safe_reading import Unreadable, read_json
 from ..rig.pair import PRESETS
 from ..world.drop import hull_notes, prepare
 from .config import Config
-from .engine import ALONE, Failed, Made, SceneMaker, SceneTask, Workers, make_all, open_pool
+from .engine import ALONE, Failed, SceneMaker, SceneTask, TaskResult, Workers, make_all, open_pool
 from .resolve import Cell, reach_m
 from .simulate import Shot, compile_kernels
 
@@ -60,7 +60,7 @@ def generate(
     seed: int,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_made: Callable[[Made], None] = lambda made: None,
+    on_result: Callable[[TaskResult], None] = lambda _: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Summary:
@@ -72,7 +72,7 @@ def generate(
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
         device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
-        on_made: takes what is known of each scene, a result and no progress, in this process.
+        on_result: takes what is known of each scene, a result and no progress, in this process.
         on_failed: takes the reason of each try that did not come out.
         progress: counts scenes, hears what is being prepared, and notes each part whose collision
             hulls are coarse. Where this process makes all, it hears what each scene does, too.
@@ -94,7 +94,7 @@ def generate(
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
         store.set_aside(())  # scenes that the last run set aside are tried again
         progress.count("scenes", scenes - len(todo), scenes)
-        run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
+        run = _Run(store=store, found=len(found), on_result=on_result, on_failed=on_failed)
         try:
             if todo:
                 prepared = prepare(task.parts, progress=progress)  # once, not by every worker
@@ -107,9 +107,9 @@ def generate(
                 with closing(pool):
                     left = len(todo)
                     for outcome in make_all(pool, todo):
-                        left -= isinstance(outcome, Made) or outcome.final
+                        left -= isinstance(outcome, TaskResult) or outcome.final
                         run.take(outcome, last=left == 0)
-                        if isinstance(outcome, Made):
+                        if isinstance(outcome, TaskResult):
                             done = scenes - len(todo) + len(run.reasons)
                             progress.count("scenes", done, scenes)
             store.finish(set(range(scenes)) - {scene.scene_id for scene in run.set_aside})
@@ -153,10 +153,10 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
             f"scene {scene_id} was made from another configuration than this cell's: give the "
             "cell with which make_scene made it"
         )
-    given = [(sample.sensor, sample.image) for sample in samples]
-    if tuple(given) != cell.images:
+    images = [(sample.sensor, sample.image) for sample in samples]
+    if tuple(images) != cell.images:
         raise ValueError(
-            f"scene {scene_id} has {len(cell.images)} images, {len(given)} were given: give all "
+            f"scene {scene_id} has {len(cell.images)} images, {len(images)} were given: give all "
             "that make_images makes"
         )
     task = SceneTask(
@@ -217,9 +217,9 @@ def read_origin(out: Path) -> Origin:
     """
     try:
         claim = read_json(out / "graycast.json", Claim)
-        held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
-        stored = held["store"] | {"depth_step_mm": claim.depth_scale_mm}
-        config = Config.model_validate(held | {"store": stored})
+        settings = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
+        stored = settings["store"] | {"depth_step_mm": claim.depth_scale_mm}
+        config = Config.model_validate(settings | {"store": stored})
         named = [entry.rig for entry in config.scanners or (config,)]
         rigs = [rig for rig in named if rig not in PRESETS]
         return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rigs))
@@ -304,42 +304,42 @@ class _Run:
         *,
         store: Store,
         found: int,
-        on_made: Callable[[Made], None],
+        on_result: Callable[[TaskResult], None],
         on_failed: Callable[[Failed], None],
     ) -> None:
         self.reasons: list[dict[str, float]] = []
         self.part_reasons: list[dict[str, float]] = []
         self.set_aside: list[SetAside] = []
         self._store, self._found = store, found
-        self._on_made, self._on_failed = on_made, on_failed
+        self._on_result, self._on_failed = on_result, on_failed
 
-    def take(self, outcome: Made | Failed, *, last: bool) -> None:
+    def take(self, outcome: TaskResult | Failed, *, last: bool) -> None:
         """Keep a scene, or record that it is given up; raise its error where all are."""
-        if isinstance(outcome, Made):
+        if isinstance(outcome, TaskResult):
             self._store.write_files(outcome.scene_id, outcome.files)
             self.reasons.append(outcome.reasons)
             self.part_reasons.append(outcome.part_reasons)
-            self._on_made(outcome)
+            self._on_result(outcome)
             return
         if outcome.final:
-            self.set_aside.append(_given_up(outcome))
+            self.set_aside.append(_set_aside(outcome))
             nothing = not self.reasons and not self._found
             if nothing and (last or len(self.set_aside) >= _HOPELESS):
-                raise _shown(outcome.error)
+                raise _for_users(outcome.error)
             self._store.set_aside(self.set_aside)
         self._on_failed(outcome)
 
 
-def _shown(error: Exception) -> Exception:
+def _for_users(error: Exception) -> Exception:
     """The text of an error for the user; an unforeseen error includes its type."""
     if _foreseen(error):
         return error
-    told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")
-    told.__cause__ = error
-    return told
+    wrapped = GraycastError(f"{_error_text(error)}: this is an error in Graycast or in the machine")
+    wrapped.__cause__ = error
+    return wrapped
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text if _foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
 
@@ -348,9 +348,9 @@ def _foreseen(error: Exception) -> bool:
     return isinstance(error, (GraycastError, ValueError))
 
 
-def _given_up(failed: Failed) -> SetAside:
+def _set_aside(failed: Failed) -> SetAside:
     error = failed.error
     trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
     return SetAside(
-        scene_id=failed.scene_id, tries=failed.tries, reason=_told(error), traceback=trace
+        scene_id=failed.scene_id, tries=failed.tries, reason=_error_text(error), traceback=trace
     )

@@ -35,7 +35,7 @@ from .views import (
     is_drawn,
     places,
     refuse_inside,
-    refuse_unseen,
+    refuse_outside,
 )
 
 
@@ -149,7 +149,7 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
         poses = _places(cell, station, first, seed)
         for image, T_world_cam in enumerate(poses):
             where = " ".join(filter(None, (name, f"image {image}")))
-            refuse_unseen(T_world_cam, scanner.rig, bin_of(cell.scene), where)
+            refuse_outside(T_world_cam, scanner.rig, bin_of(cell.scene), where)
         first = first or poses
         found += [
             Eye(
@@ -166,8 +166,8 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
 
 
 def _mounting(cell: Cell, station: int) -> Pose | None:
-    given = None if cell.config.scanners is None else cell.config.scanners[station].T_first_cam
-    return None if given is None else np.reshape(given, (4, 4)).astype(np.float64)
+    numbers = None if cell.config.scanners is None else cell.config.scanners[station].T_first_cam
+    return None if numbers is None else np.reshape(numbers, (4, 4)).astype(np.float64)
 
 
 def _places(cell: Cell, station: int, first: tuple[Pose, ...], seed: int) -> tuple[Pose, ...]:

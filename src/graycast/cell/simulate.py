@@ -91,13 +91,13 @@ def make_images(
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation, layout = _laid(cell, scene_id, seeds, progress)
+        variation, layout = _layout_of(cell, scene_id, seeds, progress)
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
             continue
         own = image_seeds(seed, scene_id, station=eye.station, image=eye.image)
-        told = {
+        manifest = {
             "scene_id": scene_id,
             "dataset_seed": seed,
             "seeds": seeds | own,
@@ -114,7 +114,7 @@ def make_images(
         } | ({"domain": variation.record} if variation.record else {})
         which = f" image {number + 1} of {len(hung)}" if len(hung) > 1 else ""
         progress.stage(f"{renderer.name} renders{which}")
-        yield _taken(cell, eye, scene, layout, told, timings, renderer, progress)
+        yield _taken(cell, eye, scene, layout, manifest, timings, renderer, progress)
         timings = {}
 
 
@@ -123,13 +123,13 @@ def _taken(
     eye: Eye,
     scene: Scene,
     layout: Layout,
-    told: dict[str, Any],
+    manifest: dict[str, Any],
     timings: dict[str, float],
     renderer: Renderer,
     progress: ProgressMeter,
 ) -> Shot:
-    """One image: light, sensor, decoding. `told` and `timings` are what is known of the scene."""
-    config, scanner, seeds = cell.config, eye.scanner, told["seeds"]
+    """One image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
+    config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
@@ -149,7 +149,7 @@ def _taken(
     with _timed(timings, "decode"):
         codes, depth = measure(scanner, capture)
         depth = with_field(scene.rig, rendering.truth, codes, depth)
-    manifest = told | {
+    manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
@@ -165,7 +165,7 @@ def _taken(
         truth=rendering.truth,
         rgb=rgb,
         gray=gray_picture(capture),
-        scanner=depth,
+        scanner_depth=depth,
         modulation=codes.modulation,
         manifest=manifest,
         raw=Raw(
@@ -204,15 +204,15 @@ def compile_kernels(cell: Cell) -> None:
     dark on the left to saturated on the right, so that each reason for no depth occurs.
     """
     for _, scanner in cell.scanners:
-        shown, camera = patterns_of(scanner), scanner.rig.camera
-        row = np.linspace(0, shown.shape[1] - 1, camera.height_px).astype(int)[:, None]
-        column = np.linspace(0, shown.shape[2] - 1, camera.width_px).astype(int)
+        patterns, camera = patterns_of(scanner), scanner.rig.camera
+        row = np.linspace(0, patterns.shape[1] - 1, camera.height_px).astype(int)[:, None]
+        column = np.linspace(0, patterns.shape[2] - 1, camera.width_px).astype(int)
         light = np.linspace(0, 1, camera.width_px, dtype=np.float32)
         light[-1 - camera.width_px // 200 :] = 10  # so few that automatic exposure lets them go
         white = np.tile(light, (camera.height_px, 1))
         colour = np.repeat(white[..., None], 3, axis=2)
         radiance = Radiance(
-            pattern=white * (shown[:, row, column] / np.float32(255)),
+            pattern=white * (patterns[:, row, column] / np.float32(255)),
             white=white,
             ambient=white / 10,
             white_rgb=colour,
@@ -236,11 +236,11 @@ def lay_out(
     Raises:
         DropError: the parts did not come to an acceptable rest.
     """
-    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
+    variation, layout = _layout_of(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
     return variation.scene, layout
 
 
-def _laid(
+def _layout_of(
     cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
 ) -> tuple[Variation, Layout]:
     variation = varied(cell, scene_id, seeds)

@@ -360,7 +360,7 @@ def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
             )
 
 
-def refuse_unseen(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
+def refuse_outside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
     """A camera that looks past the bin has no picture of it, however long it exposes.
 
     Raises:

@@ -21,14 +21,14 @@ Run = Callable[[argparse.Namespace], int | None]
 
 def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
     """Add a command and return its parser."""
-    made = into.add_parser(name, help=help, description=help)
-    made.add_argument(
+    command = into.add_parser(name, help=help, description=help)
+    command.add_argument(
         "--debug",
         action="store_true",
         help="Print the Python traceback of an error, not only its message.",
     )
-    made.set_defaults(run=run, when_stopped="nothing was written")
-    return made
+    command.set_defaults(run=run, when_stopped="nothing was written")
+    return command
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
@@ -40,13 +40,13 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
-    told = "as configured" if default is None else default
+    default_text = "as configured" if default is None else default
     parser.add_argument(
         "--seed",
         type=seed,
         default=default,
         help="The seed of all random numbers. The same seed gives the same result (default: "
-        f"{told}).",
+        f"{default_text}).",
     )
 
 
@@ -61,13 +61,13 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = "as configured" if default is None else default
+    default_text = "as configured" if default is None else default
     parser.add_argument(
         "--backend",
         choices=("mitsuba", "cycles"),
         default=default,
         help="The renderer. mitsuba renders all patterns in one pass; cycles renders them "
-        f"one after the other (default: {told}).",
+        f"one after the other (default: {default_text}).",
     )
 
 
@@ -103,6 +103,11 @@ def load_cell(options: argparse.Namespace):
     """Load the cell of `config` with the renderer of `--backend`; print its notes."""
     from ..cell.config import load_config
 
+    if not options.config.exists():
+        raise GraycastError(
+            f"{options.config}: no such file: check the path, or write a configuration with "
+            "'graycast new'; 'graycast demo' needs none"
+        )
     return resolve_cell_option(load_config(options.config), options)
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from .. import __version__
-from ..base.errors import GraycastError, told
+from ..base.errors import GraycastError, error_line
 from . import (
     completing,
     datasets,
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         if options.debug:
             raise
-        print(f"graycast: error: {told(error)}", file=sys.stderr)
+        print(f"graycast: error: {error_line(error)}", file=sys.stderr)
         return 1
 
 

@@ -146,17 +146,17 @@ def _parts(options: argparse.Namespace) -> int:
     from ..world.parts import BUILTIN, builtin_part
 
     if options.config is None:
-        shown = tuple(builtin_part(name) for name in BUILTIN)
-        print(describe_parts(shown))
+        parts = tuple(builtin_part(name) for name in BUILTIN)
+        print(describe_parts(parts))
     else:
-        shown = load_cell(options).scene.parts
-        print(describe_parts(shown))
-        _describe_hulls(shown)
+        parts = load_cell(options).scene.parts
+        print(describe_parts(parts))
+        _describe_hulls(parts)
     if options.out is not None:
         from ..render import open_renderer
 
         with open_renderer(device=options.device) as renderer:
-            draw_parts(shown, options.out, renderer=renderer)
+            draw_parts(parts, options.out, renderer=renderer)
         print(options.out)
     return 0
 
@@ -172,9 +172,9 @@ def _describe_hulls(parts) -> None:
     print(
         "the number of collision hulls of each part, and their largest distance from its surface:"
     )
-    for part, made in zip(parts, prepared, strict=True):
-        worst, bound = f"{1e3 * made.error.worst_m:.2f} mm", f"{1e3 * made.tolerance_m:.2f} mm"
-        print(f"  {part.name}: {len(made.hulls)}, {worst} (the bound is {bound})")
+    for part, hulls in zip(parts, prepared, strict=True):
+        worst, bound = (f"{1e3 * hulls.error.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
+        print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
     for note in hull_notes(parts, prepared):
         print(f"note: {note}")
     for part in parts:

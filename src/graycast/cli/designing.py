@@ -51,7 +51,7 @@ def _design(options: argparse.Namespace) -> int:
     print(f"{len(settings)} settings, {spec.layouts} heaps of parts, seed {spec.seed}")
     with open_bars() as bars:
 
-        def made(name, layout, outcome) -> None:
+        def report(name, layout, outcome) -> None:
             shares = ", ".join(f"{share:.1%}" for share in outcome.reasons.values())
             bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
 
@@ -63,13 +63,13 @@ def _design(options: argparse.Namespace) -> int:
             options.out,
             device=options.device,
             workers=workers,
-            on_made=made,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )
-    said = write_design(spec, options.out)
+    conclusion = write_design(spec, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))
-    print(said)
+    print(conclusion)
     for name in lost:
         print(f"  {name} is missing; run the same command again to retry it")
     return 1 if lost else 0

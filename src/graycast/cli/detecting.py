@@ -377,7 +377,7 @@ def _detect(options: argparse.Namespace) -> None:
         as_real=options.as_real,
     )
     with open_bars() as bars:
-        looked = detect(
+        detection = detect(
             detector,
             pictures,
             options.out,
@@ -386,15 +386,15 @@ def _detect(options: argparse.Namespace) -> None:
             drawings=options.drawings,
             progress=bars,
         )
-    count = sum(map(len, looked.found))
+    count = sum(map(len, detection.found))
     print(
-        f"{options.out}: {count} detections in {len(looked.found)} pictures, "
-        f"{median(looked.ms_per_picture):.0f} ms a picture"
+        f"{options.out}: {count} detections in {len(detection.found)} pictures, "
+        f"{median(detection.ms_per_picture):.0f} ms a picture"
     )
-    for note in looked.notes[:_NOTES]:
+    for note in detection.notes[:_NOTES]:
         print(f"note: {note}")
-    if len(looked.notes) > _NOTES:
-        print(f"note: there are {len(looked.notes) - _NOTES} more notes of this kind")
+    if len(detection.notes) > _NOTES:
+        print(f"note: there are {len(detection.notes) - _NOTES} more notes of this kind")
 
 
 def _export(detector, options: argparse.Namespace) -> None:

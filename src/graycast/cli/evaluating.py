@@ -201,9 +201,9 @@ def _depth(options: argparse.Namespace) -> int:
 
     for name in ("results", "against", "split", "shares", "kind"):
         if getattr(options, name) is not None:
-            told = name if name == "results" else f"--{name}"
+            option = name if name == "results" else f"--{name}"
             raise GraycastError(
-                f"{told} applies only to detections, and --depth only to the scanner's depth: "
+                f"{option} applies only to detections, and --depth only to the scanner's depth: "
                 "give one of the two"
             )
     refuse_foreign(options.out, DEPTH)

@@ -178,8 +178,8 @@ def _export(options: argparse.Namespace) -> int:
     from ..dataset.export import Options, Split, export, parse_shares
 
     split = Split(shares=parse_shares(options.split), seed=options.split_seed)
-    said = {name: getattr(options, name) for name in _OPTIONS}
-    chosen = Options(format=options.format, split=split, **said)
+    settings = {name: getattr(options, name) for name in _OPTIONS}
+    chosen = Options(format=options.format, split=split, **settings)
     with open_bars() as bars:
         record = export(
             options.dataset,

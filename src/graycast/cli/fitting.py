@@ -125,7 +125,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell.config import load_config
     from ..cell.resolve import refuse_several, resolve_cell
     from ..real.fit_bin import (
-        Said,
+        FileOptions,
         azimuth_of,
         empty_view,
         fit_pose,
@@ -153,24 +153,24 @@ def _fit_bin(options: argparse.Namespace) -> int:
             "--white and --black"
         )
     config = load_config(options.config)
-    given = {} if options.inner is None else {"inner_m": _inner(options.inner)}
-    given |= {} if options.wall is None else {"wall_m": options.wall}
-    if given and config.bin.mesh is not None:
+    size = {} if options.inner is None else {"inner_m": _inner(options.inner)}
+    size |= {} if options.wall is None else {"wall_m": options.wall}
+    if size and config.bin.mesh is not None:
         raise GraycastError(
             f"--inner and --wall apply only to a box, and the bin of {options.config} is the mesh "
             f"{config.bin.mesh}: remove them"
         )
     known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
-    config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
+    config = config.model_copy(update={"bin": config.bin.model_copy(update=size)})
     cell = resolve_cell(config, options.config.parent)
     refuse_several(cell, "graycast fit-bin")
-    said = Said(
+    files = FileOptions(
         K=intrinsics_of(options),
         distortion=distortion_of(options),
         scale_m=options.scale,
         size_px=options.size,
     )
-    views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
+    views = read_views(options.real, rgb=options.rgb, options=files, own=cell.scene.rig.camera)
     if options.cluttered:
         views = (empty_view(views),)
     shape = shape_of(bin_of(cell.scene), wall_known=bool(known))
@@ -179,8 +179,8 @@ def _fit_bin(options: argparse.Namespace) -> int:
     stated = cell.scene.T_world_cam if known_pose else None
     fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed, stated=stated)
     paired = options.white is not None
-    asked = paired or options.floor_reflectance is not None
-    if not options.pose_only and (asked or any(view.rgb is not None for view in views)):
+    needs_look = paired or options.floor_reflectance is not None
+    if not options.pose_only and (needs_look or any(view.rgb is not None for view in views)):
         fit = with_look(
             fit,
             cell,

@@ -82,7 +82,7 @@ def _generate(options: argparse.Namespace) -> int:
     )
     with open_bars() as bars, GpuWatch() as gpu:
 
-        def made(scene) -> None:
+        def report(scene) -> None:
             decoded = f"{scene.reasons['decoded']:.1%} of all pixels decoded"
             if scene.part_reasons:
                 decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
@@ -101,7 +101,7 @@ def _generate(options: argparse.Namespace) -> int:
             device=options.device,
             workers=workers,
             progress=bars,
-            on_made=made,
+            on_result=report,
             on_failed=failed,
         )
     if summary.written or not (options.out / CARD).exists():
@@ -152,10 +152,10 @@ def _rerender(options: argparse.Namespace) -> int:
     origin = read_origin(options.dataset)
     config = origin.config
     if options.config is not None:
-        asked = load_config(options.config)
+        settings = load_config(options.config)
         backend = config.render.backend  # the dataset may have been made with --backend
-        config = asked.model_copy(
-            update={"render": asked.render.model_copy(update={"backend": backend})}
+        config = settings.model_copy(
+            update={"render": settings.render.model_copy(update={"backend": backend})}
         )
     elif origin.files:
         raise DatasetError(

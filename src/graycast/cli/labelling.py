@@ -99,11 +99,11 @@ def _grasps(options: argparse.Namespace) -> int:
         )
     with open_bars() as bars:
 
-        def made(key, outcome) -> None:
-            told = {word: int(count) for word, count in outcome.reasons.items()}
+        def report(key, outcome) -> None:
+            number = {word: int(count) for word, count in outcome.reasons.items()}
             bars.line(
-                f"{key}  {outcome.seconds:6.1f} s  {told['grasps']} labels, "
-                f"{told['held']} of {told['simulated']} lifted"
+                f"{key}  {outcome.seconds:6.1f} s  {number['grasps']} labels, "
+                f"{number['held']} of {number['simulated']} lifted"
             )
 
         def failed(key, outcome) -> None:
@@ -116,7 +116,7 @@ def _grasps(options: argparse.Namespace) -> int:
             seed=options.seed,
             files=options.files,
             workers=options.workers,
-            on_made=made,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )

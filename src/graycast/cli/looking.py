@@ -58,8 +58,8 @@ def add_commands(commands) -> None:
     add_cell(report)
 
 
-def _add_dataset(parser: argparse.ArgumentParser, told: str) -> None:
-    parser.add_argument("dataset", type=Path, help=told)
+def _add_dataset(parser: argparse.ArgumentParser, purpose: str) -> None:
+    parser.add_argument("dataset", type=Path, help=purpose)
     parser.add_argument(
         "--workers",
         type=positive,

@@ -154,7 +154,7 @@ def _pick(options: argparse.Namespace) -> int:
     )
     with open_bars() as bars:
 
-        def made(outcome) -> None:
+        def report(outcome) -> None:
             ended = ", ".join(f"{int(n)} {name}" for name, n in outcome.reasons.items())
             bars.line(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
 
@@ -168,7 +168,7 @@ def _pick(options: argparse.Namespace) -> int:
             seed=seed,
             device=options.device,
             workers=workers,
-            on_made=made,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )
@@ -191,8 +191,8 @@ def _with_options(config, options: argparse.Namespace):
         changed |= _depth(options.depth)
     if not changed:
         return config
-    told = config.model_dump(mode="json")
-    return PickConfig.model_validate(told | {"picking": told["picking"] | changed})
+    settings = config.model_dump(mode="json")
+    return PickConfig.model_validate(settings | {"picking": settings["picking"] | changed})
 
 
 def _depth(text: str) -> dict[str, object]:
@@ -218,9 +218,9 @@ def _picks(options: argparse.Namespace) -> int:
     if len(runs) > 1:
         print(f"\n{compared(runs)}")
     if options.plot is not None:
-        told = {name: summarize(episodes) for name, episodes in runs.items()}
-        plot_runs(told, options.plot)
-        print(f"{options.plot}: a row for each of {len(told)} folders")
+        summaries = {name: summarize(episodes) for name, episodes in runs.items()}
+        plot_runs(summaries, options.plot)
+        print(f"{options.plot}: a row for each of {len(summaries)} folders")
     return 0
 
 

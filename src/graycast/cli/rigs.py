@@ -217,9 +217,9 @@ def _rig_calibrate(options: argparse.Namespace) -> int:
         views.append(view)
         sizes_px.add(size_px)
     if len(sizes_px) > 1:
-        told = ", ".join(f"{w} x {h}" for w, h in sorted(sizes_px))
+        sizes = ", ".join(f"{w} x {h}" for w, h in sorted(sizes_px))
         raise GraycastError(
-            f"the stacks were made with projectors of different sizes ({told} px): give stacks of "
+            f"the stacks were made with projectors of different sizes ({sizes} px): give stacks of "
             "one projector"
         )
     calibration = calibrate_rig(

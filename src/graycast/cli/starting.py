@@ -59,8 +59,8 @@ def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentPa
     cell, device = options.out / "cell.yaml", ("--device", options.device)
     if not cell.exists():
         _write_cell(options.out, builtin=DEMO_PART, changes={"scenes: 10": "scenes: 3"})
-    for command, made in (("generate", "dataset"), ("preview", "preview.png")):
-        words = (str(cell), "--out", str(options.out / made), *device)
+    for command, product in (("generate", "dataset"), ("preview", "preview.png")):
+        words = (str(cell), "--out", str(options.out / product), *device)
         chosen = parsers[command].parse_args(words)
         if code := chosen.run(chosen):
             return code

@@ -107,8 +107,8 @@ def _twin(options: argparse.Namespace) -> int:
     refuse_there(*files_of(options.out))
     cell = resolve_cell_option(load_config(options.config), options)
     refuse_several(cell, "graycast twin")
-    said = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
-    K = cell.scanner.rig.camera.K if said is None else said
+    intrinsics = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    K = cell.scanner.rig.camera.K if intrinsics is None else intrinsics
     scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))
     if not scans:
         raise GraycastError("no scans are given: name depth files or a folder of them")

@@ -87,11 +87,11 @@ def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[st
             are not one per instance.
         DatasetError: a depth does not fit into 16 bits at this scale.
     """
-    told = _Told()
-    yield from sealed(_unsealed_files(samples, scale_mm, told), told.manifest)
+    scene_record = _SceneRecord()
+    yield from sealed(_unsealed_files(samples, scale_mm, scene_record), scene_record.manifest)
 
 
-class _Told:
+class _SceneRecord:
     """What is known of a scene when all of its images are written."""
 
     def __init__(self) -> None:
@@ -104,45 +104,45 @@ class _Told:
     def of_manifest(self, sample: Sample) -> None:
         """The first image's facts are the scene's; further ones have lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
-        told = {**sample.manifest, **facts}
+        facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}
         if not self.manifest:
-            self.manifest |= told | sensor
+            self.manifest |= facts | sensor
             return
         which = sensor | {"image": sample.image}
-        own = {key: told[key] for key in OWN_FACTS if key in told}
-        own["seeds"] = {name: told["seeds"][name] for name in OF_IMAGE}
+        own = {key: facts[key] for key in OWN_FACTS if key in facts}
+        own["seeds"] = {name: facts["seeds"][name] for name in OF_IMAGE}
         self.manifest.setdefault(FURTHER, []).append(which | own)
-        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | {"seconds": told["timings"]})
+        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | {"seconds": facts["timings"]})
 
 
 def _unsealed_files(
-    samples: Iterable[Sample], scale_mm: float, told: _Told
+    samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
-    """All but the manifest, whose content is told."""
+    """All but the manifest, whose content goes into `scene_record`."""
     coco: dict[str, list[_OfCoco]] = {}
     parts = 0
     for sample in samples:
         camera = sample.scene.rig.camera
         _check_shapes(sample, (camera.height_px, camera.width_px))
-        told.of_manifest(sample)
+        scene_record.of_manifest(sample)
         known = labelled(sample)
         parts = len(known.scene.parts)
-        yield from _image_files(known, scale_mm, told, coco)
-    for name, records in told.records.items():
+        yield from _image_files(known, scale_mm, scene_record, coco)
+    for name, records in scene_record.records.items():
         yield f"{name}.json", json_bytes(records)
     for name, images in coco.items():
         yield f"{name}.json", json_bytes(_coco(range(1, parts + 1), images))
 
 
 def _image_files(
-    sample: Sample, scale_mm: float, told: _Told, coco: dict[str, list["_OfCoco"]]
+    sample: Sample, scale_mm: float, scene_record: _SceneRecord, coco: dict[str, list["_OfCoco"]]
 ) -> Iterator[tuple[str, bytes]]:
-    """Pictures and masks of one image; its entries in JSON files are told."""
-    camera, seen, number = sample.scene.rig.camera, _instances(sample), sample.image
+    """Pictures and masks of one image; its entries of JSON files go into `scene_record`."""
+    camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
-    known = sample.scanner.reason == Reason.DECODED
-    scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
+    known = sample.scanner_depth.reason == Reason.DECODED
+    scanned = _depth_steps(sample.scanner_depth.depth_m, scale_mm, needed=known)
     modulation, modulation_scale = _modulation_steps(sample.modulation)
 
     def place(kind: str) -> str:
@@ -152,9 +152,9 @@ def _image_files(
     yield place("gray_sl"), _png(sample.gray)
     yield place("depth"), _png(truth)
     yield place("depth_sl"), _png(scanned)
-    yield place("reason_sl"), _png(sample.scanner.reason)
+    yield place("reason_sl"), _png(sample.scanner_depth.reason)
     yield place("modulation_sl"), _png(modulation)
-    for i, instance in enumerate(seen):
+    for i, instance in enumerate(silhouettes):
         amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
         visible = _mask_png(instance.visible, camera.height_px, camera.width_px)
         for suffix in ("", "_sl"):
@@ -165,22 +165,22 @@ def _image_files(
         entries = {
             "scene_camera": view,
             "scene_gt": poses,
-            "scene_gt_info": [_info(instance, depth) for instance in seen],
+            "scene_gt_info": [_info(instance, depth) for instance in silhouettes],
         }
         for name, entry in entries.items():
-            told.image(of_sensor(name + suffix, sample.sensor), number, entry)
+            scene_record.image(of_sensor(name + suffix, sample.sensor), number, entry)
         of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
-        of_coco.append(_of_coco(sample, seen, place(image)))
-    told.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
+        of_coco.append(_of_coco(sample, silhouettes, place(image)))
+    scene_record.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
-    told.image(of_sensor("scene_sl", sample.sensor), number, scanner)
+    scene_record.image(of_sensor("scene_sl", sample.sensor), number, scanner)
     if sample.raw is not None:
         yield from raw_files(sample.raw, sensor=sample.sensor, number=number)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
+class _Silhouettes:
     """What the image shows of one instance: all, the part inside the image, the visible part."""
 
     whole: Silhouette
@@ -188,11 +188,10 @@ class _Seen:
     visible: Silhouette
 
 
-def _instances(sample: Sample) -> list[_Seen]:
-    truth = sample.truth
-    height_px, width_px = truth.instance.shape
+def _instances(sample: Sample) -> list[_Silhouettes]:
+    truth, (height_px, width_px) = sample.truth, sample.truth.instance.shape
     found = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
-    seen = []
+    silhouettes = []
     for i, (whole, box) in enumerate(zip(truth.amodal, found, strict=True)):
         rows, columns = box if box is not None else (slice(0, 0), slice(0, 0))
         visible = Silhouette(
@@ -201,8 +200,8 @@ def _instances(sample: Sample) -> list[_Seen]:
         if visible.mask.sum() > whole.mask.sum():
             raise ValueError(f"instance {i} has more visible pixels than its silhouette has")
         inside = whole.clipped(height_px, width_px)
-        seen.append(_Seen(whole=whole, inside=inside, visible=visible))
-    return seen
+        silhouettes.append(_Silhouettes(whole=whole, inside=inside, visible=visible))
+    return silhouettes
 
 
 def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
@@ -211,8 +210,8 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
         "gray": sample.gray,
         "true depth": sample.truth.depth_m,
         "instance": sample.truth.instance,
-        "scanner depth": sample.scanner.depth_m,
-        "reason": sample.scanner.reason,
+        "scanner depth": sample.scanner_depth.depth_m,
+        "reason": sample.scanner_depth.reason,
         "modulation": sample.modulation,
     }
     for name, image in images.items():
@@ -336,15 +335,15 @@ def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
     return boxes
 
 
-def _info(seen: _Seen, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
+def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
     """One entry of `scene_gt_info.json`, counted as bop_toolkit's calc_gt_info counts."""
-    inside, visible_px = seen.inside, int(seen.visible.mask.sum())
+    inside, visible_px = silhouettes.inside, int(silhouettes.visible.mask.sum())
     h, w = inside.mask.shape
     window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]
-    whole_px = int(seen.whole.mask.sum())
+    whole_px = int(silhouettes.whole.mask.sum())
     return {
-        "bbox_obj": _span(seen.whole) if visible_px else _NOTHING,
-        "bbox_visib": _span(seen.visible) if visible_px else _NOTHING,
+        "bbox_obj": _span(silhouettes.whole) if visible_px else _NOTHING,
+        "bbox_visib": _span(silhouettes.visible) if visible_px else _NOTHING,
         "px_count_all": whole_px,
         "px_count_valid": int((window[inside.mask] > 0).sum()),
         "px_count_visib": visible_px,
@@ -366,11 +365,11 @@ class _OfCoco:
     annotations: list[dict[str, Any]]
 
 
-def _of_coco(sample: Sample, seen: list[_Seen], file_name: str) -> _OfCoco:
+def _of_coco(sample: Sample, silhouettes: list[_Silhouettes], file_name: str) -> _OfCoco:
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []
-    for instance, part in zip(seen, sample.layout.part_index, strict=True):
+    for instance, part in zip(silhouettes, sample.layout.part_index, strict=True):
         area_px = int(instance.visible.mask.sum())
         if area_px == 0:
             continue

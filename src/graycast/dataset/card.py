@@ -29,7 +29,7 @@ CARD = "README.md"
 FOLDER = "card"  # of its pictures
 UNSTATED = "not stated"
 SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
-_SHOWN = 3
+_MOST = 3
 _TILE_PX = 480
 _NAMED = 4  # parts in a title
 
@@ -41,14 +41,14 @@ class Census:
     objects: Mapping[StoredScene, tuple[int, ...]]
 
     def instances(self, obj_id: int) -> int:
-        return sum(held.count(obj_id) for held in self.objects.values())
+        return sum(obj_ids.count(obj_id) for obj_ids in self.objects.values())
 
     def scenes(self, obj_id: int) -> int:
-        return sum(obj_id in held for held in self.objects.values())
+        return sum(obj_id in obj_ids for obj_ids in self.objects.values())
 
     @property
     def obj_ids(self) -> list[int]:
-        return sorted({obj_id for held in self.objects.values() for obj_id in held})
+        return sorted({obj_id for of_scene in self.objects.values() for obj_id in of_scene})
 
 
 def write_card(
@@ -83,17 +83,17 @@ def write_card(
     if statistics is None:
         drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
         statistics = tally(drawn, stored.categories)
-    shown = _shown(census)
+    examples = _examples(census)
     card = card_text(
         title or _title(stored),
         statistics,
         census,
         stored,
         licence=licence,
-        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in shown],
+        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in examples],
     )
     try:
-        _publish(dataset, card, statistics, len(census.objects), shown)
+        _publish(dataset, card, statistics, len(census.objects), examples)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -149,12 +149,12 @@ def take_census(scenes: Sequence[StoredScene]) -> Census:
     return Census(objects={scene: scene.obj_ids() for scene in scenes})
 
 
-def _shown(census: Census) -> list[StoredScene]:
+def _examples(census: Census) -> list[StoredScene]:
     """A scene of each mix of objects first, then any."""
     first: dict[frozenset[int], StoredScene] = {}
-    for scene, held in census.objects.items():
-        first.setdefault(frozenset(held), scene)
-    return list(dict.fromkeys([*first.values(), *census.objects]))[:_SHOWN]
+    for scene, obj_ids in census.objects.items():
+        first.setdefault(frozenset(obj_ids), scene)
+    return list(dict.fromkeys([*first.values(), *census.objects]))[:_MOST]
 
 
 def _title(stored: StoredDataset) -> str:
@@ -165,7 +165,7 @@ def _title(stored: StoredDataset) -> str:
 
 
 def _publish(
-    dataset: Path, card: str, statistics: Statistics, scenes: int, shown: Sequence[StoredScene]
+    dataset: Path, card: str, statistics: Statistics, scenes: int, examples: Sequence[StoredScene]
 ) -> None:
     """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
     with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
@@ -174,7 +174,7 @@ def _publish(
         figures = {"scenes_in_dataset": scenes} | statistics_json(statistics)
         text = json.dumps(figures, indent=1, allow_nan=False)
         (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
-        for scene in shown:
+        for scene in examples:
             picture = scene_strip(scene.content())[..., ::-1]
             (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
         written.write_text(card, encoding="utf-8")
@@ -202,11 +202,11 @@ def card_text(
         f"# {escaped(title)}",
         _introduction(stored),
         f"Licence: {licence or UNSTATED}.",
-        *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_SHOWN]),
+        *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_MOST]),
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),
-        _told_of_sample(statistics, census, len(stored.images)),
+        _sample_text(statistics, census, len(stored.images)),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
@@ -236,7 +236,7 @@ def _introduction(stored: StoredDataset) -> str:
     )
 
 
-def _told_of_sample(s: Statistics, census: Census, of: int) -> str:
+def _sample_text(s: Statistics, census: Census, of: int) -> str:
     pictures = len(census.objects) * of
     if s.pictures == pictures:
         return ""
@@ -260,8 +260,8 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
     for obj_id in census.obj_ids:
         scenes = census.scenes(obj_id)
         plural = "" if scenes == 1 else "s"
-        told = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
-        rows.append((f"part {escaped(stored.categories[obj_id])}", told))
+        count = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
+        rows.append((f"part {escaped(stored.categories[obj_id])}", count))
     if s.depth_bin:
         depth = s.depth_quantiles_mm
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
@@ -272,14 +272,14 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         rows.append(("with a scanner depth", shares))
     missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}
     if missing:
-        told = ", ".join(
+        shares_text = ", ".join(
             f"{escaped(name.replace('_', ' '))} {share:.1%}" for name, share in missing.items()
         )
-        rows.append(("without, on parts", told))
+        rows.append(("without, on parts", shares_text))
     if s.part_error.pixels:
         error = s.part_error
-        told = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
-        rows.append(("scanner less perfect depth, on parts", told))
+        figures = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
+        rows.append(("scanner less perfect depth, on parts", figures))
     kept = stored.claim.get("config", {}).get("store", {})
     names = {"frames": "every captured frame", "columns": "projector columns"}
     also = [words for key, words in names.items() if kept.get(key)]
@@ -290,11 +290,11 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
 
 def _making(stored: StoredDataset) -> str:
     claim = stored.claim
-    said: dict[str, Any] = {
+    front_matter: dict[str, Any] = {
         key: claim[key] for key in ("seed", "versions", "sources") if key in claim
     }
     config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
-    text = yaml.safe_dump(plain(said), sort_keys=True, default_flow_style=None, width=96)
+    text = yaml.safe_dump(plain(front_matter), sort_keys=True, default_flow_style=None, width=96)
     blocks = [fenced(text)]
     if config:
         text = yaml.safe_dump(plain(config), sort_keys=True, default_flow_style=None, width=96)

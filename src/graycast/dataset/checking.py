@@ -124,12 +124,12 @@ def _sum_problems(out: Path, finished: Iterable[int]) -> list[Problem]:
 
 def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     """What `graycast.json` says of itself, of the models and of the camera."""
-    held = parse_json((out / CLAIM).read_bytes())
-    if fingerprint(held) != claim.fingerprint:
+    content = parse_json((out / CLAIM).read_bytes())
+    if fingerprint(content) != claim.fingerprint:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if not claim.sha256:
         yield f"{CLAIM}: sha256 is missing, which every dataset has"
-    yield from sum_problems(out, claim.sha256, told_in=CLAIM)
+    yield from sum_problems(out, claim.sha256, listed_in=CLAIM)
 
 
 def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:
@@ -259,12 +259,12 @@ def _split_image_problems(
     except Unreadable:
         return  # told where the scene is checked
     annotations = [entry for entry in of_scene if entry.image_id == image]
-    seen = [info.visib_fract for info in infos if info.px_count_visib > 0]
-    if not len(entries) == len(annotations) == len(seen):
+    visible = [info.visib_fract for info in infos if info.px_count_visib > 0]
+    if not len(entries) == len(annotations) == len(visible):
         counts = f"{len(entries)} annotations of image {image_id}, the scene has {len(annotations)}"
         yield f"train_coco.json: {counts}"
         return
-    for entry, source, visib_fract in zip(entries, annotations, seen, strict=True):
+    for entry, source, visib_fract in zip(entries, annotations, visible, strict=True):
         runs = source.segmentation.model_dump()
         compressed = coco_mask.frPyObjects(runs, *runs["size"])
         must = {
@@ -275,7 +275,7 @@ def _split_image_problems(
             "segmentation": {"size": runs["size"], "counts": compressed["counts"].decode()},
             "visib_fract": visib_fract,
         }
-        held = entry.model_dump(exclude={"id", "image_id"})
-        if held != must:
-            wrong = ", ".join(key for key in must if held[key] != must[key])
+        values = entry.model_dump(exclude={"id", "image_id"})
+        if values != must:
+            wrong = ", ".join(key for key in must if values[key] != must[key])
             yield f"train_coco.json: annotation {entry.id}: {wrong} differs from scene {scene_id}"

@@ -105,8 +105,8 @@ def _described_taker(taker: Taker) -> dict[str, Any]:
 
 def fingerprint(claim: Mapping[str, Any]) -> str:
     """SHA-256 over everything that determines the contents of a dataset."""
-    told = {key: value for key, value in claim.items() if key not in _BESIDE}
-    text = json.dumps(told, sort_keys=True, allow_nan=False)
+    content = {key: value for key, value in claim.items() if key not in _BESIDE}
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -127,9 +127,9 @@ def rig_of(described: Mapping[str, Any]) -> Rig:
     Raises:
         KeyError, TypeError, ValueError: it is none.
     """
-    told = _unworded(described)
-    lenses = {name: Optics(**told.pop(name)) for name in ("camera", "projector")}
-    return Rig(**told | lenses | {"T_cam_proj": np.array(told["T_cam_proj"], dtype=np.float64)})
+    values = _unworded(described)
+    lenses = {name: Optics(**values.pop(name)) for name in ("camera", "projector")}
+    return Rig(**values | lenses | {"T_cam_proj": np.array(values["T_cam_proj"], dtype=np.float64)})
 
 
 def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]:
@@ -138,8 +138,8 @@ def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]
     Raises:
         KeyError, TypeError, ValueError: they are none.
     """
-    told = _unworded(described)
-    return SensorSpec(**told["sensor"]), DecodeSpec(**told["decode"])
+    sections = _unworded(described)
+    return SensorSpec(**sections["sensor"]), DecodeSpec(**sections["decode"])
 
 
 def _unworded(item: Any) -> Any:
@@ -179,8 +179,8 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
         DatasetError: it is damaged, or of another configuration; says where that differs.
     """
     try:
-        held = parse_json(path.read_bytes())
-        known = held["fingerprint"]
+        content = parse_json(path.read_bytes())
+        known = content["fingerprint"]
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error
     if known != claim["fingerprint"]:
@@ -188,7 +188,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
             (
                 found
                 for key in _CLAIMED
-                if (found := difference(held.get(key), claim.get(key), key)) is not None
+                if (found := difference(content.get(key), claim.get(key), key)) is not None
             ),
             "the fingerprint",
         )

@@ -105,8 +105,8 @@ def split_coco(
     yield '],\n"annotations": ['
     separator, annotation_id = "\n", 0
     for image_id, annotations, infos in annotated:
-        seen = [info["visib_fract"] for info in infos if info["px_count_visib"] > 0]
-        for annotation, visib_fract in zip(annotations, seen, strict=True):
+        visible = [info["visib_fract"] for info in infos if info["px_count_visib"] > 0]
+        for annotation, visib_fract in zip(annotations, visible, strict=True):
             annotation_id += 1
             entry = {"id": annotation_id} | split_annotation(annotation, image_id)
             yield separator + json.dumps(entry | {"visib_fract": visib_fract})

@@ -14,8 +14,7 @@ from pycocotools import mask as coco_mask
 from ..base.errors import GraycastError
 from ..base.file_limits import check_runs, parse_json
 
-# What `graycast detect` leaves in a folder: the results, and what was looked at by what.
-RESULTS, LOOKED = "results.json", "detect.json"
+RESULTS, DETECT_JSON = "results.json", "detect.json"
 WEIGHTS = "detector.pt"  # what `graycast train` leaves in a folder
 
 
@@ -121,7 +120,7 @@ def read_results(
             f"{path}: some entries have a segmentation and others have none: give all entries "
             "one, or none"
         )
-    return [_detections(scene_id, held, masked == {True}) for scene_id, held in of_scene.items()]
+    return [_detections(scene_id, rows, masked == {True}) for scene_id, rows in of_scene.items()]
 
 
 def _check(entry: Any, where: str) -> None:

@@ -73,7 +73,7 @@ class Example:
                 value.flags.writeable = False
 
 
-def shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
     """What is drawn upon: colour, else the white frame, else depth from near (light) to far.
 
     Missing depth is black.
@@ -96,7 +96,7 @@ def shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Label:
+class InstanceLabel:
     """One visible instance of a scene as its files have it.
 
     `segmentation` is compressed RLE, `box` [x, y, columns, rows] of it; `pose` (rotation, 9
@@ -135,7 +135,7 @@ def metres(steps: UInt16[np.ndarray, "h w"], scale_mm: float) -> Float32[np.ndar
     return np.where(steps > 0, depth_m, np.nan).astype(np.float32)
 
 
-def label_arrays(labels: list[Label] | None, size_px: tuple[int, int]) -> dict[str, Any]:
+def label_arrays(labels: list[InstanceLabel] | None, size_px: tuple[int, int]) -> dict[str, Any]:
     """The labels as `Example` has them."""
     if labels is None:
         return {}

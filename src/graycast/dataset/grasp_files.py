@@ -141,8 +141,8 @@ def _grasp_problems(
         yield f"opening is {grasp.opening}, which only jaws have, and always"
     elif grasp.opening is not None and opening_mm is not None and grasp.opening > opening_mm:
         yield f"opening is {grasp.opening:g} mm, the jaws open {opening_mm:g} mm"
-    told = grasp.simulated
-    if told is not None and grasp.reach != "free":
+    trial = grasp.simulated
+    if trial is not None and grasp.reach != "free":
         yield f"it is simulated, and its reach is {grasp.reach}"
-    if told is not None and told.success != (told.ended == "held"):
-        yield f"success is {told.success} and ended is {told.ended}"
+    if trial is not None and trial.success != (trial.ended == "held"):
+        yield f"success is {trial.success} and ended is {trial.ended}"

@@ -45,7 +45,7 @@ def mask_problems(
             return
     size = (camera.height, camera.width)
     taken = np.zeros(size, dtype=bool)
-    seen: list[tuple[int, dict[str, object]]] = []
+    known: list[tuple[int, dict[str, object]]] = []
     for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
         mask, visible = (_sized_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
         if any(
@@ -62,17 +62,17 @@ def mask_problems(
         for suffix, infos in scene.info.items():
             if i < len(infos):
                 depth = scene.image[f"depth{suffix}"]
-                told_in = scene.json_name(f"scene_gt_info{suffix}")
+                file = scene.json_name(f"scene_gt_info{suffix}")
                 for what in _info_problems(infos[i], mask, visible, depth):
-                    yield f"instance {i}: {told_in}: {what}"
+                    yield f"instance {i}: {file}: {what}"
         if pose.obj_id in models and i < len(scene.info[""]):
             for what in _surface_problems(scene, i, mask, visible, models[pose.obj_id], camera):
                 yield f"instance {i}: {what}"
         if visible.any():
             runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
-            seen.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
+            known.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
     for suffix, coco in scene.coco.items():
-        for what in _coco_problems(scene, suffix, coco, seen, size):
+        for what in _coco_problems(scene, suffix, coco, known, size):
             yield f"{scene.json_name(f'scene_gt_coco{suffix}')}: {what}"
 
 
@@ -184,18 +184,18 @@ def _coco_problems(
     scene: Plain,
     suffix: str,
     coco: records.SceneCoco,
-    seen: list[tuple[int, dict[str, object]]],
+    known: list[tuple[int, dict[str, object]]],
     size: tuple[int, int],
 ) -> Iterator[str]:
     file_name, number = scene.name("gray_sl" if suffix else "rgb"), scene.number
     image = records.CocoImage(id=number, file_name=file_name, width=size[1], height=size[0])
     if coco.images != [image]:
         yield f"images must have one entry of image {number}, {image}"
-    if len(coco.annotations) != len(seen):
-        yield f"{len(coco.annotations)} annotations for {len(seen)} visible instances"
+    if len(coco.annotations) != len(known):
+        yield f"{len(coco.annotations)} annotations for {len(known)} visible instances"
         return
     first = scene.first_annotation[suffix]
-    for k, ((i, must), entry) in enumerate(zip(seen, coco.annotations, strict=True), start=first):
+    for k, ((i, must), entry) in enumerate(zip(known, coco.annotations, strict=True), start=first):
         info = scene.info[""][i] if i < len(scene.info[""]) else None
         if (entry.id, entry.image_id, entry.iscrowd) != (k, number, 0):
             yield f"annotation {k} has id {entry.id}, image_id {entry.image_id}"

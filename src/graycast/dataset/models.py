@@ -97,9 +97,9 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
         color = np.broadcast_to(srgb(np.array(part.material.base_color)), (len(table), 3))
         properties += [("uchar", name) for name in COLORS]
         table, formats = np.hstack([table, color]), [*formats, "%d", "%d", "%d"]
-    said = [] if texture_name is None else [f"{TEXTURE} {texture_name}"]
+    notes = [] if texture_name is None else [f"{TEXTURE} {texture_name}"]
     text = io.BytesIO()
-    text.write(header("ascii", properties, vertices=len(table), faces=len(mesh.faces), said=said))
+    text.write(header("ascii", properties, vertices=len(table), faces=len(mesh.faces), notes=notes))
     np.savetxt(text, table, fmt=formats)
     np.savetxt(text, index.reshape(-1, 3), fmt="3 %d %d %d")
     return text.getvalue()

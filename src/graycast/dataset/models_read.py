@@ -42,7 +42,7 @@ def _model(file: Path, info: records.ModelInfo) -> StoredModel:
         mesh = load_mesh(file, unit="mm")[0]
     except MeshError as error:
         raise DatasetError(f"{error}: run graycast validate") from error
-    discrete = [np.array(held).reshape(4, 4) for held in info.symmetries_discrete]
+    discrete = [np.array(matrix).reshape(4, 4) for matrix in info.symmetries_discrete]
     scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
     return StoredModel(
         mesh=mesh,

@@ -26,7 +26,7 @@ from ..camera.sensor import Capture
 from ..camera.stack import describe_frames, describe_stack
 from ..rig.pattern import AXES
 from . import records
-from .safe_reading import Unreadable, held, read_json, read_png
+from .safe_reading import Unreadable, read_json, read_png, record_as
 from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of
@@ -118,19 +118,19 @@ def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | Non
     Raises:
         Unreadable: a file is missing or damaged, or they do not fit together.
     """
-    told = told_of(scene, sensor=sensor, number=number).frames
-    if told is None:
+    record = raw_facts_of(scene, sensor=sensor, number=number).frames
+    if record is None:
         return None
     name = frames_folder(sensor, number)
     folder = scene / name
     with ThreadPoolExecutor(_THREADS) as pool:
-        images = list(pool.map(read_png, [folder / shown.file for shown in told.shown]))
-    exposure_s: float | Float32[np.ndarray, "h w"] = told.exposures_s[0]
-    if len(told.exposures_s) > 1:
+        images = list(pool.map(read_png, [folder / shown.file for shown in record.shown]))
+    exposure_s: float | Float32[np.ndarray, "h w"] = record.exposures_s[0]
+    if len(record.exposures_s) > 1:
         index = read_png(folder / EXPOSURE)
-        if index.max() >= len(told.exposures_s):
+        if index.max() >= len(record.exposures_s):
             raise Unreadable(f"{name}/{EXPOSURE} numbers more exposures than manifest.json")
-        exposure_s = np.array(told.exposures_s, dtype=np.float32)[index]
+        exposure_s = np.array(record.exposures_s, dtype=np.float32)[index]
     try:
         scanner = load_scanner(folder / RIG)
         capture = Capture(frames=np.stack(images), sensor=scanner.sensor, exposure_s=exposure_s)
@@ -148,7 +148,7 @@ def read_code_maps(
         Unreadable: a file is missing or damaged.
     """
     names = [name for axis in AXES for name in (axis, f"sigma_{axis}")]
-    there = told_of(scene, sensor=sensor, number=number).code_maps
+    there = raw_facts_of(scene, sensor=sensor, number=number).code_maps
     return {
         name: _read_tiff(scene / of_sensor(_folder(name), sensor) / f"{number:06d}.tiff")
         for name in names
@@ -156,7 +156,7 @@ def read_code_maps(
     }
 
 
-def told_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFacts:
+def raw_facts_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFacts:
     """What a manifest says of an image's frames and code maps; a scene without one has none.
 
     Raises:
@@ -166,7 +166,7 @@ def told_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFac
     if not path.exists():
         return records.RawFacts()
     manifest = read_json(path, records.Manifest).root
-    return held(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
+    return record_as(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
 
 
 def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:

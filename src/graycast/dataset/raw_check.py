@@ -13,7 +13,7 @@ from ..camera.sensor import Capture
 from ..camera.stack import code_of, describe_frames, read_description
 from ..rig.pattern import AXES
 from . import records
-from .raw import EXPOSURE, RIG, STACK, frames_folder, read_capture, read_code_maps, told_of
+from .raw import EXPOSURE, RIG, STACK, frames_folder, raw_facts_of, read_capture, read_code_maps
 from .safe_reading import Unreadable
 from .sample import Raw
 from .scene_folder import SceneFolder, of_sensor
@@ -37,39 +37,39 @@ def raw_problems(
     """
     folder, sensor = files.path, files.sensor
     try:
-        told = told_of(folder, sensor=sensor, number=number)
-        yield from _folder_problems(files, number, told)
+        facts = raw_facts_of(folder, sensor=sensor, number=number)
+        yield from _folder_problems(files, number, facts)
         raw = read_capture(folder, sensor=sensor, number=number)
-        if raw is not None and raw.capture is not None and told.frames is not None:
+        if raw is not None and raw.capture is not None and facts.frames is not None:
             frames = folder / frames_folder(sensor, number)
-            yield from _stack_problems(frames, raw, told.frames)
-            yield from _picture_problems(frames.name, raw.capture, told.frames, camera, gray)
+            yield from _stack_problems(frames, raw, facts.frames)
+            yield from _picture_problems(frames.name, raw.capture, facts.frames, camera, gray)
         maps = read_code_maps(folder, sensor=sensor, number=number)
         yield from _code_problems(maps, reason)
     except Unreadable as error:
         yield str(error)
 
 
-def _folder_problems(files: SceneFolder, number: int, told: records.RawFacts) -> Iterator[str]:
+def _folder_problems(files: SceneFolder, number: int, facts: records.RawFacts) -> Iterator[str]:
     """Files that the manifest does not tell of."""
     folder, sensor = files.path, files.sensor
     name = frames_folder(sensor, number)
     there = sorted(path.name for path in (folder / name).glob("*"))
     must: list[str] = []
-    if told.frames is not None:
-        must = [*(shown.file for shown in told.frames.shown), STACK, RIG]
-        must += [EXPOSURE] if len(told.frames.exposures_s) > 1 else []
+    if facts.frames is not None:
+        must = [*(shown.file for shown in facts.frames.shown), STACK, RIG]
+        must += [EXPOSURE] if len(facts.frames.exposures_s) > 1 else []
     if there != sorted(must):
         odd = min(set(there) ^ set(must))
         yield f"{name}/ has {len(there)} files, manifest.json tells of {len(must)}: see {odd}"
     kinds = [f"{axis}{sigma}_sl" for axis in AXES for sigma in ("", "_sigma")]
     for kind in kinds:
         map_file = folder / of_sensor(kind, sensor)
-        if map_file.is_dir() and kind not in told.code_maps:
+        if map_file.is_dir() and kind not in facts.code_maps:
             yield f"{map_file.name}/ is there, but manifest.json does not tell of it"
 
 
-def _stack_problems(frames: Path, raw: Raw, told: records.FramesTold) -> Iterator[str]:
+def _stack_problems(frames: Path, raw: Raw, facts: records.FramesRecord) -> Iterator[str]:
     path = frames / STACK
     try:
         description = read_description(path)
@@ -78,7 +78,7 @@ def _stack_problems(frames: Path, raw: Raw, told: records.FramesTold) -> Iterato
         yield f"{frames.name}/{STACK}: {error}"
         return
     files = [str(section.file) for section in description.frames]
-    if describe_frames(code, files) != [shown.model_dump() for shown in told.shown]:
+    if describe_frames(code, files) != [shown.model_dump() for shown in facts.shown]:
         yield f"{frames.name}/{STACK}: its frames are not those of manifest.json"
     if code != raw.scanner.light_code():
         yield f"{frames.name}/{RIG}: its code is not that of {STACK}"
@@ -87,7 +87,7 @@ def _stack_problems(frames: Path, raw: Raw, told: records.FramesTold) -> Iterato
 def _picture_problems(
     frames: str,
     capture: Capture,
-    told: records.FramesTold,
+    facts: records.FramesRecord,
     camera: records.Camera,
     gray: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
@@ -95,14 +95,14 @@ def _picture_problems(
     if size != [camera.height, camera.width]:
         yield f"{frames}/ has pictures of {size}, the camera has {[camera.height, camera.width]}"
         return
-    depth, dtype = told.bit_depth, capture.frames.dtype
+    depth, dtype = facts.bit_depth, capture.frames.dtype
     if depth != capture.sensor.bit_depth or (depth <= 8) != (dtype == np.uint8):
         stored = f"{8 * dtype.itemsize} bits, {RIG} has {capture.sensor.bit_depth}"
         yield f"{frames}/: manifest.json has bit_depth {depth}, the pictures {stored}"
     for k in range(count):
         brightest = int(capture.frames[k].max())
         if brightest >= 2**depth:
-            name = told.shown[k].file
+            name = facts.shown[k].file
             yield f"{frames}/{name} has the value {brightest}, which {depth} bits do not hold"
     off = np.abs(gray_picture(capture).astype(int) - gray)
     if off.max() > _GRAY_DN:

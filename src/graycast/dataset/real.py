@@ -40,7 +40,7 @@ from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
-Held = Literal["rgb", "gray_sl", "depth_sl", "masks"]
+StoredKind = Literal["rgb", "gray_sl", "depth_sl", "masks"]
 _ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")
 _NAMES = {
     "rgb": "colour pictures",
@@ -62,7 +62,7 @@ class RealClaim(Record):
     kind: Literal["real"]
     depth_scale_mm: Positive
     parts: list[RealPart]
-    holds: list[Held]
+    holds: list[StoredKind]
     sources: list[str]
     versions: dict[str, str]
 
@@ -228,6 +228,6 @@ def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterato
             coco = scene.record("scene_gt_coco", SceneCoco)
         except Unreadable:
             continue  # told where the scene is checked
-        held = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
-        if held != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
+        there = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
+        if there != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
             yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"

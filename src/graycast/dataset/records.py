@@ -186,7 +186,7 @@ class Boxes3d(RootModel[list[Box3d]]):
     """One image in `scene_gt_box3d.json`."""
 
 
-class Figures(RootModel[list[dict[str, Any]]]):
+class InfoRecords(RootModel[list[dict[str, Any]]]):
     """One image in `scene_gt_info.json`, as it is."""
 
 
@@ -282,7 +282,7 @@ def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, 
     }
 
 
-class Shown(BaseModel):
+class FrameRecord(BaseModel):
     """One of a scene's `frames`, in a stack file's words."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
@@ -290,12 +290,12 @@ class Shown(BaseModel):
     file: str
 
 
-class FramesTold(Record):
+class FramesRecord(Record):
     """The captured pictures of a scene, in its `manifest.json`."""
 
     bit_depth: Annotated[int, Field(ge=1, le=16)]
     exposures_s: Annotated[list[Positive], Field(min_length=1)]
-    shown: Annotated[list[Shown], Field(min_length=1)]
+    shown: Annotated[list[FrameRecord], Field(min_length=1)]
 
 
 class RawFacts(BaseModel):
@@ -303,7 +303,7 @@ class RawFacts(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
-    frames: FramesTold | None = None
+    frames: FramesRecord | None = None
     code_maps: list[str] = []
 
 

@@ -34,7 +34,7 @@ def read_json(path: Path, form: type[R]) -> R:
         raise Unreadable(_first_mistake(path.name, error)) from error
 
 
-def held(content: Any, form: type[R], where: str) -> R:
+def record_as(content: Any, form: type[R], where: str) -> R:
     """What a file or a part of it holds as the record it must be.
 
     Raises:
@@ -131,8 +131,8 @@ def pixels(data: bytes, name: str) -> np.ndarray:
 
 def _decoded(data: bytes, name: str) -> np.ndarray:
     refuse_large_picture(data, name, Unreadable)
-    held = np.frombuffer(data, dtype=np.uint8)
-    image = cv2.imdecode(held, cv2.IMREAD_UNCHANGED) if data else None
+    encoded = np.frombuffer(data, dtype=np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
         raise Unreadable(f"{name} is not an image, or is damaged")
     return image

@@ -49,8 +49,8 @@ class Sample:
     scanner's rig at this image's place.
 
     `rgb` is the colour picture (8-bit sRGB), `gray` the measuring camera's white frame (8 bit),
-    `scanner` what the structured-light camera measured. `manifest` is stored beside the images as
-    it is; its `timings` are the only part that may differ between two equal runs. `raw` is kept
+    `scanner_depth` what the structured-light camera measured. `manifest` is stored beside them as
+    it is; its `timings` are the only part that may differ between equal runs. `raw` is kept
     where the configuration wants it.
     """
 
@@ -59,7 +59,7 @@ class Sample:
     truth: GroundTruth
     rgb: UInt8[np.ndarray, "h w 3"]
     gray: UInt8[np.ndarray, "h w"]
-    scanner: DepthMap
+    scanner_depth: DepthMap
     modulation: Float[np.ndarray, "h w"]
     manifest: Mapping[str, Any]
     raw: Raw | None = None

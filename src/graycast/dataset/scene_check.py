@@ -73,11 +73,11 @@ def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
     must = set(range(count))
     for name in (*_OF_IMAGE, "scene_gt_box3d", "scene_sl"):
         for suffix in ("", "_sl") if name in _OF_IMAGE else ("",):
-            told = set(files.record(name + suffix, records.Images[Any]).root)
-            if told != must:
-                odd = sorted(told ^ must)[0]
+            images = set(files.record(name + suffix, records.Images[Any]).root)
+            if images != must:
+                odd = sorted(images ^ must)[0]
                 yield (
-                    f"{of_sensor(name + suffix, files.sensor)}.json tells of {len(told)} images, "
+                    f"{of_sensor(name + suffix, files.sensor)}.json tells of {len(images)} images, "
                     f"it must tell of {count}: see image {odd}"
                 )
     for suffix in ("", "_sl"):
@@ -180,7 +180,7 @@ def _read_image(
         image={name: files.png(name, number) for name in _IMAGES},
         view=view[""],
         poses=poses[""].root,
-        info={suffix: told.root for suffix, told in info.items()},
+        info={suffix: record.root for suffix, record in info.items()},
         coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
         box3d=files.of_image("scene_gt_box3d", number, records.Boxes3d).root,
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
@@ -218,8 +218,8 @@ def _camera_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
     sensor = scene.files.sensor
     K = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     if scene.view.cam_K != K or scene.view.distortion != camera.distortion:
-        told, must = scene.json_name("scene_camera"), camera_file(sensor)
-        yield f"{told}: cam_K {scene.view.cam_K} is not that of {must}, {K}"
+        name, must = scene.json_name("scene_camera"), camera_file(sensor)
+        yield f"{name}: cam_K {scene.view.cam_K} is not that of {must}, {K}"
     if scene.view.depth_scale != camera.depth_scale:
         scales = f"{scene.view.depth_scale}, {camera_file(sensor)} has {camera.depth_scale}"
         yield f"{scene.json_name('scene_camera')}: depth_scale is {scales}"
@@ -253,8 +253,8 @@ def _pose_problems(scene: Plain, models: Mapping[int, Model]) -> Iterator[str]:
 def _scanner_problems(scene: Plain) -> Iterator[str]:
     table = {reason.name: reason.value for reason in Reason}
     if scene.scanner.reasons != table:
-        told = scene.json_name("scene_sl")
-        yield f"{told}: reasons are {scene.scanner.reasons}, known are {table}"
+        name = scene.json_name("scene_sl")
+        yield f"{name}: reasons are {scene.scanner.reasons}, known are {table}"
     reason, depth = scene.image["reason_sl"], scene.image["depth_sl"]
     if not np.isin(reason, list(table.values())).all():
         yield f"{scene.name('reason_sl')} has the unknown value {reason.max()}"

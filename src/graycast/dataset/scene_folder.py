@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..base.array_types import Bool
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
-from .safe_reading import Unreadable, held, read_json, read_mask, read_picture, read_png
+from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # the type of camera that our own datasets add
@@ -57,14 +57,14 @@ class SceneFolder:
 
     def of_image(self, name: str, number: int, form: type[R]) -> R:
         """What a JSON file says of one image; what it says of others is not judged."""
-        return held(self._entry(name, number), form, self._where(name, number))
+        return record_as(self._entry(name, number), form, self._where(name, number))
 
     def of_instances(self, name: str, number: int, form: type[R]) -> list[R]:
         """What a JSON file says of each instance in one image."""
         where, entry = self._where(name, number), self._entry(name, number)
         if not isinstance(entry, list):
             raise Unreadable(f"{where} must have a list with an entry for each of its instances")
-        return [held(one, form, f"{where}, instance {i}") for i, one in enumerate(entry)]
+        return [record_as(one, form, f"{where}, instance {i}") for i, one in enumerate(entry)]
 
     def find_picture(self, kind: str, number: int) -> Path | None:
         """Where a picture is, whatever its format; None where there is none."""

@@ -60,15 +60,15 @@ def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
     there = (str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     # What a file browser leaves (.DS_Store) is nobody's data.
     visible = {name for name in there if not Path(name).name.startswith(".")} - {MANIFEST}
-    yield from sum_problems(folder, manifest[SUMS], told_in=MANIFEST)
+    yield from sum_problems(folder, manifest[SUMS], listed_in=MANIFEST)
     if odd := sorted(visible - set(manifest[SUMS])):
         yield f"{_named(odd)} was not written with the scene: {MANIFEST} does not tell of it"
 
 
-def sum_problems(folder: Path, sums: Mapping[str, str], *, told_in: str) -> Iterator[str]:
+def sum_problems(folder: Path, sums: Mapping[str, str], *, listed_in: str) -> Iterator[str]:
     """Files that are missing or have another SHA-256."""
     if missing := sorted(name for name in sums if not (folder / name).is_file()):
-        yield f"{_named(missing)} is missing, {told_in} tells of it"
+        yield f"{_named(missing)} is missing, {listed_in} tells of it"
     changed = [n for n in sorted(set(sums) - set(missing)) if _sum_of(folder / n) != sums[n]]
     if changed:
         yield f"{_named(changed)} is not as it was written: its SHA-256 is another"

@@ -27,7 +27,7 @@ from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, camera_file, finished_scenes
-from .records import Figures, Manifest
+from .records import InfoRecords, Manifest
 from .safe_reading import Unreadable
 from .sample import Sample
 from .scene_folder import SceneFolder, of_sensor, picture_name
@@ -154,7 +154,7 @@ class Store:
             try:
                 coco = scene.record("scene_gt_coco", Manifest).root
                 for image in range(taker.images):
-                    infos = scene.of_image("scene_gt_info", image, Figures).root
+                    infos = scene.of_image("scene_gt_info", image, InfoRecords).root
                     own = [entry for entry in coco["annotations"] if entry["image_id"] == image]
                     yield number, own, infos
                     number += 1

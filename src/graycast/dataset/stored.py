@@ -17,7 +17,7 @@ from pydantic import RootModel
 from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from . import records
-from .example import Example, Label, label_arrays, metres
+from .example import Example, InstanceLabel, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .real import RealClaim, RealInfo, RealPose, RealView, read_claim
 from .safe_reading import Unreadable, read_json
@@ -25,7 +25,7 @@ from .scene_folder import SceneFolder
 from .seal import facts_of
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
-_HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
+_CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
 
@@ -133,13 +133,13 @@ class StoredScene:
         """What each instance is, seen or not: all that one small file tells."""
         return tuple(pose.obj_id for pose in self.poses()) if "masks" in self.holds else ()
 
-    def labels(self, *, min_visibility: float = 0.0) -> list[Label]:
+    def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
         """The visible instances, or those visible for at least a share; none without masks."""
         poses, infos, annotations = self._annotated()
-        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
         labels = (
             self._label(i, poses[i], infos[i], entry)
-            for i, entry in zip(seen, annotations, strict=True)
+            for i, entry in zip(visible, annotations, strict=True)
         )
         return [
             label
@@ -204,7 +204,7 @@ class StoredScene:
             manifest=self.manifest(),
         )
 
-    def said(self, name: str) -> Any:
+    def json_record(self, name: str) -> Any:
         """What a JSON file says of the scene's image, as it is."""
         return self._of_image(name, _Anything).root
 
@@ -226,11 +226,11 @@ class StoredScene:
         infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
         whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
         annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
-        seen = sum(info.px_count_visib > 0 for info in infos)
-        if len(poses) != len(infos) or seen != len(annotations):
+        visible = sum(info.px_count_visib > 0 for info in infos)
+        if len(poses) != len(infos) or visible != len(annotations):
             raise DatasetError(
                 f"{self.folder}: scene_gt.json has {len(poses)} instances, scene_gt_info.json "
-                f"{seen} visible of {len(infos)}, scene_gt_coco.json "
+                f"{visible} visible of {len(infos)}, scene_gt_coco.json "
                 f"{len(annotations)} annotations: run graycast validate"
             )
         size = list(self.size_px)
@@ -243,10 +243,10 @@ class StoredScene:
                 )
         return poses, infos, annotations
 
-    def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> Label:
+    def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> InstanceLabel:
         size = list(self.size_px)
         runs = coco_mask.frPyObjects(entry.segmentation.model_dump(), *size)
-        return Label(
+        return InstanceLabel(
             instance=i,
             obj_id=pose.obj_id,
             area_px=entry.area,
@@ -262,8 +262,8 @@ class StoredScene:
         """From run lengths: a picture per mask would be read a hundred times slower."""
         height_px, width_px = self.size_px
         label = np.full(height_px * width_px, -1, dtype=np.int32)  # by columns, as COCO counts
-        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
-        for i, entry in zip(seen, annotations, strict=True):
+        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        for i, entry in zip(visible, annotations, strict=True):
             turn = np.cumsum(entry.segmentation.counts).tolist()
             for start, end in zip(turn[0::2], turn[1::2], strict=False):
                 label[start:end] = i
@@ -298,8 +298,8 @@ class StoredScene:
         self, scanner: UInt16[np.ndarray, "h w"] | None
     ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
         if not self.real:
-            said = self._of_image("scene_sl", records.ScannerRecord).reasons
-            return self._image("reason_sl"), {k: name.lower() for name, k in said.items()}
+            numbers = self._of_image("scene_sl", records.ScannerRecord).reasons
+            return self._image("reason_sl"), {k: name.lower() for name, k in numbers.items()}
         known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
         return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}
 
@@ -466,5 +466,5 @@ def open_dataset(folder: Path) -> StoredDataset:
         scene_ids=scene_ids,
         sizes_px={name: (camera.height, camera.width) for name, camera in cameras.items()},
         images=tuple(images),
-        holds=frozenset(claim.holds) if isinstance(claim, RealClaim) else _HELD,
+        holds=frozenset(claim.holds) if isinstance(claim, RealClaim) else _CONTENTS,
     )

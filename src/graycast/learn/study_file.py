@@ -118,20 +118,20 @@ def read_study(path: Path) -> StudySpec:
     Raises:
         ConfigError: the file is missing, or has an unknown, missing or wrong key.
     """
-    said = read_settings(path, StudySpec)
+    spec = read_settings(path, StudySpec)
     base = path.parent.absolute()
 
     def spelt(folder: Path) -> Path:
         return Path(os.path.normpath(base / folder))
 
     changes: dict[str, Any] = {
-        "training": {name: tuple(map(spelt, folders)) for name, folders in said.training.items()},
+        "training": {name: tuple(map(spelt, folders)) for name, folders in spec.training.items()},
         "tests": {
             name: world.model_copy(update={"datasets": tuple(map(spelt, world.datasets))})
-            for name, world in said.tests.items()
+            for name, world in spec.tests.items()
         },
     }
-    return said.model_copy(update=changes)
+    return spec.model_copy(update=changes)
 
 
 def study_schema() -> dict[str, Any]:

@@ -85,7 +85,7 @@ def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
 
 
 def _block(key: str, value: Mapping[str, Any] | str, comment: str) -> list[str]:
-    told = [f"# {line}".rstrip() for line in comment.splitlines()]
+    head = [f"# {line}".rstrip() for line in comment.splitlines()]
     flow = False if isinstance(value, str) else None  # a lone word would be put into braces
     dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=flow, width=96)
-    return told + dumped.rstrip("\n").splitlines()
+    return head + dumped.rstrip("\n").splitlines()

@@ -74,17 +74,17 @@ def _size(
     path: Path, header: list[str], count: int, size_px: tuple[int, int] | None
 ) -> tuple[int, int]:
     """Width and height: those given, or those of the header."""
-    said = {}
+    size_of = {}
     for line in header:
         words = line.split()
         if len(words) == 3 and words[0] in ("obj_info", "comment") and words[1] in _SIZE:
-            said[_SIZE[words[1]]] = int(words[2])
-    if size_px is None and len(said) < 2:
+            size_of[_SIZE[words[1]]] = int(words[2])
+    if size_px is None and len(size_of) < 2:
         raise DatasetError(
             f"{path}: does not state how its {count} vertices form rows and columns: export an "
             "organised cloud with 'obj_info num_cols' and 'obj_info num_rows', or give the size"
         )
-    width_px, height_px = size_px or (said["width"], said["height"])
+    width_px, height_px = size_px or (size_of["width"], size_of["height"])
     if width_px * height_px != count:
         raise DatasetError(
             f"{path}: has {count} vertices, {width_px} x {height_px} pixels need "

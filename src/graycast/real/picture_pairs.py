@@ -43,7 +43,7 @@ class RealPicture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Seen:
+class ShotData:
     """One picture as arrays; `rgb` may be the colours of an organised cloud."""
 
     rgb: UInt8[np.ndarray, "h w 3"] | None
@@ -53,8 +53,8 @@ class Seen:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        held = (self.rgb, self.gray, self.depth_m)
-        height_px, width_px = next(image for image in held if image is not None).shape[:2]
+        pictures = (self.rgb, self.gray, self.depth_m)
+        height_px, width_px = next(image for image in pictures if image is not None).shape[:2]
         return height_px, width_px
 
     @property
@@ -107,7 +107,7 @@ def read_shot(
     K: Float[np.ndarray, "3 3"] | None,
     scale_m: float | None,
     size_px: tuple[int, int] | None,
-) -> Seen:
+) -> ShotData:
     """Read one picture.
 
     Raises:
@@ -129,7 +129,7 @@ def read_shot(
             "fx,fy,cx,cy)"
         )
     _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
-    return Seen(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
+    return ShotData(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
 
 
 def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float | None) -> float:

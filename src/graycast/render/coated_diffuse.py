@@ -56,9 +56,9 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         fresnel = mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
         coat = fresnel * density * cos_o / dr.fma(length_i, cos_o, length_o * cos_i)
         base = self.reflectance.eval(si, active)
-        seen, left = self._albedo(cos_i), 1 - self._albedo(cos_o)
-        matte = base * ((1 - seen) * left * self.base_scale * cos_o)
-        share = self._coat_share(seen, base)
+        share_in, left = self._albedo(cos_i), 1 - self._albedo(cos_o)
+        matte = base * ((1 - share_in) * left * self.base_scale * cos_o)
+        share = self._coat_share(share_in, base)
         coat_pdf = density / (cos_i + length_i)
         pdf = dr.lerp(mi.warp.square_to_cosine_hemisphere_pdf(wo), coat_pdf, share)
         return dr.select(active, coat + matte, 0), dr.select(active, pdf, 0)
@@ -87,9 +87,9 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         """The coat's directional albedo."""
         return ggx.interpolated(self.table, cosine)
 
-    def _coat_share(self, seen: mi.Float, base: mi.Color3f) -> mi.Float:
+    def _coat_share(self, share_in: mi.Float, base: mi.Color3f) -> mi.Float:
         """Probability of sampling the coat: its share of what is reflected in all."""
-        return seen / (seen + (1 - seen) * dr.mean(base))
+        return share_in / (share_in + (1 - share_in) * dr.mean(base))
 
 
 @lru_cache

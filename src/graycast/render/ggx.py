@@ -37,11 +37,11 @@ def stretched(w: mi.Vector3f, alpha: mi.Float) -> mi.Vector3f:
 
 def sample_visible(wi: mi.Vector3f, alpha: mi.Float, uv: mi.Point2f) -> mi.Vector3f:
     """A facet's normal, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
-    seen_from = dr.normalize(stretched(wi, alpha))
-    z = dr.fma(1 - uv.y, 1 + seen_from.z, -seen_from.z)  # the cap that mirrors into the hemisphere
+    direction = dr.normalize(stretched(wi, alpha))
+    z = dr.fma(1 - uv.y, 1 + direction.z, -direction.z)  # the cap that mirrors into the hemisphere
     across = dr.safe_sqrt(dr.fma(-z, z, 1))
     sine, cosine = dr.sincos(dr.two_pi * uv.x)
-    half = mi.Vector3f(across * cosine, across * sine, z) + seen_from
+    half = mi.Vector3f(across * cosine, across * sine, z) + direction
     return dr.normalize(stretched(half, alpha))
 
 

@@ -111,10 +111,10 @@ class MitsubaRenderer(Renderer):
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        seen = truth(built.world, built.part_shapes, scene, layout)
+        ground_truth = truth(built.world, built.part_shapes, scene, layout)
         if quality.denoise != "none":
-            radiance = denoised(radiance, seen.normal, self.denoiser)
-        return Rendering(radiance=radiance, truth=seen)
+            radiance = denoised(radiance, ground_truth.normal, self.denoiser)
+        return Rendering(radiance=radiance, truth=ground_truth)
 
     def close(self) -> None:
         self._built = None

@@ -54,7 +54,7 @@ def through_focus(
     return start, dr.normalize(direction / direction.z - start / camera.focus_m)
 
 
-def seen_by_projector(projector: Optics, q: mi.Point3f) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
+def project_to_projector(projector: Optics, q: mi.Point3f) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
     """Where the projector sees a point of its own frame [px], 1 / z there, and if at all."""
     ahead = q.z > 0
     scale = dr.select(ahead, dr.rcp(q.z), 0)

@@ -20,7 +20,7 @@ from .mitsuba_lens import (
     in_field,
     on_pixel,
     pixel_index,
-    seen_by_projector,
+    project_to_projector,
     shines,
     through_focus,
 )
@@ -226,8 +226,7 @@ class Tracer:
             aside += self.camera.psf_px * blur
         x = dr.fma(side, aside.x, mi.Float(lane % self.camera.width_px))
         y = dr.fma(side, aside.y, mi.Float(lane // self.camera.width_px))
-        direction = camera_ray(self.camera, x, y)
-        start = self.eye
+        start, direction = self.eye, camera_ray(self.camera, x, y)
         if self.camera.aperture_m:
             pupil = mi.warp.square_to_uniform_disk_concentric(_in_sequence(p, CAMERA_PUPIL))
             from_eye, direction = through_focus(self.camera, direction, side * pupil)
@@ -238,7 +237,7 @@ class Tracer:
         """Light straight from the projector: I / d^2 in the field."""
         q = self.T_proj_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
         q = mi.Point3f(q.x, q.y, q.z)
-        place, inverse_z, ahead = seen_by_projector(self.projector, q)
+        place, inverse_z, ahead = project_to_projector(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
         if self.gaps:
             shining = [shines(self.projector, one) for one in places]
@@ -262,9 +261,9 @@ class Tracer:
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
-        seen = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
-        p.white += seen * beam.count
-        mono, lit = dr.sum(seen), [beam.lit & one for one in beam.shining]
+        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
+        p.white += arriving * beam.count
+        mono, lit = dr.sum(arriving), [beam.lit & one for one in beam.shining]
         light, fresh = mono * beam.count, p.vertex == 0
         p.straight += dr.select(fresh, light, 0)
         middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))
@@ -362,8 +361,7 @@ class Tracer:
         The first sample of a pair does it for both. First vertices follow a sequence, which takes
         off as much noise as that adds.
         """
-        samples = self.quality.samples
-        asking = hit & ((p.sample & 1) == 0)
+        samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(p.vertex == 0, _in_sequence(p, LAMP), uv)
         ds, radiance = self.world.sample_emitter_direction(si, uv, True, asking)

@@ -66,11 +66,11 @@ class ReferenceRenderer(Renderer):
             for dx in offsets:
                 place = grid + np.array([dx, dy])
                 irradiance, base, pixel = _direct(scene, place)
-                seen = base if measured is scene else _direct(measured, place)[1]
+                surface = base if measured is scene else _direct(measured, place)[1]
                 arriving = share * irradiance / math.pi
                 white_rgb += arriving[..., None] * base * weights
                 albedo += base / side**2
-                mono = arriving * (seen @ weights)
+                mono = arriving * (surface @ weights)
                 white += mono
                 image += level[:, pixel[..., 1], pixel[..., 0]] * mono
         radiance = Radiance(
@@ -118,12 +118,12 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     normal, base = _normals(scene, point, index), _base_colors(scene, index)
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     in_projector = transform_points(inverse(T_world_proj), point)
-    seen_by = project(rig.projector, in_projector)
+    place_px = project(rig.projector, in_projector)
     size = np.array([rig.projector.width_px, rig.projector.height_px])
     with np.errstate(invalid="ignore"):
-        inside = ((seen_by >= -0.5) & (seen_by < size - 0.5)).all(axis=-1)
-        inside &= _on_a_pixel(rig, seen_by)
-    column_row = np.where(inside[..., None], np.floor(seen_by + 0.5), 0).astype(int)
+        inside = ((place_px >= -0.5) & (place_px < size - 0.5)).all(axis=-1)
+        inside &= _on_a_pixel(rig, place_px)
+    column_row = np.where(inside[..., None], np.floor(place_px + 0.5), 0).astype(int)
     to_lens = T_world_proj[:3, 3] - point
     distance = np.linalg.norm(to_lens, axis=-1)
     cosine = (normal * to_lens).sum(axis=-1) / distance
@@ -135,14 +135,14 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
         irradiance *= in_projector[..., 2] / distance
     if rig.projector.falloff:
         irradiance *= 1 - rig.projector.falloff * np.where(
-            lit, corner_share(rig.projector, seen_by), 0.0
+            lit, corner_share(rig.projector, place_px), 0.0
         )
     return irradiance, base, column_row
 
 
-def _on_a_pixel(rig: Rig, seen_by: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarray, "h w"]:
+def _on_a_pixel(rig: Rig, place_px: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarray, "h w"]:
     """Whether the light comes from a pixel's shining square rather than from between them."""
-    aside = np.abs(seen_by - np.floor(seen_by + 0.5))
+    aside = np.abs(place_px - np.floor(place_px + 0.5))
     return (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
 
 

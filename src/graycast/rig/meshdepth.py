@@ -45,7 +45,7 @@ class Raster:
 NOTHING = Raster(left_px=0, top_px=0, z=np.zeros((0, 0)), face=np.zeros((0, 0), dtype=np.int64))
 
 
-def seen_from(
+def visible_surface(
     T_world_cam: Float[np.ndarray, "4 4"],
     vertices_m: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],

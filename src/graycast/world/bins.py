@@ -68,12 +68,12 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
         ) from error
     size = " x ".join(f"{1e3 * length:.0f}" for length in (x, y, depth_m))
     bottom_m = float(origin[2] - turned.bounds_m[0, 2])
-    told = f"{size} mm inside, and its floor is {1e3 * bottom_m:.1f} mm above the table"
+    text = f"{size} mm inside, and its floor is {1e3 * bottom_m:.1f} mm above the table"
     return MeshBin(
         mesh=_moved(turned, np.eye(3), -origin),
         inner_m=(x, y, depth_m),
         material=material,
-        notes=(*findings, f"The bin is {told}."),
+        notes=(*findings, f"The bin is {text}."),
     )
 
 

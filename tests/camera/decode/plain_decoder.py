@@ -29,7 +29,7 @@ from graycast.camera.decode.settling import (
     CLEAR,
     MAX_AGAINST,
     MIN_NEIGHBOURS,
-    MOST_SAID,
+    MOST_AGAINST,
     OPEN,
     PASSES,
     REACH_PX,
@@ -299,9 +299,11 @@ def _settle(turn, choice, cost, state, lit):
                 said += speaks
                 for n in range(len(choice)):
                     wanted = choice[n] + step
-                    clear = np.where(wanted == its_k, 0.0, MOST_SAID)
-                    extra = np.where(its_choice == wanted, its_cost - its_cost[0], MOST_SAID)
-                    says = np.where(its_state == CLEAR, clear, np.minimum(extra, MOST_SAID).min(0))
+                    clear = np.where(wanted == its_k, 0.0, MOST_AGAINST)
+                    extra = np.where(its_choice == wanted, its_cost - its_cost[0], MOST_AGAINST)
+                    says = np.where(
+                        its_state == CLEAR, clear, np.minimum(extra, MOST_AGAINST).min(0)
+                    )
                     against[n] += np.where(speaks, says, 0.0)
         own = cost - cost[0]
         total = np.where(own < MIN_LEAD, own + against, np.inf)
@@ -309,7 +311,7 @@ def _settle(turn, choice, cost, state, lit):
         best = total.argmin(axis=0)[None]
         agreed = (state == OPEN) & lit & (said >= MIN_NEIGHBOURS)
         agreed &= ordered[1] - ordered[0] >= MIN_LEAD
-        agreed &= np.take_along_axis(against, best, 0)[0] <= MAX_AGAINST * MOST_SAID * said
+        agreed &= np.take_along_axis(against, best, 0)[0] <= MAX_AGAINST * MOST_AGAINST * said
         if not agreed.any():
             break
         k = np.where(agreed, np.take_along_axis(choice, best, 0)[0], k)

@@ -16,7 +16,7 @@ import pytest
 from small_cell import content, finished, start
 
 from graycast.base.errors import WorkerDied
-from graycast.cell.engine import Failed, Made, SceneTask, make_all
+from graycast.cell.engine import Failed, SceneTask, TaskResult, make_all
 from graycast.cell.engine import local as local_module
 from graycast.cell.engine.job import Job
 from graycast.cell.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
@@ -98,7 +98,7 @@ class HeavyJob(Job):
         return self
 
     def make(self, scene_id):
-        return Made(
+        return TaskResult(
             scene_id=scene_id,
             files=(("large.bin", bytes(16_000_000)),),
             seconds=0.0,
@@ -146,7 +146,7 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
         "its worker process was killed (SIGKILL, by a user or "
         "by the operating system for lack of memory)"
     )
-    made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, Made)]
+    made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, TaskResult)]
     assert sorted(made) == [0, 1, 2]
     assert workers_of(os.getpid()) == []
 
@@ -161,7 +161,7 @@ def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, m
                 pool.submit(scene_id)
                 # By number: a process that has just been forked does not bear its name yet.
                 seen += [child.pid for child in multiprocessing.active_children()]
-                assert isinstance(pool.gather(), Made)
+                assert isinstance(pool.gather(), TaskResult)
         finally:
             pool.close()
         return seen

@@ -6,7 +6,7 @@ import pytest
 from metered import Metered
 
 from graycast.base.errors import ConfigError, DeviceError, DropError, GraycastError, WorkerDied
-from graycast.cell.engine import TRIES, Failed, Made, Workers, make_all, make_each, open_pool
+from graycast.cell.engine import TRIES, Failed, TaskResult, Workers, make_all, make_each, open_pool
 
 IDS = range(20)
 
@@ -32,7 +32,7 @@ class Scripted:
         scene_id = self.running.pop()
         if self.script.get(scene_id):
             return Failed(scene_id=scene_id, error=self.script[scene_id].pop(0))
-        return Made(scene_id=scene_id, files=(), seconds=1.0, reasons={}, rss_bytes=0)
+        return TaskResult(scene_id=scene_id, files=(), seconds=1.0, reasons={}, rss_bytes=0)
 
     def close(self):
         self.closed = True
@@ -42,7 +42,7 @@ def outcomes(script=()):
     pool = Scripted(script)
     all_of_them = list(make_all(pool, IDS))
     assert not pool.running
-    made = sorted(o.scene_id for o in all_of_them if isinstance(o, Made))
+    made = sorted(o.scene_id for o in all_of_them if isinstance(o, TaskResult))
     return made, [o for o in all_of_them if isinstance(o, Failed)], pool.submitted
 
 
@@ -85,7 +85,7 @@ def test_a_machine_that_loses_scene_after_scene_ends_the_run():
     with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: repair the machine"):
         for outcome in make_all(Scripted(lost), range(40)):
             seen.append(outcome)
-    assert all(isinstance(o, Made) for o in seen[:-13])
+    assert all(isinstance(o, TaskResult) for o in seen[:-13])
     assert all(isinstance(o, Failed) and not o.final for o in seen[-13:])
 
 
@@ -95,7 +95,7 @@ def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
         scene_id: [DropError("no rest")] for scene_id in range(80, 100)
     }  # by their own fault
     outcomes = list(make_all(Scripted(script), range(100)))
-    assert sum(isinstance(o, Made) for o in outcomes) == 80
+    assert sum(isinstance(o, TaskResult) for o in outcomes) == 80
 
 
 def test_an_unknown_engine_is_refused(task):
@@ -113,7 +113,7 @@ def handed(script, ids=IDS):
             what="scenes",
             total=1 + len(ids),
             progress=meter,
-            on_made=made.append,
+            on_result=made.append,
             on_failed=failed.append,
         )
     except Exception as raised:

@@ -54,7 +54,7 @@ def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, sample
         assert np.array_equal(np.array(Image.open(out / "images" / name)), sample.rgb)
         for folder, depth_m in (
             ("depth", sample.truth.depth_m),
-            ("depth_sl", sample.scanner.depth_m),
+            ("depth_sl", sample.scanner_depth.depth_m),
         ):
             held = np.array(Image.open(out / folder / name))
             assert np.array_equal(held, steps_of(depth_m))
@@ -157,7 +157,7 @@ def test_bops_imagewise_files_say_what_the_scene_says(exported, samples, depth):
         key = f"{scene_id:06d}_000000"
         found = (out / "train").glob(f"{key}.*")
         files = {path.name.removeprefix(f"{key}."): path.read_bytes() for path in found}
-        depth_m = sample.truth.depth_m if depth == "perfect" else sample.scanner.depth_m
+        depth_m = sample.truth.depth_m if depth == "perfect" else sample.scanner_depth.depth_m
         check_bop(files, sample, depth_m, depth)
     assert json.loads((out / "models" / "models_info.json").read_text()).keys() == {"1", "2"}
 
@@ -180,7 +180,7 @@ def test_training_shards_are_decoded_by_the_webdataset_package(exported, samples
         assert item["__key__"] == f"{scene_id:06d}"
         assert np.array_equal(np.array(item["rgb.png"]), sample.rgb)
         assert np.array_equal(item["depth.npy"], steps_of(sample.truth.depth_m))
-        assert np.array_equal(item["depth_sl.npy"], steps_of(sample.scanner.depth_m))
+        assert np.array_equal(item["depth_sl.npy"], steps_of(sample.scanner_depth.depth_m))
         assert np.array_equal(item["boxes.npy"], boxes)
         assert np.array_equal(item["obj_id.npy"], sample.layout.part_index[seen] + 1)
         np.testing.assert_allclose(item["poses.npy"], poses_of(sample)[seen], atol=1e-12)
@@ -206,7 +206,9 @@ def test_parquet_is_read_by_pyarrow(exported, samples):
         assert row["scene_id"] == scene_id
         assert row["rgb"] is None
         assert np.array_equal(decoded(row["gray"]["bytes"]), sample.gray)
-        assert np.array_equal(decoded(row["depth_sl"]["bytes"]), steps_of(sample.scanner.depth_m))
+        assert np.array_equal(
+            decoded(row["depth_sl"]["bytes"]), steps_of(sample.scanner_depth.depth_m)
+        )
         assert row["boxes"] == boxes
         poses = np.reshape(row["poses"], (-1, 4, 4))
         np.testing.assert_allclose(poses, poses_of(sample)[seen], atol=1e-12)
@@ -227,7 +229,7 @@ def test_ply_clouds_are_read_by_trimesh(exported, samples, organised):
     for scene_id, sample in samples.items():
         for name, depth_m in (
             ("perfect", sample.truth.depth_m),
-            ("scanner", sample.scanner.depth_m),
+            ("scanner", sample.scanner_depth.depth_m),
         ):
             cloud = trimesh.load(out / "train" / f"{scene_id:06d}_{name}.ply")
             point_m = expected_points(sample, depth_m)
@@ -248,7 +250,7 @@ def test_pcd_clouds_say_what_the_format_demands(exported, samples, organised):
     assert (int(said["HEIGHT"]) == 120) == organised
     assert said["FIELDS"] == "x y z rgb"
     values = np.array(list(struct.iter_unpack("<fffI", body)))
-    point_m = expected_points(sample, sample.scanner.depth_m)
+    point_m = expected_points(sample, sample.scanner_depth.depth_m)
     known = np.ones(point_m.shape[:2], bool) if organised else ~np.isnan(point_m[..., 2])
     np.testing.assert_allclose(values[:, :3], point_m[known], atol=1e-6)
     gray = sample.gray[known].astype(int)
@@ -262,7 +264,7 @@ def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
     for scene_id, sample in samples.items():
         for name, depth_m in (
             ("perfect", sample.truth.depth_m),
-            ("scanner", sample.scanner.depth_m),
+            ("scanner", sample.scanner_depth.depth_m),
         ):
             cloud = pypcd4.PointCloud.from_path(out / "train" / f"{scene_id:06d}_{name}.pcd")
             point_m = expected_points(sample, depth_m)
@@ -297,7 +299,9 @@ def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
     (scan,) = read_scans([out / "train" / "000003_scanner.ply"])
     camera = samples[3].scene.rig.camera
     np.testing.assert_allclose(scan.K, camera.K, atol=1e-3)
-    np.testing.assert_allclose(scan.depth_m, samples[3].scanner.depth_m, atol=0.6e-3 * SCALE_MM)
+    np.testing.assert_allclose(
+        scan.depth_m, samples[3].scanner_depth.depth_m, atol=0.6e-3 * SCALE_MM
+    )
 
 
 def test_parquet_says_which_columns_are_pictures(exported):
@@ -321,7 +325,7 @@ def test_parquet_is_loaded_by_hugging_face_as_pictures(exported, samples, tmp_pa
     assert isinstance(read.features["rgb"], datasets.Image)
     for row, sample in zip(read, samples.values(), strict=True):
         assert np.array_equal(np.array(row["rgb"]), sample.rgb)
-        assert np.array_equal(np.array(row["depth_sl"]), steps_of(sample.scanner.depth_m))
+        assert np.array_equal(np.array(row["depth_sl"]), steps_of(sample.scanner_depth.depth_m))
         assert row["gray"] is None
 
 

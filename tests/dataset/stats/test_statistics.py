@@ -67,7 +67,7 @@ def test_counts_are_those_of_the_samples(made, statistics):
 
 
 def test_shares_of_reasons_are_those_of_the_maps(made, statistics):
-    reason = np.stack([s.scanner.reason for s in made[1].values()])
+    reason = np.stack([s.scanner_depth.reason for s in made[1].values()])
     on_part = np.stack([s.truth.instance >= 0 for s in made[1].values()])
     for one in Reason:
         name = one.name.lower()

@@ -82,7 +82,7 @@ def test_the_datasets_examples_are_what_was_simulated(master, samples):
         np.testing.assert_array_equal(example.obj_id, sample.layout.part_index[seen] + 1)
         half_step_m = 0.51e-3 * SCALE_MM  # the rounding of the file, and of single precision
         np.testing.assert_allclose(example.depth_m, sample.truth.depth_m, atol=half_step_m)
-        scanner = np.where(sample.scanner.reason == 0, sample.scanner.depth_m, np.nan)
+        scanner = np.where(sample.scanner_depth.reason == 0, sample.scanner_depth.depth_m, np.nan)
         np.testing.assert_allclose(example.scanner_depth_m, scanner, atol=half_step_m)
         T = inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part[seen]
         np.testing.assert_allclose(example.T_cam_part, T, atol=1e-12)

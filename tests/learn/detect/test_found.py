@@ -7,7 +7,7 @@ from pycocotools import mask as coco_mask
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
 from graycast.learn.detect.detector import _detections
-from graycast.learn.detect.network import Found
+from graycast.learn.detect.network import NetworkOutput
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -18,7 +18,7 @@ def test_boxes_and_outlines_are_as_many_times_as_large_as_the_picture_is(times):
     """An input of 40 x 30 pixels of a picture so many times as large; edges lie between pixels."""
     mask = torch.zeros(2, 30, 40, dtype=torch.uint8)
     mask[0, 5:15, 10:30], mask[1, 0:10, 30:40] = 255, 255
-    found = Found(
+    found = NetworkOutput(
         box=torch.tensor([[10.0, 5, 30, 15], [30, -2, 45, 10]]), label=torch.tensor([1, 0]),
         score=torch.tensor([0.5, 0.9]), mask=mask,
     )  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
 from graycast.base.errors import GraycastError
-from graycast.learn.detect.network import Found, Network
+from graycast.learn.detect.network import Network, NetworkOutput
 from graycast.learn.detect.networks import MODELS, open_network
 
 from .shapes import CLASSES, ap50, drawn_pictures
@@ -223,7 +223,7 @@ def test_the_judge_knows_what_is_right_and_what_is_not():
     """All found is 1; masks that are one class's discs under the other's name are 0."""
     _, targets = pictures()
     right = [
-        Found(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)
+        NetworkOutput(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)
         for t in targets
     ]
     wrong = [replace(found, label=1 - found.label) for found in right]

@@ -13,7 +13,12 @@ from graycast.dataset.training import open_examples
 from graycast.dataset.training.sources import Examples
 from graycast.learn.detect.encoding import Encoding
 from graycast.learn.detect.training import _range_m
-from graycast.learn.detect.training_pictures import NO_AUGMENTATION, Augmentation, Pictures, collate
+from graycast.learn.detect.training_pictures import (
+    NO_AUGMENTATION,
+    Augmentation,
+    TrainingPictures,
+    collate,
+)
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -32,7 +37,7 @@ def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **
         read=lambda _: example,
     )
     augmentation = Augmentation(**said) if said else NO_AUGMENTATION
-    return Pictures(
+    return TrainingPictures(
         [(held, {1: 0})],
         encoding,
         tmp_path / "pictures.npy",
@@ -145,7 +150,7 @@ def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spike
 
 def test_pictures_of_a_dataset_make_batches(tmp_path):
     examples = open_examples(write_drawn(tmp_path, 3))
-    pictures = Pictures(
+    pictures = TrainingPictures(
         [(examples, {1: 0, 2: 1})],
         DEPTH,
         tmp_path / "pictures.npy",

@@ -18,10 +18,10 @@ from graycast.cli import main
 from graycast.dataset.detections import Detections, read_results
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
-from graycast.learn.study import Result, Run, run_study, runs_of, study_runs, write_study
+from graycast.learn.study import Result, StudyRun, run_study, runs_of, study_runs, write_study
 from graycast.learn.study_file import EncodingSection, ModelSection, StudySpec, read_study
 from graycast.score.evaluate import labels_of, score
-from graycast.score.evaluate.intervals import Drawn, mean
+from graycast.score.evaluate.intervals import BootstrapFigure, mean
 from graycast.score.evaluate.labels import run_lengths_of
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -69,12 +69,12 @@ def first_row(folder):
 
 def normal(value, sigma, seed):
     draws = np.random.default_rng(seed).normal(value, sigma, 4000)
-    return Drawn(value=value, draws=draws, scenes=1000)
+    return BootstrapFigure(value=value, draws=draws, scenes=1000)
 
 
 def test_the_gap_of_independent_worlds_has_the_root_of_both_variances(tmp_path):
     """Oracle: 0.03 and 0.04 make 0.05; the interval of a normal figure is 1.96 of it either way."""
-    run = Run(
+    run = StudyRun(
         model=ModelSection(model="yolov3"),
         input="rgb",
         encoding=EncodingSection(name="default"),
@@ -97,7 +97,7 @@ def test_the_gap_of_independent_worlds_has_the_root_of_both_variances(tmp_path):
 
 
 def test_each_dataset_of_a_world_has_a_row_of_its_own(tmp_path):
-    run = Run(
+    run = StudyRun(
         model=ModelSection(model="yolov3"), input="rgb",
         encoding=EncodingSection(name="default"), training="drawn", seed=0,
     )  # fmt: skip

@@ -26,7 +26,7 @@ from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
 from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train
 from graycast.learn.detect.detector import without_denormals
-from graycast.learn.detect.network import Found
+from graycast.learn.detect.network import NetworkOutput
 from graycast.learn.detect.run import RunFolder
 from graycast.learn.detect.training import _shape
 from graycast.learn.detect.training_pictures import room_for
@@ -270,7 +270,7 @@ def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run,
         tiny = np.full(1, np.finfo(float).tiny)
         seen.append((torch.is_autocast_enabled("cpu"), (tiny / 2 == 0).all()))
         none = torch.zeros(0)
-        return [Found(box=torch.zeros(0, 4), label=none.long(), score=none, mask=None)]
+        return [NetworkOutput(box=torch.zeros(0, 4), label=none.long(), score=none, mask=None)]
 
     monkeypatch.setattr(detector.network, "find", find)
     bench_detectors._detection(detector, dataset)

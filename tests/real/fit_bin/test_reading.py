@@ -10,13 +10,13 @@ from dataset.prisms import make_rig
 from simulated_dataset import write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.real.fit_bin import Frames, Said, read_frames, read_views
+from graycast.real.fit_bin import FileOptions, Frames, read_frames, read_views
 from graycast.real.fit_bin.look import light_scale
 from graycast.rig.optics import Optics
 
 OWN = Optics(width_px=40, height_px=30, fx_px=50.0, fy_px=50.0, cx_px=19.5, cy_px=14.5)
 DEPTH_MM = np.full((30, 40), 900, dtype=np.uint16)
-SAID = Said(scale_m=1e-3)
+FILE_OPTIONS = FileOptions(scale_m=1e-3)
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def depth_file(tmp_path):
 
 
 def test_depth_of_the_rig_s_size_is_seen_by_the_rig_s_camera(depth_file):
-    (view,) = read_views([depth_file], said=SAID, own=OWN)
+    (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     assert view.camera == OWN
     assert np.isnan(view.depth_m[0, 0])
     assert view.depth_m[1, 1] == pytest.approx(0.9)
@@ -39,37 +39,37 @@ def test_a_picture_goes_with_its_depth(depth_file, tmp_path):
     rgb = np.zeros((30, 40, 3), dtype=np.uint8)
     rgb[..., 0] = 200
     cv2.imwrite(str(tmp_path / "c.png"), rgb[..., ::-1])
-    (view,) = read_views([depth_file], rgb=[tmp_path / "c.png"], said=SAID, own=OWN)
+    (view,) = read_views([depth_file], rgb=[tmp_path / "c.png"], options=FILE_OPTIONS, own=OWN)
     assert np.array_equal(view.rgb, rgb)
     with pytest.raises(DatasetError, match="2 colour pictures for 1 depth files"):
-        read_views([depth_file], rgb=[tmp_path / "c.png"] * 2, said=SAID, own=OWN)
+        read_views([depth_file], rgb=[tmp_path / "c.png"] * 2, options=FILE_OPTIONS, own=OWN)
 
 
 def test_another_camera_s_depth_needs_its_intrinsics(depth_file):
     other = Optics(width_px=80, height_px=60, fx_px=50.0, fy_px=50.0, cx_px=39.5, cy_px=29.5)
     with pytest.raises(DatasetError, match="give its intrinsics"):
-        read_views([depth_file], said=SAID, own=other)
+        read_views([depth_file], options=FILE_OPTIONS, own=other)
     K = np.array([[61.0, 0, 20.0], [0, 60.0, 15.0], [0, 0, 1]])
-    (view,) = read_views([depth_file], said=Said(K=K, scale_m=1e-3), own=other)
+    (view,) = read_views([depth_file], options=FileOptions(K=K, scale_m=1e-3), own=other)
     assert np.array_equal(view.camera.K, K)
     assert not view.camera.has_distortion
 
 
 def test_what_cannot_be_a_view_is_refused(depth_file, tmp_path):
     with pytest.raises(DatasetError, match=r"one of \.npy"):
-        read_views([tmp_path / "x.jpg"], said=SAID, own=OWN)
+        read_views([tmp_path / "x.jpg"], options=FILE_OPTIONS, own=OWN)
     few = np.full((30, 40), np.nan)
     few[:3] = 0.9
     np.save(tmp_path / "few.npy", few)
     with pytest.raises(DatasetError, match="depth in 120 pixels"):
-        read_views([tmp_path / "few.npy"], said=Said(), own=OWN)
+        read_views([tmp_path / "few.npy"], options=FileOptions(), own=OWN)
 
 
 def test_a_scene_of_a_dataset_brings_camera_depth_and_picture(tmp_path):
     samples = write_dataset(tmp_path / "out", scene_ids=(0,))
-    (view,) = read_views([tmp_path / "out/train/000000"], said=Said(), own=OWN)
+    (view,) = read_views([tmp_path / "out/train/000000"], options=FileOptions(), own=OWN)
     assert np.array_equal(view.camera.K, make_rig().camera.K)
-    own = samples[0].scanner.depth_m
+    own = samples[0].scanner_depth.depth_m
     assert np.array_equal(np.isnan(view.depth_m), np.isnan(own))
     assert np.nanmax(np.abs(view.depth_m - own)) <= 0.5001e-4  # half a step of 0.1 mm
     assert np.array_equal(view.rgb, samples[0].rgb)
@@ -116,7 +116,7 @@ def test_a_scene_s_damaged_cameras_are_told_with_their_file(stored_scene, tmp_pa
     path = scene / "scene_camera_sl.json"
     path.write_text(damage(path.read_text()))
     with pytest.raises(DatasetError, match=why) as caught:
-        read_views([scene], said=Said(), own=OWN)
+        read_views([scene], options=FileOptions(), own=OWN)
     assert str(caught.value).startswith(f"{path}: ")
 
 
@@ -126,11 +126,11 @@ def test_a_camera_without_focal_length_is_told_with_its_picture(stored_scene, tm
     flat = damaged(lambda view: view.update(cam_K=[0, 0, 9, 0, 9, 9, 0, 0, 1]))
     path.write_text(flat(path.read_text()))
     with pytest.raises(DatasetError, match=r"depth_sl/000000\.png: .*fx_px is 0.0"):
-        read_views([scene], said=Said(), own=OWN)
+        read_views([scene], options=FileOptions(), own=OWN)
 
 
 def test_frames_are_of_the_view_s_camera(depth_file, tmp_path):
-    (view,) = read_views([depth_file], said=SAID, own=OWN)
+    (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     for name, size in (("white", (30, 40)), ("black", (15, 20))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.full(size, 32768, dtype=np.uint16))
     frames = read_frames(tmp_path / "white.png", tmp_path / "white.png", view)

@@ -180,7 +180,7 @@ def test_other_readers_take_it_as_any_dataset(real, samples):
     out, _ = imported(real, samples)
     scans = list(read_scans([out]))
     for scan, sample in zip(scans, samples.values(), strict=True):
-        np.testing.assert_allclose(scan.depth_m, sample.scanner.depth_m, atol=0.51 * SCALE_M)
+        np.testing.assert_allclose(scan.depth_m, sample.scanner_depth.depth_m, atol=0.51 * SCALE_M)
         np.testing.assert_allclose(scan.gray, sample.gray / 255)
     examples = open_examples(out)
     for form in FORMATS:
@@ -226,7 +226,9 @@ def test_depth_of_every_kind_comes_in_to_half_a_step(made, real, samples, kind):
         np.testing.assert_allclose(example.K, K_of(samples), atol=1e-3)
         step_m = done.depth_scale_mm / 1e3
         off_m = 0.5 * SCALE_M + 0.51 * step_m
-        np.testing.assert_allclose(example.scanner_depth_m, sample.scanner.depth_m, atol=off_m)
+        np.testing.assert_allclose(
+            example.scanner_depth_m, sample.scanner_depth.depth_m, atol=off_m
+        )
     assert done.depth_scale_mm == (SCALE_MM if kind == "png" else 0.02)
     assert validate(out) == ()
 

@@ -17,7 +17,7 @@ from graycast.robot.grasp_labels.scene_labels import (
     label_scene,
     straight_up,
 )
-from graycast.robot.grasp_labels.stored_world import Heap, Stock, around, make_world
+from graycast.robot.grasp_labels.stored_world import ScenePoses, Stock, around, make_world
 from graycast.robot.pick.jaw_tool import JawTool
 from graycast.robot.pick.suction_tool import SuctionTool
 from graycast.world.drop.lift import STEP_S
@@ -56,7 +56,7 @@ def suction(robots):
 def heap_of(*T_world_part):
     T_world_cam = rigid(axis_rotation("x", np.pi), np.array([0.0, 0.0, 1.0]))
     poses = np.stack(T_world_part)
-    return Heap(
+    return ScenePoses(
         T_world_cam=T_world_cam,
         T_world_part=poses,
         T_cam_part=inverse(T_world_cam) @ poses,

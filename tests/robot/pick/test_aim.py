@@ -5,7 +5,15 @@ import pytest
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
-from graycast.robot.pick.aim import Aim, Sight, Target, best_first, covered_share, ranked, spread
+from graycast.robot.pick.aim import (
+    Aim,
+    Candidate,
+    DepthView,
+    best_first,
+    covered_share,
+    ranked,
+    spread,
+)
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -22,8 +30,8 @@ def scene(*plates):
     depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
-    found = [Target(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
-    return Sight(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
+    found = [Candidate(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
+    return DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
 
 
 def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():
@@ -63,7 +71,7 @@ def test_where_a_grip_failed_is_tried_last():
 
 def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
     T = rigid(axis_rotation(*turn), np.array([x, 0.0, z]))
-    target = Target(kind=0, score=1.0, mask=square(0, 0))
+    target = Candidate(kind=0, score=1.0, mask=square(0, 0))
     return Aim(T_world_tool=T, score=score, target=target)
 
 

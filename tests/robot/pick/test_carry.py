@@ -8,19 +8,19 @@ from stage import BOX_CORNERS, box_part, lambert
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.pick import carry
-from graycast.robot.pick.aim import Aim, Target
-from graycast.robot.pick.carry import FREED_M, World, carry_out
+from graycast.robot.pick.aim import Aim, Candidate
+from graycast.robot.pick.carry import FREED_M, BinState, carry_out
 from graycast.robot.pick.choose import Choice
 from graycast.robot.pick.motion import Trajectory
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.ready import Ready
 from graycast.robot.pick.tools import SuctionTool
-from graycast.robot.pick.touch import NotHeld
+from graycast.robot.pick.touch import NoGrip
 from graycast.robot.pick.ways import Ways
 from graycast.world.parts import Mesh
 from graycast.world.scene import Layout
 
-EMPTY = World(
+EMPTY = BinState(
     layout=Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int)),
     numbers=np.zeros(0, int),
     hand_eye=np.eye(4),
@@ -73,7 +73,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
     off = rigid(R, MIDDLE - R @ MIDDLE + [0, 0, shift_mm / 1e3])
     pose = Aim(
         T_world_tool=rigid(np.eye(3), np.array([0.2, 0.1, 0.05])), score=1.0,
-        target=Target(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
+        target=Candidate(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
         T_cam_part=np.linalg.inv(T_WORLD_CAM) @ LAID[0] @ off,
     )  # fmt: skip
     scene = SimpleNamespace(T_world_cam=T_WORLD_CAM, parts=[SimpleNamespace(mesh=MESH)])
@@ -85,11 +85,11 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
 
     def touch(tool, T_world_tool, *_, **__):
         sent.append(T_world_tool)
-        return NotHeld(outcome=Outcome.MISSED)
+        return NoGrip(outcome=Outcome.MISSED)
 
     monkeypatch.setattr(carry, "touch", touch)
     layout = Layout(T_world_part=np.stack(LAID), part_index=np.array([0, 0, 1]))
-    world = World(layout=layout, numbers=np.arange(3), hand_eye=HAND_EYE, q=np.zeros(6))
+    world = BinState(layout=layout, numbers=np.arange(3), hand_eye=HAND_EYE, q=np.zeros(6))
     carried, after = carry_out(picker, world, Choice(aim=pose, ways=bare(Ways, away=JOINTS)))
     assert carried.outcome is outcome
     assert carried.pose_error == pytest.approx((np.radians(turn_deg), shift_mm / 1e3), abs=1e-9)

@@ -11,8 +11,8 @@ from graycast.base.errors import GraycastError
 from graycast.base.frames import rigid
 from graycast.dataset.detections import Detections
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import Sight
-from graycast.robot.pick.bin_scan import Look, targets
+from graycast.robot.pick.aim import DepthView
+from graycast.robot.pick.bin_scan import BinScan, targets
 from graycast.robot.pick.ready import make_ready
 from graycast.world.scene import Layout
 
@@ -116,8 +116,8 @@ def test_a_detector_of_one_class_serves_where_grips_need_no_model(
     changes = {"parts": mix, "tool": {"kind": "suction"}}
     made = ready(tmp_path, **changes, picking={"knows": "depth", "detector": "run"})
     camera, blank = made.cell.cell.scene.rig.camera, np.zeros((120, 160))
-    look = Look(
-        view=Sight(depth_m=blank + 1, camera=camera, T_world_cam=rigid(np.eye(3), np.zeros(3))),
+    look = BinScan(
+        view=DepthView(depth_m=blank + 1, camera=camera, T_world_cam=rigid(np.eye(3), np.zeros(3))),
         gray=blank.astype(np.uint8),
         rgb=np.zeros((120, 160, 3), np.uint8),
         instance=blank.astype(int),

@@ -11,7 +11,7 @@ from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid
 from graycast.rig.optics import Optics, rays
 from graycast.robot.grasp import Grip
 from graycast.robot.pick import choose, load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import KnownPart, Sight, Target
+from graycast.robot.pick.aim import Candidate, DepthView, KnownPart
 from graycast.robot.pick.choose import Choice
 from graycast.robot.pick.clock import Clock
 from graycast.robot.pick.obstacles import standing
@@ -27,7 +27,7 @@ LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.6]))
 TOP_M = 0.03
 T_CAM_PART = inverse(LOOKING_DOWN) @ rigid(np.eye(3), np.array([0.0, 0.0, TOP_M / 2]))
 EVERYWHERE = np.ones((120, 160), bool)
-TARGET = Target(kind=0, score=1.0, mask=EVERYWHERE, T_cam_part=T_CAM_PART)
+TARGET = Candidate(kind=0, score=1.0, mask=EVERYWHERE, T_cam_part=T_CAM_PART)
 # The second grip is on the same face as the first, 20 mm beside it; the third is elsewhere.
 FIRST, BESIDE, ELSEWHERE = (np.array([x, 0.0, TOP_M]) for x in (0.0, 0.02, 0.08))
 
@@ -85,7 +85,7 @@ def scan(*bumps, lean_rad=0.0):
     place = LOOKING_DOWN[:3, 3] + ray * depth[..., None]
     for (about, radius_m), higher_m in bumps:
         depth[np.linalg.norm(place - about, axis=-1) < radius_m] -= higher_m
-    return Sight(depth_m=depth, camera=CAMERA, T_world_cam=LOOKING_DOWN)
+    return DepthView(depth_m=depth, camera=CAMERA, T_world_cam=LOOKING_DOWN)
 
 
 def chosen(ready, view, found=(TARGET,), *, tabu=(), blocked=()):
@@ -191,7 +191,7 @@ def test_a_known_part_is_carried_over_the_rim_by_its_own_reach(reaching):
 def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean_rad):
     """Oracle: the lowest of all points, within its size of the tip and above the floor, once the
     tool is upright."""
-    unknown = (Target(kind=None, score=1.0, mask=few(9)),)
+    unknown = (Candidate(kind=None, score=1.0, mask=few(9)),)
     view = scan(lean_rad=lean_rad)
     ((tip, words),) = reaching(found=unknown, view=view, knows="depth", grips=1)[1]
     assert tip[2, 2] == pytest.approx(np.cos(lean_rad))
@@ -217,7 +217,7 @@ UPSIDE_DOWN = T_CAM_PART @ rigid(axis_rotation("x", np.pi), np.zeros(3))
         ([], 0.57, (), "no detection"),
         ([TARGET], np.nan, (), "no depth"),
         (
-            [Target(kind=0, score=1.0, mask=few(1))],
+            [Candidate(kind=0, score=1.0, mask=few(1))],
             0.57,
             (),
             "no pose",

@@ -80,9 +80,9 @@ def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it(depth):
     rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
     heap = heap_of(np.where(inside, np.nan, depth))
-    assert not heap.seen.all()
+    assert not heap.is_measured.all()
     # Of the block's unseen half, what is nearer to the seen half than the floor counts as block.
-    guessed = ~heap.seen
+    guessed = ~heap.is_measured
     assert heap.height_m[guessed].max() == pytest.approx(0.04, abs=1e-3)
     assert np.isfinite(heap.height_m).all()
 
@@ -127,12 +127,12 @@ def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
 
     depth = depth_of(beside, above)
     point = above[:3, 3] + (rays(CAMERA, pixel_grid(200, 240)) * depth[..., None]) @ above[:3, :3].T
-    seen = (point[..., 2] > 5e-4) & (point[..., 2] < 0.021) & (np.abs(point[..., 1]) < 0.032)
-    seen &= (point[..., 0] > 0.05) & (point[..., 0] < 0.099)
+    is_measured = (point[..., 2] > 5e-4) & (point[..., 2] < 0.021) & (np.abs(point[..., 1]) < 0.032)
+    is_measured &= (point[..., 0] > 0.05) & (point[..., 0] < 0.099)
     whole = heap_of(depth, above)
     assert at(whole, 0.075, 0.0) == pytest.approx(0.02, abs=1e-3)
     assert whole.height_m.max() < 0.03  # and no wall
-    without = heap_of(depth, above, without=seen)
+    without = heap_of(depth, above, without=is_measured)
     assert at(without, 0.075, 0.0) < 5e-3
 
 

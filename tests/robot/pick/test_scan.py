@@ -10,8 +10,8 @@ from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.dataset.detections import Detections
 from graycast.render import GroundTruth, Radiance, Renderer, Rendering
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import Sight
-from graycast.robot.pick.bin_scan import Look, scan, targets
+from graycast.robot.pick.aim import DepthView
+from graycast.robot.pick.bin_scan import BinScan, scan, targets
 from graycast.world.scene import Layout
 
 NOWHERE = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
@@ -99,8 +99,8 @@ def test_a_detection_has_the_true_pose_of_the_part_that_most_of_it_shows(tmp_pat
     instance = np.full((120, 160), -1)
     instance[:, 40:47], instance[:, 47:56] = 0, 1
     T_world_cam = rigid(axis_rotation("x", np.pi), np.array([0.0, 0.1, 0.8]))
-    look = Look(
-        view=Sight(depth_m=np.ones((120, 160)), camera=cell.cell.scene.rig.camera,
+    look = BinScan(
+        view=DepthView(depth_m=np.ones((120, 160)), camera=cell.cell.scene.rig.camera,
                    T_world_cam=T_world_cam),
         gray=np.zeros((120, 160), np.uint8), rgb=None, instance=instance, seconds=0.1,
     )  # fmt: skip

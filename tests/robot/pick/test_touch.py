@@ -7,11 +7,11 @@ from manifold3d import CrossSection
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.grasp import Cup, Jaws, closing
-from graycast.robot.pick.contact import Held
+from graycast.robot.pick.contact import PartGrip
 from graycast.robot.pick.jaw_tool import JawTool
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.suction_tool import SuctionTool
-from graycast.robot.pick.touch import Kind, touch
+from graycast.robot.pick.touch import ContactPart, touch
 from graycast.world.drop import make_bodies
 from graycast.world.parts import Material, Mesh, Part
 
@@ -31,7 +31,7 @@ def part_of(mesh):
 def plate(robots, tmp_path_factory):
     part = part_of(trimesh.creation.box(PLATE_M))
     folder = tmp_path_factory.mktemp("hulls")
-    return Kind.of(part, make_bodies([part], hull_folder=folder)[0])
+    return ContactPart.of(part, make_bodies([part], hull_folder=folder)[0])
 
 
 def at(x, y, z):
@@ -45,7 +45,7 @@ def down_on(kind, T_tool, poses, tool=CUP):
 @pytest.mark.parametrize("off_m", [-0.007, 0.0, 0.007])
 def test_a_cup_comes_to_rest_on_the_plate_within_its_stroke(plate, off_m):
     met = down_on(plate, at(0.01, 0, 0.01 + off_m), [at(0, 0, 0)])
-    assert isinstance(met, Held) and met.part == 0
+    assert isinstance(met, PartGrip) and met.part == 0
     np.testing.assert_allclose(met.T_world_tool[:3, 3], [0.01, 0, 0.01], atol=1e-9)
     np.testing.assert_allclose(met.hold.T_part_tool[:3, 3], [0.01, 0, 0.01], atol=1e-9)
 
@@ -61,7 +61,7 @@ def test_beyond_its_stroke_it_misses_or_pushes(plate, z, outcome):
 def test_over_the_edge_air_gets_in(plate):
     inside = down_on(plate, at(0.04 - 0.0105, 0, 0.01), [at(0, 0, 0)])
     over = down_on(plate, at(0.04 - 0.0085, 0, 0.01), [at(0, 0, 0)])
-    assert isinstance(inside, Held)
+    assert isinstance(inside, PartGrip)
     assert over.outcome is Outcome.NOT_HELD and "has no surface" in over.detail
 
 
@@ -84,20 +84,20 @@ def test_a_neighbour_stands_in_the_tube_s_way(plate):
     assert met.outcome is Outcome.COLLISION_UNSEEN and met.part == 1 and "tube" in met.detail
     away = upright.copy()
     away[0, 3] = 0.024
-    assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), Held)
+    assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), PartGrip)
 
 
 def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
     bar = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
-    kind = Kind.of(bar, make_bodies([bar])[0])
+    kind = ContactPart.of(bar, make_bodies([bar])[0])
     met = down_on(kind, at(0.003, 0, 0), [at(0, 0, 0)], JAWS)
-    assert isinstance(met, Held)
+    assert isinstance(met, PartGrip)
     np.testing.assert_allclose(met.hold.T_part_tool[:3, 3], [0, 0, 0], atol=1e-9)
     assert down_on(kind, at(0, 0, 0.02), [at(0, 0, 0)], JAWS).outcome is Outcome.MISSED
     assert down_on(kind, at(0.02, 0, 0), [at(0, 0, 0)], JAWS).outcome is Outcome.COLLISION_UNSEEN
     beside = [at(-0.012, 0, 0), at(0.02, 0, 0)]
     narrow = part_of(trimesh.creation.box((0.01, 0.06, 0.02)))
-    thin = Kind.of(narrow, make_bodies([narrow])[0])
+    thin = ContactPart.of(narrow, make_bodies([narrow])[0])
     two = down_on(thin, at(0, 0, 0), beside, JAWS)
     assert two.outcome is Outcome.NOT_HELD and "two parts" in two.detail
 

@@ -46,7 +46,7 @@ def found(path, renderer):
     sample, truth, (part,) = shot.sample, shot.rendering.truth, cell.scene.parts
     symmetry = joined(part.symmetry, shape_symmetry(part.mesh))
     model, middle_m = pose_model(part.mesh, symmetry), part.mesh.bounds_m.mean(axis=0)
-    depth_m, camera = sample.scanner.depth_m, sample.scene.rig.camera
+    depth_m, camera = sample.scanner_depth.depth_m, sample.scene.rig.camera
     for i, T_world_part in enumerate(sample.layout.T_world_part):
         mask, whole_px = truth.instance == i, truth.amodal[i].mask.sum()
         if not whole_px or mask.sum() < 0.7 * whole_px:

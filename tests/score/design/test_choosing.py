@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from graycast.score.design.choosing import (
-    Row,
+    SettingFigures,
     choose,
     mean_interval,
     meets,
@@ -39,7 +39,7 @@ def placed(setting: Setting) -> Placed:
     return made
 
 
-def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> Row:
+def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> SettingFigures:
     heaps = [
         None
         if share is None

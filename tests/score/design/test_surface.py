@@ -10,11 +10,11 @@ from graycast.base.frames import look_at, rigid
 from graycast.camera.decode import DepthMap, Reason
 from graycast.render import GroundTruth
 from graycast.rig.pair import Rig
-from graycast.score.design.heap_surface import LEAST_PX, Sight, Surface, spread_surface
+from graycast.score.design.heap_surface import LEAST_PX, HeapSurface, Visibility, spread_surface
 from graycast.score.design.point_fates import (
     FATES,
     Fate,
-    Judged,
+    PointFates,
     SurfaceView,
     figures,
     judge,
@@ -69,11 +69,11 @@ def test_a_wall_throws_the_shadow_of_similar_triangles(rim_m, baseline_m, height
     view = view_of(scene, ON_THE_FLOOR, surface)
     dark_m = rim_m * (baseline_m - LENGTH_M / 2) / (height_m - rim_m)
     half_pixel_m = 0.5 * height_m / 500
-    assert share_of(view.projector, surface, Sight.BY_BIN) == pytest.approx(
+    assert share_of(view.projector, surface, Visibility.BY_BIN) == pytest.approx(
         dark_m / LENGTH_M,
         abs=(half_pixel_m + 1e-3) / LENGTH_M,  # and the points' spacing
     )
-    assert share_of(view.camera, surface, Sight.SEEN) == 1.0
+    assert share_of(view.camera, surface, Visibility.VISIBLE) == 1.0
 
 
 def test_what_a_wall_hides_from_the_camera_is_its_own_kind_and_no_shadow():
@@ -83,10 +83,10 @@ def test_what_a_wall_hides_from_the_camera_is_its_own_kind_and_no_shadow():
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
     view = view_of(scene, ON_THE_FLOOR, surface)
     dark_m = 0.06 * (0.4 - LENGTH_M / 2) / (0.8 - 0.06)
-    assert share_of(view.camera, surface, Sight.BY_BIN) == pytest.approx(
+    assert share_of(view.camera, surface, Visibility.BY_BIN) == pytest.approx(
         dark_m / LENGTH_M, abs=2e-3 / LENGTH_M
     )
-    assert share_of(view.projector, surface, Sight.SEEN) == 1.0
+    assert share_of(view.projector, surface, Visibility.VISIBLE) == 1.0
 
 
 @pytest.mark.parametrize("height_m", [0.42, 0.55])
@@ -96,7 +96,7 @@ def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
     rig = make_rig(camera, centred(900, 700, 300), baseline_m=(0.05, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=0.01)
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
-    seen = share_of(view_of(scene, ON_THE_FLOOR, surface).camera, surface, Sight.SEEN)
+    seen = share_of(view_of(scene, ON_THE_FLOOR, surface).camera, surface, Visibility.VISIBLE)
     field_m2 = (150 * height_m / 300) * (90 * height_m / 300)
     assert seen == pytest.approx(field_m2 / (LENGTH_M * WIDTH_M), rel=0.01)
 
@@ -128,11 +128,11 @@ def test_a_part_in_the_way_is_told_from_the_bin_and_from_the_back():
     view = view_of(scene, layout, surface)
     on_plate = (surface.instance == 0) & (surface.normal[:, 2] > 0.9)
     for kinds in (view.camera, view.projector):
-        share = float((kinds[on_plate] == Sight.BY_PARTS).mean())
+        share = float((kinds[on_plate] == Visibility.BY_PARTS).mean())
         grown = height_m / (height_m - lift_m)
         assert share == pytest.approx(0.04 * 0.03 * grown**2 / (LENGTH_M * WIDTH_M), rel=0.05)
     underside = surface.normal[:, 2] < -0.9
-    assert (view.camera[underside] == Sight.BY_PARTS).all()
+    assert (view.camera[underside] == Visibility.BY_PARTS).all()
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.7, 1.3, 1.5])
@@ -146,7 +146,7 @@ def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
         T_world_part=rigid(turn, np.array([0.0, 0.0, 0.4]))[None], part_index=np.array([0])
     )
     surface = spread_surface(scene, layout, points=POINTS, cone_deg=0.0)
-    seen = view_of(scene, layout, surface).camera == Sight.SEEN
+    seen = view_of(scene, layout, surface).camera == Visibility.VISIBLE
     towards = ((scene.T_world_cam[:3, 3] - surface.point_m) * surface.normal).sum(axis=-1) > 0
     assert (seen == towards).mean() > 0.999
 
@@ -234,21 +234,26 @@ def test_sigma_bias_and_feature_are_those_of_the_errors():
     assert judged_plate(projector_px=100)["pixel_m"] == pytest.approx(0.7 / 100)
 
 
-SEEN, OUTSIDE, BY_PARTS, BY_BIN = Sight.SEEN, Sight.OUTSIDE, Sight.BY_PARTS, Sight.BY_BIN
+VISIBLE, OUTSIDE, BY_PARTS, BY_BIN = (
+    Visibility.VISIBLE,
+    Visibility.OUTSIDE,
+    Visibility.BY_PARTS,
+    Visibility.BY_BIN,
+)
 
 
 @pytest.mark.parametrize(
     ("camera", "projector", "own", "reason", "fate"),
     [
-        (OUTSIDE, SEEN, True, Reason.DECODED, Fate.OUTSIDE_PICTURE),
-        (BY_BIN, SEEN, True, Reason.DECODED, Fate.HIDDEN_BY_WALL),
+        (OUTSIDE, VISIBLE, True, Reason.DECODED, Fate.OUTSIDE_PICTURE),
+        (BY_BIN, VISIBLE, True, Reason.DECODED, Fate.HIDDEN_BY_WALL),
         (BY_PARTS, BY_BIN, False, Reason.DECODED, Fate.HIDDEN_BY_PARTS),
-        (SEEN, BY_PARTS, True, Reason.DECODED, Fate.MEASURED),
-        (SEEN, OUTSIDE, True, Reason.SHADOW, Fate.OUTSIDE_PROJECTOR),
-        (SEEN, BY_BIN, True, Reason.LOW_MODULATION, Fate.WALL_SHADOW),
-        (SEEN, BY_PARTS, False, Reason.DECODED, Fate.PART_SHADOW),
-        (SEEN, SEEN, False, Reason.DECODED, Fate.EDGE),
-        (SEEN, SEEN, False, Reason.SATURATED, Fate.EDGE),
+        (VISIBLE, BY_PARTS, True, Reason.DECODED, Fate.MEASURED),
+        (VISIBLE, OUTSIDE, True, Reason.SHADOW, Fate.OUTSIDE_PROJECTOR),
+        (VISIBLE, BY_BIN, True, Reason.LOW_MODULATION, Fate.WALL_SHADOW),
+        (VISIBLE, BY_PARTS, False, Reason.DECODED, Fate.PART_SHADOW),
+        (VISIBLE, VISIBLE, False, Reason.DECODED, Fate.EDGE),
+        (VISIBLE, VISIBLE, False, Reason.SATURATED, Fate.EDGE),
     ],
 )
 def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reason, fate):
@@ -269,7 +274,7 @@ def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reas
 def one_point(camera, projector, *, weight=(1.0,)):
     """As many points as weights, all at one pixel."""
     many = np.ones(len(weight))
-    surface = Surface(
+    surface = HeapSurface(
         point_m=np.zeros((len(weight), 3)), normal=np.zeros((len(weight), 3)),
         instance=np.zeros(len(weight), int), weight=np.array(weight),
     )  # fmt: skip
@@ -283,9 +288,9 @@ def one_point(camera, projector, *, weight=(1.0,)):
 
 def test_places_count_by_what_they_show_from_above():
     """By hand: of the weight 0.7 is seen and 0.5 measured, 0.4 of it 0.2 mm too far."""
-    surface, view = one_point(SEEN, SEEN, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
+    surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
-    judged = Judged(
+    judged = PointFates(
         fate=np.array([FATES.index(fate) for fate in fates]),
         error_m=np.array([2e-4, 9e-4, np.nan, np.nan, 1.0]),
     )

@@ -15,7 +15,7 @@ from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import open_examples
 from graycast.rig.meshdepth import rasterize
 from graycast.score.evaluate import Protocol, camera_of, evaluate_poses
-from graycast.score.evaluate.pose_recall import Truth, count_picture, matched, solid_of
+from graycast.score.evaluate.pose_recall import PictureTruth, count_picture, matched, solid_of
 from graycast.world.parts import Mesh, Symmetry
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -36,7 +36,7 @@ def scene(master):
     example = open_examples(master)[0]
     models = read_models(master)
     solids = {k: solid_of(m.mesh, m.symmetry, m.diameter_m) for k, m in models.items()}
-    truth = Truth(
+    truth = PictureTruth(
         scene_id=example.scene_id,
         camera=camera_of(example),
         measured_m=example.scanner_depth_m.astype(np.float64),
@@ -98,7 +98,7 @@ def cube(side_m, middle_m, camera, T):
     )
     solid = solid_of(mesh, Symmetry(), np.sqrt(3) * side_m)
     drawn = rasterize(transform_points(T, mesh.vertices_m), mesh.faces, camera)
-    truth = Truth(
+    truth = PictureTruth(
         scene_id=0, camera=camera, measured_m=drawn.over(camera)[1].copy(), obj_id=np.array([1]),
         T_cam_part=T[None], to_find=np.array([True]),
     )  # fmt: skip

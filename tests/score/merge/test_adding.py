@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from seen import FINE, from_above, plane_depth, view, world_rays
 
-from graycast.score.merge.adding import WRONG, Truth, best_order, surface_of, why_not
+from graycast.score.merge.adding import WRONG, ViewTruth, best_order, surface_of, why_not
 from graycast.score.merge.fuse import HIDDEN, OUTSIDE
 from graycast.score.merge.view import points_of
-from graycast.score.merge.view_figures import SurfaceSeen, surface_figures
+from graycast.score.merge.view_figures import SurfaceCoverage, surface_figures
 from graycast.world.parts import Mesh
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -33,7 +33,7 @@ def cube_depth(T):
 
 def reasons(T, depth_m, true_m, reason=None):
     seen = view(depth_m, T, 0.1e-3, reason=reason, camera=FINE)
-    truth = Truth(depth_m=true_m, instance=np.where(np.isfinite(cube_depth(T)), 0, -1))
+    truth = ViewTruth(depth_m=true_m, instance=np.where(np.isfinite(cube_depth(T)), 0, -1))
     surface = surface_of([cube()], [np.eye(4)], points=6000)
     return surface, why_not(surface, seen, points_of(seen), truth)
 
@@ -104,7 +104,7 @@ def test_of_equal_views_the_first_comes_first():
 def test_shares_of_the_surface_are_counted_view_by_view():
     """By hand: five places of eight are seen, and one of these nobody measured."""
     why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
-    told = surface_figures(SurfaceSeen(why=why, of=8), ["left", "right"], {2: "saturated"})
+    told = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})
     assert told["visible"] == 5 / 8 and told["measured"] == 4 / 5
     left, right = told["views"]
     assert (left["measured"], left["only_this_view"]) == (3 / 5, 2 / 5)

@@ -25,9 +25,9 @@ def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # no
     sample = samples[3]
     lines, cloud, count = read_vertices(merged / "train-000003.ply")
     K, T = sample.scene.rig.camera.K, sample.scene.T_world_cam
-    row, column = np.nonzero(np.isfinite(sample.scanner.depth_m))
+    row, column = np.nonzero(np.isfinite(sample.scanner_depth.depth_m))
     ray = np.linalg.solve(K, np.stack([column, row, np.ones(len(row))]))
-    place = T[:3, :3] @ (ray * sample.scanner.depth_m[row, column]) + T[:3, 3:]
+    place = T[:3, :3] @ (ray * sample.scanner_depth.depth_m[row, column]) + T[:3, 3:]
     assert count == len(row)
     assert np.stack([cloud[k] for k in "xyz"]) == pytest.approx(place, abs=1e-4)  # depth's steps
     assert (cloud["views"] == 1).all() and (cloud["sigma"] > 0).all()
@@ -90,7 +90,7 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     record = merge(out, tmp_path / "clouds")
     assert record["scenes"] == ["train-000000", "train-000003"]
     figures = json.loads((tmp_path / "clouds/train-000003.json").read_text())
-    measured = [int((sample.scanner.reason == 0).sum()) for sample in taken[3]]
+    measured = [int((sample.scanner_depth.reason == 0).sum()) for sample in taken[3]]
     assert [view["view"] for view in figures["cloud"]["views"]] == list(NAMES)
     assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
     assert max(measured) < figures["cloud"]["points"] < sum(measured)

@@ -113,10 +113,10 @@ def compared(page, server, renderer):
     cell = resolve_cell(load_config(path), path.parent)
     shot = make_scene(cell, 0, seed=cell.config.seed, renderer=renderer)
     scale_mm = page.evaluate("Graycast.opened().scene.depth_scale_mm")
-    for name, depth in (("depth", shot.sample.truth), ("scanner", shot.sample.scanner)):
+    for name, depth in (("depth", shot.sample.truth), ("scanner", shot.sample.scanner_depth)):
         step = np.rint(np.nan_to_num(depth.depth_m) * (1000 / scale_mm)).astype(int)
         np.testing.assert_array_equal(held(page, name), step, err_msg=name)
-    np.testing.assert_array_equal(held(page, "reason"), shot.sample.scanner.reason)
+    np.testing.assert_array_equal(held(page, "reason"), shot.sample.scanner_depth.reason)
 
 
 def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, server):

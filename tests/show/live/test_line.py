@@ -53,12 +53,12 @@ class Watched:
             return make_scene(cell, 0, seed=self.config.seed, renderer=renderer)
 
     def assert_finished(self):
-        shown, shot = self.line.shown, self.shot()
-        assert shown.exact
-        np.testing.assert_array_equal(shown.capture.frames, shot.capture.frames)
-        np.testing.assert_array_equal(shown.depth.depth_m, shot.sample.scanner.depth_m)
-        np.testing.assert_array_equal(shown.depth.reason, shot.sample.scanner.reason)
-        np.testing.assert_array_equal(shown.rgb, shot.sample.rgb)
+        content, shot = self.line.content, self.shot()
+        assert content.exact
+        np.testing.assert_array_equal(content.capture.frames, shot.capture.frames)
+        np.testing.assert_array_equal(content.depth.depth_m, shot.sample.scanner_depth.depth_m)
+        np.testing.assert_array_equal(content.depth.reason, shot.sample.scanner_depth.reason)
+        np.testing.assert_array_equal(content.rgb, shot.sample.rgb)
 
 
 @pytest.fixture(scope="module")
@@ -88,30 +88,30 @@ def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
 def test_the_page_gets_what_is_shown_in_its_own_order(watched):
     """Millimetres, the way of WebGL's matrices, and instances from 1; noise by its own law."""
     watched.show(seed=3)
-    shown = watched.line.shown
+    content = watched.line.content
     (world,) = (one for one in watched.told if one.kind == "world")
     places = np.frombuffer(world.arrays["places"], np.float32).reshape(-1, 4, 4)
     np.testing.assert_allclose(
-        places[:, 3, :3], 1e3 * shown.layout.T_world_part[:, :3, 3], rtol=1e-6
+        places[:, 3, :3], 1e3 * content.layout.T_world_part[:, :3, 3], rtol=1e-6
     )
-    np.testing.assert_allclose(places[:, 0, :3], shown.layout.T_world_part[:, :3, 0], atol=1e-6)
+    np.testing.assert_allclose(places[:, 0, :3], content.layout.T_world_part[:, :3, 0], atol=1e-6)
     picture = [one for one in watched.told if one.kind == "picture"][-1]
     instance = np.frombuffer(picture.arrays["instance"], np.uint16).reshape(120, 160)
-    np.testing.assert_array_equal(instance - 1.0, shown.rendering.truth.instance)
+    np.testing.assert_array_equal(instance - 1.0, content.rendering.truth.instance)
     steps = np.frombuffer(picture.arrays["scanner"], np.uint16).reshape(120, 160)
-    depth_m = np.nan_to_num(shown.depth.depth_m)
+    depth_m = np.nan_to_num(content.depth.depth_m)
     np.testing.assert_allclose(
         steps * picture.header["depth_scale_mm"], 1e3 * depth_m,
         atol=0.501 * picture.header["depth_scale_mm"],
     )  # fmt: skip
     noise_m = 1e-4 * np.random.default_rng(0).standard_normal(depth_m.shape)
-    noisy = shown.rendering.truth.depth_m + 2e-4 + noise_m
+    noisy = content.rendering.truth.depth_m + 2e-4 + noise_m
     ask = Ask(
         number=1, config=watched.config, unturned=watched.config, ambient=1.0, power=1.0, frame=0
     )
-    made = replace(shown, depth=replace(shown.depth, depth_m=noisy))
+    made = replace(content, depth=replace(content.depth, depth_m=noisy))
     told = picture_answer(ask, made, kind="look", ms=0.0, first=False).header["figures"]
-    pixels = (shown.rendering.truth.instance >= 0).sum()
+    pixels = (content.rendering.truth.instance >= 0).sum()
     assert told["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
     # The deviation of a deviation by the median is 1.17 / sqrt(n) of it.
     assert told["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
@@ -173,12 +173,12 @@ def test_more_light_is_scaled_at_once_and_then_rendered(watched):
     def keep(answer):
         emit(answer)
         if answer.kind == "picture":
-            scaled.append(watched.line.shown)
+            scaled.append(watched.line.content)
 
     watched.line._emit = keep
     kinds = watched.show(light=light, ambient=1.7, unturned=unturned)
     watched.line._emit = emit
-    first, last = scaled[0].rendering.radiance, watched.line.shown.rendering.radiance
+    first, last = scaled[0].rendering.radiance, watched.line.content.rendering.radiance
     assert set(kinds) == {"free"} and first is not last
     np.testing.assert_allclose(first.ambient, last.ambient, rtol=2e-5)
     np.testing.assert_allclose(first.ambient_rgb, last.ambient_rgb, rtol=2e-5)
@@ -187,9 +187,9 @@ def test_more_light_is_scaled_at_once_and_then_rendered(watched):
 
 
 def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
-    layout = watched.line.shown.layout
+    layout = watched.line.content.layout
     kinds = watched.show(view={"tilt_deg": 8.0, "azimuth_deg": 20.0})
-    assert set(kinds) == {"light"} and watched.line.shown.layout is layout
+    assert set(kinds) == {"light"} and watched.line.content.layout is layout
     assert not [one for one in watched.told if one.kind == "world"]
     watched.assert_finished()
 
@@ -201,7 +201,7 @@ def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
     material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
     assert set(watched.show(bin=box | {"material": material})) == {"light"}
     assert set(watched.show(count=2)) == {"physics"}
-    assert len(watched.line.shown.layout.part_index) == 2
+    assert len(watched.line.content.layout.part_index) == 2
     watched.assert_finished()
 
 

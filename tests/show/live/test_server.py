@@ -157,7 +157,7 @@ def test_a_saved_file_is_the_cell_that_is_shown(server):
 def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypatch):
     """Else a page whose stream broke off would wait for it without end."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
-    monkeypatch.setattr("graycast.show.live.session.Maker", lambda **_: idle)
+    monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
     session, refusal = server.session, {"error": "the bin is too small"}
 
     def heard():

@@ -54,7 +54,7 @@ def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, severa
     for place in (2, 1, 3):
         page.select_option("#choose-picture", f"train-000003-{NAMES[place]}")
         ready(page, f"train-000003-{NAMES[place]}")
-        depth_m = np.nan_to_num(taken[3][place].scanner.depth_m)
+        depth_m = np.nan_to_num(taken[3][place].scanner_depth.depth_m)
         assert shown_depth(page) == pytest.approx(depth_m, abs=2e-5)
         assert pressed(page) == "scanner"
     page.keyboard.press("n")  # after the last comes the first

@@ -11,15 +11,7 @@ from graycast.base.frames import inverse, transform_points
 from graycast.render import open_renderer
 from graycast.rig.optics import project
 from graycast.show.report.parts import describe_parts, draw_parts, portrait_scene
-from graycast.world.parts import (
-    Material,
-    Mesh,
-    Part,
-    Symmetry,
-    builtin_part,
-    mass_kg,
-    size_notes,
-)
+from graycast.world.parts import Material, Mesh, Part, Symmetry, builtin_part, mass_kg, size_notes
 
 
 def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry=None, at=0.0):

@@ -88,7 +88,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
         truth=truth,
         rgb=quarters(),
         gray=np.zeros((HEIGHT, WIDTH), dtype=np.uint8),
-        scanner=DepthMap(
+        scanner_depth=DepthMap(
             depth_m=scanned, sigma_m=np.where(reason == 0, 1e-4, np.nan), reason=reason
         ),
         modulation=np.ones((HEIGHT, WIDTH), dtype=np.float32),

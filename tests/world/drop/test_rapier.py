@@ -42,7 +42,7 @@ def test_the_engine_takes_over_mass_centre_and_principal_moments():
     shape.apply_transform(rigid(axis_rotation("x", 0.5), np.array([0.01, 0.02, 0.03])))
     part = as_part(shape, "box")
     body = body_of(part, (hull_of(part.mesh.vertices_m),))
-    kinds = [rapier.Kind.of(body)]
+    kinds = [rapier.RapierPart.of(body)]
     heap = rapier.open_heap(rest._FALL, BIN, kinds, at(0, 0, 1), np.zeros(1, int))
     heap.run(rapier.STEP_S)
     inside = heap.world.rigid_bodies[heap.parts[0]].mass_properties
@@ -126,7 +126,7 @@ def test_sliding_friction_is_never_more_than_stated_and_at_most_a_seventh_less(
     box = Bin(inner_m=(0.9, 0.9, 0.1), friction=0.2)
     start = at(0, 0, 0.0052, turn=axis_rotation("z", np.deg2rad(turn_deg)))
     stage = rapier.Terms()
-    heap = rapier.open_heap(stage, box, [rapier.Kind.of(body)], start, np.zeros(1, int))
+    heap = rapier.open_heap(stage, box, [rapier.RapierPart.of(body)], start, np.zeros(1, int))
     heap.run(seconds)
     slid_m = heap.poses()[0, 0, 3]
     mu = np.tan(angle) - 2 * slid_m / (9.81 * np.cos(angle) * seconds**2)
@@ -193,7 +193,7 @@ def test_what_leaves_its_place_slowly_does_not_rest(monkeypatch):
     assert not layout.at_rest
 
 
-class Scripted(rapier.Heap):
+class Scripted(rapier.RapierHeap):
     """A heap whose parts are at these heights [m] at each look; it notes how they are damped."""
 
     def __init__(self, height_m):

@@ -127,7 +127,7 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
         contrast[x] = high[x] - low[x]
     counted = (bits[:, 3] == 1).sum()
     doubts = np.zeros((2, w), dtype=np.int32)
-    seen = 0
+    bright = 0
     sure = np.empty((2, w), dtype=np.float32)
     scale_of_sure = zero
     for b in range(count):
@@ -149,8 +149,8 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
                 apart_px = cell_px * (np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x]))
                 variance[x] += half * (wrong * wrong * wrong) * (apart_px * apart_px)
             continue
-        of_half = doubts[0 if 2 * seen < counted else 1]
-        seen += bits[b, 3] == 1
+        of_half = doubts[0 if 2 * bright < counted else 1]
+        bright += bits[b, 3] == 1
         limit, share, counts = contrast, doubt, np.int32(bits[b, 3])
         noisy = np.float32(XOR_SIGMAS) / scale
         if bits[b, 2] >= 0:
@@ -170,9 +170,9 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
     for x in range(w):
         # Light from elsewhere spoils the coarse bits alone.
         spoilt, wrong = np.uint8(Reason.INTERREFLECTION), np.uint8(Reason.CONTRADICTORY)
-        said = spoilt if fine[x] == 0 else wrong
+        reason = spoilt if fine[x] == 0 else wrong
         free = why[x] == Reason.DECODED
-        why[x] = said if free & (coarse[x] + fine[x] >= 2) else why[x]
+        why[x] = reason if free & (coarse[x] + fine[x] >= 2) else why[x]
 
 
 @numba.njit(cache=True, error_model="numpy")

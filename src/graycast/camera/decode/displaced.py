@@ -56,8 +56,8 @@ def with_displacement(
     across = _gradient(u, 0, 0.0 if column else facing, STEP_RATIO * facing)
     with np.errstate(divide="ignore", invalid="ignore"):
         # In standard deviations of the code.
-        seen = np.hypot(off_px * np.hypot(along, across), np.float32(place_px)) / sigma_px
-        sigma_m = depth.sigma_m * np.sqrt(1 + seen * seen)
+        across_px = np.hypot(off_px * np.hypot(along, across), np.float32(place_px)) / sigma_px
+        sigma_m = depth.sigma_m * np.sqrt(1 + across_px * across_px)
     return replace(depth, sigma_m=sigma_m.astype(np.float32))
 
 

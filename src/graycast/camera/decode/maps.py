@@ -29,12 +29,12 @@ class Reason(IntEnum):
     @property
     def color(self) -> str:
         """The colour of the reason in all maps of reasons."""
-        return _TOLD[self][0]
+        return _APPEARANCE[self][0]
 
     @property
     def meaning(self) -> str:
         """The explanation of the reason on web pages."""
-        return _TOLD[self][1]
+        return _APPEARANCE[self][1]
 
     @property
     def label(self) -> str:
@@ -46,7 +46,7 @@ class Reason(IntEnum):
         return self.label.replace("_", " ")
 
 
-_TOLD = {
+_APPEARANCE = {
     Reason.DECODED: ("#dcdad2", "there is a depth"),
     Reason.SHADOW: (
         "#25283d",

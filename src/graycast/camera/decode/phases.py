@@ -181,11 +181,11 @@ def _search_row(periods, delta, half_px, bounds, turn, noise2, place, state):
     costs = np.empty(w, dtype=np.float32)
     best = np.full(w, np.float32(NOWHERE))
     second = np.full(w, np.float32(NOWHERE))
-    seen = np.empty((groups, 3, w), dtype=np.float32)
+    expected = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, first, turn[g], noise2, seen[g])
+        _expect(periods, delta, g, first, turn[g], noise2, expected[g])
     for k in range(_most_places(periods, half_px)):
-        _cost(k, periods, bounds, turn, seen, costs)
+        _cost(k, periods, bounds, turn, expected, costs)
         at = np.float32(k)
         for x in range(w):
             better = costs[x] < best[x]
@@ -224,11 +224,11 @@ def _search_all(periods, delta, half_px, bounds, turn, noise2, choice, cost):
     groups, w = turn.shape
     costs = np.empty(w, dtype=np.float32)
     number = np.empty(w, dtype=np.int32)
-    seen = np.empty((groups, 3, w), dtype=np.float32)
+    expected = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, bounds[0], turn[g], noise2, seen[g])
+        _expect(periods, delta, g, bounds[0], turn[g], noise2, expected[g])
     for k in range(_most_places(periods, half_px)):
-        _cost(k, periods, bounds, turn, seen, costs)
+        _cost(k, periods, bounds, turn, expected, costs)
         for x in range(w):
             number[x] = k + np.int32(np.rint(bounds[0, x] - turn[0, x]))
         for n in range(len(choice)):  # what it displaces goes on to the next row
@@ -244,7 +244,7 @@ def _search_all(periods, delta, half_px, bounds, turn, noise2, choice, cost):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _cost(k, periods, bounds, turn, seen, costs):
+def _cost(k, periods, bounds, turn, expected, costs):
     """The cost of the place `k` periods above the lowest; what is out of bounds is excluded."""
     period, at, lowest, highest = np.float32(periods[0, 0]), np.float32(k), bounds[0], bounds[1]
     for x in range(len(costs)):
@@ -254,18 +254,18 @@ def _cost(k, periods, bounds, turn, seen, costs):
         turns = k * periods[0, 0] / periods[g, 0]
         if periods[g, 2] < 3:
             c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
-            _add_cosine_cost(turn[g], np.float32(c), np.float32(s), seen[g], costs)
+            _add_cosine_cost(turn[g], np.float32(c), np.float32(s), expected[g], costs)
         else:
-            _add_phase_cost(np.float32(turns - math.floor(turns)), seen[g], costs)
+            _add_phase_cost(np.float32(turns - math.floor(turns)), expected[g], costs)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _expect(periods, delta, g, first, its_turn, noise2, seen):
+def _expect(periods, delta, g, first, its_turn, noise2, expected):
     """What a group shows at the lowest place `first` [periods]: how far its own phase is off that
     place's, of a lone frame the place's cosine and sine; and a weight."""
     ratio = periods[0, 0] / periods[g, 0]
-    here, aside, weight = seen[0], seen[1], seen[2]
+    here, aside, weight = expected[0], expected[1], expected[2]
     if periods[g, 2] < 3:
         lag = delta[int(periods[g, 1])]
         for x in range(len(first)):
@@ -282,8 +282,8 @@ def _expect(periods, delta, g, first, its_turn, noise2, seen):
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _add_phase_cost(turns, seen, costs):
-    here, weight = seen[0], seen[2]
+def _add_phase_cost(turns, expected, costs):
+    here, weight = expected[0], expected[2]
     for x in range(len(costs)):
         apart = turns + here[x]
         apart -= np.floor(apart + np.float32(0.5))
@@ -292,8 +292,8 @@ def _add_phase_cost(turns, seen, costs):
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _add_cosine_cost(cosine, c, s, seen, costs):
-    here, aside, weight = seen[0], seen[1], seen[2]
+def _add_cosine_cost(cosine, c, s, expected, costs):
+    here, aside, weight = expected[0], expected[1], expected[2]
     for x in range(len(costs)):
         apart = cosine[x] - (c * here[x] - s * aside[x])
         costs[x] += weight[x] * (apart * apart)

@@ -161,24 +161,24 @@ def _search(
 
 def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> tuple[Bit, ...]:
     """Bits coarse to fine; the finest that is there may not be bit 0."""
-    shown = {f.bit: (k, f) for k, f in indexed if f.kind == "gray" and not f.inverse}
+    frame_of = {f.bit: (k, f) for k, f in indexed if f.kind == "gray" and not f.inverse}
     inverse = {f.bit: k for k, f in indexed if f.kind == "gray" and f.inverse}
-    lone = sorted(set(inverse) - set(shown))
+    lone = sorted(set(inverse) - set(frame_of))
     if lone:
         raise DecodeError(f"{axis}: bit {lone[0]} has an inverse but no frame of its own")
-    if not shown:
+    if not frame_of:
         return ()
-    numbers = sorted(shown, reverse=True)
+    numbers = sorted(frame_of, reverse=True)
     gaps = sorted(set(range(numbers[-1], numbers[0])) - set(numbers))
     if gaps:
         raise DecodeError(f"{axis}: Gray bit {gaps[0]} is missing between finer and coarser bits")
-    bases = {frame.xor_bit for _, frame in shown.values()}
+    bases = {frame.xor_bit for _, frame in frame_of.values()}
     bits = []
     for number in numbers:
-        k, frame = shown[number]
+        k, frame = frame_of[number]
         base = NO_FRAME
         if frame.xor_bit >= 0:
-            if frame.xor_bit not in shown or shown[frame.xor_bit][1].xor_bit >= 0:
+            if frame.xor_bit not in frame_of or frame_of[frame.xor_bit][1].xor_bit >= 0:
                 raise DecodeError(
                     f"{axis}: bit {number} is combined with bit {frame.xor_bit}, which the code "
                     "must also have uncombined"

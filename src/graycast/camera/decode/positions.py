@@ -72,10 +72,10 @@ def decode(
     plans = plan_axes(code, spec.fine_bits)
     stack = np.ascontiguousarray(frames).view()
     stack.flags.writeable = False  # kernels are compiled for each kind of array: this is one
-    seen = _look(stack, plans, spec, levels, fine_error)
-    found = {axis: _read(seen, plan) for axis, plan in plans.items()}
-    why, strength, shape = seen.why, seen.strength, seen.why.shape
-    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark)
+    cues = _cues(stack, plans, spec, levels, fine_error)
+    found = {axis: _read(cues, plan) for axis, plan in plans.items()}
+    why, strength, shape = cues.why, cues.strength, cues.why.shape
+    _judge(cues.high, cues.low, strength, cues.top, why, cues.law, cues.dark)
     for place, sigma in found.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
@@ -90,12 +90,12 @@ def decode(
         sigma_row=row[1],
         modulation=strength,
         reason=why,
-        mark=seen.mark,
+        mark=cues.mark,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
+class _Cues:
     """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
@@ -112,9 +112,9 @@ class _Seen:
     mark: UInt8[np.ndarray, "h w"]
 
 
-def _look(
+def _cues(
     frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels, fine_error: float
-) -> _Seen:
+) -> _Cues:
     """Brightest and darkest value of each pixel, and where the top is reached."""
     shape = frames.shape[1:]
     high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
@@ -126,7 +126,7 @@ def _look(
     if peak.max(initial=0) >= saturation_dn:
         read = np.flatnonzero(read_frames(plans, len(frames)))
         _reach(frames, read, peak, saturation_dn, top)
-    return _Seen(
+    return _Cues(
         frames=frames,
         law=tuple(np.float32(number) for number in numbers),
         dark=(
@@ -145,31 +145,31 @@ def _look(
     )
 
 
-def _read(seen: _Seen, plan: AxisPlan) -> tuple:
-    """Places and their standard deviations along one axis; what is wrong is said in `seen.why`."""
-    shape = seen.why.shape
+def _read(cues: _Cues, plan: AxisPlan) -> tuple:
+    """Places and their standard deviations along one axis; `Reason`s go to `cues.why`."""
+    shape = cues.why.shape
     place = np.empty(shape, dtype=np.float32)
     sigma = np.zeros(shape, dtype=np.float32)
     # Only a phase asks for rivals; without one they may go where the place will be written.
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
-    clipped = bool(seen.top.any())
-    free = seen.why == Reason.DECODED if seen.votes else None  # of what another axis says
+    clipped = bool(cues.top.any())
+    free = cues.why == Reason.DECODED if cues.votes else None  # of what another axis says
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
-        light = seen.high, seen.low
+        light = cues.high, cues.low
         if clipped:
-            lose_bits(seen.frames, bits, *light, seen.top, seen.saturation_dn, seen.why)
-        read_gray(seen.frames, bits, grid, seen.law, *light, place, sigma, rival, seen.why)
+            lose_bits(cues.frames, bits, *light, cues.top, cues.saturation_dn, cues.why)
+        read_gray(cues.frames, bits, grid, cues.law, *light, place, sigma, rival, cues.why)
     if plan.periods:
-        _read_phases(seen, plan, clipped, free, place, sigma, rival)
+        _read_phases(cues, plan, clipped, free, place, sigma, rival)
     else:
         _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
-    _outside(np.float32(plan.size_px), place, seen.why)
+    _outside(np.float32(plan.size_px), place, cues.why)
     return place, sigma
 
 
-def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma, rival) -> None:
+def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, place, sigma, rival) -> None:
     counts = [len(p.frames) for p in plan.periods]
     starts = np.cumsum([0, *counts[:-1]])
     lengths = [p.period_px for p in plan.periods]
@@ -178,25 +178,25 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma,
     index = np.array([k for p in plan.periods for k in p.frames])
     delta = np.array([d for p in plan.periods for d in p.delta_rad])
     waves = np.array([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)], np.float32).T
-    h, w = seen.why.shape
+    h, w = cues.why.shape
     turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
     if clipped:
-        lose_phases(seen.frames, index, seen.top, seen.saturation_dn, seen.why)
-    read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
+        lose_phases(cues.frames, index, cues.top, cues.saturation_dn, cues.why)
+    read_phases(cues.frames, periods, index, waves, cues.law, cues.strength, turn, noise2)
     if plan.gray_counts:
-        count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
-        if seen.votes:
-            _settle_refused(seen, periods[0, 0], turn[:, 0], free, place)
+        count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, cues.why)
+        if cues.votes:
+            _settle_refused(cues, periods[0, 0], turn[:, 0], free, place)
     else:
         if not plan.bits:
             place[:] = 0.5 * (plan.size_px - 1)
         bounds = np.empty((h, 2, w), dtype=np.float32)
         bound(periods, place, np.float32(plan.half_px), turn, noise2, bounds)
-        _count(seen, (periods, delta, plan.half_px, bounds, turn, noise2), place, bool(plan.bits))
+        _count(cues, (periods, delta, plan.half_px, bounds, turn, noise2), place, bool(plan.bits))
     fuse(periods, turn, noise2, place, sigma)
 
 
-def _count(seen: _Seen, measured: tuple, place, by_gray: bool) -> None:
+def _count(cues: _Cues, measured: tuple, place, by_gray: bool) -> None:
     """Count periods by the phases themselves; what they leave open is the neighbours' to settle.
 
     `by_gray`: a Gray code says about where, so a pixel whose phases do not agree there has light
@@ -205,36 +205,36 @@ def _count(seen: _Seen, measured: tuple, place, by_gray: bool) -> None:
     periods, turn = measured[0], measured[-2]
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(*measured, place, state)
-    lit = _judged(seen) == Reason.DECODED
+    lit = _reasons_so_far(cues) == Reason.DECODED
     if (lit & (state == OPEN)).any():
         h, w = place.shape
         choice = np.empty((h, CHOICES, w), dtype=np.int32)
         cost = np.empty(choice.shape, dtype=np.float32)
         open_choices(*measured, state, choice, cost)
         settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
-        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+        cues.mark[settled] |= np.uint8(Mark.SETTLED)
     wrong = Reason.INTERREFLECTION if by_gray else Reason.CONTRADICTORY
-    seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = wrong
+    cues.why[(state != CLEAR) & (cues.why == Reason.DECODED)] = wrong
 
 
-def _judged(seen: _Seen) -> UInt8[np.ndarray, "h w"]:
+def _reasons_so_far(cues: _Cues) -> UInt8[np.ndarray, "h w"]:
     """Each pixel's reason so far, by its light as well as by its code."""
-    said = seen.why.copy()
-    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
-    return said
+    reason = cues.why.copy()
+    _judge(cues.high, cues.low, cues.strength, cues.top, reason, cues.law, cues.dark)
+    return reason
 
 
-def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
+def _settle_refused(cues: _Cues, period_px: float, turn, free, place) -> None:
     """Give pixels whose bits contradict each other the period that their neighbours lead to."""
-    said = _judged(seen)
-    refused = free & ((said == Reason.CONTRADICTORY) | (said == Reason.INTERREFLECTION))
+    reason = _reasons_so_far(cues)
+    refused = free & ((reason == Reason.CONTRADICTORY) | (reason == Reason.INTERREFLECTION))
     if refused.any():
-        clear = said == Reason.DECODED
+        clear = reason == Reason.DECODED
         settled = settle_refused(
-            period_px, np.ascontiguousarray(turn), place, refused, clear, votes=seen.votes
+            period_px, np.ascontiguousarray(turn), place, refused, clear, votes=cues.votes
         )
-        seen.mark[settled] |= np.uint8(Mark.SETTLED)
-        seen.why[settled] = Reason.DECODED
+        cues.mark[settled] |= np.uint8(Mark.SETTLED)
+        cues.why[settled] = Reason.DECODED
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -295,23 +295,23 @@ def _judge_row(high, low, strength, top, why, law, dark):
     offset_dn, floor_dn2, slope_dn, _, _ = law
     dark_dn, sigmas, visibility = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
-    said = why.astype(np.int32)
+    reason = why.astype(np.int32)
     for x in range(len(why) if visibility > zero else 0):
-        mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
-        said[x] = np.int32(Reason.INTERREFLECTION) if mixed else said[x]
+        mixed = (reason[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
+        reason[x] = np.int32(Reason.INTERREFLECTION) if mixed else reason[x]
     for x in range(len(why)):
-        said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
+        reason[x] = reason[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
-        said[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else said[x]
+        reason[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else reason[x]
         contrast = high[x] - low[x]
         unlit = contrast * contrast < shadow2 * noise2
-        said[x] = np.int32(Reason.SHADOW) if unlit else said[x]
+        reason[x] = np.int32(Reason.SHADOW) if unlit else reason[x]
     for x in range(len(why)):
-        lost = top[x] & (said[x] != Reason.DECODED)
-        said[x] = np.int32(Reason.SATURATED) if lost else said[x]
+        lost = top[x] & (reason[x] != Reason.DECODED)
+        reason[x] = np.int32(Reason.SATURATED) if lost else reason[x]
     for x in range(len(why)):
-        why[x] = said[x]
+        why[x] = reason[x]
 
 
 @numba.njit(parallel=True, cache=True)

@@ -66,9 +66,9 @@ def _of_stripes(frames, narrow: list[int], unlit):
 def _narrow(code: Code) -> list[int]:
     """Frames of narrow stripes whose inverses are there too, so that each pixel is lit in one."""
     kept = []
-    shown = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
+    bits = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
     for k, frame in enumerate(code.frames):
-        if frame.kind != "gray" or (frame.axis, frame.bit, not frame.inverse) not in shown:
+        if frame.kind != "gray" or (frame.axis, frame.bit, not frame.inverse) not in bits:
             continue
         finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
         if 4 * 2**finest * code.stride_px[AXES.index(frame.axis)] <= NARROW_PX:

@@ -13,7 +13,7 @@ REACH_PX = 2  # neighbours are those of a window of 5 x 5 pixels
 # By how much of a period neighbours on one surface may differ: beyond it the step between them may
 # be either way, so they say nothing.
 STEP_PERIODS = 0.3
-MOST_SAID = 6.0  # what a neighbour may say against a place, a sum of squares as MIN_LEAD is
+MOST_AGAINST = 6.0  # what a neighbour may say against a place, a sum of squares as MIN_LEAD is
 MIN_NEIGHBOURS = 8  # that say something
 # Of the most that they could say against a place, what they may for it to be taken: a third of
 # them, say, that see no such surface.
@@ -95,7 +95,7 @@ def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
     """The period that this pixel and its neighbours agree on; -1 where they do not."""
     h, w = first.shape
     against[:] = 0
-    said = 0
+    voters = 0
     for j in range(max(y - REACH_PX, 0), min(y + REACH_PX + 1, h)):
         for i in range(max(x - REACH_PX, 0), min(x + REACH_PX + 1, w)):
             if (j == y and i == x) or not lit[j, i] or state[j, i] == REFUSED:
@@ -104,18 +104,18 @@ def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
             step = np.rint(apart)
             if abs(apart - step) > np.float32(STEP_PERIODS):
                 continue
-            said += 1
+            voters += 1
             for n in range(CHOICES):
                 period = choice[y, n, x] + np.int32(step)
                 if state[j, i] == CLEAR:
-                    most = np.float32(0 if period == count[j, i] else MOST_SAID)
+                    most = np.float32(0 if period == count[j, i] else MOST_AGAINST)
                 else:
-                    most = np.float32(MOST_SAID)
+                    most = np.float32(MOST_AGAINST)
                     for m in range(CHOICES):
                         if choice[j, m, i] == period:
                             most = min(most, cost[j, m, i] - cost[j, 0, i])
                 against[n] += most
-    if said < MIN_NEIGHBOURS:
+    if voters < MIN_NEIGHBOURS:
         return -1
     best, lead = -1, np.float32(np.inf)
     for n in range(CHOICES):
@@ -128,7 +128,7 @@ def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
             best, lead, least = n, least - total, total
         else:
             lead = min(lead, total - least)
-    if lead < min_lead or against[best] > np.float32(MAX_AGAINST * MOST_SAID) * said:
+    if lead < min_lead or against[best] > np.float32(MAX_AGAINST * MOST_AGAINST) * voters:
         return -1
     return choice[y, best, x]
 
@@ -159,7 +159,7 @@ def _vote(period, turn, place, refused, clear, votes, settled):
     h, w = place.shape
     side = 2 * REACH_PX + 1
     for y in numba.prange(h):
-        said = np.empty(side * side)
+        offset = np.empty(side * side)
         for x in range(w):
             if not refused[y, x]:
                 continue
@@ -170,12 +170,12 @@ def _vote(period, turn, place, refused, clear, votes, settled):
                     step = np.rint(apart)
                     if clear[j, i] and abs(apart - step) <= np.float32(STEP_PERIODS):
                         its_own = np.rint(place[j, i] / period - turn[j, i])
-                        said[count] = its_own - step
+                        offset[count] = its_own - step
                         count += 1
             if count < votes:
                 continue
-            k = np.int32(median(said[:count], 1))  # most say it, or there is no agreement
-            agreed = (said[:count] == k).sum()
+            k = np.int32(median(offset[:count], 1))  # most say it, or there is no agreement
+            agreed = (offset[:count] == k).sum()
             if agreed >= votes and count - agreed <= AGAINST_SHARE * agreed:
                 settled[y, x] = True
                 place[y, x] = (np.float32(k) + turn[y, x]) * period

@@ -42,12 +42,12 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     z_m, sigma_m = (m[known].astype(np.float64) for m in (depth.depth_m, depth.sigma_m))
     i = 0 if column else 1
 
-    def seen(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def place_at(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return project(rig.projector, transform_points(rig.T_proj_cam, ray * z[:, None]))[:, i]
 
     place, noise = (np.full(known.shape, np.nan) for _ in range(2))
-    place[known] = seen(z_m)
-    noise[known] = np.abs(seen(z_m + sigma_m) - place[known])
+    place[known] = place_at(z_m)
+    noise[known] = np.abs(place_at(z_m + sigma_m) - place[known])
     sense = np.sign(rig.T_proj_cam[i, i])
     # Copies, so that the kernel is compiled for one kind of array alone.
     maps = [

@@ -137,8 +137,8 @@ def _common_range_m(
 ) -> tuple[float, float]:
     """Nearest and farthest depth at which the camera sees a place that the projector lights."""
     baseline_m = float(np.linalg.norm(T_cam_proj[:3, 3]))
-    asked_m = baseline_m * np.geomspace(0.5, 20, 200)
-    lit_m = common_depths_m(camera, projector, T_cam_proj, asked_m).tolist()
+    candidates_m = baseline_m * np.geomspace(0.5, 20, 200)
+    lit_m = common_depths_m(camera, projector, T_cam_proj, candidates_m).tolist()
     if len(lit_m) < 2:
         raise ConfigError(
             f"{path}: camera and projector have no common field of view between 0.5 and 20 "
@@ -242,9 +242,9 @@ def _array(
 ) -> Float[np.ndarray, "..."]:
     key = _find(content, role, path)
     if key is None:
-        held = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
+        keys = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
         remedy = f"give it as {_EXAMPLES[role]}, camera and projector in one file"
-        raise ConfigError(f"{path}: no {role} (the file holds {held}): {remedy}")
+        raise ConfigError(f"{path}: no {role} (the file holds {keys}): {remedy}")
     array = _numbers(content[key], f"{path}: {key}")
     if array.shape not in shapes:
         wanted = " or ".join(" x ".join(map(str, shape)) for shape in shapes)

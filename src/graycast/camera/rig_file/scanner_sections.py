@@ -67,9 +67,9 @@ def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
     Raises:
         ConfigError: a value that does not fit the others; the text names the section.
     """
-    held = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
+    parts = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
     try:
-        changed = replace(scanner, **_values(held, sections))
+        changed = replace(scanner, **_values(parts, sections))
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return _with_a_code(changed)
@@ -87,10 +87,10 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
         if f.default_factory is not MISSING  # all but the rig
     }
     try:
-        made = Scanner(rig=rig, **_values(defaults, sections))
+        scanner = Scanner(rig=rig, **_values(defaults, sections))
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    return _with_a_code(made)
+    return _with_a_code(scanner)
 
 
 def _with_a_code(scanner: Scanner) -> Scanner:
@@ -102,18 +102,18 @@ def _with_a_code(scanner: Scanner) -> Scanner:
     return scanner
 
 
-def _values(held: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
-    return {name: _changed(value, getattr(sections, name), name) for name, value in held.items()}
+def _values(parts: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
+    return {name: _changed(value, getattr(sections, name), name) for name, value in parts.items()}
 
 
 Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec
 
 
 def _changed(value: Spec, section: Settings, name: str) -> Spec:
-    said: dict[str, Any] = section.model_dump(exclude_none=True)
-    if isinstance(value, CodeSpec) and said.get("codec", value.codec) != value.codec:
-        value = type(value)(codec=said["codec"], axes=value.axes)  # the numbers were another's
+    settings: dict[str, Any] = section.model_dump(exclude_none=True)
+    if isinstance(value, CodeSpec) and settings.get("codec", value.codec) != value.codec:
+        value = type(value)(codec=settings["codec"], axes=value.axes)  # the numbers were another's
     try:
-        return replace(value, **said)
+        return replace(value, **settings)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error

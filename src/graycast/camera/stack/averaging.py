@@ -67,18 +67,18 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
         # A Gray value's variance is 1/12 and what doubt adds; a neighbour's is 1 away.
         wrong = np.maximum(wrong, (sigma[decoded] / cell_px) ** 2 - 1 / 12)
     y, x = np.nonzero(decoded)
-    seen = np.stack([x, y, codes.column[decoded], codes.row[decoded]], axis=-1).astype(np.float64)
+    values = np.stack([x, y, codes.column[decoded], codes.row[decoded]], axis=-1).astype(np.float64)
     _, cell = np.unique(number, return_inverse=True)
-    return _two_rounds(cell, seen, wrong)
+    return _two_rounds(cell, values, wrong)
 
 
 def _two_rounds(
-    cell: Int[np.ndarray, " k"], seen: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, " k"]
+    cell: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, " k"]
 ) -> Cells:
     """Means over the sure pixels; then over the others, of the cells that had none."""
     count = int(cell.max(initial=-1)) + 1
-    mean, sure_pixels, whole = _means(cell, seen, wrong <= MAX_WRONG, count)
-    others, other_pixels, other_whole = _means(cell, seen, wrong <= MAX_WRONG_ALONE, count)
+    mean, sure_pixels, whole = _means(cell, values, wrong <= MAX_WRONG, count)
+    others, other_pixels, other_whole = _means(cell, values, wrong <= MAX_WRONG_ALONE, count)
     alone = (sure_pixels == 0) & (other_pixels > 0)
     mean[alone] = others[alone]
     good = np.where(alone, other_whole, whole)
@@ -87,16 +87,16 @@ def _two_rounds(
     )
 
 
-def _means(cell, seen, chosen: Bool[np.ndarray, " k"], count: int):
+def _means(cell, values, chosen: Bool[np.ndarray, " k"], count: int):
     """Mean of each cell's chosen pixels, their number, and whether they lie together."""
-    cell, seen = cell[chosen], seen[chosen]
+    cell, values = cell[chosen], values[chosen]
     pixels = np.bincount(cell, minlength=count)
 
     def mean(value) -> Float[np.ndarray, " n"]:
         return np.bincount(cell, value, count) / np.maximum(pixels, 1)
 
-    centre = np.stack([mean(value) for value in seen.T], axis=-1)
-    off2_px2 = np.square(seen[:, :2] - centre[cell, :2]).sum(axis=-1)
+    centre = np.stack([mean(value) for value in values.T], axis=-1)
+    off2_px2 = np.square(values[:, :2] - centre[cell, :2]).sum(axis=-1)
     limit_px = MAX_SCATTER * np.sqrt(pixels / (2 * np.pi)) + SCATTER_PX
     return centre, pixels, (pixels > 0) & (np.sqrt(mean(off2_px2)) <= limit_px)
 

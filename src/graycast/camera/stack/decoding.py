@@ -34,8 +34,8 @@ from .description import code_of, read_description
 from .diagnosis import symptoms
 from .levels import MeasuredLevels, measure_levels
 from .rig_fit import better_reading
-from .stack_figures import Figures, figures_of
-from .stack_pictures import Pictures, read_color, read_pictures
+from .stack_figures import StackFigures, figures_of
+from .stack_pictures import StackPictures, read_color, read_pictures
 
 # Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
 # a calibration is off by more than its residual here and there.
@@ -75,7 +75,7 @@ class StackResult:
     codes: CodeMap
     picture: UInt8[np.ndarray, "h w 3"]
     levels: MeasuredLevels
-    figures: Figures
+    figures: StackFigures
     warnings: tuple[str, ...]
     seconds: dict[str, float]
     depth: DepthMap | None = None
@@ -166,7 +166,7 @@ def decode_stack(
 
 
 def _by_noise(
-    pictures: Pictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
+    pictures: StackPictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
 ) -> CodeMap:
     """The codes with the uncertainty that noise causes.
 
@@ -180,7 +180,7 @@ def _by_noise(
 
 
 def _separated(
-    pictures: Pictures, code: Code, levels: Levels
+    pictures: StackPictures, code: Code, levels: Levels
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
     """Direct and global light, where the code tells them apart."""
     try:
@@ -216,7 +216,7 @@ def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
         )
 
 
-def _check_camera(pictures: Pictures, rig: Rig | None, path: Path) -> None:
+def _check_camera(pictures: StackPictures, rig: Rig | None, path: Path) -> None:
     """Refuse pictures of another camera's size, which no turn by 90 degrees explains."""
     if rig is not None and sorted(pictures.frames.shape[1:]) != sorted(_camera_shape(rig)):
         raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
@@ -242,7 +242,7 @@ def _other_size(shape: tuple[int, ...], rig: Rig, path: Path) -> str:
     )
 
 
-def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Path) -> None:
+def _check_light(pictures: StackPictures, codes: CodeMap, found: list[str], path: Path) -> None:
     highest, lowest = int(pictures.frames.max()), int(pictures.frames.min())
     values = f"values are {lowest} to {highest} DN"
     if (codes.reason == Reason.SHADOW).all():
@@ -272,7 +272,7 @@ _REMEDY = {
 }
 
 
-def _picture(pictures: Pictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
+def _picture(pictures: StackPictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
     """The scene by the projector's light: white, or else the brighter of each pixel's frames."""
     white = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
     if not pictures.converted:

@@ -13,7 +13,6 @@ from ...rig.pattern import AXES, Axis, Code, Frame
 from ..decode import DecodeSpec, levels_of
 from ..scanner import Scanner
 
-# What a frame of each kind must say, and what it may say.
 _MUST: dict[str, tuple[str, ...]] = {
     "white": (),
     "black": (),
@@ -155,19 +154,19 @@ class StackDescription(Settings):
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:
         """What a pixel must show, and its farthest from the epipolar line where that is stated."""
-        said = self.decode.model_dump()
-        limit_px = said.pop("max_epipolar_px")
-        return DecodeSpec(**said), limit_px
+        settings = self.decode.model_dump()
+        limit_px = settings.pop("max_epipolar_px")
+        return DecodeSpec(**settings), limit_px
 
     @model_validator(mode="after")
     def _shows_each_frame_once(self) -> "StackDescription":
-        seen: dict[Frame, Path] = {}
+        file_of: dict[Frame, Path] = {}
         for section in self.frames:
             frame = section.frame()
-            if frame in seen:
-                both = f"{seen[frame]} and {section.file}"
+            if frame in file_of:
+                both = f"{file_of[frame]} and {section.file}"
                 raise ValueError(f"{both} are both {frame.name}: give each frame once")
-            seen[frame] = section.file
+            file_of[frame] = section.file
         files = [section.file for section in self.frames]
         twice = [file for file in files if files.count(file) > 1]
         if twice:
@@ -192,7 +191,7 @@ def read_description(path: Path) -> StackDescription:
 
 def describe_code(code: Code, files: Sequence[str]) -> str:
     """The stack file of a code whose pictures have these names, one per frame in order."""
-    return _as_yaml(_said_of_code(code, files))
+    return _as_yaml(_code_section(code, files))
 
 
 def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
@@ -205,7 +204,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
         rig: name of its rig file, which has the filters; beside the stack file.
     """
     levels, decode = levels_of(scanner.sensor), scanner.decode
-    content = _said_of_code(scanner.light_code(), files) | {
+    content = _code_section(scanner.light_code(), files) | {
         "levels": {
             "offset_dn": float(levels.offset_dn),
             "saturation_dn": float(levels.saturation_dn),
@@ -231,7 +230,7 @@ def describe_frames(code: Code, files: Sequence[str]) -> list[dict[str, Any]]:
     frames = []
     for frame, file in zip(code.frames, files, strict=True):
         entry: dict[str, Any] = {"file": file, "kind": frame.kind}
-        said = {
+        facts = {
             "axis": frame.axis,
             "bit": frame.bit if frame.kind == "gray" else None,
             "inverse": frame.inverse or None,
@@ -240,11 +239,11 @@ def describe_frames(code: Code, files: Sequence[str]) -> list[dict[str, Any]]:
             "step": frame.step if frame.steps else None,
             "steps": frame.steps or None,
         }
-        frames.append(entry | {key: value for key, value in said.items() if value is not None})
+        frames.append(entry | {key: value for key, value in facts.items() if value is not None})
     return frames
 
 
-def _said_of_code(code: Code, files: Sequence[str]) -> dict[str, Any]:
+def _code_section(code: Code, files: Sequence[str]) -> dict[str, Any]:
     return {
         "projector": {"width_px": code.width_px, "height_px": code.height_px},
         "frames": describe_frames(code, files),

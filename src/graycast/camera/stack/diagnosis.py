@@ -12,7 +12,7 @@ from ..decode.plan import AxisPlan, plan_axes
 from .levels import Stack, inverse_pairs
 from .sense import phase_faults
 from .stack_figures import MAX_SAMPLES, samples, well_lit
-from .stack_pictures import Pictures
+from .stack_pictures import StackPictures
 
 CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
 # as a share of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
@@ -31,7 +31,7 @@ TORN, FEWER = 2e-3, 0.5  # of neighbours far apart; of these when a bit is turne
 
 
 def symptoms(
-    pictures: Pictures, code: Code, codes: CodeMap, *, spec: DecodeSpec, levels: Levels
+    pictures: StackPictures, code: Code, codes: CodeMap, *, spec: DecodeSpec, levels: Levels
 ) -> Iterator[str]:
     """Warnings, the cause before the effect.
 
@@ -50,7 +50,7 @@ def symptoms(
         yield "JPEG pictures of a phase code: compression and gamma bend phases; use PNG or TIFF"
 
 
-def _twins(pictures: Pictures) -> Iterator[str]:
+def _twins(pictures: StackPictures) -> Iterator[str]:
     first: dict[str, str] = {}
     for file, digest in zip(pictures.files, pictures.digests, strict=True):
         if digest in first:
@@ -72,8 +72,8 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
     if "white" in kinds and "black" in kinds:
         step_dn = float(np.median(flat[kinds.index("white")] - flat[kinds.index("black")]))
         if step_dn < 0:
-            told = "the two may be swapped"
-            yield f"white is darker than black by {-step_dn:.0f} DN (median): {told}"
+            suspicion = "the two may be swapped"
+            yield f"white is darker than black by {-step_dn:.0f} DN (median): {suspicion}"
             return
     for kind, sign in (("white", 1), ("black", -1)):
         if kind not in kinds:
@@ -88,7 +88,7 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
             )
 
 
-def _pairs(pictures: Pictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
+def _pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
     """A pattern and its inverse are opposite, and together equally bright for every bit."""
     pairs = inverse_pairs(code)
     if not pairs or not well.any():
@@ -265,8 +265,8 @@ def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]
     yield "all bits were in the opposite order: check that bit 0 is the finest", as_is[::-1], 0
     for by in range(1, count):
         moved = f"{by} finer" if 2 * by <= count else f"{count - by} coarser"
-        said = f"each bit were {moved}, in a cycle: a file may be missing"
-        yield said, as_is[by:] + as_is[:by], 0
+        deviation = f"each bit were {moved}, in a cycle: a file may be missing"
+        yield deviation, as_is[by:] + as_is[:by], 0
 
 
 def _reordered(gray, order: list[int]):

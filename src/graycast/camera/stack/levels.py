@@ -121,13 +121,13 @@ def _noise(
 
 def inverse_pairs(code: Code) -> list[tuple[int, int]]:
     """Frames and their inverses, by index, coarse bits first as the code shows them."""
-    shown = {
+    index = {
         (f.kind, f.axis, f.bit, f.period_px): k for k, f in enumerate(code.frames) if f.inverse
     }
     return [
-        (k, shown[f.kind, f.axis, f.bit, f.period_px])
+        (k, index[f.kind, f.axis, f.bit, f.period_px])
         for k, f in enumerate(code.frames)
-        if not f.inverse and (f.kind, f.axis, f.bit, f.period_px) in shown
+        if not f.inverse and (f.kind, f.axis, f.bit, f.period_px) in index
     ]
 
 

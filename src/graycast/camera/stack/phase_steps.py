@@ -39,9 +39,9 @@ def from_steps(
         count = len(steps)
         first = min(count // 2, SURELY_HARMONIC + 1)
         for rows in bands(frames.shape[1]):
-            shown = frames[steps, rows].astype(np.float32)
-            valid = shown.max(axis=0) < saturation_dn
-            spectrum = np.fft.rfft(shown, axis=0).astype(np.complex64)
+            values = frames[steps, rows].astype(np.float32)
+            valid = values.max(axis=0) < saturation_dn
+            spectrum = np.fft.rfft(values, axis=0).astype(np.complex64)
             for k in range(first, count // 2 + 1):
                 alone = 2 * k == count  # the highest of an even number has no imaginary part
                 scale = np.sqrt((1 if alone else 2) / count).astype(np.float32)
@@ -50,7 +50,7 @@ def from_steps(
                         scale * part, [(spectrum[1], k), (spectrum[1], count - k)]
                     )
                     rest, there = less_local_mean(rest, valid)
-                    light.append(shown.mean(axis=0)[there] - offset_dn)
+                    light.append(values.mean(axis=0)[there] - offset_dn)
                     squares.append(rest[there] ** 2)
     return line(np.concatenate(light), np.concatenate(squares)) if light else None
 
@@ -63,10 +63,10 @@ def from_means(
     light, squares = [], []
     for pair in islice(pairwise(periods), MAX_PERIODS):
         for rows in bands(frames.shape[1]):
-            shown = [frames[steps, rows].astype(np.float32) for steps in pair]
-            valid = np.maximum(*(s.max(axis=0) for s in shown)) < saturation_dn
-            means = [s.mean(axis=0) for s in shown]
-            waves = [(np.fft.rfft(s, axis=0)[1].astype(np.complex64), len(s)) for s in shown]
+            values = [frames[steps, rows].astype(np.float32) for steps in pair]
+            valid = np.maximum(*(s.max(axis=0) for s in values)) < saturation_dn
+            means = [s.mean(axis=0) for s in values]
+            waves = [(np.fft.rfft(s, axis=0)[1].astype(np.complex64), len(s)) for s in values]
             rest = _less_harmonics(means[0] - means[1], waves)
             rest, there = less_local_mean(rest, valid)
             light.append((means[0] + means[1])[there] / 2 - offset_dn)

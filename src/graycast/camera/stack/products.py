@@ -30,10 +30,10 @@ def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
     """
     refuse_foreign(out, CODE)
     with whole_folder(out) as aside:
-        made = tuple(_write_all(result, aside))
-    for name in set(FILES).difference(made):
+        files = tuple(_write_all(result, aside))
+    for name in set(FILES).difference(files):
         (out / name).unlink(missing_ok=True)
-    return tuple(out / name for name in made)
+    return tuple(out / name for name in files)
 
 
 def _write_all(result: StackResult, folder: Path) -> Iterator[str]:

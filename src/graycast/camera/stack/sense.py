@@ -68,15 +68,15 @@ def phase_faults(
     for all periods gives a mirror image, which only the other axis or a rig can tell.
     """
     rows = _rows(*well_lit.shape)
-    seen, asked = frames[:, rows], well_lit[rows]
+    stack, usable = frames[:, rows], well_lit[rows]
     for axis, plan in plan_axes(code, spec.fine_bits).items():
         if not (plan.bits and plan.periods):
             continue
-        place_px = _gray_place_px(seen, code, axis, spec, levels)
-        place_px[~asked] = np.nan
+        place_px = _gray_place_px(stack, code, axis, spec, levels)
+        place_px[~usable] = np.nan
         for period in plan.periods:
             if period.full:
-                yield from _judge(seen, rows, place_px, code, axis, plan, period)
+                yield from _judge(stack, rows, place_px, code, axis, plan, period)
 
 
 def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
@@ -89,7 +89,7 @@ def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
 
 
 def _gray_place_px(
-    seen: Stack, code: Code, axis: Axis, spec: DecodeSpec, levels: Levels
+    stack: Stack, code: Code, axis: Axis, spec: DecodeSpec, levels: Levels
 ) -> Float[np.ndarray, "h w"]:
     """Middle of the cell that the bits of one axis alone say."""
     kept = [
@@ -98,26 +98,28 @@ def _gray_place_px(
         if f.kind in ("white", "black") or (f.kind in ("gray", "complementary") and f.axis == axis)
     ]
     bits = replace(code, frames=tuple(code.frames[k] for k in kept))
-    found = decode(seen[kept], bits, spec, levels)
+    found = decode(stack[kept], bits, spec, levels)
     place_px = found.column if axis == "column" else found.row
     return np.where(found.reason == Reason.DECODED, place_px, np.nan).astype(np.float64)
 
 
 def _judge(
-    seen: Stack, rows, place_px, code: Code, axis: Axis, plan: AxisPlan, period: Period
+    stack: Stack, rows, place_px, code: Code, axis: Axis, plan: AxisPlan, period: Period
 ) -> Iterator[str]:
-    turns = np.tensordot(np.exp(1j * np.array(period.delta_rad)), seen[list(period.frames)], axes=1)
+    turns = np.tensordot(
+        np.exp(1j * np.array(period.delta_rad)), stack[list(period.frames)], axes=1
+    )
     place, phase = place_px / period.period_px, np.angle(turns) / (2 * np.pi)
     edges = _edges(place, phase, rows, plan.cell_px / period.period_px)
     if edges is None:
         return
     sign = -1 if edges.backwards else 1
-    origin, held = edges.origin(sign)
-    if sign > 0 and held >= UNRELATED and abs(origin) <= ORIGIN_PERIODS:
+    origin, strength = edges.origin(sign)
+    if sign > 0 and strength >= UNRELATED and abs(origin) <= ORIGIN_PERIODS:
         return
     px = period.period_px
     whose = f"the phases of period {px:g} px do not fit the Gray code of the {axis}s"
-    if held < UNRELATED:
+    if strength < UNRELATED:
         yield (
             f"{whose} in any direction or from any origin (off by {px * edges.miss(1, 0.0):.2g} "
             "px at the edges of its values): check period_px and the order of the frames"
@@ -127,8 +129,8 @@ def _judge(
     before = [float(code.frames[k].step) for k in period.frames]
     origin = _usual(origin, steps)
     after = [round((sign * step + origin * steps) % steps, 2) % steps for step in before]
-    asked = phase[np.isfinite(place)]
-    moved = (1 - sign) * asked - origin
+    usable_phase = phase[np.isfinite(place)]
+    moved = (1 - sign) * usable_phase - origin
     yield (
         f"{whose}: the steps run {'backwards' if sign < 0 else 'from another origin'}. With step "
         f"{_listed(after)} of {steps} instead of {_listed(before)} they meet the edges of its "

@@ -14,7 +14,7 @@ MAX_SAMPLES = 150_000  # pixels that medians are taken of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
+class StackFigures:
     """Shares of pixels, and medians over the better lit half of the decoded ones.
 
     `lit_share` is that of pixels whose frames differ by more than their noise; `decoded_share` is
@@ -43,7 +43,7 @@ def figures_of(
     code: Code,
     codes: CodeMap,
     residual_px: Float[np.ndarray, "h w"] | None,
-) -> Figures:
+) -> StackFigures:
     lit = codes.reason != Reason.SHADOW
     off = sure = np.empty(0)
     if residual_px is not None:
@@ -52,7 +52,7 @@ def figures_of(
         sigma_px = np.maximum(codes.sigma_column, codes.sigma_row)[known]
         sure = off[sigma_px < 1.05 * sigma_px.min(initial=np.inf)]
     decoded = codes.reason == Reason.DECODED
-    return Figures(
+    return StackFigures(
         lit_share=float(lit.mean()),
         decoded_share=float(decoded[lit].mean()) if lit.any() else 0.0,
         reasons=reason_shares(codes.reason),

@@ -21,7 +21,7 @@ THREADS = 4  # decoding a JPEG or PNG lets other threads run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pictures:
+class StackPictures:
     """A stack in memory.
 
     `color` is what the scene looks like by the projector's light, in stored values.
@@ -37,7 +37,7 @@ class Pictures:
         self.frames.flags.writeable = False
 
 
-def read_pictures(files: Sequence[Path]) -> Pictures:
+def read_pictures(files: Sequence[Path]) -> StackPictures:
     """Read grey values as stored, without turning by EXIF.
 
     Colour becomes luma, 0.299 R + 0.587 G + 0.114 B of the stored values (Rec. 601, as in JPEG):
@@ -58,7 +58,7 @@ def read_pictures(files: Sequence[Path]) -> Pictures:
     for k, (file, picture) in enumerate(zip(files, read, strict=True)):
         _check_alike(first, files[0], picture.grey, file)
         frames[k] = picture.grey
-    return Pictures(
+    return StackPictures(
         frames=frames,
         files=tuple(files),
         digests=tuple(picture.digest for picture in read),

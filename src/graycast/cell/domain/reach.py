@@ -57,11 +57,11 @@ def _within_tolerances(
         transform_points(rigid(axis_rotation("z", math.radians(turn_deg)), np.zeros(3)), corner_m)
         for turn_deg in np.linspace(-rotation_deg, rotation_deg, _AZIMUTHS)
     ]
-    seen_m = transform_points(inverse(scene.T_world_cam), np.concatenate(turned))
-    aside_m = np.linalg.norm(seen_m[:, :2], axis=1).max()  # a small turn moves z by as much of it
+    in_cam_m = transform_points(inverse(scene.T_world_cam), np.concatenate(turned))
+    aside_m = np.linalg.norm(in_cam_m[:, :2], axis=1).max()  # a small turn moves z by as much of it
     tilted_rad = math.radians(section.camera.rotation_deg) * math.sqrt(3)
     moved_m = section.camera.position_m * math.sqrt(3) + section.bin.position_m * math.sqrt(2)
-    return float(seen_m[:, 2].max() + moved_m + tilted_rad * aside_m)
+    return float(in_cam_m[:, 2].max() + moved_m + tilted_rad * aside_m)
 
 
 def _depth_m(T_world_cam: Float[np.ndarray, "4 4"], point_m: Float[np.ndarray, "n 3"]) -> float:

@@ -194,7 +194,7 @@ def moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig
     rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]
-    target = _looked_at(T_world_rig, scene)
+    target = _aim_point(T_world_rig, scene)
     about_baseline = rotation @ axis_rotation("x", drawn["tilt_rad"]) @ rotation.T
     turn = axis_rotation("z", drawn["azimuth_rad"]) @ about_baseline
     moved = rigid(
@@ -204,7 +204,7 @@ def moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
     return moved @ inverse(T_cam_rig)
 
 
-def _looked_at(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
+def _aim_point(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
     """Where the rig's axis meets the plane at a third of the bin's height, its usual target.
 
     Of a rig that does not look down there, the point where its axes come closest.

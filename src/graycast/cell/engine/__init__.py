@@ -1,6 +1,6 @@
 """Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
-from .job import Job, Made, Maker, keep_to_threads
+from .job import Job, TaskResult, TaskRunner, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all, make_each
 from .worker_renderer import KeptRenderer
@@ -12,11 +12,11 @@ __all__ = [
     "Failed",
     "Job",
     "KeptRenderer",
-    "Made",
-    "Maker",
     "Pool",
     "SceneMaker",
     "SceneTask",
+    "TaskResult",
+    "TaskRunner",
     "Workers",
     "keep_to_threads",
     "make_all",

@@ -10,7 +10,7 @@ from typing import Any
 
 from ... import __version__
 from ...base.errors import GraycastError, WorkerDied
-from .job import Job, Made, Maker
+from .job import Job, TaskResult, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed
 
@@ -57,14 +57,14 @@ class RayPool:
 
     def submit(self, scene_id: int) -> None:
         # In a list Ray hands on the reference itself: the task is fetched once per worker.
-        made = self._make.remote(self._run, [self._task], scene_id, self._threads)
-        self._running[made] = scene_id
+        job = self._make.remote(self._run, [self._task], scene_id, self._threads)
+        self._running[job] = scene_id
 
-    def gather(self) -> Made | Failed:
-        (made, *_), _ = self._ray.wait(list(self._running), num_returns=1)
-        scene_id = self._running.pop(made)
+    def gather(self) -> TaskResult | Failed:
+        (job, *_), _ = self._ray.wait(list(self._running), num_returns=1)
+        scene_id = self._running.pop(job)
         try:
-            return self._ray.get(made)
+            return self._ray.get(job)
         except self._ray.exceptions.RayTaskError as error:
             return Failed(scene_id=scene_id, error=error.cause)
         except self._ray.exceptions.RayError as error:
@@ -73,8 +73,8 @@ class RayPool:
 
     def close(self) -> None:
         with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
-            for made in self._running:
-                self._ray.cancel(made, force=True)
+            for job in self._running:
+                self._ray.cancel(job, force=True)
         self._ray.shutdown()
 
 
@@ -115,10 +115,10 @@ def _import_ray() -> Any:
 
 # --- in a worker of Ray ------------------------------------------------------------------------
 
-_maker: tuple[str, Maker] | None = None  # Ray uses a worker process again; this stays in it
+_maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it
 
 
-def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> Made:
+def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> TaskResult:
     global _maker
     if _maker is None or _maker[0] != run:
         if _maker is not None:

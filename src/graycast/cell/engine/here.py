@@ -1,7 +1,7 @@
 """Scenes in this process, one after the other."""
 
 from ...base.progress import ProgressMeter
-from .job import Job, Made
+from .job import Job, TaskResult
 from .pool import Failed
 
 
@@ -19,7 +19,7 @@ class Here:
     def submit(self, scene_id: int) -> None:
         self._next = scene_id
 
-    def gather(self) -> Made | Failed:
+    def gather(self) -> TaskResult | Failed:
         scene_id, self._next = self._next, None
         assert scene_id is not None, "nothing was submitted"
         try:

@@ -15,7 +15,7 @@ J = TypeVar("J", bound="Job")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
+class TaskResult:
     """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
 
     `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
@@ -47,10 +47,10 @@ def is_the_scenes_own(error: BaseException) -> bool:
 
 
 @runtime_checkable
-class Maker(Protocol):
+class TaskRunner(Protocol):
     """Makes one scene after the other, or one bin; close it after use."""
 
-    def make(self, scene_id: int) -> Made: ...
+    def make(self, scene_id: int) -> TaskResult: ...
 
     def close(self) -> None: ...
 
@@ -64,7 +64,7 @@ class Job:
     arguments of `open`.
     """
 
-    MAKER: ClassVar[Callable[..., Maker]]
+    MAKER: ClassVar[Callable[..., TaskRunner]]
 
     seed: int
     device: str
@@ -79,7 +79,9 @@ class Job:
         """The same job on another device."""
         return replace(self, device=device)
 
-    def open(self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED) -> Maker:
+    def open(
+        self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
+    ) -> TaskRunner:
         """A maker of the job's scenes in this process; close it after use.
 
         Args:

@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ...base.errors import WorkerDied
-from .job import Job, Made, Maker, is_the_scenes_own
+from .job import Job, TaskResult, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
 
@@ -62,12 +62,12 @@ class LocalPool:
     def submit(self, scene_id: int) -> None:
         next(worker for worker in self._workers if not worker.busy).submit(scene_id)
 
-    def gather(self) -> Made | Failed:
+    def gather(self) -> TaskResult | Failed:
         busy = [worker for worker in self._workers if worker.busy]
         heard = wait([worker.connection for worker in busy if worker.connection is not None])
         worker = next(worker for worker in busy if worker.connection in heard)
         outcome = worker.result()
-        if isinstance(outcome, Made) and outcome.rss_bytes > self._memory_bytes:
+        if isinstance(outcome, TaskResult) and outcome.rss_bytes > self._memory_bytes:
             worker.end()  # between two scenes, before the system kills it in the middle of one
         return outcome
 
@@ -130,13 +130,13 @@ class _Worker:
             return False
         return True
 
-    def result(self) -> Made | Failed:
+    def result(self) -> TaskResult | Failed:
         """The result of the finished scene; a worker that failed unexpectedly is replaced."""
         if self.connection is None or self._process is None or not self.busy:
             raise RuntimeError("nothing was submitted")
         error: Exception
         try:
-            outcome: Made | Exception = self.connection.recv()
+            outcome: TaskResult | Exception = self.connection.recv()
         except (EOFError, OSError):
             self._process.join()
             error = WorkerDied(_obituary(self._process.exitcode))
@@ -146,7 +146,7 @@ class _Worker:
             self.end()
         else:
             self.busy = False  # not before: a process that is still heard is no idle one
-            if isinstance(outcome, Made):
+            if isinstance(outcome, TaskResult):
                 return outcome
             error = outcome
             if not is_the_scenes_own(error):
@@ -209,9 +209,9 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 def list_gpus() -> list[str]:
     """The NVIDIA GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
-    given = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if given is not None:
-        return [name.strip() for name in given.split(",") if name.strip()]
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name.strip() for name in visible.split(",") if name.strip()]
     known = Path("/proc/driver/nvidia/gpus")
     return [str(i) for i in range(len(list(known.iterdir())))] if known.is_dir() else []
 
@@ -236,7 +236,7 @@ def _work(connection: Connection) -> None:
         task, threads, quiet = connection.recv()
         if quiet:
             logging.getLogger("graycast").setLevel(logging.ERROR)
-        maker: Maker | None = None
+        maker: TaskRunner | None = None
         while True:
             scene_id = connection.recv()
             try:
@@ -249,7 +249,7 @@ def _work(connection: Connection) -> None:
             _tell(connection, outcome)
 
 
-def _tell(connection: Connection, outcome: Made | Exception) -> None:
+def _tell(connection: Connection, outcome: TaskResult | Exception) -> None:
     try:
         connection.send(outcome)
     except OSError:

@@ -15,7 +15,7 @@ from ...dataset.sample import LEAST_DECODED, Sample
 from ...world.parts import Part
 from ..resolve import Cell
 from ..simulate import Shot, make_images
-from .job import Job, Made
+from .job import Job, TaskResult
 from .worker_renderer import KeptRenderer
 
 GPU_DEVICES = ("cuda", "optix")
@@ -35,7 +35,7 @@ class SceneMaker:
         self._progress = progress
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One scene.
 
         Raises:
@@ -44,22 +44,18 @@ class SceneMaker:
         """
         start = time.perf_counter()
         task = self.task
-        told: list[Mapping[str, Any]] = []
+        manifests: list[Mapping[str, Any]] = []
         with self._kept.of(task.cell) as renderer:
             shots = make_images(
-                task.cell,
-                scene_id,
-                seed=task.seed,
-                renderer=renderer,
-                progress=self._progress,
+                task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )
-            files = tuple(scene_files(_decoded(shots, told), task.depth_scale_mm))
-        return Made(
+            files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
+        return TaskResult(
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,
-            reasons=mean_shares([manifest["reasons"] for manifest in told]),
-            part_reasons=mean_shares([manifest["part_reasons"] for manifest in told]),
+            reasons=mean_shares([manifest["reasons"] for manifest in manifests]),
+            part_reasons=mean_shares([manifest["part_reasons"] for manifest in manifests]),
             rss_bytes=rss_bytes(),
         )
 
@@ -92,8 +88,8 @@ class SceneTask(Job):
         return self.cell.kinds
 
 
-def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[Sample]:
-    """The sample of each image, its manifest kept in `told`.
+def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:
+    """The sample of each image, its manifest kept in `manifests`.
 
     Raises:
         DecodeError: as of `_refuse_undecoded`.
@@ -102,7 +98,7 @@ def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[S
         sample = shot.sample
         image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
         _refuse_undecoded(sample.manifest["reasons"], image)
-        told.append(sample.manifest)
+        manifests.append(sample.manifest)
         yield sample
 
 

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from ...base.errors import ConfigError, DeviceError, GraycastError, one_line
 from ...base.progress import ProgressMeter
-from .job import Made, is_the_scenes_own
+from .job import TaskResult, is_the_scenes_own
 
 TRIES = 3
 # A machine that loses this many scenes one after another, besides those at work, is not well.
@@ -41,7 +41,7 @@ class Pool(Protocol):
         """Let a free worker make a scene."""
         ...
 
-    def gather(self) -> Made | Failed:
+    def gather(self) -> TaskResult | Failed:
         """Wait for the next scene that succeeds or fails."""
         ...
 
@@ -50,7 +50,7 @@ class Pool(Protocol):
         ...
 
 
-def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, None, None]:
+def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Failed, None, None]:
     """Yield every finished scene. A failed one is retried later, up to `TRIES` times.
 
     Raises:
@@ -66,7 +66,7 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, N
         at_work = running
         outcome = pool.gather()
         running -= 1
-        if isinstance(outcome, Made):
+        if isinstance(outcome, TaskResult):
             lost.clear()
             yield outcome
             continue
@@ -94,7 +94,7 @@ def make_each(
     what: str,
     total: int,
     progress: ProgressMeter,
-    on_made: Callable[[Made], None],
+    on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
 ) -> tuple[int, ...]:
     """Hand over every scene as it ends, and close the pool.
@@ -102,7 +102,7 @@ def make_each(
     Args:
         what: of which kind the scenes are, for `progress`.
         total: how many there are with those that were there before.
-        on_made, on_failed: take the results, which are written and shown.
+        on_result, on_failed: take the results, which are written and shown.
 
     Returns:
         The scenes that were given up.
@@ -116,8 +116,8 @@ def make_each(
     done = total - len(scene_ids)
     with closing(pool):
         for outcome in make_all(pool, scene_ids):
-            if isinstance(outcome, Made):
-                on_made(outcome)
+            if isinstance(outcome, TaskResult):
+                on_result(outcome)
                 done += 1
                 progress.count(what, done, total)
                 continue

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...render import choose_device
 from ...world.drop import prepare
-from .job import Job, Made
+from .job import Job, TaskResult
 from .pool import Failed, Pool, make_each
 
 MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
@@ -83,7 +83,7 @@ def make_missing(
     total: int,
     workers: Workers = ALONE,
     progress: ProgressMeter,
-    on_made: Callable[[Made], None],
+    on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
 ) -> tuple[int, ...]:
     """Make the scenes that are missing, and hand over each; it raises what `make_each` raises.
@@ -103,6 +103,6 @@ def make_missing(
         what=what,
         total=total,
         progress=progress,
-        on_made=on_made,
+        on_result=on_result,
         on_failed=on_failed,
     )

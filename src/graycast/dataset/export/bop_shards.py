@@ -81,15 +81,15 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | 
         yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
     for depth in options.depths:
         yield "depth.png", scene.png(depth)
-    camera = scene.said("scene_camera")
+    camera = scene.json_record("scene_camera")
     for k in (2, 5):
         camera["cam_K"][k] += options.shift_px
     yield "camera.json", json.dumps(camera).encode()
     if "masks" not in scene.holds:
         return
     scanner = options.depths == ("depth_sl",) and not scene.real
-    yield "gt.json", json.dumps(scene.said("scene_gt")).encode()
-    info = scene.said("scene_gt_info_sl" if scanner else "scene_gt_info")
+    yield "gt.json", json.dumps(scene.json_record("scene_gt")).encode()
+    info = scene.json_record("scene_gt_info_sl" if scanner else "scene_gt_info")
     yield "gt_info.json", json.dumps(info).encode()
     if "amodal" in scene.holds:
         yield "mask.json", _masks(scene, "mask")

@@ -7,7 +7,7 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
-from ..example import Label
+from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .outline import polygons
@@ -58,11 +58,11 @@ def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> di
         place(scene.png(depth), folder / depth / split / name, link=link)
     view, (height_px, width_px) = scene.view(), scene.size_px
     image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
-    held = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
-    return image | held
+    optics = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
+    return image | optics
 
 
-def _entry(label: Label, as_polygons: bool) -> dict[str, Any]:
+def _entry(label: InstanceLabel, as_polygons: bool) -> dict[str, Any]:
     shape: Any = label.segmentation
     if as_polygons:
         mask = coco_mask.decode(label.segmentation).astype(bool)

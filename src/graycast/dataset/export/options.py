@@ -41,40 +41,40 @@ FORMATS: Mapping[str, Format] = {
         reader="picture_folders.open_coco",
         options={
             "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
-        },
+        }
     ),
     "yolo": Format(
         writer="yolo.write_split",
         reader="picture_folders.open_yolo",
-        options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
+        options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0}
     ),
     "bop-imagewise": Format(
         writer="bop_shards.write_imagewise",
         reader="shard_examples.open_bop_imagewise",
-        options={"image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"},
+        options={"image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"}
     ),
     "bop-webdataset": Format(
         writer="bop_shards.write_webdataset",
         reader="shard_examples.open_bop_shards",
         options={
             "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
-        },
+        }
     ),
     "webdataset": Format(
         writer="webdataset.write_split",
         reader="shard_examples.open_webdataset",
-        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0}
     ),
     "parquet": Format(
         writer="parquet.write_split",
         reader="parquet_examples.open_parquet",
-        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0}
     ),
     "clouds": Format(
         writer="clouds.write_split",
         reader=None,
-        options={"image": "rgb", "depth": "both", "cloud": "ply", "organised": False},
-    ),
+        options={"image": "rgb", "depth": "both", "cloud": "ply", "organised": False}
+    )
 }  # fmt: skip
 _PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
 _DEPTHS = {
@@ -118,7 +118,7 @@ class Options:
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
             raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
-        for name in self.given():
+        for name in self.own_names():
             if name not in FORMATS[self.format].options:
                 raise GraycastError(
                     f"{self.format} has no option {name}: remove it; the options are "
@@ -138,7 +138,7 @@ class Options:
                 f"min_visibility is {self.min_visibility}: give a share from 0 to 1"
             )
 
-    def given(self) -> list[str]:
+    def own_names(self) -> list[str]:
         """The options that were said."""
         names = [each.name for each in fields(self) if each.name not in ("format", "split")]
         return [name for name in names if getattr(self, name) is not None]
@@ -150,7 +150,7 @@ class Options:
             GraycastError: the dataset lacks what was said.
         """
         chosen = dict(FORMATS[self.format].options) | {
-            name: getattr(self, name) for name in self.given()
+            name: getattr(self, name) for name in self.own_names()
         }
         holds = stored.holds
         if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
@@ -173,8 +173,8 @@ class Options:
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
         if getattr(self, name) is not None:
-            held = ", ".join(sorted(stored.holds))
-            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {held}")
+            kinds = ", ".join(sorted(stored.holds))
+            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {kinds}")
 
     @property
     def shift_px(self) -> float:

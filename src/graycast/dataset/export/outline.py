@@ -30,11 +30,11 @@ def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
     start, direction, following = _edges(mask)
     turns = direction != direction[following]
     after, following = following, following.tolist()
-    seen, found = [False] * len(start), []
+    visited, found = [False] * len(start), []
     for first in range(len(start)):
         ring, edge = [], first
-        while not seen[edge]:
-            seen[edge] = True
+        while not visited[edge]:
+            visited[edge] = True
             ring.append(edge)
             edge = following[edge]
         if ring:

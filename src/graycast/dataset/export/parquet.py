@@ -60,13 +60,13 @@ def write_split(
     while (first := next(left, None)) is not None:
         target = folder / split / f"part-{part:06d}.parquet"
         with pq.ParquetWriter(target, schema()) as writer:
-            held = chain([first], islice(left, settled(options.shard_scenes) - 1))
-            while group := [_row(scene, options) for scene in islice(held, _GROUP)]:
+            of_shard = chain([first], islice(left, settled(options.shard_scenes) - 1))
+            while group := [_table_row(scene, options) for scene in islice(of_shard, _GROUP)]:
                 writer.write_table(pa.Table.from_pylist(group, schema=schema()))
         part += 1
 
 
-def _row(scene: StoredScene, options: Options) -> dict[str, Any]:
+def _table_row(scene: StoredScene, options: Options) -> dict[str, Any]:
     view = scene.view()
     names = (*options.depths, *([options.picture] if options.picture else ()))
     row: dict[str, Any] = {

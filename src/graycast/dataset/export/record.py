@@ -61,10 +61,10 @@ def write_record(
     folder: Path, stored: StoredDataset, options: Options, splits: dict[str, list[int]]
 ) -> ExportRecord:
     """Write `export.json`; its options are those in force."""
-    said = {name: getattr(options, name) for name in FORMATS[options.format].options}
+    settings = {name: getattr(options, name) for name in FORMATS[options.format].options}
     record = ExportRecord(
         format=options.format,
-        options=said | {"shares": list(options.split.shares), "split_seed": options.split.seed},
+        options=settings | {"shares": list(options.split.shares), "split_seed": options.split.seed},
         splits=splits,
         categories={str(obj_id): name for obj_id, name in stored.categories.items()},
         size_px=list(stored.size_px),

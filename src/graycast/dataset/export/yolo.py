@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 from pycocotools import mask as coco_mask
 
-from ..example import Label
+from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .outline import path
@@ -32,7 +32,7 @@ def write_split(
         target = folder / "images" / split / f"{name}.png"
         place(scene.png(settled(options.picture)), target, link=settled(options.link))
         rows = (
-            f"{place_of[label.obj_id]} {_row(label, kind, scene.size_px)}\n"
+            f"{place_of[label.obj_id]} {_label_line(label, kind, scene.size_px)}\n"
             for label in scene.labels(min_visibility=settled(options.min_visibility))
         )
         (labels / f"{name}.txt").write_text("".join(rows), encoding="ascii")
@@ -51,7 +51,7 @@ def write_rest(
     (folder / "data.yaml").write_text(text, encoding="utf-8")
 
 
-def _row(label: Label, kind: str, size_px: tuple[int, int]) -> str:
+def _label_line(label: InstanceLabel, kind: str, size_px: tuple[int, int]) -> str:
     height_px, width_px = size_px
     if kind == "boxes":
         x, y, w, h = label.box

@@ -16,7 +16,7 @@ from ...rig.optics import Optics, picture_rays
 from ...rig.pair import Rig
 from .. import records
 from ..claim import read_scanning, rig_of
-from ..safe_reading import Unreadable, held
+from ..safe_reading import Unreadable, record_as
 
 _ENOUGH_PX = 200_000  # for what holds for the picture as a whole
 
@@ -54,13 +54,13 @@ class Evidence:
     parts_mm: tuple[Float[np.ndarray, "_ 3"], ...]
 
     @cached_property
-    def told(self) -> records.SceneManifest:
+    def manifest_record(self) -> records.SceneManifest:
         """The manifest's keys that have a fixed form.
 
         Raises:
             Unreadable: one is missing or of another form.
         """
-        return held(self.manifest, records.SceneManifest, "manifest.json")
+        return record_as(self.manifest, records.SceneManifest, "manifest.json")
 
     @cached_property
     def scanning(self) -> tuple[SensorSpec, DecodeSpec] | None:

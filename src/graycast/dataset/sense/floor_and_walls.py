@@ -21,7 +21,7 @@ OUTSIDE_SHARE, FLOOR_LEAST_PX = 0.01, 200
 def world_problems(scene: Evidence) -> Iterator[str]:
     """A world whose floor is elsewhere; nothing where the configuration tells of no bin."""
     box = scene.claim.config.get("bin", {})
-    inner_m, physics = box.get("inner_m"), scene.told.physics
+    inner_m, physics = box.get("inner_m"), scene.manifest_record.physics
     if inner_m is None or physics is None or physics.outside > 0:
         return  # parts beside the bin lie on the table
     yield from _sunk(scene)

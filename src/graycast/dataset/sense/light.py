@@ -62,9 +62,9 @@ def _rules(
     reason, modulation, levels = scene.reason, scene.modulation, levels_of(sensor)
     least, half = spec.min_contrast, scene.scanner.modulation_scale / 2
     unlit = np.isin(reason, (Reason.SHADOW, Reason.LOW_MODULATION, Reason.OUTSIDE_PROJECTOR))
-    judged = ~unlit & (reason != Reason.SATURATED)
+    rated = ~unlit & (reason != Reason.SATURATED)
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
-    yield weak, judged & (modulation < least - half)
+    yield weak, rated & (modulation < least - half)
     white_dn = scene.gray / 255 * (sensor.saturation_dn - levels.offset_dn)
     noise_dn = np.sqrt(levels.floor_dn2 + levels.slope_dn * white_dn)
     contrast_dn = modulation * levels.range_dn

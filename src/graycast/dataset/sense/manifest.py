@@ -13,26 +13,26 @@ from .evidence import Evidence
 
 def manifest_problems(scene: Evidence) -> Iterator[str]:
     """What a manifest says that is not so."""
-    told, claim = scene.told, scene.claim
-    if told.dataset_seed != claim.seed:
-        yield f"manifest.json: dataset_seed is {told.dataset_seed}, graycast.json has {claim.seed}"
+    facts, claim = scene.manifest_record, scene.claim
+    if facts.dataset_seed != claim.seed:
+        yield f"manifest.json: dataset_seed is {facts.dataset_seed}, graycast.json has {claim.seed}"
     must = scene_seeds(
-        claim.seed, scene.scene_id, domain="domain" in told.seeds, views="views" in told.seeds
+        claim.seed, scene.scene_id, domain="domain" in facts.seeds, views="views" in facts.seeds
     )
     must |= image_seeds(claim.seed, scene.scene_id, station=scene.taker, image=scene.number)
-    if told.seeds != must:
-        wrong = sorted(k for k in {*told.seeds, *must} if told.seeds.get(k) != must.get(k))
+    if facts.seeds != must:
+        wrong = sorted(k for k in {*facts.seeds, *must} if facts.seeds.get(k) != must.get(k))
         yield f"manifest.json: seeds of {', '.join(wrong)} do not follow from dataset_seed"
     config = {k: v for k, v in claim.config.items() if k not in BESIDE_CONFIG}
-    if told.config != config:
-        wrong = sorted(k for k in {*told.config, *config} if told.config.get(k) != config.get(k))
+    if facts.config != config:
+        wrong = sorted(k for k in {*facts.config, *config} if facts.config.get(k) != config.get(k))
         yield f"manifest.json: config differs from graycast.json's in {', '.join(wrong)}"
     names = {part.obj_id: part.name for part in claim.parts}
     lying = Counter(names.get(pose.obj_id, "") for pose in scene.poses)
-    if dict(lying) != told.counts:
-        yield f"manifest.json: counts are {told.counts}, scene_gt.json has {dict(lying)}"
+    if dict(lying) != facts.counts:
+        yield f"manifest.json: counts are {facts.counts}, scene_gt.json has {dict(lying)}"
     shares = reason_shares(scene.reason)
-    for name in sorted({*shares, *told.reasons}):
-        is_, was = shares.get(name, np.nan), told.reasons.get(name, np.nan)
+    for name in sorted({*shares, *facts.reasons}):
+        is_, was = shares.get(name, np.nan), facts.reasons.get(name, np.nan)
         if not abs(is_ - was) < 0.5 / scene.reason.size:
             yield f"manifest.json: the share of {name} is {was}, that of reason_sl {is_}"

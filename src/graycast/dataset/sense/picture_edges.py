@@ -21,7 +21,7 @@ BEND = 2e-3  # of inverse depth between three neighbours, as a share of its medi
 IN_PLACE = 0.92
 # By which the best shift stands out of all: 7.5 and more in sound pictures of 160 x 120 pixels, 50
 # and more in those of 1032 x 772. Chance alone gives 5.
-SEEN_SIGMAS = 6.0
+LEAST_SIGMAS = 6.0
 # Correlation of edges with parts' outlines, near these: sound pictures show 0.34 and more, also
 # white parts in a white bin; those of another scene 0.04 and less. Over fewer pixels it scatters.
 OUTLINE_CORRELATION, NEAR_LEAST_PX = 0.06, 6000
@@ -71,7 +71,7 @@ def _placed(
     here = max(agreement[shift] for shift in _SHIFTS)
     y, x = np.unravel_index(int(agreement.argmax()), agreement.shape)
     best, spread = agreement[y, x], agreement.std()
-    if best < SEEN_SIGMAS * spread:
+    if best < LEAST_SIGMAS * spread:
         yield f"{name} does not show {must}"
     elif here < IN_PLACE * best:
         h, w = agreement.shape

@@ -65,12 +65,12 @@ def _errors(
     z_m, measured_m = scene.depth[both] * scale_m, scene.depth_sl[both] * scale_m
     T_proj_cam, ray = scene.rig.T_proj_cam, scene.ray[both]
 
-    def seen(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    def place_at(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
         return project(scene.rig.projector, transform_points(T_proj_cam, ray * z[:, None]))
 
-    true_px = seen(z_m)
-    along = seen(z_m * (1 + _NUDGE)) - true_px
+    true_px = place_at(z_m)
+    along = place_at(z_m * (1 + _NUDGE)) - true_px
     length = np.linalg.norm(along, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error_px = np.einsum("ni,ni->n", seen(measured_m) - true_px, along) / length
+        error_px = np.einsum("ni,ni->n", place_at(measured_m) - true_px, along) / length
         return error_px, z_m * _NUDGE * 1e3 / length

@@ -156,7 +156,7 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
         part_pixels=part_pixels,
         sizes_px=dict(sums.sizes),
         depth_scale_mm=sums.scale_mm,
-        classes=tuple(_class(k, categories[k], held) for k, held in sorted(sums.per_class.items())),
+        classes=tuple(_class(k, categories[k], row) for k, row in sorted(sums.per_class.items())),
         areas={name: sums.areas[name] for name in ("small", "medium", "large")},
         instances=dict(sorted(sums.instances.items())),
         depth_bin=dict(sorted(sums.depth.items())),
@@ -261,8 +261,8 @@ def _add_picture(sums: _Sums, figures: SceneFigures) -> None:
         sum(figures.part_reason_px.values()),
         figures.part_reason_px.get("decoded", 0),
     ]
-    held = sums.named.setdefault(figures.picture, [0] * len(counted))
-    sums.named[figures.picture] = [a + b for a, b in zip(held, counted, strict=True)]
+    counts = sums.named.setdefault(figures.picture, [0] * len(counted))
+    sums.named[figures.picture] = [a + b for a, b in zip(counts, counted, strict=True)]
 
 
 def _picture(counted: list[int]) -> PictureFigures:
@@ -280,14 +280,14 @@ def _add_instances(sums: _Sums, figures: SceneFigures) -> None:
         sums.per_class.setdefault(obj_id, blank)[0] += 1
     each = zip(figures.obj_id, figures.visib_fract, figures.area_px, figures.box_px, strict=True)
     for obj_id, share, area_px, box_px in each:
-        held = sums.per_class[obj_id]
-        held[1] += 1
-        held[2] += share is None or share >= IGNORED_BELOW
+        sum_of_class = sums.per_class[obj_id]
+        sum_of_class[1] += 1
+        sum_of_class[2] += share is None or share >= IGNORED_BELOW
         if share is not None:
-            held[3][min(int(share * VISIBILITY_BINS), VISIBILITY_BINS - 1)] += 1
+            sum_of_class[3][min(int(share * VISIBILITY_BINS), VISIBILITY_BINS - 1)] += 1
         if area_px:
-            held[4][_side_bin(area_px**0.5)] += 1
-            held[5][_side_bin(float(max(box_px)))] += 1
+            sum_of_class[4][_side_bin(area_px**0.5)] += 1
+            sum_of_class[5][_side_bin(float(max(box_px)))] += 1
             size = "small" if area_px < SMALL_PX2 else "large" if area_px > LARGE_PX2 else "medium"
             sums.areas[size] += 1
 
@@ -300,8 +300,8 @@ def _side_bin(side_px: float) -> int:
     return min(max(k, 0), len(SIDE_EDGES_PX) - 2)
 
 
-def _class(obj_id: int, name: str, held: list) -> ClassFigures:
-    scenes, instances, visible, visib_fract, side_px, box_px = held
+def _class(obj_id: int, name: str, sums: list) -> ClassFigures:
+    scenes, instances, visible, visib_fract, side_px, box_px = sums
     return ClassFigures(
         obj_id=obj_id,
         name=name,

@@ -110,8 +110,8 @@ def _errors(ax: Axes, s: Statistics) -> None:
         weight = np.array(list(counts.values()), dtype=float)
         if len(step):
             share = 100 * weight / weight.sum()
-            held, _ = np.histogram(step * s.depth_scale_mm, edges_mm, weights=share)
-            ax.stairs(held, edges_mm, color=color, lw=1.2, label=name)
+            height, _ = np.histogram(step * s.depth_scale_mm, edges_mm, weights=share)
+            ax.stairs(height, edges_mm, color=color, lw=1.2, label=name)
     ax.set_xlim(-reach, reach)
     ax.legend(fontsize=7, frameon=False)
 

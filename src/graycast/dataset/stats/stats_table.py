@@ -69,15 +69,15 @@ def statistics_table(statistics: Statistics) -> Table:
     table.add_row("scenes", f"{splits}; {sizes}")
     if s.pictures > sum(s.scenes.values()):
         table.add_row("pictures", f"{s.pictures}, all figures below are of these")
-        for name, held in s.of_picture.items():
-            told = (
-                f"{held.part_decoded:.2%} of the parts' pixels decoded, {held.decoded:.2%} of all"
+        for name, entry in s.of_picture.items():
+            cell = (
+                f"{entry.part_decoded:.2%} of the parts' pixels decoded, {entry.decoded:.2%} of all"
             )
-            table.add_row(f"  {name}", told)
+            table.add_row(f"  {name}", cell)
     what = "scenes" if s.pictures == sum(s.scenes.values()) else "pictures"
     for one in s.classes:
-        seen = f"{one.visible} visible by 10 % or more, in {one.scenes} {what}"
-        table.add_row(one.name, f"{one.instances} instances, {seen}")
+        visible = f"{one.visible} visible by 10 % or more, in {one.scenes} {what}"
+        table.add_row(one.name, f"{one.instances} instances, {visible}")
     areas = ", ".join(f"{count} {name}" for name, count in s.areas.items())
     table.add_row("mask areas", f"{areas} (COCO: below 32^2, above 96^2 px)")
     if s.depth_bin:
@@ -86,8 +86,8 @@ def statistics_table(statistics: Statistics) -> Table:
     for name, share in s.reason.items():
         if share or s.part_reason.get(name):
             of_parts = s.part_reason.get(name, 0)
-            told = f"{of_parts:7.2%} of the parts' pixels, {share:7.2%} of all pixels"
-            table.add_row(name.replace("_", " "), told)
+            cell = f"{of_parts:7.2%} of the parts' pixels, {share:7.2%} of all pixels"
+            table.add_row(name.replace("_", " "), cell)
     for name, error in (("scanner error on parts", s.part_error), ("  everywhere", s.error)):
         if error.pixels:
             table.add_row(name, _error_line(error))

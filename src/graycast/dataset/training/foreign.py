@@ -130,11 +130,11 @@ def _check(entry: Any, wanted: _Wanted, place: str) -> None:
         raise DatasetError(
             f"{place} is {_short(entry)}: it must be an object with {', '.join(wanted)}"
         )
-    for key, (fits, told) in wanted.items():
+    for key, (fits, remedy) in wanted.items():
         if key not in entry:
-            raise DatasetError(f"{place} has no {key}: add it ({told}), or remove the entry")
+            raise DatasetError(f"{place} has no {key}: add it ({remedy}), or remove the entry")
         if not fits(entry[key]):
-            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {told}")
+            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {remedy}")
 
 
 def _short(value: Any) -> str:
@@ -212,14 +212,14 @@ def _open_bop(path: Path) -> Foreign:
     for folder in _bop_scenes(path):
         scene = SceneFolder(folder)
         try:
-            shown = scene.record("scene_gt", Images[list[AnyPose]]).root
+            annotations = scene.record("scene_gt", Images[list[AnyPose]]).root
         except Unreadable as error:
             raise DatasetError(
                 f"{folder}/{error}: each key must be the number of an image, and hold the list of "
                 "its objects, each with obj_id (a whole number), cam_R_m2c and cam_t_m2c"
             ) from error
-        place += [(scene, image) for image in sorted(shown)]
-        obj_ids |= {one.obj_id for objects in shown.values() for one in objects}
+        place += [(scene, image) for image in sorted(annotations)]
+        obj_ids |= {one.obj_id for objects in annotations.values() for one in objects}
     return Foreign(
         scene_of=tuple(int(scene.path.name) for scene, _ in place),
         categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
@@ -235,15 +235,15 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
         infos = scene.of_instances("scene_gt_info", image, AnyInfo)
         camera = scene.of_image("scene_camera", image, _View)
         rgb, gray, steps = (scene.picture(kind, image) for kind in ("rgb", "gray", "depth"))
-        size = next((held.shape[:2] for held in (rgb, gray, steps) if held is not None), None)
+        size = next((array.shape[:2] for array in (rgb, gray, steps) if array is not None), None)
         if size is None:
             raise Unreadable(f"image {image} has no rgb, gray or depth")
         if len(poses) != len(infos):
-            told = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
-            raise Unreadable(f"image {image} has {told}")
-        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
-        mask = np.zeros((len(seen), *size), dtype=bool)
-        for k, i in enumerate(seen):
+            counts = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
+            raise Unreadable(f"image {image} has {counts}")
+        instances = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        mask = np.zeros((len(instances), *size), dtype=bool)
+        for k, i in enumerate(instances):
             visible = scene.mask("mask_visib", i, image)
             if visible.shape != size:
                 raise Unreadable(f"image {image}: mask {i} is {visible.shape}, the picture {size}")
@@ -257,7 +257,7 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
             "instance, and the image in scene_gt.json, scene_gt_info.json and scene_camera.json: "
             "repair the damaged files, or remove the image from all three"
         ) from error
-    pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in seen]
+    pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in instances]
     depth_m = None if steps is None else metres(steps, camera.depth_scale)
     return Example(
         scene_id=number,
@@ -266,12 +266,12 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
         gray=gray,
         depth_m=depth_m,
         scanner_depth_m=None if depth_m is None else depth_m.copy(),
-        instance=np.array(seen, np.int64),
-        obj_id=np.array([poses[i].obj_id for i in seen], np.int64),
+        instance=np.array(instances, np.int64),
+        obj_id=np.array([poses[i].obj_id for i in instances], np.int64),
         mask=mask,
-        box_px=boxes(mask) if seen else np.zeros((0, 4), np.float32),
+        box_px=boxes(mask) if instances else np.zeros((0, 4), np.float32),
         T_cam_part=np.array(pose, float).reshape(-1, 4, 4),
-        visib_fract=np.array([infos[i].visib_fract for i in seen], float),
+        visib_fract=np.array([infos[i].visib_fract for i in instances], float),
     )
 
 

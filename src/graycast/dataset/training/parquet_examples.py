@@ -54,24 +54,24 @@ def _example(
     path, group, row = place[scene_id]
     name = f"{path}: scene {scene_id}"
     try:
-        held = pq.ParquetFile(path).read_row_group(group).slice(row, 1).to_pylist()[0]
+        line = pq.ParquetFile(path).read_row_group(group).slice(row, 1).to_pylist()[0]
     except (pa.ArrowException, OSError) as error:
         raise DatasetError(f"{path}: is damaged ({error}): export again") from error
     fields: dict[str, Any] = {}
     for kind in ("rgb", "gray"):
-        if held[kind] is not None:
-            fields |= image_fields(kind, held[kind]["bytes"], name)
+        if line[kind] is not None:
+            fields |= image_fields(kind, line[kind]["bytes"], name)
     for column, field in _DEPTH_FIELDS.items():
-        if held[column] is not None:
-            fields[field] = depth_m(held[column]["bytes"], held["depth_scale"], name)
+        if line[column] is not None:
+            fields[field] = depth_m(line[column]["bytes"], line["depth_scale"], name)
     for column, (field, dtype, shape) in _LABELS.items():
-        if held[column] is not None:
-            fields[field] = np.array(held[column], dtype).reshape(shape)
-    if held["masks"] is not None:
-        fields["mask"] = masks(held["masks"], record.size_of(scene_id), name)
+        if line[column] is not None:
+            fields[field] = np.array(line[column], dtype).reshape(shape)
+    if line["masks"] is not None:
+        fields["mask"] = masks(line["masks"], record.size_of(scene_id), name)
     return Example(
         scene_id=scene_id,
-        K=np.array(held["cam_K"], float).reshape(3, 3),
-        distortion=tuple(held["distortion"]),
+        K=np.array(line["cam_K"], float).reshape(3, 3),
+        distortion=tuple(line["distortion"]),
         **fields,
     )

@@ -98,17 +98,17 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
 def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) -> dict[str, Any]:
     gt, info = parse_json(files["gt.json"]), parse_json(files["gt_info.json"])
     runs = parse_json(files["mask_visib.json"])
-    seen = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
-    mask = masks([runs[str(i)] for i in seen], record.size_of(scene_id), name)
-    pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in seen if "cam_R_m2c" in gt[i]]
+    rows = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
+    mask = masks([runs[str(i)] for i in rows], record.size_of(scene_id), name)
+    pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in rows if "cam_R_m2c" in gt[i]]
     posed, rated = "poses" in record.holds, "shares" in record.holds
     return {
-        "instance": np.array(seen, np.int64),
-        "obj_id": np.array([gt[i]["obj_id"] for i in seen], np.int64),
+        "instance": np.array(rows, np.int64),
+        "obj_id": np.array([gt[i]["obj_id"] for i in rows], np.int64),
         "mask": mask,
-        "box_px": boxes(mask) if seen else np.zeros((0, 4), np.float32),
+        "box_px": boxes(mask) if rows else np.zeros((0, 4), np.float32),
         "T_cam_part": np.array(pose, float).reshape(-1, 4, 4) if posed else None,
-        "visib_fract": np.array([info[i]["visib_fract"] for i in seen], float) if rated else None,
+        "visib_fract": np.array([info[i]["visib_fract"] for i in rows], float) if rated else None,
     }
 
 

@@ -57,7 +57,7 @@ class TorchExamples(Dataset):
 def arrays(example: Example) -> dict[str, np.ndarray]:
     """An example in the shapes and the box convention of torchvision's detectors."""
     box = example.box_px
-    held = {
+    values = {
         "rgb": None if example.rgb is None else example.rgb.transpose(2, 0, 1),
         "gray": None if example.gray is None else example.gray[None],
         "depth": None if example.depth_m is None else example.depth_m[None],
@@ -71,4 +71,4 @@ def arrays(example: Example) -> dict[str, np.ndarray]:
         "K": None if example.K is None else example.K.astype(np.float32),
         "scene_id": np.array(example.scene_id),
     }
-    return {name: value for name, value in held.items() if value is not None}
+    return {name: value for name, value in values.items() if value is not None}

@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
-    from .detecting import Chosen as Chosen
-    from .detecting import Looked as Looked
+    from .detecting import DetectionResult as DetectionResult
+    from .detecting import PictureSelection as PictureSelection
     from .detecting import detect as detect
     from .detecting import pictures_of as pictures_of
     from .detector import About as About
@@ -23,10 +23,10 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
 _MODULE = {
     "About": "detector",
     "Augmentation": "training_pictures",
-    "Chosen": "detecting",
+    "PictureSelection": "detecting",
     "Detector": "detector",
     "Encoding": "encoding",
-    "Looked": "detecting",
+    "DetectionResult": "detecting",
     "TrainSpec": "training",
     "detect": "detecting",
     "load_detector": "detector",

@@ -18,7 +18,7 @@ NORM_MOMENTUM = 0.1
 
 
 @final
-class Body(nn.Module):
+class Backbone(nn.Module):
     """A classifier without its head: one feature map for each stride.
 
     Its state dict has the names of the published classifier, so that published files fit.
@@ -58,7 +58,7 @@ class Body(nn.Module):
         return tuple(maps)
 
 
-def open_backbone(name: str, *, channels: int) -> Body:
+def open_backbone(name: str, *, channels: int) -> Backbone:
     """A backbone with random weights for images of so many channels.
 
     Raises:
@@ -91,7 +91,7 @@ def follow_fast(network: nn.Module) -> None:
             module.momentum = NORM_MOMENTUM
 
 
-def load_backbone(body: Body, state: Mapping[str, Tensor]) -> None:
+def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
     """Takes the weights of a published classifier (RGB) into a backbone.
 
     Where the backbone has other than three channels, each of them gets the mean of the published
@@ -140,9 +140,9 @@ def _mobilenet(
     taps: tuple[int, ...],
     widths: tuple[int, ...],
     end: tuple[str, ...],
-) -> Body:
+) -> Backbone:
     features[0][0] = _first(features[0][0], channels)
-    return Body(
+    return Backbone(
         name,
         {"features": features},
         steps=[f"features.{i}" for i in range(len(features))],
@@ -152,11 +152,11 @@ def _mobilenet(
     )
 
 
-def _resnet(name: str, network: nn.Module, width: int, channels: int) -> Body:
+def _resnet(name: str, network: nn.Module, width: int, channels: int) -> Backbone:
     network.conv1 = _first(network.conv1, channels)
     layers = [f"layer{i}" for i in (1, 2, 3, 4)]
     steps = ["conv1", "bn1", "relu", "maxpool", *layers]
-    return Body(
+    return Backbone(
         name,
         {step: network.get_submodule(step) for step in steps},
         steps=steps,
@@ -182,7 +182,7 @@ def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
     return other
 
 
-def _darknet(name: str, channels: int) -> Body:
+def _darknet(name: str, channels: int) -> Backbone:
     """Redmon & Farhadi, "YOLOv3: An Incremental Improvement", 2018, Table 1."""
     parts: dict[str, nn.Module] = {"conv1": Convolution(channels, 32, 3)}
     widths = (64, 128, 256, 512, 1024)
@@ -192,7 +192,7 @@ def _darknet(name: str, channels: int) -> Body:
             stage[f"res{block}"] = _Residual(width)
         parts[f"conv_res_block{index}"] = nn.Sequential(stage)
     steps = list(parts)
-    return Body(name, parts, steps=steps, taps=steps[2:], channels=widths[1:], end=("fc.",))
+    return Backbone(name, parts, steps=steps, taps=steps[2:], channels=widths[1:], end=("fc.",))
 
 
 @final

@@ -16,8 +16,8 @@ from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import LOOKED, RESULTS, Detections, results_bytes
-from ...dataset.example import Example, shown
+from ...dataset.detections import DETECT_JSON, RESULTS, Detections, results_bytes
+from ...dataset.example import Example, display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
 from ...dataset.json_text import json_bytes
@@ -37,7 +37,7 @@ LEAST_INSIDE = 0.5  # of a picture's depth, in the range that the detector learn
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class DetectionResult:
     """What a detector found in pictures, how long it took for each [ms], and notes on depth."""
 
     found: tuple[Detections, ...]
@@ -47,28 +47,28 @@ class Looked:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
+class PictureSelection:
     """Pictures to look at, read one by one, and what `detect` writes of where they come from.
 
-    `class_ids` are those that each class has in the results; `said` is for `detect.json`.
+    `class_ids` are those that each class has in the results; `record` is for `detect.json`.
     """
 
     examples: Iterable[Example]
     scene_ids: tuple[int, ...]
     class_ids: Mapping[str, int]
-    said: Mapping[str, Any]
+    record: Mapping[str, Any]
 
 
 def detect(
     detector: Detector,
-    pictures: Chosen,
+    pictures: PictureSelection,
     out: Path,
     *,
     most: int = 300,
     least_score: float = 0.05,
     drawings: int = 12,
     progress: ProgressMeter = UNWATCHED,
-) -> Looked:
+) -> DetectionResult:
     """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
 
     Args:
@@ -79,7 +79,7 @@ def detect(
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
             something else or cannot be written.
     """
-    refuse_foreign(out, LOOKED)
+    refuse_foreign(out, DETECT_JSON)
     found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
@@ -106,11 +106,11 @@ def detect(
             "ms_per_picture": [round(ms, 3) for ms in times_ms],
             "most": most,
             "least_score": least_score,
-            **pictures.said,
+            **pictures.record,
         }
-        (folder / LOOKED).write_bytes(json_bytes(content))
+        (folder / DETECT_JSON).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
-    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
+    return DetectionResult(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
 
 
 def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
@@ -137,28 +137,30 @@ def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Ex
     """
     for i, shot in enumerate(found):
         # The detector works in pixels and along the axis: it asks for no intrinsics.
-        seen = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
-        depth_m = None if seen.depth_m is None else seen.depth_m.astype(np.float32)
-        yield Example(scene_id=i, rgb=seen.rgb, gray=seen.gray, scanner_depth_m=depth_m)
+        images = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
+        depth_m = None if images.depth_m is None else images.depth_m.astype(np.float32)
+        yield Example(scene_id=i, rgb=images.rgb, gray=images.gray, scanner_depth_m=depth_m)
 
 
-def looked_at(folder: Path) -> dict[str, Any]:
+def detection_record(folder: Path) -> dict[str, Any]:
     """The scenes and settings of an earlier `detect`; empty if there was none.
 
     Raises:
         GraycastError: its file is damaged.
     """
     try:
-        return dict(parse_json((folder / LOOKED).read_bytes()))
+        return dict(parse_json((folder / DETECT_JSON).read_bytes()))
     except FileNotFoundError:
         return {}
     except (OSError, TypeError, ValueError) as error:
-        raise GraycastError(f"{folder}: has no readable {LOOKED}: remove the folder") from error
+        raise GraycastError(
+            f"{folder}: has no readable {DETECT_JSON}: remove the folder"
+        ) from error
 
 
 def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
     """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
-    image = np.ascontiguousarray(shown(example)[..., ::-1])
+    image = np.ascontiguousarray(display_image(example)[..., ::-1])
     sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
     for i in sure:
         ink = _INKS[int(found.obj_id[i]) % len(_INKS)]
@@ -178,7 +180,7 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
 
 def pictures_of(
     folder: Path, about: About, *, split: str, scale_m: float | None, as_real: bool = False
-) -> Chosen:
+) -> PictureSelection:
     """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
 
     Args:
@@ -194,20 +196,20 @@ def pictures_of(
         if split != "all":
             raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
         found = find_shots(folder)
-        return Chosen(
+        return PictureSelection(
             examples=shots(found, scale_m=scale_m),
             scene_ids=tuple(range(len(found))),
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
-            said={"pictures": [shot.stem for shot in found], "split": None, "division": None},
+            record={"pictures": [shot.stem for shot in found], "split": None, "division": None},
         )
-    held = about.trained["settings"]["split"]
-    division = Split(shares=tuple(held["shares"]), seed=held["seed"])
-    sets, said = sets_of(folder, split, division)
-    return Chosen(
+    division_record = about.trained["settings"]["split"]
+    division = Split(shares=tuple(division_record["shares"]), seed=division_record["seed"])
+    sets, record = sets_of(folder, split, division)
+    return PictureSelection(
         examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
-        said={"dataset": str(folder), "as_real": as_real, **said},
+        record={"dataset": str(folder), "as_real": as_real, **record},
     )
 
 
@@ -219,9 +221,9 @@ def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], 
     """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
-        said: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
-        return [open_examples(folder, split=name) for name in splits], said
+        record: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
+        return [open_examples(folder, split=name) for name in splits], record
     if split == "all":
         return [open_examples(folder)], {"split": "train", "division": None}
-    said = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
-    return [open_examples(folder, split=split, division=division)], said
+    record = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
+    return [open_examples(folder, split=split, division=division)], record

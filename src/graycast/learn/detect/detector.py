@@ -22,7 +22,7 @@ from ...dataset.detections import WEIGHTS, Detections
 from ...dataset.example import Example
 from ...real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
-from .network import Found, Network
+from .network import Network, NetworkOutput
 from .networks import open_network
 
 ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
@@ -68,13 +68,13 @@ class About:
         """
         if not self.tells_apart:
             return {ONE_CLASS: min(categories)}
-        held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
-        if not held:
+        own = {name: obj_id for obj_id, name in categories.items() if name in self.names}
+        if not own:
             raise GraycastError(
                 f"{folder}: has {', '.join(categories.values())}, and the detector was trained on "
                 f"{', '.join(self.names)}: give a dataset of the same parts"
             )
-        return held
+        return own
 
     def open_network(self) -> Network:
         """The network with random weights, from torch's global generator."""
@@ -163,14 +163,18 @@ class Detector:
 
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
-    ) -> Found:
+    ) -> NetworkOutput:
         """The answer of the network in pixels of its input, with the device's precision."""
         with torch.inference_mode(), autocast(self.device), without_denormals():
             return self.network.find(image, most=most, least_score=least_score)[0]
 
 
 def _detections(
-    found: Found, scene_id: int, obj_ids: np.ndarray, picture_px: tuple[int, int], scale: float
+    found: NetworkOutput,
+    scene_id: int,
+    obj_ids: np.ndarray,
+    picture_px: tuple[int, int],
+    scale: float,
 ) -> Detections:
     """In the pixels of the picture, cut at its edges; what is empty there is left out."""
     height_px, width_px = picture_px
@@ -228,8 +232,8 @@ def _outline(
 
 def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -> None:
     """Write weights and all that belongs to them, whole or not at all."""
-    held = {"about": json.dumps(about.as_dict()), "state": dict(state)}
-    fill_whole(path, lambda file: torch.save(held, file))
+    checkpoint = {"about": json.dumps(about.as_dict()), "state": dict(state)}
+    fill_whole(path, lambda file: torch.save(checkpoint, file))
 
 
 def load_detector(path: Path, *, device: str = "auto") -> Detector:
@@ -242,16 +246,16 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
     if not file.is_file():
         raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
     try:
-        held = torch.load(file, map_location="cpu", weights_only=True)
-        said = parse_json(held["about"])
+        checkpoint = torch.load(file, map_location="cpu", weights_only=True)
+        record = parse_json(checkpoint["about"])
         about = About(
-            model=said["model"],
-            backbone=said["backbone"],
-            encoding=encoding_from(said["encoding"]),
-            names=tuple(said["names"]),
-            trained=said["trained"],
+            model=record["model"],
+            backbone=record["backbone"],
+            encoding=encoding_from(record["encoding"]),
+            names=tuple(record["names"]),
+            trained=record["trained"],
         )
-        state = held["state"]
+        state = checkpoint["state"]
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         why = " ".join(str(error).split())[:120]
         raise GraycastError(

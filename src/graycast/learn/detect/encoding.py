@@ -104,8 +104,8 @@ class Encoding:
 
     def picture_px(self, example: Example) -> tuple[int, int]:
         """Height and width of the picture that is encoded."""
-        held = example.rgb if self.coloured else self.depth_m(example)
-        return _needed(held, "rgb", example).shape[:2]
+        image = example.rgb if self.coloured else self.depth_m(example)
+        return _needed(image, "rgb", example).shape[:2]
 
     def depth_m(self, example: Example) -> Float32[np.ndarray, "h w"]:
         """The depth that is encoded, before any noise.
@@ -165,9 +165,9 @@ class Encoding:
         return asdict(self)
 
 
-def encoding_from(held: Mapping[str, Any]) -> Encoding:
+def encoding_from(record: Mapping[str, Any]) -> Encoding:
     """What `Encoding.as_dict` gave, read back from JSON."""
-    return Encoding(**{**held, "size_px": tuple(held["size_px"])})
+    return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 
 def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int]:

@@ -22,7 +22,7 @@ from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import Found, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 
 DEFAULT_BACKBONE = "resnet18"
 _PYRAMID = 128
@@ -84,15 +84,15 @@ class MaskRcnn(nn.Module):
         # Their mode chooses between losses and results alone: they have no norms and no dropout.
         self.rpn.train(), self.heads.train()
         images, maps = self._maps(image)
-        told = [_told(target) for target in targets]
-        proposals, rpn = self.rpn(images, maps, told)
-        _, heads = self.heads(maps, proposals, images.image_sizes, told)
+        annotations = [_torchvision_target(target) for target in targets]
+        proposals, rpn = self.rpn(images, maps, annotations)
+        _, heads = self.heads(maps, proposals, images.image_sizes, annotations)
         return {**rpn, **heads}
 
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         self.rpn.eval(), self.heads.eval()
         images, maps = self._maps(image)
         self.heads.detections_per_img = most
@@ -102,7 +102,7 @@ class MaskRcnn(nn.Module):
         results, _ = self.heads(maps, proposals, images.image_sizes)
         size = image.shape[-2:]
         return [
-            Found(
+            NetworkOutput(
                 box=result["boxes"],
                 label=result["labels"] - 1,
                 score=result["scores"],
@@ -127,10 +127,10 @@ class _Proposals(RegionProposalNetwork):
     def assign_targets_to_anchors(
         self, anchors: list[Tensor], targets: list[dict[str, Tensor]]
     ) -> tuple[list[Tensor], list[Tensor]]:
-        counted = [{"boxes": told["boxes"][told["labels"] > 0]} for told in targets]
+        counted = [{"boxes": target["boxes"][target["labels"] > 0]} for target in targets]
         labels, matched = super().assign_targets_to_anchors(anchors, counted)
-        for label, anchor, told in zip(labels, anchors, targets, strict=True):
-            hidden = told["boxes"][told["labels"] < 0]
+        for label, anchor, target in zip(labels, anchors, targets, strict=True):
+            hidden = target["boxes"][target["labels"] < 0]
             if len(hidden):
                 label[(label == 0) & (_covered(anchor, hidden) > _HIDDEN_SHARE)] = -1
         return labels, matched
@@ -144,7 +144,7 @@ def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tenso
     return (shared / (box[:, 2:] - box[:, :2]).prod(dim=1, keepdim=True)).amax(dim=1)
 
 
-def _told(target: Target) -> dict[str, Tensor]:
+def _torchvision_target(target: Target) -> dict[str, Tensor]:
     """Labels in torchvision's convention: 0 is the background, and -1 is ignored."""
     return {
         "boxes": target.box,

@@ -47,7 +47,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class NetworkOutput:
     """What a network finds in one picture, best first, in pixels of its input.
 
     `mask` is a probability, 0 to 255; its edge is where it crosses 127.5. None from a network that
@@ -100,7 +100,7 @@ class Network(Protocol):
 
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         """Detections of each picture: at most so many, of at least that score.
 
         The network is in eval mode: the caller has said `network.eval()`. In train mode its norms

@@ -28,8 +28,8 @@ class _OnePicture(nn.Module):
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         found = self.network.find(image, most=self.most, least_score=self.least_score)[0]
-        told = (found.box, found.label, found.score)
-        return told if found.mask is None else (*told, found.mask)
+        outputs = (found.box, found.label, found.score)
+        return outputs if found.mask is None else (*outputs, found.mask)
 
 
 def write_onnx(
@@ -66,10 +66,10 @@ def write_onnx(
                 output_names=names,
                 dynamic_axes={name: {0: "n"} for name in names},
             )
-        held = onnx.load_model_from_string(traced_model.getvalue())
-        entry = held.metadata_props.add()
+        onnx_model = onnx.load_model_from_string(traced_model.getvalue())
+        entry = onnx_model.metadata_props.add()
         entry.key, entry.value = "graycast", json.dumps(detector.about.as_dict())
-        content = held.SerializeToString()
+        content = onnx_model.SerializeToString()
     except (torch.onnx.OnnxExporterError, RuntimeError, TypeError) as error:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{detector.about.model} cannot be written as ONNX ({why})") from error
@@ -103,19 +103,19 @@ def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tens
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:
-        told_box, _, told_score = session.run(None, {"image": image.numpy()})[:3]
+        onnx_box, _, onnx_score = session.run(None, {"image": image.numpy()})[:3]
     except Exception as error:  # onnxruntime has no class of its own for it
         raise GraycastError(
             f"onnxruntime cannot run the file: {' '.join(str(error).split())}"
         ) from error
-    if len(box) == len(told_box):
-        off_score = np.abs(np.sort(score) - np.sort(told_score)).max(initial=0)
+    if len(box) == len(onnx_box):
+        off_score = np.abs(np.sort(score) - np.sort(onnx_score)).max(initial=0)
         sure = score > score.min(initial=1) + _MOST_OFF_SCORE
-        apart = np.abs(box[sure][:, None] - told_box[None]).max(axis=2, initial=0)
-        off_px = apart.min(axis=1, initial=np.inf if len(told_box) else 0).max(initial=0)
+        apart = np.abs(box[sure][:, None] - onnx_box[None]).max(axis=2, initial=0)
+        off_px = apart.min(axis=1, initial=np.inf if len(onnx_box) else 0).max(initial=0)
         if off_score <= _MOST_OFF_SCORE and off_px <= _MOST_OFF_PX:
             return
     raise GraycastError(
-        f"onnxruntime finds other detections than torch ({len(told_box)} and {len(box)} in a "
+        f"onnxruntime finds other detections than torch ({len(onnx_box)} and {len(box)} in a "
         "picture of noise): the file is not written; try another release of torch or onnxruntime"
     )

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchvision.ops import box_convert, box_iou
 
 from ...base.errors import GraycastError
-from .network import Found, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 
 SIZES = ("nano", "small", "medium", "large")
 # A query that overlaps an ignored instance by more than this, and more than any other, may mean it.
@@ -117,14 +117,16 @@ class RfDetr(nn.Module):
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         """The library's choice: the best pairs of query and class."""
         size = torch.tensor([list(image.shape[-2:])] * len(image), device=image.device)
         found = []
         for chosen in self._choose(self(image), size):
             kept = (chosen["scores"] >= least_score).nonzero()[:most, 0]
             box, label, score = (chosen[name][kept] for name in ("boxes", "labels", "scores"))
-            found.append(Found(box=box.float(), label=label, score=score.float(), mask=None))
+            found.append(
+                NetworkOutput(box=box.float(), label=label, score=score.float(), mask=None)
+            )
         return found
 
     def _without_ignored(

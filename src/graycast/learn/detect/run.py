@@ -77,8 +77,8 @@ class RunFolder:
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
         if not (self.path / RUN).is_file() and self.path.is_dir():
-            held = (entry.name for entry in self.path.iterdir() if entry.name != _LOCK)
-            if not all(name.startswith(ASIDE) for name in held):
+            names = (entry.name for entry in self.path.iterdir() if entry.name != _LOCK)
+            if not all(name.startswith(ASIDE) for name in names):
                 raise GraycastError(
                     f"{self.path}: is not empty and holds no run: choose another --out"
                 )
@@ -97,12 +97,12 @@ class RunFolder:
             )
         return lock
 
-    def _compare(self, held: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-        for key in sorted(held.keys() | asked.keys()):
-            if held.get(key) != asked.get(key):
+    def _compare(self, settings: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+        for key in sorted(settings.keys() | own.keys()):
+            if settings.get(key) != own.get(key):
                 raise GraycastError(
-                    f"{self.path}: is a run with {key} {_short(held.get(key))}, and now it is "
-                    f"{_short(asked.get(key))}: repeat the command that started it, or choose "
+                    f"{self.path}: is a run with {key} {_short(settings.get(key))}, and now it is "
+                    f"{_short(own.get(key))}: repeat the command that started it, or choose "
                     "another --out"
                 )
 
@@ -114,12 +114,12 @@ class RunFolder:
         return folder
 
     def save(self, progress: Progress, network: torch.nn.Module, optimizer: Any) -> None:
-        held = {
+        checkpoint = {
             "progress": json.dumps({name: getattr(progress, name) for name in Progress.__slots__}),
             "network": network.state_dict(),
             "optimizer": optimizer.state_dict(),
         }
-        fill_whole(self.path / CHECKPOINT, lambda file: torch.save(held, file))
+        fill_whole(self.path / CHECKPOINT, lambda file: torch.save(checkpoint, file))
 
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
         """Load the last checkpoint into both; start from the beginning if there is none.
@@ -131,10 +131,10 @@ class RunFolder:
         if not file.is_file():
             return Progress()
         try:
-            held = torch.load(file, map_location="cpu", weights_only=True)
-            network.load_state_dict(held["network"])
-            optimizer.load_state_dict(held["optimizer"])
-            return Progress(**parse_json(held["progress"]))
+            checkpoint = torch.load(file, map_location="cpu", weights_only=True)
+            network.load_state_dict(checkpoint["network"])
+            optimizer.load_state_dict(checkpoint["optimizer"])
+            return Progress(**parse_json(checkpoint["progress"]))
         except Exception as error:  # unpickling raises whatever the bytes lead it to
             raise GraycastError(
                 f"{file}: is damaged: remove it, and the training starts again"
@@ -181,11 +181,11 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
         ("mask_ap", SECOND),
         ("mask_ap50", SOFT),
     ):
-        seen = [row for row in rows if name in row]
-        if seen:
+        measured = [row for row in rows if name in row]
+        if measured:
             right.plot(
-                [row["epoch"] for row in seen],
-                [row[name] for row in seen],
+                [row["epoch"] for row in measured],
+                [row[name] for row in measured],
                 color=ink,
                 lw=1.2,
                 marker="o",

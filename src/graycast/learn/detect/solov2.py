@@ -25,7 +25,7 @@ from torchvision.ops import FeaturePyramidNetwork, masks_to_boxes
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import Found, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 
 # One entry a level. An instance belongs to the levels whose range holds the root of its box's
 # area, as a share of the root of the picture's: two levels, as the ranges overlap.
@@ -114,27 +114,27 @@ class Solov2(nn.Module):
         """Focal loss over all cells, Dice loss over the cells that instances claim."""
         score, kernel, painted = self(image)
         labels = torch.full(score.shape[:2], self.classes, device=score.device)
-        judged = torch.ones_like(labels, dtype=torch.bool)
+        counts = torch.ones_like(labels, dtype=torch.bool)
         dice = painted.sum() * 0
         for index, target in enumerate(targets):
             owner, cell = _claims(target)
             ignored = target.ignored[owner]
-            judged[index, cell[ignored]] = False
+            counts[index, cell[ignored]] = False
             owner, cell = owner[~ignored], cell[~ignored]
-            judged[index, cell] = True
+            counts[index, cell] = True
             for instance, place in zip(owner.tolist(), cell.tolist(), strict=True):
                 labels[index, place] = target.label[instance]
             logit = torch.einsum("nk,khw->nhw", kernel[index, cell], painted[index])
             dice = dice + _dice(logit.sigmoid(), _quarter(target.drawn())[owner]).sum()
         claimed = int((labels < self.classes).sum())
         truth = one_hot(labels, self.classes + 1)[..., :-1].float()
-        focal = _focal(score[judged], truth[judged]) / (claimed + 1)
+        focal = _focal(score[counts], truth[counts]) / (claimed + 1)
         return {"mask": MASK_WEIGHT * dice / max(claimed, 1), "class": focal}
 
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         """Masks that Matrix NMS leaves with enough score."""
         answers = zip(*self(image), strict=True)
         return [self._find(*answer, most=most, least_score=least_score) for answer in answers]
@@ -147,7 +147,7 @@ class Solov2(nn.Module):
         *,
         most: int,
         least_score: float,
-    ) -> Found:
+    ) -> NetworkOutput:
         # Neither the fill of a mask nor a rival raises a score, so what is below may go at once.
         score = _peaks(score.sigmoid())
         best, place = score.flatten().topk(min(max(500, 2 * most), score.numel()))
@@ -301,7 +301,7 @@ def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float
 
 def _found(
     mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
-) -> Found:
+) -> NetworkOutput:
     """Masks at the scale of the input, and the boxes around them."""
     count, height, width = mask.shape
     if count:
@@ -312,4 +312,4 @@ def _found(
     painted = painted[kept]
     box = masks_to_boxes(painted > 127) if len(painted) else mask.new_zeros(0, 4)
     box = box + box.new_tensor([0, 0, 1, 1])  # its last pixels are inside
-    return Found(box=box, label=label[kept], score=score[kept], mask=painted)
+    return NetworkOutput(box=box, label=label[kept], score=score[kept], mask=painted)

@@ -4,7 +4,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torchvision.ops import batched_nms
 
-from .network import Found
+from .network import NetworkOutput
 
 OVERLAP = 0.45
 
@@ -16,7 +16,7 @@ def best_boxes(
     most: int,
     least_score: float,
     size_px: tuple[int, int],
-) -> Found:
+) -> NetworkOutput:
     """Boxes that no better one of their class overlaps by more than `OVERLAP`, cut to the picture.
 
     Args:
@@ -33,4 +33,4 @@ def best_boxes(
     kept = batched_nms(box, best, label, OVERLAP)[:most]
     height, width = size_px
     inside = box[kept].clamp(min=0).minimum(box.new_tensor([width, height, width, height]))
-    return Found(box=inside, label=label[kept], score=best[kept], mask=None)
+    return NetworkOutput(box=inside, label=label[kept], score=best[kept], mask=None)

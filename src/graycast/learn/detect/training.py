@@ -33,7 +33,7 @@ from .detector import (
 from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
 from .run import Progress, Row, RunFolder
-from .training_pictures import Augmentation, Pictures, collate, room_for
+from .training_pictures import Augmentation, TrainingPictures, collate, room_for
 from .weights import load_weights
 
 SHARES = (0.8, 0.1, 0.1)
@@ -192,10 +192,10 @@ class _Sets:
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
     """The settings that the weights depend on, without device and reading processes."""
-    said = asdict(spec)
+    settings = asdict(spec)
     for name in ("device", "workers"):
-        del said[name]
-    return said | {"weights": None if spec.weights is None else spec.weights.name}
+        del settings[name]
+    return settings | {"weights": None if spec.weights is None else spec.weights.name}
 
 
 def _encoding(first: Examples, sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
@@ -282,7 +282,7 @@ class _Training:
 
     def _epoch(
         self,
-        pictures: Pictures,
+        pictures: TrainingPictures,
         epoch: int,
         steps: int,
         batch: int,
@@ -322,7 +322,7 @@ class _Training:
                 self.run.save(progress, self.network, optimizer)
                 saved = time.monotonic()
 
-    def _loaded(self, pictures: Pictures, batches: np.ndarray) -> Iterator:
+    def _loaded(self, pictures: TrainingPictures, batches: np.ndarray) -> Iterator:
         loader = torch.utils.data.DataLoader(
             pictures,
             batch_sampler=batches.tolist(),
@@ -336,8 +336,8 @@ class _Training:
                 [target.to(self.device) for target in targets],
             )
 
-    def _pictures(self) -> Pictures:
-        return Pictures(
+    def _pictures(self) -> TrainingPictures:
+        return TrainingPictures(
             [(each.train, self.about.classes(each.train.categories)) for each in self.sets],
             self.about.encoding,
             self.run.cache / "train.npy",
@@ -349,7 +349,7 @@ class _Training:
         )
 
     def _validated(self, judge: "_Judge", detector: Detector, progress: Progress) -> Row:
-        row = judge.judged(detector, self.meter)
+        row = judge.figures_of(detector, self.meter)
         figure = np.mean([value for name, value in row.items() if name.endswith("_ap")])
         if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
             progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
@@ -393,7 +393,7 @@ class _Judge:
             masks=training.network.finds_masks,
         )
 
-    def judged(self, detector: Detector, meter: ProgressMeter) -> Row:
+    def figures_of(self, detector: Detector, meter: ProgressMeter) -> Row:
         detector.network.eval()
         ids = {name: i for i, name in enumerate(self.names)}
         found = []

@@ -66,7 +66,7 @@ class _Labelled:
 
 
 @final
-class Pictures(torch.utils.data.Dataset):
+class TrainingPictures(torch.utils.data.Dataset):
     """Pictures and labels of one set as tensors, the same for the same seed, epoch and index.
 
     They are encoded once, into a file beside the run, so that an epoch reads what the network
@@ -103,16 +103,16 @@ class Pictures(torch.utils.data.Dataset):
         self.epoch = 0
         shape = (encoding.channels, *encoding.size_px)
         self.shape = (sum(len(each) for each, _ in examples), *shape)
-        held = room_for(file, self.shape)
+        data = room_for(file, self.shape)
         labelled: list[_Labelled] = []
         for of_set, class_of in examples:
             for example in of_set:
-                held[len(labelled)] = encoding.encode(example, seed=seed + len(labelled))
+                data[len(labelled)] = encoding.encode(example, seed=seed + len(labelled))
                 labelled.append(
                     _labelled(example, encoding, class_of, min_visibility, masks, of_set.folder)
                 )
-                progress.count("pictures read", len(labelled), len(held))
-        held.flush()
+                progress.count("pictures read", len(labelled), len(data))
+        data.flush()
         self.labelled = tuple(labelled)
 
     def __len__(self) -> int:
@@ -135,7 +135,7 @@ class Pictures(torch.utils.data.Dataset):
             mask=mask,
         )
 
-    def at(self, epoch: int) -> "Pictures":
+    def at(self, epoch: int) -> "TrainingPictures":
         """Select the epoch whose augmentation is drawn, and return the set itself."""
         self.epoch = epoch
         return self
@@ -163,14 +163,14 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
             "--size"
         )
     try:
-        held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
+        data = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
         with open(file, "rb+") as opened:
             os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
     except OSError as error:
         raise GraycastError(
             f"{file}: cannot be written ({error.strerror}): choose another --out with free space"
         ) from error
-    return held
+    return data
 
 
 def _labelled(
@@ -298,8 +298,8 @@ class _Move:
                 self._mask(run) if keep else None for run, keep in zip(mask, kept, strict=True)
             ]
             kept &= np.array([run is not None and coco_mask.area(run) > 0 for run in moved], bool)
-            seen = zip(moved, kept, strict=True)
-            mask = tuple(run for run, keep in seen if run is not None and keep)
+            pairs = zip(moved, kept, strict=True)
+            mask = tuple(run for run, keep in pairs if run is not None and keep)
         box = np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1).astype(np.float32)
         return _Labelled(box=box[kept], label=labels.label[kept], ignored=ignored[kept], mask=mask)
 

@@ -44,16 +44,16 @@ def _state(file: Path) -> Mapping[str, Any]:
     if not file.is_file():
         raise GraycastError(f"{file}: does not exist: give a file of weights")
     try:
-        held = torch.load(file, map_location="cpu", weights_only=True)
+        tensors = torch.load(file, map_location="cpu", weights_only=True)
         for key in ("state", "model", "state_dict"):
-            held = held.get(key, held)
+            tensors = tensors.get(key, tensors)
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         raise GraycastError(
             f"{file}: is damaged or is not a file of weights: download it again"
         ) from error
-    if not held or not all(isinstance(value, torch.Tensor) for value in held.values()):
+    if not tensors or not all(isinstance(value, torch.Tensor) for value in tensors.values()):
         raise GraycastError(
             f"{file}: holds no weights by name: give a published backbone, or detector.pt of "
             "another training"
         )
-    return held
+    return tensors

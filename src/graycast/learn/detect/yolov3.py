@@ -17,7 +17,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, interpolate
 from torchvision.ops import box_iou
 
 from .backbones import Convolution, open_backbone
-from .network import Found, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # Width and height in pixels of a picture of 416 x 416, from the coarsest scale to the finest: the
@@ -88,7 +88,7 @@ class Yolov3(nn.Module):
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         """Boxes of all scales, each once."""
         raw = self(image)
         anchor, stride = self._anchors(image)
@@ -176,11 +176,11 @@ def _terms(
     mine, box = raw[positive], target.box[owner[positive]]
     centre, size = _encode(box, anchor[positive], stride[positive])
     label = nn.functional.one_hot(target.label[owner[positive]], raw.shape[1] - 5)
-    judged = positive | negative
+    counts = positive | negative
     return {
         "centre": CENTRE_WEIGHT * _cross_entropy(mine[:, :2], centre),
         "size": SIZE_WEIGHT * (mine[:, 2:4] - size).square().sum(),
-        "objectness": _cross_entropy(raw[judged, 4], positive[judged].float()),
+        "objectness": _cross_entropy(raw[counts, 4], positive[counts].float()),
         "class": _cross_entropy(mine[:, 5:], label.float()),
     }
 

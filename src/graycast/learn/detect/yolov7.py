@@ -18,7 +18,7 @@ from torchvision.ops import box_convert
 
 from ...base.errors import GraycastError
 from .backbones import follow_fast
-from .network import Found, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # The library's anchors are for pictures of this side.
@@ -92,7 +92,7 @@ class Yolov7(nn.Module):
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[Found]:
+    ) -> list[NetworkOutput]:
         """Boxes of all scales, each once and with its best class alone."""
         maps = self(image)
         height, width = image.shape[-2:]

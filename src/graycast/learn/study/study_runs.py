@@ -13,12 +13,12 @@ from ...dataset.detections import RESULTS, Detections, read_results
 from ...dataset.example import Example
 from ...dataset.json_text import json_bytes
 from ...score.evaluate import Labels, Scores, labels_of, score
-from ...score.evaluate.intervals import Drawn, drawn, mean
+from ...score.evaluate.intervals import BootstrapFigure, drawn, mean
 from ...score.evaluate.judging import KINDS
 from ...score.evaluate.matching import Kind
 from ...score.evaluate.task import as_one_class
 from ..detect import Detector, TrainSpec, detect, pictures_of, train
-from ..detect.detecting import looked_at, sets_of
+from ..detect.detecting import detection_record, sets_of
 from ..detect.encoding import Encoding
 from ..detect.networks import network_class
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
@@ -28,7 +28,7 @@ FIGURE = "ap50"  # the paper's
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class StudyRun:
     """One combination of a study."""
 
     model: ModelSection
@@ -50,21 +50,21 @@ class Run:
 class Result:
     """A run's figures: of each world and kind, one for each of the world's datasets."""
 
-    run: Run
-    figures: dict[tuple[str, str], tuple[Drawn, ...]]
+    run: StudyRun
+    figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]]
 
-    def of(self, world: str, kind: str, number: int | None = None) -> Drawn | None:
+    def of(self, world: str, kind: str, number: int | None = None) -> BootstrapFigure | None:
         """A world's figure: of its dataset of that number, else the mean over all.
 
         None where the run or the world has no masks, or the world no such dataset.
         """
-        held = self.figures.get((world, kind))
-        if held is None or number is None:
-            return None if held is None else mean(held)
-        return held[number] if number < len(held) else None
+        figures = self.figures.get((world, kind))
+        if figures is None or number is None:
+            return None if figures is None else mean(figures)
+        return figures[number] if number < len(figures) else None
 
 
-def runs_of(spec: StudySpec) -> Iterator[Run]:
+def runs_of(spec: StudySpec) -> Iterator[StudyRun]:
     """All combinations; colour has no encodings to choose from, so it comes once."""
     for training, model, input_name, encoding in product(
         spec.training, spec.models, spec.inputs, spec.encodings
@@ -72,7 +72,7 @@ def runs_of(spec: StudySpec) -> Iterator[Run]:
         if input_name == "rgb" and encoding is not spec.encodings[0]:
             continue
         for seed in model.seeds or spec.seeds:
-            yield Run(
+            yield StudyRun(
                 model=model, input=input_name, encoding=encoding, training=training, seed=seed
             )
 
@@ -105,7 +105,7 @@ def run_study(
         folder = out / "runs" / run.name
         folder.parent.mkdir(parents=True, exist_ok=True)
         detector = _trained(spec, run, folder, device, progress)
-        figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
+        figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]] = {}
         for number, (name, world) in enumerate(worlds.items()):
             found = [
                 _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
@@ -114,8 +114,8 @@ def run_study(
             progress.stage(f"{run.name}: scored in {name}")
             for kind in world.kinds if detector.network.finds_masks else ("box",):
                 scores = [
-                    _score(spec, given, seen, kind)
-                    for given, seen in zip(world.labels, found, strict=True)
+                    _score(spec, labels, detections, kind)
+                    for labels, detections in zip(world.labels, found, strict=True)
                 ]
                 figures[name, kind] = tuple(
                     drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
@@ -127,14 +127,10 @@ def run_study(
 
 
 def _trained(
-    spec: StudySpec,
-    run: Run,
-    folder: Path,
-    device: str,
-    progress: ProgressMeter,
+    spec: StudySpec, run: StudyRun, folder: Path, device: str, progress: ProgressMeter
 ) -> Detector:
     model = run.model
-    said = TrainSpec(
+    training = TrainSpec(
         model=model.model,
         backbone=model.backbone,
         input=run.input,
@@ -151,20 +147,15 @@ def _trained(
         device=device,
     )
     progress.stage(f"{run.name}: training")
-    return train(
-        spec.training[run.training],
-        folder,
-        said,
-        progress=progress,
-    )
+    return train(spec.training[run.training], folder, training, progress=progress)
 
 
 def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:
     chosen = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
-    if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
+    record = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.record}))
+    if not record.items() <= detection_record(folder).items():  # none, or of other scenes than now
         detect(detector, chosen, folder, drawings=4)
     return read_results(folder / RESULTS, chosen.scene_ids)
 
@@ -182,15 +173,15 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
     labels = []
     for dataset in section.datasets:
         sets, _ = sets_of(dataset, section.split, spec.division)
-        held: list[Labels] = []
+        of_dataset: list[Labels] = []
         for example in chain.from_iterable(sets):
-            if not held:
-                shown = replace(example, depth_m=None) if section.as_real else example
-                _check_inputs(spec, dataset, shown)
-            held.append(labels_of(example, min_visibility=spec.min_visibility))
-        if not held:
+            if not of_dataset:
+                view = replace(example, depth_m=None) if section.as_real else example
+                _check_inputs(spec, dataset, view)
+            of_dataset.append(labels_of(example, min_visibility=spec.min_visibility))
+        if not of_dataset:
             raise GraycastError(f"{dataset}: has no scene in the set {section.split}")
-        labels.append(tuple(held))
+        labels.append(tuple(of_dataset))
     drawn = all(one.mask is not None for of_set in labels for one in of_set)
     return _World(labels=tuple(labels), kinds=KINDS if drawn else ("box",))
 

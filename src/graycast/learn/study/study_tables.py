@@ -9,7 +9,7 @@ from pathlib import Path
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
-from ...score.evaluate.intervals import Drawn, Interval
+from ...score.evaluate.intervals import BootstrapFigure, Interval
 from ..study_file import StudySpec
 from .study_runs import Result
 
@@ -67,20 +67,20 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
             "dataset": name,
         }
         worlds = {world: result.of(world, kind, number) for world in spec.tests}
-        held = {world: figure for world, figure in worlds.items() if figure is not None}
-        if not held:
+        figures = {world: figure for world, figure in worlds.items() if figure is not None}
+        if not figures:
             continue
         if spec.gap is not None:
-            own, other = (held.get(world) for world in spec.gap)
+            own, other = (figures.get(world) for world in spec.gap)
             if own is not None and other is not None:
-                held["gap"] = own - other
-        for world, figure in held.items():
+                figures["gap"] = own - other
+        for world, figure in figures.items():
             row |= _figures(world, figure)
         rows.append(row)
     return rows
 
 
-def _figures(name: str, figure: Drawn) -> Row:
+def _figures(name: str, figure: BootstrapFigure) -> Row:
     interval = figure.interval
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
@@ -89,7 +89,7 @@ def _columns(spec: StudySpec) -> list[str]:
     return [*spec.tests, *(["gap"] if spec.gap is not None else [])]
 
 
-def _told(row: Row, name: str, digits: int) -> str:
+def _interval_text(row: Row, name: str, digits: int) -> str:
     if name not in row:  # a world without masks
         return "-"
     value, low, high = (float(row[key]) for key in (name, f"{name}_low", f"{name}_high"))
@@ -102,7 +102,7 @@ def _told(row: Row, name: str, digits: int) -> str:
     return f"{text} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
 
 
-def _shown_keys(rows: Sequence[Row]) -> list[str]:
+def _keys(rows: Sequence[Row]) -> list[str]:
     """The keys that differ between rows; the model and the input always."""
     return [
         key
@@ -121,14 +121,14 @@ def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> st
 
 
 def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
-    keys, columns = _shown_keys(rows), _columns(spec)
+    keys, columns = _keys(rows), _columns(spec)
     lines = [
         "| " + " | ".join([*keys, *columns]) + " |",
         "|" + "---|" * (len(keys) + len(columns)),
     ]
     for row in rows:
         cells = [str(row[key]) for key in keys]
-        cells += [_told(row, name, 2) if name in row else "-" for name in columns]
+        cells += [_interval_text(row, name, 2) if name in row else "-" for name in columns]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -143,7 +143,7 @@ def _csv(rows: Sequence[Row]) -> str:
 
 
 def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
-    keys, columns = _shown_keys(rows), _columns(spec)
+    keys, columns = _keys(rows), _columns(spec)
     head = " & ".join([*keys, *columns]).replace("_", r"\_")
     lines = [
         rf"% {spec.title}: AP50 with 95 % intervals over scenes",
@@ -154,7 +154,7 @@ def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
     ]
     for row in rows:
         cells = [str(row[key]).replace("_", r"\_") for key in keys]
-        cells += [_told(row, name, 2) for name in columns]
+        cells += [_interval_text(row, name, 2) for name in columns]
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
 
@@ -166,15 +166,15 @@ def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
     for number, (world, ink) in enumerate(
         zip(spec.tests, (ACCENT, SECOND, SOFT, INK), strict=False)
     ):
-        seen = [(i, row) for i, row in enumerate(rows) if world in row]
-        place = [i + (number - (len(spec.tests) - 1) / 2) * height for i, _ in seen]
-        value = [float(row[world]) for _, row in seen]
+        measured = [(i, row) for i, row in enumerate(rows) if world in row]
+        place = [i + (number - (len(spec.tests) - 1) / 2) * height for i, _ in measured]
+        value = [float(row[world]) for _, row in measured]
         ax.barh(place, value, height=0.9 * height, color=ink, label=world)
-        low = [max(0.0, float(row[world]) - float(row[f"{world}_low"])) for _, row in seen]
-        high = [max(0.0, float(row[f"{world}_high"]) - float(row[world])) for _, row in seen]
-        if seen and not any(map(math.isnan, low + high)):
+        low = [max(0.0, float(row[world]) - float(row[f"{world}_low"])) for _, row in measured]
+        high = [max(0.0, float(row[f"{world}_high"]) - float(row[world])) for _, row in measured]
+        if measured and not any(map(math.isnan, low + high)):
             ax.errorbar(value, place, xerr=[low, high], fmt="none", ecolor=INK, lw=0.8, capsize=2)
-    keys = _shown_keys(rows)
+    keys = _keys(rows)
     names = [" ".join(str(row[key]) for key in keys) for row in rows]
     ax.set_yticks(range(len(rows)), names, fontsize=7)
     ax.invert_yaxis()

@@ -75,7 +75,7 @@ class Adjustment:
 
 
 def adjust(
-    seen: Observations,
+    obs: Observations,
     camera_size_px: tuple[int, int],
     projector_size_px: tuple[int, int],
     *,
@@ -95,19 +95,19 @@ def adjust(
     Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
     al., "Bundle adjustment - a modern synthesis", 2000.
     """
-    free = _free(radial_terms, tangential, views=int(seen.view.max()) + 1)
-    start = np.where(free, _start(seen, camera_size_px, projector_size_px), 0.0)
-    fitted, _ = _fit(start, free, seen)
-    size = np.linalg.norm(_independent(_residuals(fitted, seen), seen), axis=2)
+    free = _free(radial_terms, tangential, views=int(obs.view.max()) + 1)
+    start = np.where(free, _start(obs, camera_size_px, projector_size_px), 0.0)
+    fitted, _ = _fit(start, free, obs)
+    size = np.linalg.norm(_independent(_residuals(fitted, obs), obs), axis=2)
     kept = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    fitted, jacobian = _fit(fitted, free, seen.taken(kept))
+    fitted, jacobian = _fit(fitted, free, obs.taken(kept))
     undetermined: dict[str, tuple[float, float]] = {}
     while loose := _loose_terms(fitted, free, jacobian):
         undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
         free = free.copy()
         free[[place for place, *_ in loose.values()]] = False
-        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, seen.taken(kept))
-    residual = _residuals(fitted, seen)
+        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, obs.taken(kept))
+    residual = _residuals(fitted, obs)
     camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
     return Adjustment(
         camera=_optics(camera, camera_size_px),
@@ -155,21 +155,21 @@ def _free(radial_terms: int, tangential: bool, *, views: int) -> Bool[np.ndarray
     return np.array(device + device + [True] * 6 * (1 + views))
 
 
-def _residuals(unknown, seen: Observations) -> Float[np.ndarray, "n 2 2"]:
+def _residuals(unknown, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
     """Measured minus predicted (x, y) [px] of every corner, in the camera and in the projector."""
     camera, projector, T_proj_cam, T_cam_board = _unpack(unknown)
-    T = T_cam_board[seen.view]
-    in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], seen.point_m) + T[:, :3, 3]
+    T = T_cam_board[obs.view]
+    in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], obs.point_m) + T[:, :3, 3]
     in_proj = in_cam @ T_proj_cam[:3, :3].T + T_proj_cam[:3, 3]
     return np.stack(
-        [seen.camera_px - _image(camera, in_cam), seen.projector_px - _image(projector, in_proj)],
+        [obs.camera_px - _image(camera, in_cam), obs.projector_px - _image(projector, in_proj)],
         axis=1,
     )
 
 
-def _independent(residual, seen: Observations) -> Float[np.ndarray, "n 2 2"]:
+def _independent(residual, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
     """Residuals with the camera's share taken out of the projector's."""
-    carried = np.einsum("nij,nj->ni", seen.per_camera_px, residual[:, 0])
+    carried = np.einsum("nij,nj->ni", obs.per_camera_px, residual[:, 0])
     return np.stack([residual[:, 0], residual[:, 1] - carried], axis=1)
 
 
@@ -179,21 +179,21 @@ def _image(device, point_m):
     return distort(ideal, tuple(device[4:])) * device[:2] + device[2:4]
 
 
-def _fit(start, free, seen: Observations):
+def _fit(start, free, obs: Observations):
     """Unknowns, and the Jacobian of the residuals in units of each device's standard deviation."""
     sigma_px, unknown = np.ones(2), start
 
     def errors(free_values):
         trial = unknown.copy()
         trial[free] = free_values
-        return _independent(_residuals(trial, seen), seen) / sigma_px[:, None]
+        return _independent(_residuals(trial, obs), obs) / sigma_px[:, None]
 
     for _ in range(REWEIGHTINGS):
         try:
             outcome = least_squares(
                 lambda values: errors(values).ravel(),
                 unknown[free],
-                jac=lambda values: _jacobian(errors, values, seen.view),
+                jac=lambda values: _jacobian(errors, values, obs.view),
                 method="lm",
                 x_scale="jac",
                 max_nfev=MOST_STEPS,
@@ -204,11 +204,11 @@ def _fit(start, free, seen: Observations):
         unknown[free] = outcome.x
         sigma_before = sigma_px
         squares = np.square(errors(outcome.x) * sigma_px[:, None]).mean(axis=(0, 2))
-        lost = 1 - free.sum() / (4 * len(seen.view))  # unknowns take up part of the scatter
+        lost = 1 - free.sum() / (4 * len(obs.view))  # unknowns take up part of the scatter
         sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
         if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
             break
-    jacobian = _jacobian(errors, outcome.x, seen.view)
+    jacobian = _jacobian(errors, outcome.x, obs.view)
     if not (outcome.success and np.isfinite(jacobian).all()):
         raise CalibrationError(NO_FIT)
     return unknown, jacobian
@@ -264,23 +264,23 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
 
 
 def poses_between(
-    seen: Observations, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+    obs: Observations, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> Float[np.ndarray, "views 4 4"]:
     """`T_proj_cam` as each view has it, by a calibration of each device alone."""
-    T_cam_board = _alone(seen, seen.camera_px, camera_size_px)[1]
-    return _alone(seen, seen.projector_px, projector_size_px)[1] @ inverse(T_cam_board)
+    T_cam_board = _alone(obs, obs.camera_px, camera_size_px)[1]
+    return _alone(obs, obs.projector_px, projector_size_px)[1] @ inverse(T_cam_board)
 
 
 def rms_alone_px(
-    seen: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
+    obs: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> float:
     """Residual (RMS) of the corners of one device in a calibration of it alone."""
-    return _alone(seen, position_px, size_px)[2]
+    return _alone(obs, position_px, size_px)[2]
 
 
-def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
-    camera, T_cam_board, _ = _alone(seen, seen.camera_px, camera_size_px)
-    projector, T_proj_board, _ = _alone(seen, seen.projector_px, projector_size_px)
+def _start(obs: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
+    camera, T_cam_board, _ = _alone(obs, obs.camera_px, camera_size_px)
+    projector, T_proj_board, _ = _alone(obs, obs.projector_px, projector_size_px)
     T_proj_cam = T_proj_board @ inverse(T_cam_board)
     rotation = Rotation.from_matrix(T_proj_cam[:, :3, :3]).mean()
     mean = rigid(rotation.as_matrix(), np.median(T_proj_cam[:, :3, 3], axis=0))
@@ -289,11 +289,11 @@ def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.nd
     return np.concatenate([camera, projector, np.hstack([turns, poses[:, :3, 3]]).ravel()])
 
 
-def _alone(seen: Observations, position_px, size_px):
+def _alone(obs: Observations, position_px, size_px):
     """One device by OpenCV, with two radial terms, the boards' poses before it, and the RMS."""
-    views = range(int(seen.view.max()) + 1)
-    point = [seen.point_m[seen.view == v].astype(np.float32) for v in views]
-    position = [position_px[seen.view == v].astype(np.float32) for v in views]
+    views = range(int(obs.view.max()) + 1)
+    point = [obs.point_m[obs.view == v].astype(np.float32) for v in views]
+    position = [position_px[obs.view == v].astype(np.float32) for v in views]
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
     try:
         rms_px, K, terms, turns, shifts = cv2.calibrateCamera(

@@ -58,11 +58,11 @@ class Board:
     def _check_dictionary(self, name: str) -> None:
         if name not in dictionaries():
             raise ValueError(f"no ArUco dictionary {name!r}: choose {', '.join(dictionaries())}")
-        held = len(_dictionary(name).bytesList)
+        most = len(_dictionary(name).bytesList)
         needed = self.squares_x * self.squares_y // 2
-        if needed > held:
+        if needed > most:
             raise ValueError(
-                f"the board needs {needed} markers, {name} has {held}: choose a larger dictionary"
+                f"the board needs {needed} markers, {name} has {most}: choose a larger dictionary"
             )
 
     @property

@@ -109,42 +109,29 @@ def calibrate_rig(
     observed = observe(
         views, board, camera_size_px=camera_size_px, projector_size_px=projector_size_px
     )
-
-    def fitted(good: Observed) -> Adjustment:
-        return adjust(
-            good.corners,
-            camera_size_px,
-            projector_size_px,
-            radial_terms=radial_terms,
-            tangential=tangential,
-        )
-
-    fit = fitted(observed)
-    while spoiling := _spoiling(observed, fit):
-        observed = observed.less(spoiling)
-        fit = fitted(observed)
-    _refuse_impossible(fit)
-    seen = observed.corners
+    observed, fit = _without_spoiling(
+        observed, (camera_size_px, projector_size_px), radial_terms, tangential
+    )
+    corners = observed.corners
     epipolar_px = epipolar_distance_px(
-        fit.camera, fit.projector, fit.T_cam_proj, seen.camera_px, seen.projector_px
+        fit.camera, fit.projector, fit.T_cam_proj, corners.camera_px, corners.projector_px
     )
     each = tuple(
-        _view_residual(index, view.name, seen, fit, epipolar_px, view.undecoded)
+        _view_residual(index, view.name, corners, fit, epipolar_px, view.undecoded)
         for index, view in enumerate(observed.views)
     )
-    T = fit.T_cam_board[seen.view]
-    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], seen.point_m) + T[:, 2, 3])[fit.kept]
+    nearest_m, farthest_m = _range_m(corners, fit)
     rig = Rig(
         name=name,
         camera=fit.camera,
         projector=fit.projector,
         T_cam_proj=fit.T_cam_proj,
-        near_m=float(depth_m.min() * (1 - RANGE_MARGIN)) if near_m is None else near_m,
-        far_m=float(depth_m.max() * (1 + RANGE_MARGIN)) if far_m is None else far_m,
+        near_m=nearest_m if near_m is None else near_m,
+        far_m=farthest_m if far_m is None else far_m,
     )
     coverage = (
-        _coverage(seen.camera_px[fit.kept], camera_size_px),
-        _coverage(seen.projector_px[fit.kept], projector_size_px),
+        _coverage(corners.camera_px[fit.kept], camera_size_px),
+        _coverage(corners.projector_px[fit.kept], projector_size_px),
     )
     return Calibration(
         rig=rig,
@@ -161,6 +148,33 @@ def calibrate_rig(
             *_warnings(rig, each, fit, coverage),
         ),
     )
+
+
+def _without_spoiling(
+    observed: Observed, sizes_px: Sequence[tuple[int, int]], radial_terms: int, tangential: bool
+) -> tuple[Observed, Adjustment]:
+    """The views that fit together, and their fit.
+
+    Raises:
+        CalibrationError: too few are left, or the fit is one that no device can have.
+    """
+
+    def fitted(good: Observed) -> Adjustment:
+        return adjust(good.corners, *sizes_px, radial_terms=radial_terms, tangential=tangential)
+
+    fit = fitted(observed)
+    while spoiling := _spoiling(observed, fit):
+        observed = observed.less(spoiling)
+        fit = fitted(observed)
+    _refuse_impossible(fit)
+    return observed, fit
+
+
+def _range_m(observations: Observations, fit: Adjustment) -> tuple[float, float]:
+    """The depths of the nearest and of the farthest corner, with a margin."""
+    T = fit.T_cam_board[observations.view]
+    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], observations.point_m) + T[:, 2, 3])[fit.kept]
+    return float(depth_m.min() * (1 - RANGE_MARGIN)), float(depth_m.max() * (1 + RANGE_MARGIN))
 
 
 def epipolar_distance_px(
@@ -261,9 +275,9 @@ def _check_fold(device: str, optics: Optics) -> None:
 
 
 def _view_residual(
-    index: int, name: str, seen: Observations, fit: Adjustment, epipolar_px, undecoded: int
+    index: int, name: str, obs: Observations, fit: Adjustment, epipolar_px, undecoded: int
 ) -> ViewResidual:
-    mine = seen.view == index
+    mine = obs.view == index
     used = mine & fit.kept
     normal = fit.T_cam_board[index][:3, 2]
     return ViewResidual(

@@ -61,9 +61,9 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
         reach = min(reach, 0.65 * (1 - board.marker_m / board.square_m))
     position_px, good = refine_corners(grey, start_px, px_per_square, reach=reach)
     if good.sum() < MIN_CORNERS:
-        seen = f"{good.sum()} of {board.corner_count} corners are sharp enough"
+        count = f"{good.sum()} of {board.corner_count} corners are sharp enough"
         raise CalibrationError(
-            f"{seen}, {MIN_CORNERS} are needed: the picture may be blurred or too dark"
+            f"{count}, {MIN_CORNERS} are needed: the picture may be blurred or too dark"
         )
     return Corners(id=id_[good], position_px=position_px[good], px_per_square=px_per_square[good])
 

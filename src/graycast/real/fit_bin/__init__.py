@@ -2,7 +2,7 @@
 
 from ..fitted_config import fitted_text, refuse_existing
 from .bending import BentBin, bend_bin, bent_bin
-from .bin_views import BinView, Said, read_views
+from .bin_views import BinView, FileOptions, read_views
 from .composite import empty_view
 from .fitting import (
     BinFit,
@@ -17,20 +17,21 @@ from .fitting import (
     with_look,
     write_fit,
 )
-from .look import Frames, Look, fit_look
-from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
+from .look import BinAppearance, Frames, fit_look
+from .pose_fit import FaceFit, PoseFit, difference, find_pose, judge, settle
+from .registration import register
 from .shape import BinShape
 
 __all__ = [
     "BentBin",
+    "BinAppearance",
     "BinFit",
     "BinShape",
     "BinView",
     "FaceFit",
+    "FileOptions",
     "Frames",
-    "Look",
     "PoseFit",
-    "Said",
     "azimuth_of",
     "bend_bin",
     "bent_bin",

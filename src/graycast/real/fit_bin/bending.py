@@ -23,7 +23,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 from ...base.errors import GraycastError
 from ...base.frames import inverse, pixel_grid, rigid, transform_points
 from ...base.ply import WORLD_FRAME, header
-from ...rig.meshdepth import seen_from
+from ...rig.meshdepth import visible_surface
 from ...rig.optics import Optics, project, rays
 from ...world.bins import inside_of
 from ...world.parts import Mesh
@@ -142,7 +142,7 @@ def mesh_bytes(mesh: Mesh) -> bytes:
         [("double", name) for name in "xyz"],
         vertices=len(mesh.vertices_m),
         faces=len(mesh.faces),
-        said=[f"comment {WORLD_FRAME}"],
+        notes=[f"comment {WORLD_FRAME}"],
     )
     table = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corner", "<i4", 3)])
     table["count"], table["corner"] = 3, mesh.faces
@@ -174,7 +174,7 @@ def _cast(
     mesh: Mesh, T_world_cam: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "h w"]:
     """z-depth [m] of the mesh, NaN beside it."""
-    return seen_from(T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
+    return visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
 
 
 def _taken(
@@ -337,12 +337,12 @@ def _curved(
 ) -> Bool[np.ndarray, " f"]:
     """Which faces are to be split: too long, or farther from the smooth shape than allowed."""
     curved = longest_m > _LONGEST_M
-    asked = np.flatnonzero(~curved & (longest_m > EDGE_M))
-    point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[asked])
+    candidates = np.flatnonzero(~curved & (longest_m > EDGE_M))
+    point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[candidates])
     exact_m = bend.shift_m(point_m.reshape(-1, 3)).reshape(point_m.shape)
-    at_corner_m = bend.shift_m(corner_m[asked].reshape(-1, 3)).reshape(-1, 3, 3)
+    at_corner_m = bend.shift_m(corner_m[candidates].reshape(-1, 3)).reshape(-1, 3, 3)
     flat_m = np.einsum("pk,fki->fpi", _WITHIN, at_corner_m)
-    curved[asked] = (np.linalg.norm(exact_m - flat_m, axis=-1) > _CURVED_M).any(axis=1)
+    curved[candidates] = (np.linalg.norm(exact_m - flat_m, axis=-1) > _CURVED_M).any(axis=1)
     return curved
 
 
@@ -358,8 +358,8 @@ def _pieces(
 ) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g 3"]]:
     """The faces after a split: which face each is a piece of, and its corners in `_PIECES`."""
     owners, pieces = [], []
-    for kind, made in enumerate(_PIECES):
+    for kind, faces in enumerate(_PIECES):
         mine = np.flatnonzero(pattern == kind)
-        owners.append(np.repeat(mine, len(made)))
-        pieces.append(np.tile(np.array(made), (len(mine), 1)))
+        owners.append(np.repeat(mine, len(faces)))
+        pieces.append(np.tile(np.array(faces), (len(mine), 1)))
     return np.concatenate(owners), np.concatenate(pieces)

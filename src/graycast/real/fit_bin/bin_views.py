@@ -14,7 +14,7 @@ from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import AnyView, SceneFolder
 from ...rig.optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES
-from ..picture_pairs import RealPicture, Seen, find_shots, read_shot
+from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
@@ -22,7 +22,7 @@ _NORMALS_ACROSS = 400  # normals come from pixels a two-hundredth of the picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
+class FileOptions:
     """Options for the files: `K` [px], distortion, metres per unit of depth, size of clouds."""
 
     K: Float[np.ndarray, "3 3"] | None = None
@@ -107,7 +107,7 @@ class BinView:
 
 
 def read_views(
-    paths: Sequence[Path], *, rgb: Sequence[Path] = (), said: Said, own: Optics
+    paths: Sequence[Path], *, rgb: Sequence[Path] = (), options: FileOptions, own: Optics
 ) -> tuple[BinView, ...]:
     """All views, of one camera that stood still.
 
@@ -132,9 +132,9 @@ def read_views(
         if (path / "scene_camera_sl.json").is_file():
             views += _read_scene(path)
         elif path.is_dir():
-            views += [_read(shot, said, own) for shot in find_shots(path)]
+            views += [_read(shot, options, own) for shot in find_shots(path)]
         else:
-            views.append(_read(_shot(path, colours.get(path)), said, own))
+            views.append(_read(_shot(path, colours.get(path)), options, own))
     if not views:
         raise DatasetError("no view is given: name a depth file or a folder")
     for view in views[1:]:
@@ -152,20 +152,20 @@ def _shot(path: Path, rgb: Path | None) -> RealPicture:
     return RealPicture(stem=str(path), rgb=rgb, gray=None, depth=path)
 
 
-def _read(shot: RealPicture, said: Said, own: Optics) -> BinView:
+def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     brings_own = shot.depth.suffix.lower() == ".ply"
-    by_rig = said.K is None and not brings_own
-    K = own.K if by_rig else said.K
-    seen = read_shot(shot, K=K, scale_m=said.scale_m, size_px=said.size_px)
-    if by_rig and seen.size_px != (own.height_px, own.width_px):
+    by_rig = options.K is None and not brings_own
+    K = own.K if by_rig else options.K
+    images = read_shot(shot, K=K, scale_m=options.scale_m, size_px=options.size_px)
+    if by_rig and images.size_px != (own.height_px, own.width_px):
         raise DatasetError(
-            f"{shot.depth}: is {seen.size_px[1]} x {seen.size_px[0]} pixels, the rig's camera "
+            f"{shot.depth}: is {images.size_px[1]} x {images.size_px[0]} pixels, the rig's camera "
             f"{own.width_px} x {own.height_px}: give its intrinsics (--intrinsics fx,fy,cx,cy)"
         )
-    lens = said.distortion or (own.distortion if by_rig else _NO_DISTORTION)
-    return _view(str(shot.depth), seen, lens)
+    lens = options.distortion or (own.distortion if by_rig else _NO_DISTORTION)
+    return _view(str(shot.depth), images, lens)
 
 
 def _read_scene(scene: Path) -> list[BinView]:
@@ -182,25 +182,25 @@ def _read_scene(scene: Path) -> list[BinView]:
             f"{scene}/{error}: the key of an image must be its number, and it needs cam_K (9 "
             "numbers), depth_scale and, where the lens has distortion, 5 terms of it"
         ) from error
-    for number, said in cameras.items():
+    for number, camera in cameras.items():
         depth = files.png_path("depth_sl", number)
-        seen = read_shot(
+        images = read_shot(
             RealPicture(
                 stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth
             ),
-            K=np.reshape(said.cam_K, (3, 3)),
-            scale_m=said.depth_scale * 1e-3,
+            K=np.reshape(camera.cam_K, (3, 3)),
+            scale_m=camera.depth_scale * 1e-3,
             size_px=None,
         )
-        views.append(_view(str(depth), seen, said.distortion))
+        views.append(_view(str(depth), images, camera.distortion))
     return views
 
 
-def _view(name: str, seen: Seen, distortion: Sequence[float]) -> BinView:
+def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
     try:
-        camera = optics_of(seen.K, seen.size_px, distortion)
+        camera = optics_of(images.K, images.size_px, distortion)
     except ValueError as error:
         raise DatasetError(f"{name}: its camera cannot be used: {error}") from error
-    if seen.depth_m is None:
+    if images.depth_m is None:
         raise DatasetError(f"{name}: has no depth")
-    return BinView(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)
+    return BinView(name=name, camera=camera, depth_m=images.depth_m, rgb=images.rgb)

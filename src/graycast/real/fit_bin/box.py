@@ -111,8 +111,8 @@ class OpenBox:
         faces = self.low_m, self.high_m, self.axis, each_m
         inner_m = np.array(self.inner_m)
         # The kernel is compiled for each layout of arrays, and parts of a grid have another one.
-        seen = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
-        return _evidence(*seen, *faces, inner_m, content)
+        views = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
+        return _evidence(*views, *faces, inner_m, content)
 
 
 def stand_in(shape: BinShape) -> OpenBox:

@@ -58,8 +58,8 @@ def hold_by_edges(
             step_m /= 2
     beside = votes([_moved(best, name, s * _TRY_M) for name in free for s in (1, -1)])
     cost = most - beside.reshape(len(free), 2).max(axis=1)
-    held = tuple(name for name, lost in zip(free, cost, strict=True) if lost >= _LEAST_VOTES)
-    return best, held
+    determined = tuple(name for name, lost in zip(free, cost, strict=True) if lost >= _LEAST_VOTES)
+    return best, determined
 
 
 def _moved(

@@ -22,9 +22,9 @@ from ..fitted_config import fitted_text, refuse_there
 from .bending import BentBin, bent_bin, mesh_bytes
 from .bin_views import BinView
 from .box import open_box
-from .look import Frames, Look, fit_look, mean_color
+from .look import BinAppearance, Frames, fit_look, mean_color
 from .mesh import mesh_shape
-from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
+from .pose_fit import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .residual_picture import draw_residuals
 from .shape import BinShape
 
@@ -40,7 +40,7 @@ class BinFit:
     shape: BinShape
     pose: PoseFit
     apart: tuple[tuple[float, float], ...]
-    look: Look | None = None
+    look: BinAppearance | None = None
     bent: BentBin | None = None
 
 
@@ -162,8 +162,8 @@ def write_fit(
     refuse_there(*files)
     with whole_folder(out.parent) as aside:
         draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
-        told = json.dumps(described(fit), indent=1) + "\n"
-        (aside / report.name).write_text(told, encoding="utf-8")
+        report_text = json.dumps(described(fit), indent=1) + "\n"
+        (aside / report.name).write_text(report_text, encoding="utf-8")
         (aside / out.name).write_text(text, encoding="utf-8")
         if fit.bent is not None and mesh is not None:
             (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
@@ -192,21 +192,21 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
         box |= {"inner_m": list(bin_of(cell.scene).inner_m), "wall_m": bin_of(cell.scene).wall_m}
     else:
         box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
-    made: dict[str, Mapping[str, Any]] = {
+    content: dict[str, Mapping[str, Any]] = {
         "view": {"T_world_cam": _numbers((fit.bent or fit.pose).T_world_cam)},
         "bin": box,
     }
     if fit.look is None:
-        return made
+        return content
     color, walls = fit.look.reflectance, bin_of(cell.scene).material
     box["floor"] = _words(bin_of(cell.scene).floor or walls, color["floor"])
     if "walls" in color:
         box["material"] = _words(walls, color["walls"])
     if "table" in color:
-        made["table"] = _words(cell.scene.table, color["table"])
+        content["table"] = _words(cell.scene.table, color["table"])
     if fit.look.light_scale is not None:
-        made["light"] = _scaled_light(cell.config, fit.look.light_scale)
-    return made
+        content["light"] = _scaled_light(cell.config, fit.look.light_scale)
+    return content
 
 
 def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:
@@ -250,14 +250,14 @@ def _scaled_light(config: Config, scale: float) -> dict[str, Any]:
 
 def _comments(fit: BinFit, base: Path) -> dict[str, str]:
     pose = fit.pose
-    told = (
+    text = (
         f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from "
         f"{base.name}:\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the "
         "points in the bin belong to it."
     )
     if pose.by_edges:
-        told += f"\nDetermined only by edges, not by walls: {', '.join(pose.by_edges)}."
-    comments = {"view": told, "bin": "Shape as given."}
+        text += f"\nDetermined only by edges, not by walls: {', '.join(pose.by_edges)}."
+    comments = {"view": text, "bin": "Shape as given."}
     if fit.look is not None:
         level = np.mean(fit.look.reflectance["floor"])
         color = f"colours from the pictures, relative to a floor that reflects {level:.3f} (stated)"
@@ -338,27 +338,27 @@ def summary(fit: BinFit) -> list[str]:
             "degrees from all together"
         )
     if fit.bent is not None:
-        told = [
+        errors = [
             f"median {1e3 * median_m:.2f} mm, 90 % within {1e3 * most_m:.2f} mm"
             for median_m, most_m in (fit.bent.before_m, fit.bent.after_m)
         ]
-        lines.append(f"  depth from the mesh: {told[0]}; from the bent mesh: {told[1]}")
+        lines.append(f"  depth from the mesh: {errors[0]}; from the bent mesh: {errors[1]}")
     return lines if fit.look is None else lines + _look_lines(fit.look)
 
 
 def _face_line(face: FaceFit) -> str:
-    told = f"median {1e3 * face.median_m:+.2f} mm, RMS {1e3 * face.rms_m:.2f} mm"
-    told = "no inliers" if math.isnan(face.rms_m) else told
-    return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {told}"
+    residual = f"median {1e3 * face.median_m:+.2f} mm, RMS {1e3 * face.rms_m:.2f} mm"
+    residual = "no inliers" if math.isnan(face.rms_m) else residual
+    return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {residual}"
 
 
-def _look_lines(look: Look) -> list[str]:
+def _look_lines(look: BinAppearance) -> list[str]:
     lines = []
     for name, color in look.reflectance.items():
         bands = ", ".join(f"{band:.3f}" for band in color)
         lines.append(f"  {name:10} reflects {bands} ({look.pixels[name]} pixels)")
     if look.light_scale is None:
-        told = "as configured: the level needs --white and --black"
+        level = "as configured: the level needs --white and --black"
     else:
-        told = f"{look.light_scale:.3g} times as configured"
-    return [*lines, f"  lamps and environment {told}"]
+        level = f"{look.light_scale:.3g} times as configured"
+    return [*lines, f"  lamps and environment {level}"]

@@ -55,7 +55,7 @@ class Frames:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class BinAppearance:
     """Linear reflectances by surface, of those that the pictures show.
 
     `pixels` are those compared, `off` the largest relative difference of a surface's band that is
@@ -80,7 +80,7 @@ def fit_look(
     frames: Frames | None,
     renderer: Renderer,
     seed: int,
-) -> Look:
+) -> BinAppearance:
     """Colours with which the renderer makes the pictures of the views.
 
     Args:
@@ -100,32 +100,32 @@ def fit_look(
     floor_m = bin_of(cell.scene).floor_m
     masks = [_masks(view, shape, floor_m, T_world_cam) for view in views]
     pixels = {name: sum(int(mask[name].sum()) for mask in masks) for name in SURFACES}
-    shown = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
-    if "floor" not in shown:
+    names = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
+    if "floor" not in names:
         raise GraycastError(
             "the pictures show too little of the floor: it may be clipped or covered"
         )
     color = {name: mean_color(material) for name, material in _materials(cell.scene).items()}
     level = floor_reflectance or float(np.mean(color["floor"]))
-    scene = _seen_scene(cell.scene, grid, T_world_cam)
+    scene = _scene_of_view(cell.scene, grid, T_world_cam)
     scale, off, exposure = None, np.inf, 1.0
     for _ in range(_ROUNDS):
-        made = _render(renderer, scene, color, cell, seed)
+        rendering = _render(renderer, scene, color, cell, seed)
         if frames is not None:
             lit = masks[0]["floor_depth"] | masks[0]["walls_depth"]
-            scale = light_scale(*_two_lights(made, scene.rig), frames, lit, step)
-        rgb = _picture(made, scene.rig, 1.0 if scale is None else scale)
-        ratio = _ratios(views, masks, rgb, shown, step)
+            scale = light_scale(*_two_lights(rendering, scene.rig), frames, lit, step)
+        rgb = _picture(rendering, scene.rig, 1.0 if scale is None else scale)
+        ratio = _ratios(views, masks, rgb, names, step)
         exposure = float(np.mean(np.array(color["floor"]) * ratio["floor"])) / level
-        relative = {name: ratio[name] / exposure for name in shown}
+        relative = {name: ratio[name] / exposure for name in names}
         off = max(float(np.abs(r - 1).max()) for r in relative.values())
         if off < _SETTLED:
             break
-        color |= {n: _stepped(color[n], relative[n]) for n in shown}
-    _refuse_impossible({name: color[name] for name in shown}, relative, level)
-    return Look(
-        reflectance={name: color[name] for name in shown},
-        pixels={name: pixels[name] for name in shown},
+        color |= {n: _stepped(color[n], relative[n]) for n in names}
+    _refuse_impossible({name: color[name] for name in names}, relative, level)
+    return BinAppearance(
+        reflectance={name: color[name] for name in names},
+        pixels={name: pixels[name] for name in names},
         off=off,
         light_scale=scale,
         exposure=exposure,
@@ -149,7 +149,7 @@ def _materials(scene: Scene) -> dict[str, Material]:
     return {"walls": walls, "floor": bin_of(scene).floor or walls, "table": scene.table}
 
 
-def _seen_scene(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
+def _scene_of_view(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
     """The cell before the view's camera, of which every n-th pixel is left."""
     rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
     return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
@@ -171,9 +171,9 @@ def _render(
     return renderer.render(scene, EMPTY_LAYOUT, nothing, quality=quality, seed=seed)
 
 
-def _picture(made: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
+def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
     """The colour picture's light, lamps scaled."""
-    radiance = made.radiance
+    radiance = rendering.radiance
     rgb = scale * radiance.ambient_rgb + idle_share(rig) * radiance.white_rgb
     if not rgb.max() > 0:
         raise GraycastError(
@@ -220,20 +220,20 @@ def _ratios(
     views: Sequence[BinView],
     masks: Sequence[Mapping[str, np.ndarray]],
     rgb: Float[np.ndarray, "h w 3"],
-    shown: Sequence[str],
+    names: Sequence[str],
     step: int,
 ) -> dict[str, Float[np.ndarray, "3"]]:
     """Real over rendered colour of each surface, median over pixels, mean over the views.
 
     Each view has an exposure of its own, which is taken out by its floor.
     """
-    found: dict[str, list[np.ndarray]] = {name: [] for name in shown}
+    found: dict[str, list[np.ndarray]] = {name: [] for name in names}
     floors = []
     for view, mask in zip(views, masks, strict=True):
         real = linear(_rgb(view)[::step, ::step])
-        ratio = {n: np.median(real[mask[n]] / np.maximum(rgb[mask[n]], 1e-12), 0) for n in shown}
+        ratio = {n: np.median(real[mask[n]] / np.maximum(rgb[mask[n]], 1e-12), 0) for n in names}
         floors.append(float(ratio["floor"].mean()))
-        for name in shown:
+        for name in names:
             found[name].append(ratio[name] / floors[-1])
     return {name: np.mean(floors) * np.mean(values, axis=0) for name, values in found.items()}
 
@@ -244,10 +244,10 @@ def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:
 
 
 def _two_lights(
-    made: Rendering, rig: Rig
+    rendering: Rendering, rig: Rig
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], float]:
     """On the measuring camera's sensor: the projector's white, all other light; and the leak."""
-    radiance = made.radiance
+    radiance = rendering.radiance
     both = [radiance.white, radiance.ambient]
     white, ambient = (veiled(one, rig.veil) for one in both) if rig.veil else both
     return white, ambient, 1 / rig.contrast_ratio

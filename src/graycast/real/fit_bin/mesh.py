@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from ...rig.meshdepth import seen_from
+from ...rig.meshdepth import visible_surface
 from ...world.parts import Mesh
 from ...world.scene import Bin, inner_floor
 from .bin_views import Grid
@@ -80,7 +80,7 @@ class MeshShape:
         self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
     ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
         mesh = self.mesh
-        face, z = seen_from(T_world_cam, mesh.vertices_m, mesh.faces, grid.camera)
+        face, z = visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, grid.camera)
         return face, np.where(face == NO_FACE, np.inf, z)
 
     def votes(

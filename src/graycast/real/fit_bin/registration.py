@@ -1,153 +1,27 @@
-"""The bin's pose from depth: iterated closest faces, robust against what is not the bin.
+"""Points of a scan drawn to the faces of the bin, step by step: robust point-to-plane ICP.
 
-Every point is drawn to the plane of the nearest face whose normal is about its own (point-to-plane
-ICP). Tukey's weight takes clutter out; its scale is
-that of all faces across one axis, so that a precise floor does not throw out walls that are
-measured worse, and two walls farther apart than stated share the error. What counts shrinks from
-coarse to fine.
-
-Leaves out: walls that lean, bend or bulge, rounded edges, and errors of the scanner that all
-points share; residuals by face show them.
+Every point is drawn to the plane of the nearest face whose normal is about its own. Tukey's weight
+takes clutter out; its scale is that of all faces across one axis, so that a precise floor does not
+throw out walls that are measured worse, and two walls farther apart than stated share the error.
+What counts shrinks from coarse to fine.
 
 Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992
 (point-to-plane); Beaton & Tukey 1974 (weights).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from ...base.errors import GraycastError
-from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from ...base.frames import rigid, transform_points
 from ...base.robust import robust_sigma
-from .bin_views import BinView, Grid
-from .box import OpenBox, stand_in
-from .edges import hold_by_edges
-from .shape import NO_FACE, BinShape, height_over
-from .start import start_poses
+from .shape import BinShape, height_over
 
-FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # of the bin, in its own frame
-_FIRST_M, _LAST_M, _SHRINK = 0.04, 0.006, 0.75  # how far a point may lie from its face
+FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # how far a point may lie from its face
 _TUKEY = 4.685  # in standard deviations, for an efficiency of 95 %
 _LEAST_SIGMA_M = 1e-4
-_LEAST_INLIERS = 60  # points of a face that hold a degree of freedom
-_FINE_M = 0.005  # of the evidence that picks one of the starts
-_SEARCH_PX = 64  # of the grid on which the first search looks
-_NEARLY_SQUARE = 0.8  # width over length of a bin that coarse steps may take crosswise
-_STARTS, _FINALISTS = 10, 4  # poses begun with on each plane, and followed to the end
-_LEAST_AGREEING = 0.35  # as a share of what is measured where the bin should be
-_LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FaceFit:
-    """The agreement of one surface of the bin with the measured depth.
-
-    `seen_px` pixels should show it; `measured` is the share of them with depth, `inliers` that with
-    depth of this surface. The rest is about signed distances of inliers from its planes, positive
-    on the visible side; NaN where there are none.
-    """
-
-    name: str
-    seen_px: int
-    measured: float
-    inliers: float
-    median_m: float
-    rms_m: float
-    p95_m: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseFit:
-    """A pose with its evidence.
-
-    `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], of the noise that the
-    residuals show, as if points were independent; of `by_edges`, which no face holds well, it says
-    nothing: they follow from where rim and floor end. `loose` names those that nothing holds.
-    """
-
-    T_world_cam: Float[np.ndarray, "4 4"]
-    faces: tuple[FaceFit, ...]
-    rms_m: float
-    median_m: float  # of absolute residuals
-    p95_m: float
-    inlier_share: float  # of all measured points in the bin's own space
-    agreeing: float  # of what is measured where the floor should be seen, or the walls if less
-    sigma: Float[np.ndarray, "6"]
-    by_edges: tuple[str, ...]
-    loose: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        self.T_world_cam.flags.writeable = False
-        self.sigma.flags.writeable = False
-
-
-def find_pose(
-    views: Sequence[BinView],
-    shape: BinShape,
-    *,
-    azimuth_rad: float,
-    seed: int,
-    stated: Float[np.ndarray, "4 4"] | None = None,
-) -> PoseFit:
-    """The pose from all views together.
-
-    Fits of the shape begin at the rough pose that is `stated`, or else at likely places of the box
-    that stands in for the shape. A box looks the same after half a turn, a square one after a
-    quarter: of these poses it is the one whose azimuth (of the camera's x axis in the world) is
-    nearest to `azimuth_rad`.
-
-    Raises:
-        GraycastError: nothing in the views looks like the bin.
-    """
-    box, starts = stand_in(shape), [] if stated is None else [stated]
-    grids = [view.grid(_SEARCH_PX) for view in views]
-    for grid in grids if stated is None else ():
-        starts += start_poses(box, grid, each=_STARTS, seed=seed)
-    if not starts:
-        raise GraycastError("the depth has no flat surface that could be the bin's floor")
-    few = np.concatenate([view.cloud(1500 // len(views)) for view in views])
-    coarse = _best_first(shape, grids, [register(few, T, shape, iterations=20) for T in starts])
-    cloud = np.concatenate([view.cloud() for view in views])
-    best = _best_first(shape, grids, [register(cloud, T, shape) for T in coarse[:_FINALISTS]])[0]
-    candidates = [best]
-    if box.turns < 4 and min(box.inner_m[:2]) > _NEARLY_SQUARE * max(box.inner_m[:2]):
-        quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
-        candidates.append(register(cloud, quarter @ best, shape))
-    # Length and width are told apart where the bin ends, so by what edges hold, too.
-    turned = [_turned(T, box, azimuth_rad) for T in candidates]
-    return _best_settled(views, shape, grids, turned)
-
-
-def _best_settled(
-    views: Sequence[BinView],
-    shape: BinShape,
-    grids: Sequence[Grid],
-    candidates: Sequence[Float[np.ndarray, "4 4"]],
-) -> PoseFit:
-    """The best of what the candidates settle to; the first's refusal where all are refused."""
-    fits, refusals = [], []
-    for T in candidates:
-        try:
-            fits.append(settle(views, shape, T))
-        except GraycastError as refusal:
-            refusals.append(refusal)
-    if not fits:
-        raise refusals[0]
-    best = _best_first(shape, grids, [fit.T_world_cam for fit in fits])[0]
-    return next(fit for fit in fits if fit.T_world_cam is best)
-
-
-def _best_first(
-    shape: BinShape, grids: Sequence[Grid], poses: list[Float[np.ndarray, "4 4"]]
-) -> list[Float[np.ndarray, "4 4"]]:
-    """Ordered by evidence times what agrees: beside a bin stands much table, but no wall."""
-    score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
-    score *= [_agreeing(shape, [_seen(shape, T, grid) for grid in grids]) for T in poses]
-    return [poses[i] for i in np.argsort(-score, kind="stable")]
 
 
 def register(
@@ -155,7 +29,7 @@ def register(
     T_world_cam: Float[np.ndarray, "4 4"],
     shape: BinShape,
     *,
-    first_m: float = _FIRST_M,
+    first_m: float = FIRST_M,
     iterations: int = 60,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> Float[np.ndarray, "4 4"]:
@@ -169,91 +43,18 @@ def register(
     """
     T, reach_m = T_world_cam, first_m
     for _ in range(iterations):
-        pairs = _pairs(shape, T, cloud, reach_m, trust)
-        step = _solved(*_equations(shape, pairs))
+        pairs = pairs_of(shape, T, cloud, reach_m, trust)
+        step = _solved(*equations(shape, pairs))
         T = _moved(T, step)
         settled = np.abs(step[:3]).max() < 1e-6 and np.abs(step[3:]).max() < 1e-6
-        if reach_m == _LAST_M and settled:
+        if reach_m == LAST_M and settled:
             break
-        reach_m = max(_LAST_M, _SHRINK * reach_m)
+        reach_m = max(LAST_M, SHRINK * reach_m)
     return T
 
 
-def settle(
-    views: Sequence[BinView], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
-) -> PoseFit:
-    """The pose near a first one with what speaks for it: by faces, and by edges where these fail.
-
-    Raises:
-        GraycastError: too little of what is measured agrees with the bin.
-    """
-    cloud = np.concatenate([view.cloud() for view in views])
-    fit = judge(views, shape, register(cloud, T_world_cam, shape, first_m=3 * _LAST_M))
-    # What little is measured of a wall in shadow is often wrong.
-    trust = np.array([face.inliers for face in fit.faces])
-    T = register(cloud, fit.T_world_cam, shape, first_m=_LAST_M, trust=trust)
-    fit = judge(views, shape, T, trust=trust)
-    T, held = hold_by_edges(views, shape, fit.T_world_cam, fit.loose, fit.rms_m)
-    loose = tuple(name for name in fit.loose if name not in held)
-    return replace(judge(views, shape, T, trust=trust), by_edges=held, loose=loose)
-
-
-def judge(
-    views: Sequence[BinView],
-    shape: BinShape,
-    T_world_cam: Float[np.ndarray, "4 4"],
-    *,
-    trust: Float[np.ndarray, " s"] | None = None,
-) -> PoseFit:
-    """What residuals and geometry say about a pose; `trust` as in `register`.
-
-    Raises:
-        GraycastError: too little of what is measured agrees with the bin.
-    """
-    cloud = np.concatenate([view.cloud() for view in views])
-    pairs = _pairs(shape, T_world_cam, cloud, _LAST_M, trust)
-    inlier = pairs.weight > 0
-    residual_m = pairs.height_m[inlier]
-    grids = [view.grid(512) for view in views]
-    seen = [_seen(shape, T_world_cam, grid) for grid in grids]
-    agreeing = _agreeing(shape, seen)
-    if agreeing < _LEAST_AGREEING:
-        size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
-        raise GraycastError(
-            f"no bin of {size} mm inside is in the depth: at best {agreeing:.0%} of it agrees; "
-            "check the size, the scale of the depth and the intrinsics, and that floor and walls "
-            "are in view"
-        )
-    space = _in_bin(shape, pairs.point)
-    sigma = _deviations(_equations(shape, pairs)[0])
-    return PoseFit(
-        T_world_cam=T_world_cam.copy(),
-        faces=tuple(_face_fit(shape, k, seen, pairs) for k in range(len(shape.names))),
-        rms_m=float(np.sqrt((residual_m**2).mean())),
-        median_m=float(np.median(np.abs(residual_m))),
-        p95_m=float(np.percentile(np.abs(residual_m), 95)),
-        inlier_share=_share((space & inlier).sum(), space.sum()),
-        agreeing=agreeing,
-        sigma=sigma,
-        by_edges=(),
-        loose=_loose(shape, pairs, sigma),
-    )
-
-
-def difference(
-    T_world_cam: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]
-) -> tuple[float, float]:
-    """How far two fits are apart: places of the bin's origin [m], and the angle [rad]."""
-    T_a, T_b = inverse(T_world_cam), inverse(other)
-    turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
-    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(turn)
-
-
-# --- one iteration -----------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
-class _Pairs:
+class FacePairs:
     """The face of each point, its height over it, and its weight [1 / m^2], 0 of what is not it."""
 
     point: Float[np.ndarray, "n 3"]  # in the world
@@ -262,13 +63,13 @@ class _Pairs:
     weight: Float[np.ndarray, " n"]
 
 
-def _pairs(
+def pairs_of(
     shape: BinShape,
     T_world_cam: Float[np.ndarray, "4 4"],
     cloud: Float[np.ndarray, "n 6"],
     reach_m: float,
     trust: Float[np.ndarray, " s"] | None,
-) -> _Pairs:
+) -> FacePairs:
     point = transform_points(T_world_cam, cloud[:, :3])
     normal = cloud[:, 3:] @ T_world_cam[:3, :3].T
     face, distance_m = shape.nearest(point, normal, T_world_cam[:3, 3])
@@ -286,11 +87,11 @@ def _pairs(
         weight[mine] = share / sigma_m**2
     if trust is not None:
         weight *= trust[shape.surface[face]]
-    return _Pairs(point, face, height_m, weight)
+    return FacePairs(point, face, height_m, weight)
 
 
-def _equations(
-    shape: BinShape, pairs: _Pairs
+def equations(
+    shape: BinShape, pairs: FacePairs
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
     """Normal equations of a small motion (shift, turn) of the points in the world.
 
@@ -311,98 +112,3 @@ def _solved(A: Float[np.ndarray, "6 6"], b: Float[np.ndarray, "6"]) -> Float[np.
 
 def _moved(T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
     return rigid(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3]) @ T
-
-
-def _turned(
-    T: Float[np.ndarray, "4 4"], box: OpenBox, azimuth_rad: float
-) -> Float[np.ndarray, "4 4"]:
-    def off(turned: np.ndarray) -> float:
-        azimuth = np.arctan2(turned[1, 0], turned[0, 0])
-        return abs((azimuth - azimuth_rad + np.pi) % (2 * np.pi) - np.pi)
-
-    angles = 2 * np.pi / box.turns * np.arange(box.turns)
-    alike = [rigid(axis_rotation("z", float(a)), np.zeros(3)) @ T for a in angles]
-    return min(alike, key=off)
-
-
-# --- what a pose is worth ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """Of a view's pixels: the surface that each should show, and what was measured there."""
-
-    surface: Int[np.ndarray, " n"]
-    measured: Bool[np.ndarray, " n"]
-    agrees: Bool[np.ndarray, " n"]
-
-
-def _seen(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Seen:
-    face, point_m = shape.cast(T_world_cam, grid)[0].ravel(), grid.point_m.reshape(-1, 3)
-    measured = np.isfinite(point_m[:, 2]) & (face != NO_FACE)
-    agrees = np.zeros(len(face), dtype=bool)
-    point = transform_points(T_world_cam, point_m[measured])
-    agrees[measured] = np.abs(height_over(shape, point, face[measured])) < _LAST_M
-    surface = np.where(face == NO_FACE, NO_FACE, shape.surface[face])
-    return _Seen(surface, measured, agrees)
-
-
-def _agreeing(shape: BinShape, seen: Sequence[_Seen]) -> float:
-    """The lower share of two, of what is measured where the floor should be, and where the walls.
-
-    A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
-    """
-    shares, is_of_floor = [], np.array(shape.names) == "floor"
-    for floor in (True, False):
-        mine = [s.measured & (is_of_floor[s.surface] == floor) for s in seen]
-        agrees = sum((s.agrees & m).sum() for s, m in zip(seen, mine, strict=True))
-        shares.append(_share(agrees, sum(m.sum() for m in mine)))
-    return min(shares)
-
-
-def _face_fit(shape: BinShape, k: int, seen: Sequence[_Seen], pairs: _Pairs) -> FaceFit:
-    mine = [s.surface == k for s in seen]
-    seen_px = int(sum(m.sum() for m in mine))
-    measured = sum((s.measured & m).sum() for s, m in zip(seen, mine, strict=True))
-    agrees = sum((s.agrees & m).sum() for s, m in zip(seen, mine, strict=True))
-    height_m = pairs.height_m[(shape.surface[pairs.face] == k) & (pairs.weight > 0)]
-    size_m = np.abs(height_m) if len(height_m) else np.array([np.nan])
-    return FaceFit(
-        name=shape.names[k],
-        seen_px=seen_px,
-        measured=_share(measured, seen_px),
-        inliers=_share(agrees, seen_px),
-        median_m=float(np.median(height_m)) if len(height_m) else np.nan,
-        rms_m=float(np.sqrt((size_m**2).mean())),
-        p95_m=float(np.percentile(size_m, 95)),
-    )
-
-
-def _in_bin(shape: BinShape, point: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    margin = np.array([0.01, 0.01, 0.02])
-    low, high = shape.bounds_m
-    return ((point > low - margin) & (point < high + margin)).all(axis=1)
-
-
-def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
-    """Square roots of the covariance's diagonal; inf where nothing holds."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-12))
-    value, vector = np.linalg.eigh(A / np.outer(size, size))
-    held = value > 1e-9
-    variance = (vector[:, held] ** 2 / value[held]).sum(axis=1)
-    variance[(vector[:, ~held] ** 2 > 1e-6).any(axis=1)] = np.inf
-    return np.sqrt(variance) / size
-
-
-def _loose(shape: BinShape, pairs: _Pairs, sigma: Float[np.ndarray, "6"]) -> tuple[str, ...]:
-    """Places along an axis need a face across it; all six need a deviation that is small."""
-    used = pairs.weight > 0
-    along = np.bincount(shape.axis[pairs.face[used]], minlength=3)
-    limit = np.array([_LOOSE_M] * 3 + [_LOOSE_RAD] * 3)
-    loose = ~(sigma < limit)
-    loose[:3] |= along < _LEAST_INLIERS
-    return tuple(name for name, is_loose in zip(FREEDOMS, loose, strict=True) if is_loose)
-
-
-def _share(part: int | np.integer, whole: int | np.integer) -> float:
-    return float(part / whole) if whole else 0.0

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from ...base.frames import transform_points
 from ...base.plotting import ACCENT, INK, PALE, SECOND, caption, plain_axes, save_png
 from .bin_views import BinView
-from .registration import PoseFit
+from .pose_fit import PoseFit
 from .shape import NO_FACE, BinShape, height_over
 
-_SHOWN_M = 0.006  # beyond, it is not the bin
+_RANGE_M = 0.006  # beyond, it is not the bin
 _ACROSS_PX = 640
 _BELOW = (0.5, -0.1)  # of an axes' own size
 
@@ -30,8 +30,8 @@ def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], pat
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     limit_mm = 1e3 * max(3 * pose.rms_m, 0.3e-3)
-    shown = 1e3 * residual_map(views[0], shape, pose.T_world_cam)
-    image = left.imshow(shown, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
+    residual_mm = 1e3 * residual_map(views[0], shape, pose.T_world_cam)
+    image = left.imshow(residual_mm, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
     bar = figure.colorbar(image, ax=left, shrink=0.85)
     bar.set_label("above its face [mm]", fontsize=8, color=INK)
     caption(left, f"residuals of {Path(views[0].name).name}", "column [px]", "row [px]")
@@ -54,7 +54,7 @@ def residual_map(
     face, _ = shape.cast(T_world_cam, grid)
     height_m = height_over(shape, transform_points(T_world_cam, grid.point_m), face)
     with np.errstate(invalid="ignore"):
-        mine = (face != NO_FACE) & (np.abs(height_m) < _SHOWN_M)
+        mine = (face != NO_FACE) & (np.abs(height_m) < _RANGE_M)
     return np.where(mine, height_m, np.nan)
 
 

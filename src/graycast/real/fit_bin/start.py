@@ -190,12 +190,12 @@ def _distinct(
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
     kept: list[Float[np.ndarray, "4 4"]] = []
-    seen: list[Float[np.ndarray, "corners 3"]] = []
+    places_of_others: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
         places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
-        if all(_shift_m(places, other) > apart_m for other in seen):
+        if all(_shift_m(places, other) > apart_m for other in places_of_others):
             kept.append(T)
-            seen.append(places)
+            places_of_others.append(places)
         if len(kept) == count:
             break
     return kept

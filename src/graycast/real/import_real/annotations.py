@@ -20,7 +20,7 @@ _RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # corners as picks of (x0, x1) an
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
+class Annotation:
     """What somebody drew on one picture: a name and run lengths (compressed) per instance."""
 
     source: str
@@ -32,7 +32,7 @@ class Drawn:
         return coco_mask.decode(dict(self.masks[i])).astype(bool)
 
 
-def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Drawn], list[str]]:
+def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annotation], list[str]]:
     """The labels of pictures by the stems of their files, and all names in their order.
 
     Args:
@@ -68,7 +68,7 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Drawn]
     return {stem: drawn[stem] for stem in stems}, names
 
 
-def _coco(path: Path) -> tuple[dict[str, Drawn], list[str]]:
+def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
     content = _load(path)
     try:
         names = {entry["id"]: str(entry["name"]) for entry in content["categories"]}
@@ -100,7 +100,7 @@ def _coco_image(
     image: Mapping[str, Any],
     entries: Sequence[Mapping[str, Any]],
     names: Mapping[int, str],
-) -> Drawn:
+) -> Annotation:
     size = (int(image["height"]), int(image["width"]))
     masks = []
     for entry in entries:
@@ -113,7 +113,7 @@ def _coco_image(
             masks.append(_rasterised(points, size, name))
         else:
             masks.append(_run_lengths(shape, size, name))
-    return Drawn(
+    return Annotation(
         source=path.name,
         size_px=size,
         names=tuple(names[entry["category_id"]] for entry in entries),
@@ -132,7 +132,7 @@ def _run_lengths(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> 
     return _not_empty(runs, name)
 
 
-def _labelme(path: Path, content: Mapping[str, Any]) -> Drawn:
+def _labelme(path: Path, content: Mapping[str, Any]) -> Annotation:
     """Shapes with the same label and the same `group_id` are one instance."""
     try:
         size = (int(content["imageHeight"]), int(content["imageWidth"]))
@@ -150,7 +150,7 @@ def _labelme(path: Path, content: Mapping[str, Any]) -> Drawn:
         for i, ((name, _), points) in enumerate(instances.items(), start=1)
     ]
     names = tuple(name for name, _ in instances)
-    return Drawn(source=path.name, size_px=size, names=names, masks=tuple(masks))
+    return Annotation(source=path.name, size_px=size, names=names, masks=tuple(masks))
 
 
 def _labelme_points(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "_ 2"]:

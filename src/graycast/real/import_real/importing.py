@@ -26,8 +26,8 @@ from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
-from ..picture_pairs import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
-from .annotations import Drawn, read_annotations
+from ..picture_pairs import RealPicture, ShotData, depth_step_mm, depth_steps, find_shots, read_shot
+from .annotations import Annotation, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -52,7 +52,7 @@ class _Camera:
     scale_m: float | None
     size_px: tuple[int, int] | None
 
-    def read(self, shot: RealPicture) -> Seen:
+    def read(self, shot: RealPicture) -> ShotData:
         return read_shot(shot, K=self.K, scale_m=self.scale_m, size_px=self.size_px)
 
 
@@ -101,9 +101,9 @@ def import_real(
         (aside / CLAIM).write_bytes(json_bytes(writer.claim(folder)))
         (aside / "camera.json").write_bytes(json_bytes(writer.camera(first)))
         for scene_id, shot in enumerate(shots):
-            seen = camera.read(shot)
+            images = camera.read(shot)
             labels = drawn[shot.stem] if labelled else None
-            writer.scene(aside / "train" / f"{scene_id:06d}", shot, seen, labels)
+            writer.scene(aside / "train" / f"{scene_id:06d}", shot, images, labels)
             progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px
@@ -120,7 +120,7 @@ def import_real(
 
 def _labels(
     folder: Path, annotations: Path | None, labelled: bool, stems: list[str]
-) -> tuple[dict[str, Drawn], list[str]]:
+) -> tuple[dict[str, Annotation], list[str]]:
     if not labelled:
         if annotations is not None:
             raise DatasetError(
@@ -136,41 +136,41 @@ def _labels(
     return read_annotations(path, stems)
 
 
-def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str]:
-    if given is None:
+def _object_names(found: Sequence[str], names: Sequence[str] | None) -> list[str]:
+    if names is None:
         return list(found)
-    if unknown := [name for name in found if name not in given]:
+    if unknown := [name for name in found if name not in names]:
         raise DatasetError(
-            f"the annotations name {unknown[0]!r}, and the objects are {', '.join(given)}: rename "
+            f"the annotations name {unknown[0]!r}, and the objects are {', '.join(names)}: rename "
             "it there, or remove --like"
         )
-    return list(given)
+    return list(names)
 
 
 def _survey(
     shots: Sequence[RealPicture], camera: _Camera, range_m: tuple[float, float] | None
-) -> tuple[Seen, float, list[str]]:
+) -> tuple[ShotData, float, list[str]]:
     """Reads all once, so that what cannot be used is told before anything is written."""
     pictures = map(camera.read, shots)
     first, deepest_m, notes = next(pictures), 0.0, []
-    for shot, seen in zip(shots, chain([first], pictures), strict=True):
-        if seen.size_px != first.size_px or seen.holds != first.holds:
+    for shot, images in zip(shots, chain([first], pictures), strict=True):
+        if images.size_px != first.size_px or images.holds != first.holds:
             is_, was = (
                 f"{s.size_px[1]} x {s.size_px[0]} pixels with {', '.join(s.holds)}"
-                for s in (seen, first)
+                for s in (images, first)
             )
             raise DatasetError(
                 f"{shot.stem}: is {is_}; {shots[0].stem} is {was}: give pictures of one camera"
             )
-        if seen.depth_m is not None:
-            deepest_m = max(deepest_m, float(np.nanmax(seen.depth_m)))
+        if images.depth_m is not None:
+            deepest_m = max(deepest_m, float(np.nanmax(images.depth_m)))
             if range_m is not None:
                 near_m, far_m = range_m
                 whose = "the scanner of the dataset of --like measures"
                 refuse_beyond(
-                    seen.depth_m, near_m=near_m, far_m=far_m, name=str(shot.depth), whose=whose
+                    images.depth_m, near_m=near_m, far_m=far_m, name=str(shot.depth), whose=whose
                 )
-            if note := filled_holes(seen.depth_m, str(shot.depth)):
+            if note := filled_holes(images.depth_m, str(shot.depth)):
                 notes.append(note)
     return first, deepest_m, notes
 
@@ -195,26 +195,28 @@ class _Writer:
             "versions": {"graycast": __version__, "python": platform.python_version()},
         }
 
-    def camera(self, seen: Seen) -> dict[str, Any]:
-        (fx, _, cx), (_, fy, cy), _ = seen.K.tolist()
-        height_px, width_px = seen.size_px
+    def camera(self, images: ShotData) -> dict[str, Any]:
+        (fx, _, cx), (_, fy, cy), _ = images.K.tolist()
+        height_px, width_px = images.size_px
         size = {"width": width_px, "height": height_px, "depth_scale": self.step_mm}
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
-    def scene(self, place: Path, shot: RealPicture, seen: Seen, drawn: Drawn | None) -> None:
+    def scene(
+        self, place: Path, shot: RealPicture, images: ShotData, drawn: Annotation | None
+    ) -> None:
         files: dict[str, bytes] = {}
-        view = {"cam_K": seen.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
+        view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
         suffixes = _suffixes(self.holds)
         for suffix in suffixes:
             files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
-        if seen.rgb is not None:
-            files["rgb/000000.png"] = _png(seen.rgb[..., ::-1])
-        if seen.gray is not None:
-            files["gray_sl/000000.png"] = _png(seen.gray)
-        if seen.depth_m is not None:
-            files["depth_sl/000000.png"] = _png(depth_steps(seen.depth_m, self.step_mm))
+        if images.rgb is not None:
+            files["rgb/000000.png"] = _png(images.rgb[..., ::-1])
+        if images.gray is not None:
+            files["gray_sl/000000.png"] = _png(images.gray)
+        if images.depth_m is not None:
+            files["depth_sl/000000.png"] = _png(depth_steps(images.depth_m, self.step_mm))
         if drawn is not None:
-            files |= self._label_files(shot, seen, drawn, suffixes)
+            files |= self._label_files(shot, images, drawn, suffixes)
         manifest = {"stem": shot.stem, "files": _digests(shot)}
         for name, content in sealed(files.items(), manifest):
             (place / name).parent.mkdir(parents=True, exist_ok=True)
@@ -247,10 +249,10 @@ class _Writer:
         return {"distortion": list(self.distortion)} if any(self.distortion) else {}
 
     def _label_files(
-        self, shot: RealPicture, seen: Seen, drawn: Drawn, suffixes: Sequence[str]
+        self, shot: RealPicture, images: ShotData, drawn: Annotation, suffixes: Sequence[str]
     ) -> dict[str, bytes]:
-        height_px, width_px = seen.size_px
-        if drawn.size_px != seen.size_px:
+        height_px, width_px = images.size_px
+        if drawn.size_px != images.size_px:
             raise DatasetError(
                 f"{drawn.source}: is of a picture of {drawn.size_px[1]} x {drawn.size_px[0]} "
                 f"pixels, {shot.stem} has {width_px} x {height_px}: annotate the same picture"

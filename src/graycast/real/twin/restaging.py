@@ -19,7 +19,7 @@ from scipy import ndimage
 from ...base.color import linear, srgb
 from ...base.errors import GraycastError
 from ...base.frames import transform_points
-from ...rig.meshdepth import seen_from
+from ...rig.meshdepth import visible_surface
 from ...rig.optics import Optics, rays
 from ...world.parts import Material, Mesh, Part
 from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
@@ -65,7 +65,7 @@ def restage(
             hardly anywhere where the scans have depth.
     """
     camera, mesh = scene.rig.camera, bin_mesh(bin_of(scene))
-    bin_m = seen_from(scene.T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
+    bin_m = visible_surface(scene.T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
     _refuse_elsewhere(scans, bin_m)
     before = [standing_before(scan.depth_m, bin_m) for scan in scans]
     textures = _textures(scans, before, pictures)

@@ -276,9 +276,9 @@ def _silhouette(scene: Scene, layout: Layout, index: int, visible: np.ndarray) -
     faces = part.mesh.faces[imaged[part.mesh.faces].all(axis=-1)]
     raster = rasterize(vertices_cam, faces, scene.rig.camera)
     rows, columns = np.nonzero(np.isfinite(raster.z))
-    seen_rows, seen_columns = np.nonzero(visible)
-    rows = np.concatenate([rows + raster.top_px, seen_rows])
-    columns = np.concatenate([columns + raster.left_px, seen_columns])
+    visible_rows, visible_columns = np.nonzero(visible)
+    rows = np.concatenate([rows + raster.top_px, visible_rows])
+    columns = np.concatenate([columns + raster.left_px, visible_columns])
     if len(rows) == 0:
         return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
     top, left = int(rows.min()), int(columns.min())

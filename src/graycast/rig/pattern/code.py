@@ -101,9 +101,9 @@ def _check_even_steps(frames: tuple[Frame, ...]) -> None:
     for (axis, period_px, steps), members in groups.items():
         parts = sorted({round(frame.step % 1, 6) for frame in members})
         if len(members) >= 3 and len(parts) > 1:
-            told = ", ".join(f"{frame.step:g}" for frame in members)
+            text = ", ".join(f"{frame.step:g}" for frame in members)
             raise ValueError(
-                f"{axis}: the steps of period {period_px:g} px are {told} of {steps}: all of them "
+                f"{axis}: the steps of period {period_px:g} px are {text} of {steps}: all of them "
                 "must differ by whole steps"
             )
 

@@ -78,7 +78,7 @@ class CodeSpec:
         if self.codec not in _MAKERS:
             raise ValueError(f"no codec {self.codec!r}: choose one of {', '.join(CODECS)}")
         taken = inspect.signature(_MAKERS[self.codec]).parameters
-        foreign = [name for name in self._given() if name not in taken]
+        foreign = [name for name in self._settings() if name not in taken]
         if foreign:
             theirs = ", ".join(name for name in taken if name not in ("width_px", "height_px"))
             raise ValueError(f"{self.codec} has no {foreign[0]}; it takes {theirs}")
@@ -89,8 +89,8 @@ class CodeSpec:
         Raises:
             ValueError: the numbers make no code on a projector of that size.
         """
-        return _MAKERS[self.codec](width_px, height_px, axes=self.axes, **self._given())
+        return _MAKERS[self.codec](width_px, height_px, axes=self.axes, **self._settings())
 
-    def _given(self) -> dict[str, float | int | bool]:
+    def _settings(self) -> dict[str, float | int | bool]:
         names = ("inverses", "period_px", "fine_period_px", "steps", "base_bit")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}

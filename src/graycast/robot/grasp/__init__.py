@@ -6,7 +6,7 @@ from .known import suction_places
 from .patch import Patch, patch_of_depth, patch_of_mesh
 from .robust import CARRIED_M_S2, Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup, Seal, load_factor, seal
-from .unknown import SeenGrip, suction_in_depth
+from .unknown import GripEstimate, suction_in_depth
 
 __all__ = [
     "CARRIED_M_S2",
@@ -15,10 +15,10 @@ __all__ = [
     "Cup",
     "Doubt",
     "Grip",
+    "GripEstimate",
     "Jaws",
     "Patch",
     "Seal",
-    "SeenGrip",
     "best_first",
     "closing",
     "jaw_load_factor",

@@ -125,13 +125,13 @@ def jaw_places(
                 continue
             wide_m = opening_m + 2 * CLEARANCE_M
             met = [closing(mesh, jaws, T @ error, opening_m=wide_m) for error in T_tool_true]
-            held = friction >= [np.inf if one is None else one[1] for one in met]
+            stable = friction >= [np.inf if one is None else one[1] for one in met]
             centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
             loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
             factor = np.array(
                 [jaw_load_factor(jaws, each_n, np.cross(centers, each_n)) for each_n in loads_n]
             )
-            score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
+            score = np.mean(stable & (factor * friction / jaws.friction >= 1), axis=1).min()
             places.append(Grip(T_part_tool=T, score=float(score), opening_m=opening_m))
     return places
 
@@ -179,14 +179,14 @@ def closing(
     ]
     line = np.concatenate(across)
     open_m = jaws.opening_m if opening_m is None else opening_m
-    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    vertices = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
     reach_m = jaws.pad_radius_m
     near = np.ones(len(mesh.faces), dtype=bool)  # to the lines; no others are crossed
     for i in (1, 2):
-        first, second, third = seen[:, i][mesh.faces.T]
+        first, second, third = vertices[:, i][mesh.faces.T]
         near &= np.minimum(np.minimum(first, second), third) <= reach_m
         near &= np.maximum(np.maximum(first, second), third) >= -reach_m
-    a, b, c = np.moveaxis(seen[mesh.faces[near]], 1, 0)
+    a, b, c = np.moveaxis(vertices[mesh.faces[near]], 1, 0)
     cross = np.cross(b - a, c - a)
     outermost_m, slopes = [], []
     for side in (1.0, -1.0):

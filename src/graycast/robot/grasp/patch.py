@@ -54,9 +54,9 @@ def patch_of_mesh(
     step_m: float,
 ) -> Patch:
     """The patch of a mesh under a tool: the highest surface along the tool's axis."""
-    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    vertices = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
     height = _nothing(radius_m, step_m)
-    _highest_of_mesh(seen[mesh.faces], step_m, height)
+    _highest_of_mesh(vertices[mesh.faces], step_m, height)
     return _patch(height, step_m)
 
 
@@ -84,7 +84,7 @@ def patch_of_depth(
     point = rays(camera, np.stack([x, y], axis=-1)) * depth_m[rows, columns, None]
     height = _nothing(radius_m, step_m)
     here = transform_points(inverse(T_cam_tool), point)
-    _highest_seen(point, here, math.cos(steepest_rad), step_m, height)
+    _highest_of_depth(point, here, math.cos(steepest_rad), step_m, height)
     return _patch(height, step_m)
 
 
@@ -125,18 +125,18 @@ def _highest_of_mesh(corner, step_m, height):
 
 @numba.njit(cache=True)
 @no_type_check
-def _highest_seen(seen, here, least_facing, step_m, height):
+def _highest_of_depth(points, here, least_facing, step_m, height):
     """The two triangles of each four neighbouring pixels, where they are one surface.
 
-    `seen` are points in the camera's frame, `here` the same in the tool's.
+    `points` are in the camera's frame, `here` the same in the tool's.
     """
-    for i in range(seen.shape[0] - 1):
-        for j in range(seen.shape[1] - 1):
+    for i in range(points.shape[0] - 1):
+        for j in range(points.shape[1] - 1):
             for (ai, aj), (bi, bj), (ci, cj) in (
                 ((i, j), (i + 1, j), (i, j + 1)),
                 ((i + 1, j + 1), (i, j + 1), (i + 1, j)),
             ):
-                if _is_surface(seen[ai, aj], seen[bi, bj], seen[ci, cj], least_facing):
+                if _is_surface(points[ai, aj], points[bi, bj], points[ci, cj], least_facing):
                     _raise(here[ai, aj], here[bi, bj], here[ci, cj], step_m, height)
 
 

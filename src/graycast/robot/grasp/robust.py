@@ -56,14 +56,14 @@ def robustness(
         return 0.0
     friction = cup.friction * np.maximum(1 + doubt.friction_share * off[:, 4], 0.0)
     shift_m = doubt.center_m * off[:, 5:] - np.pad(aside_m, ((0, 0), (0, 1)))
-    held = []
+    shares = []
     for burden in burdens:
         force_n = np.tile(SHAKE * burden.weight_n * burden.down, (chances, 1))
         factor = load_factor(
             cup, force_n, np.cross(burden.center_m + shift_m, force_n), friction=friction
         )
-        held.append(np.mean(sealed & (factor >= 1)))
-    return float(min(held))
+        shares.append(np.mean(sealed & (factor >= 1)))
+    return float(min(shares))
 
 
 def patch_radius_m(cup: Cup, doubt: Doubt) -> float:

@@ -21,7 +21,7 @@ ELITE_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenGrip:
+class GripEstimate:
     """Where a tool goes, in the camera's frame, and how sure it is to hold there (0 to 1)."""
 
     T_cam_tool: Float[np.ndarray, "4 4"]
@@ -44,7 +44,7 @@ def suction_in_depth(
     most_lean_rad: float = np.radians(45),
     count: int = 60,
     seed: int = 0,
-) -> list[SeenGrip]:
+) -> list[GripEstimate]:
     """Grips on the measured surface within a mask, best first; none where nothing would hold.
 
     The cup stands along the normal of the plane through what lies under it. What is lifted is taken
@@ -81,13 +81,13 @@ def suction_in_depth(
         most_lean_rad=most_lean_rad,
         seed=seed,
     )
-    judged: dict[int, SeenGrip | None] = {}
+    estimates: dict[int, GripEstimate | None] = {}
     chosen = rng.choice(len(point), size=min(count, len(point)), replace=False)
     for _ in range(ROUNDS):
         for i in dict.fromkeys(chosen.tolist()):
-            if i not in judged:
-                judged[i] = judge.grip(point[i], center[i])
-        score = {i: grip.score for i, grip in judged.items() if grip is not None}
+            if i not in estimates:
+                estimates[i] = judge.grip(point[i], center[i])
+        score = {i: grip.score for i, grip in estimates.items() if grip is not None}
         best = sorted(score, key=score.__getitem__, reverse=True)
         best = best[: max(int(ELITE_SHARE * count), 1)]
         if not best:
@@ -97,7 +97,7 @@ def suction_in_depth(
             pixel[best].std(axis=0) / 2 + 1
         )
         chosen = np.array([np.argmin(((pixel - place) ** 2).sum(axis=1)) for place in near])
-    found = [grip for grip in judged.values() if grip is not None and grip.score > 0]
+    found = [grip for grip in estimates.values() if grip is not None and grip.score > 0]
     return sorted(found, key=lambda grip: -grip.score)
 
 
@@ -116,7 +116,7 @@ class _Judge:
 
     def grip(
         self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"]
-    ) -> SeenGrip | None:
+    ) -> GripEstimate | None:
         """A grip on a point, along the normal there; None where the cup cannot stand."""
         normal = _normal(point, self.depth_m, self.camera, self.cup.radius_m)
         if normal is None or -normal @ self.down < np.cos(self.most_lean_rad):
@@ -134,7 +134,7 @@ class _Judge:
             weight_n=self.weight_n, center_m=R.T @ (center - point), down=R.T @ self.down
         )
         score = robustness(self.cup, patch, [burden], self.doubt, seed=self.seed)
-        return SeenGrip(T_cam_tool=T_cam_tool, score=score)
+        return GripEstimate(T_cam_tool=T_cam_tool, score=score)
 
 
 def _normal(
@@ -150,10 +150,10 @@ def _normal(
     T_cam_eye = frame_on(point, -point / np.linalg.norm(point))
     patch = patch_of_depth(depth_m, camera, T_cam_eye, radius_m=radius_m, step_m=radius_m / 8)
     x, y = np.moveaxis(patch.node_m, -1, 0)
-    held = np.isfinite(patch.height_m) & (np.hypot(x, y) <= radius_m)
-    if held.sum() < 10:
+    inside = np.isfinite(patch.height_m) & (np.hypot(x, y) <= radius_m)
+    if inside.sum() < 10:
         return None
-    at = np.stack([x[held], y[held], np.ones(held.sum())], axis=-1)
-    slope_x, slope_y, _ = np.linalg.lstsq(at, patch.height_m[held], rcond=None)[0]
+    at = np.stack([x[inside], y[inside], np.ones(inside.sum())], axis=-1)
+    slope_x, slope_y, _ = np.linalg.lstsq(at, patch.height_m[inside], rcond=None)[0]
     normal = T_cam_eye[:3, :3] @ np.array([-slope_x, -slope_y, 1.0])
     return normal / np.linalg.norm(normal)

@@ -25,8 +25,8 @@ from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable, read_json
 from ...dataset.stored import StoredDataset, StoredScene
 from .label_options import Labelling
-from .scene_labels import Label
-from .stored_world import Heap
+from .scene_labels import GraspLabel
+from .stored_world import ScenePoses
 
 _LOCK = ".lock"
 _CLAIMED = ("format_version", "dataset", "seed", "config")
@@ -106,11 +106,11 @@ def _claim(dataset: StoredDataset, labelling: Labelling, seed: int) -> dict[str,
 
 def _refuse_other(out: Path, claim: dict[str, Any]) -> None:
     try:
-        held = read_json(out / GRASP_CLAIM, GraspClaim).model_dump()
+        stored = read_json(out / GRASP_CLAIM, GraspClaim).model_dump()
     except Unreadable as error:
         raise DatasetError(f"{out}: {error}: remove this folder, or give another --name") from error
     for key in _CLAIMED:
-        where = difference(held[key], claim[key], key)
+        where = difference(stored[key], claim[key], key)
         if where is not None:
             raise DatasetError(
                 f"{out} holds other labels, which differ in {where.removeprefix('config.')}: give "
@@ -129,7 +129,7 @@ def _tidy(out: Path) -> None:
         out.parent.rmdir()
 
 
-def scene_json(labels: Sequence[Label], heap: Heap, obj_ids: Sequence[int]) -> bytes:
+def scene_json(labels: Sequence[GraspLabel], heap: ScenePoses, obj_ids: Sequence[int]) -> bytes:
     """The labels of one scene as their file has them."""
     entries: list[dict[str, Any]] = [{"obj_id": obj_id, "grasps": []} for obj_id in obj_ids]
     for label in labels:

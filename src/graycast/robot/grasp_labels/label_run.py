@@ -7,12 +7,12 @@ from pathlib import Path
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...cell.engine import Failed, Job, Made, Workers, keep_to_threads, make_missing
+from ...cell.engine import Failed, Job, TaskResult, Workers, keep_to_threads, make_missing
 from ...dataset.stored import StoredDataset, open_dataset
 from .label_files import open_labels, scene_json
 from .label_options import Labelling
 from .scene_labels import label_scene
-from .stored_world import Stock, World, make_world, read_heap, read_stock
+from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
 class SceneLabeller:
@@ -20,9 +20,9 @@ class SceneLabeller:
 
     def __init__(self, task: "LabelTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress
-        self._world: World | None = None
+        self._world: GraspWorld | None = None
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One scene, by its place among all scenes of the dataset.
 
         Raises:
@@ -41,7 +41,7 @@ class SceneLabeller:
             self._world, heap, task.labelling, seed=task.seed, scene_id=scene.scene_id
         )
         tried = [label.ending for label in labels if label.ending is not None]
-        return Made(
+        return TaskResult(
             scene_id=scene_id,
             files=((scene.key, scene_json(labels, heap, scene.obj_ids())),),
             seconds=time.perf_counter() - start,
@@ -76,7 +76,7 @@ def label_dataset(
     seed: int,
     files: Path = Path(),
     workers: int = 1,
-    on_made: Callable[[str, Made], None] = lambda key, made: None,
+    on_result: Callable[[str, TaskResult], None] = lambda key, result: None,
     on_failed: Callable[[str, Failed], None] = lambda key, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def label_dataset(
         name: of the set of labels, a folder of the dataset's `grasps`.
         seed: of the choice of places.
         files: the folder from which the paths of the dataset's configuration start.
-        on_made, on_failed: take results with the key of their scene, as in `generate`.
+        on_result, on_failed: take results with the key of their scene, as in `generate`.
 
     Returns:
         The keys of scenes that could not be labelled.
@@ -99,10 +99,10 @@ def label_dataset(
     stock = read_stock(dataset, files)
     scenes = dataset.scenes
 
-    def keep(made: Made) -> None:
-        scene = scenes[made.scene_id]
-        out.write(scene, made.files[0][1])
-        on_made(scene.key, made)
+    def keep(result: TaskResult) -> None:
+        scene = scenes[result.scene_id]
+        out.write(scene, result.files[0][1])
+        on_result(scene.key, result)
 
     with open_labels(dataset, name, labelling, seed) as out:
         lost = make_missing(
@@ -112,7 +112,7 @@ def label_dataset(
             total=len(scenes),
             workers=Workers(count=workers),
             progress=progress,
-            on_made=keep,
+            on_result=keep,
             on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),
         )
     return tuple(scenes[k].key for k in lost)

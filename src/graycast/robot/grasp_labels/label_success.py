@@ -52,8 +52,8 @@ class Ranking:
 
     @property
     def rate(self) -> tuple[float, float, float]:
-        held = self.ended.get("held", 0)
-        return held / self.simulated, *wilson(held, self.simulated)
+        lifted = self.ended.get("held", 0)
+        return lifted / self.simulated, *wilson(lifted, self.simulated)
 
 
 def rank(dataset: Path, name: str, *, seed: int = 0) -> Ranking:

@@ -11,13 +11,13 @@ from ...base.streams import stream
 from ...world.drop import lift
 from ...world.drop.lift import STEP_S
 from ..grasp import CARRIED_M_S2, Grip
-from ..pick.contact import Held, NotHeld
+from ..pick.contact import NoGrip, PartGrip
 from ..pick.outcome import Outcome
 from ..pick.robot import Obstacle, tool_touches
 from ..pick.tools import T_flange_tip
 from ..pick.touch import touch
 from .label_options import Labelling
-from .stored_world import Heap, World, around
+from .stored_world import GraspWorld, ScenePoses, around
 
 CLEAR_M = 0.05  # how much higher than the bin's rim a part is lifted that lay on its floor
 LIFT_M_S = 0.25  # as straight ways of a robot's cell
@@ -37,7 +37,7 @@ class Ending:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Label:
+class GraspLabel:
     """A grip on an instance of a scene.
 
     `reach` names what the tool would be in, and is 'free' where it is in nothing. `met` is what it
@@ -48,13 +48,13 @@ class Label:
     grip: Grip
     T_world_tool: Float[np.ndarray, "4 4"]
     reach: str
-    met: Held | NotHeld | None
+    met: PartGrip | NoGrip | None
     ending: Ending | None = None
 
 
 def label_scene(
-    world: World, heap: Heap, labelling: Labelling, *, seed: int, scene_id: int
-) -> tuple[Label, ...]:
+    world: GraspWorld, heap: ScenePoses, labelling: Labelling, *, seed: int, scene_id: int
+) -> tuple[GraspLabel, ...]:
     """Labels of all instances, one after the other.
 
     Of each instance half of the places are such as the tool should hold by their score, the other
@@ -77,7 +77,7 @@ def label_scene(
 
 
 def _chosen(
-    world: World, heap: Heap, labelling: Labelling, number: int, rng: np.random.Generator
+    world: GraspWorld, heap: ScenePoses, labelling: Labelling, number: int, rng: np.random.Generator
 ) -> list[Grip]:
     """Places of one instance whose axis does not lean too much."""
     up = heap.T_world_part[number, 2, :3]
@@ -100,7 +100,9 @@ def _half_and_half(scores: Sequence[float], count: int, rng: np.random.Generator
     return sorted(good[:goods] + bad[: count - goods])
 
 
-def _label(world: World, heap: Heap, still: Sequence[Obstacle], number: int, grip: Grip) -> Label:
+def _label(
+    world: GraspWorld, heap: ScenePoses, still: Sequence[Obstacle], number: int, grip: Grip
+) -> GraspLabel:
     T_world_tool = heap.T_world_part[number] @ grip.T_part_tool
     T_world_flange = T_world_tool @ inverse(T_flange_tip(world.tool))
     hit = tool_touches(world.tool.pieces(grip.opening_m), T_world_flange, still)
@@ -114,19 +116,19 @@ def _label(world: World, heap: Heap, still: Sequence[Obstacle], number: int, gri
             heap.part_index,
             opening_m=grip.opening_m,
         )
-    pushed = isinstance(met, NotHeld) and met.outcome is Outcome.COLLISION_UNSEEN
+    pushed = isinstance(met, NoGrip) and met.outcome is Outcome.COLLISION_UNSEEN
     reach = "part" if pushed else "free" if hit is None else hit.removeprefix("the ")
-    return Label(instance=number, grip=grip, T_world_tool=T_world_tool, reach=reach, met=met)
+    return GraspLabel(instance=number, grip=grip, T_world_tool=T_world_tool, reach=reach, met=met)
 
 
-def carry_out(world: World, heap: Heap, label: Label) -> Ending:
+def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
     """Close the tool where it is, lift straight up, and see whether it still holds.
 
     The tool speeds up and slows down by `CARRIED_M_S2` and moves with `LIFT_M_S` between; it goes
     so high that what lay on the bin's floor is `CLEAR_M` above its rim.
     """
     met = label.met
-    if not isinstance(met, Held):
+    if not isinstance(met, PartGrip):
         return Ending(ended=str(None if met is None else met.outcome))
     if met.part != label.instance:
         return Ending(ended="other part")

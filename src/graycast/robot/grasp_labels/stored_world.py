@@ -23,7 +23,7 @@ from ..grasp import Grip
 from ..pick.obstacles import standing
 from ..pick.robot import Obstacle
 from ..pick.tools import Tool
-from ..pick.touch import Kind
+from ..pick.touch import ContactPart
 from .label_options import Labelling
 
 
@@ -37,18 +37,18 @@ class Stock:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class World:
+class GraspWorld:
     """A `Stock` with the bodies of its parts, and with every grip that was tried on each kind."""
 
     stock: Stock
     tool: Tool
     bodies: tuple[Body, ...]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[ContactPart, ...]
     places: tuple[tuple[Grip, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heap:
+class ScenePoses:
     """Where the parts of a scene lie, and the camera."""
 
     T_world_cam: Float[np.ndarray, "4 4"]
@@ -78,25 +78,27 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
             f"{dataset.folder}: has foreign parts among its own, and no file states their poses: "
             "make a dataset without domain.distractors"
         )
-    told = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
+    content = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
     try:
-        config = Config.model_validate(told)
+        config = Config.model_validate(content)
     except ValidationError as error:
         raise DatasetError(
             f"{dataset.folder}: its configuration is of another version of Graycast: "
             f"{error.errors()[0]['msg']}"
         ) from error
     parts, _ = resolve_parts(config, files)
-    for part, held in zip(parts, claim["parts"], strict=True):
-        if part_digest(part) != held["content"]:
+    for part, record in zip(parts, claim["parts"], strict=True):
+        if part_digest(part) != record["content"]:
             raise DatasetError(
-                f"{dataset.folder}: part {held['name']} has changed since the dataset was made: "
+                f"{dataset.folder}: part {record['name']} has changed since the dataset was made: "
                 "restore its files, or use the version of Graycast that made the dataset"
             )
     return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
 
 
-def make_world(stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED) -> World:
+def make_world(
+    stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED
+) -> GraspWorld:
     """Look for places on every kind of part.
 
     Raises:
@@ -111,11 +113,13 @@ def make_world(stock: Stock, labelling: Labelling, *, progress: ProgressMeter = 
         raise ConfigError(
             f"tool: its jaws fit around none of {_named(stock.parts)}: increase opening_m"
         )
-    return World(
+    return GraspWorld(
         stock=stock,
         tool=labelling.tool,
         bodies=bodies,
-        kinds=tuple(Kind.of(part, body) for part, body in zip(stock.parts, bodies, strict=True)),
+        kinds=tuple(
+            ContactPart.of(part, body) for part, body in zip(stock.parts, bodies, strict=True)
+        ),
         places=tuple(places),
     )
 
@@ -124,7 +128,7 @@ def _named(parts: Sequence[Part]) -> str:
     return ", ".join(part.name for part in parts)
 
 
-def read_heap(scene: StoredScene) -> Heap:
+def read_heap(scene: StoredScene) -> ScenePoses:
     """Where the parts of a scene lie.
 
     Raises:
@@ -134,7 +138,7 @@ def read_heap(scene: StoredScene) -> Heap:
     T_world_cam = inverse(pose_m(view.cam_R_w2c, view.cam_t_w2c))
     T_cam_part = np.array([pose_m(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses])
     T_cam_part = T_cam_part.reshape(-1, 4, 4)
-    return Heap(
+    return ScenePoses(
         T_world_cam=T_world_cam,
         T_world_part=T_world_cam @ T_cam_part,
         T_cam_part=T_cam_part,
@@ -142,7 +146,7 @@ def read_heap(scene: StoredScene) -> Heap:
     )
 
 
-def around(world: World, heap: Heap) -> tuple[Obstacle, ...]:
+def around(world: GraspWorld, heap: ScenePoses) -> tuple[Obstacle, ...]:
     """Bin, table and rig."""
     stock = world.stock
     scene = Scene(rig=stock.rig, T_world_cam=heap.T_world_cam, parts=stock.parts, bin=stock.bin)

@@ -6,7 +6,7 @@ from .pick_run import pick_bins
 from .pick_sections import PickConfig, load_pick_config
 from .robot_cell import PickCell, resolve_pick_cell
 from .success_plots import plot_runs
-from .summary import Paired, Summary, compared, pair, summarize
+from .summary import Paired, PickSummary, compared, pair, summarize
 
 __all__ = [
     "Attempt",
@@ -14,8 +14,8 @@ __all__ = [
     "Paired",
     "PickCell",
     "PickConfig",
+    "PickSummary",
     "StoredEpisode",
-    "Summary",
     "compared",
     "load_pick_config",
     "pair",

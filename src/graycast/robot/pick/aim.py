@@ -10,7 +10,7 @@ from scipy import ndimage
 from ...base.frames import inverse, transform_points
 from ...rig.optics import Optics, points, project
 from ...world.scene import Bin
-from ..grasp import Doubt, Grip, SeenGrip
+from ..grasp import Doubt, Grip, GripEstimate
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from .heap_obstacle import FLOOR_M, WALL_M
 
@@ -23,7 +23,7 @@ PLACES = 40  # in each round of the search for grips without a model, for each d
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class Candidate:
     """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
 
     `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true
@@ -55,7 +55,7 @@ class Aim:
 
     T_world_tool: Float[np.ndarray, "4 4"]
     score: float
-    target: Target
+    target: Candidate
     opening_m: float | None = None
     T_part_tool: Float[np.ndarray, "4 4"] | None = None
     T_cam_part: Float[np.ndarray, "4 4"] | None = None
@@ -66,7 +66,7 @@ class Aim:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
+class DepthView:
     """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
 
     depth_m: Float[np.ndarray, "h w"]
@@ -83,8 +83,8 @@ class KnownPart:
 
 
 def ranked(
-    targets: Sequence[Target], view: Sight, failed: Sequence[Float[np.ndarray, "3"]] = ()
-) -> list[list[Target]]:
+    targets: Sequence[Candidate], view: DepthView, failed: Sequence[Float[np.ndarray, "3"]] = ()
+) -> list[list[Candidate]]:
     """Detections that are seen well, in the order in which a bin is emptied.
 
     First those that lie free, then those that another part covers, then those on which a grip has
@@ -93,13 +93,13 @@ def ranked(
     point_m = points(view.camera, view.depth_m)
     area, height = [], []
     for target in targets:
-        seen = target.inside(view.depth_m.shape) & np.isfinite(view.depth_m)
-        area.append(int(seen.sum()))
-        point = transform_points(view.T_world_cam, point_m[seen])
+        inside = target.inside(view.depth_m.shape) & np.isfinite(view.depth_m)
+        area.append(int(inside.sum()))
+        point = transform_points(view.T_world_cam, point_m[inside])
         height.append(float(np.median(point[:, 2])) if len(point) else -np.inf)
     least = LEAST_AREA * max(area, default=0)
     order = sorted(range(len(targets)), key=lambda i: -height[i])
-    groups: list[list[Target]] = [[], [], []]
+    groups: list[list[Candidate]] = [[], [], []]
     for i in order:
         if area[i] > 0 and area[i] >= least:
             again = _holds_any(targets[i], view, failed)
@@ -121,7 +121,9 @@ def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h
     return float(covered.sum() / max(int(rim.sum()), 1))
 
 
-def _holds_any(target: Target, view: Sight, place_m: Sequence[Float[np.ndarray, "3"]]) -> bool:
+def _holds_any(
+    target: Candidate, view: DepthView, place_m: Sequence[Float[np.ndarray, "3"]]
+) -> bool:
     """Whether a place in the world is seen within a detection's outline."""
     if not len(place_m):
         return False
@@ -132,7 +134,7 @@ def _holds_any(target: Target, view: Sight, place_m: Sequence[Float[np.ndarray, 
     return bool(inside[row[within], column[within]].any())
 
 
-def whole_bin(view: Sight, box: Bin) -> Bool[np.ndarray, "h w"]:
+def whole_bin(view: DepthView, box: Bin) -> Bool[np.ndarray, "h w"]:
     """Pixels that were measured inside the bin, above its floor: all that may be parts."""
     depth_m = np.nan_to_num(view.depth_m)
     point = transform_points(view.T_world_cam, points(view.camera, depth_m))
@@ -142,12 +144,12 @@ def whole_bin(view: Sight, box: Bin) -> Bool[np.ndarray, "h w"]:
 
 
 def aims_by_pose(
-    targets: Sequence[Target],
-    view: Sight,
+    targets: Sequence[Candidate],
+    view: DepthView,
     known: Mapping[int, KnownPart],
     *,
     most_lean_rad: float,
-    posed: list[Target],
+    posed: list[Candidate],
 ) -> list[Aim]:
     """Grips of the models, carried to where the parts lie by their poses.
 
@@ -179,7 +181,7 @@ def aims_by_pose(
     return aims
 
 
-def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4 4"] | None:
+def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndarray, "4 4"] | None:
     # A detector's masks are coarse, and a pose leans on the outline of its mask: more poses are
     # right from its boxes (docs/pose.md). Truth has masks alone.
     if target.box_px is not None:
@@ -191,9 +193,9 @@ def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4
 
 
 def aims_in_depth(
-    targets: Sequence[Target],
-    view: Sight,
-    search: Callable[..., list[SeenGrip]],
+    targets: Sequence[Candidate],
+    view: DepthView,
+    search: Callable[..., list[GripEstimate]],
     *,
     weight_n: float,
     doubt: Doubt,

@@ -132,13 +132,13 @@ def urdf(arm: Arm) -> str:
     for number, joint in enumerate(arm.joints, 1):
         child = f"link{number}"
         _add_link(robot, child, joint.link)
-        made = xml.SubElement(robot, "joint", name=f"joint{number}", type="revolute")
-        xml.SubElement(made, "parent", link=parent)
-        xml.SubElement(made, "child", link=child)
-        xml.SubElement(made, "origin", xyz=_text(joint.origin), rpy=_text(joint.rpy))
-        xml.SubElement(made, "axis", xyz="0 0 1")
+        element = xml.SubElement(robot, "joint", name=f"joint{number}", type="revolute")
+        xml.SubElement(element, "parent", link=parent)
+        xml.SubElement(element, "child", link=child)
+        xml.SubElement(element, "origin", xyz=_text(joint.origin), rpy=_text(joint.rpy))
+        xml.SubElement(element, "axis", xyz="0 0 1")
         xml.SubElement(
-            made, "limit", lower=repr(joint.low), upper=repr(joint.high),
+            element, "limit", lower=repr(joint.low), upper=repr(joint.high),
             velocity=repr(joint.speed), effort="0",
         )  # fmt: skip
         parent = child

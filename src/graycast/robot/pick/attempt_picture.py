@@ -6,25 +6,25 @@ from jaxtyping import UInt8
 
 from ...base.frames import inverse, transform_points
 from ...rig.optics import project
-from .bin_scan import Look
+from .bin_scan import BinScan
 from .outcome import TAKEN, Attempt
 
 _GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)  # RGB
 AXIS_M = 0.05
 
 
-def picture(seen: Look, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
+def picture(scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
     """The white frame with the part's outline, the tool's axis and the outcome (RGB)."""
-    image = np.ascontiguousarray(np.repeat(seen.gray[..., None], 3, axis=-1))
+    image = np.ascontiguousarray(np.repeat(scan.gray[..., None], 3, axis=-1))
     ink = _GOOD if attempt.outcome in TAKEN else _BAD
     if attempt.part is not None:
-        mask = (seen.instance == attempt.present.index(attempt.part)).astype(np.uint8)
+        mask = (scan.instance == attempt.present.index(attempt.part)).astype(np.uint8)
         lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, lines, -1, _PART, 1, cv2.LINE_AA)
     if attempt.T_world_tool is not None:
         tip = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, AXIS_M]])
         world = transform_points(attempt.T_world_tool, tip)
-        at = project(seen.view.camera, transform_points(inverse(seen.view.T_world_cam), world))
+        at = project(scan.view.camera, transform_points(inverse(scan.view.T_world_cam), world))
         (x, y), (u, v) = np.rint(at).astype(int).tolist()
         cv2.line(image, (x, y), (u, v), ink, 2, cv2.LINE_AA)
         cv2.circle(image, (x, y), 5, ink, 2, cv2.LINE_AA)

@@ -15,7 +15,7 @@ from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...render import Renderer, Rendering
 from ...world.scene import Layout
-from .aim import Sight, Target, whole_bin
+from .aim import Candidate, DepthView, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
@@ -23,14 +23,14 @@ LEAST_SCORE = 0.3  # of a detector's detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class BinScan:
     """The result of a scan, and the true scene from the same view.
 
     `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
     for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
     """
 
-    view: Sight
+    view: DepthView
     gray: UInt8[np.ndarray, "h w"]
     rgb: UInt8[np.ndarray, "h w 3"] | None
     instance: np.ndarray
@@ -39,7 +39,7 @@ class Look:
 
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
-) -> Look:
+) -> BinScan:
     """Scan the parts in their poses; depth that cannot be decoded is missing.
 
     If nothing looks at more than perfect depth, one sample a pixel makes the picture of the record.
@@ -56,8 +56,8 @@ def scan(
         base.scene, layout, base.patterns(), quality=quality, seed=render_seed
     )
     capture = take(base.scanner, rendering.radiance, seed=noise_seed)
-    return Look(
-        view=Sight(
+    return BinScan(
+        view=DepthView(
             depth_m=_acted_on(cell, rendering, capture, depth_seed),
             camera=base.scene.rig.camera,
             T_world_cam=base.scene.T_world_cam,
@@ -92,7 +92,9 @@ def _picture(
     return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
 
 
-def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
+def targets(
+    cell: PickCell, shot: BinScan, layout: Layout, detector: Any | None
+) -> tuple[Candidate, ...]:
     """The candidate parts in a scan.
 
     Args:
@@ -101,44 +103,44 @@ def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) ->
     """
     picking = cell.config.picking
     if picking.detector == "none":
-        return (Target(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
-    found = _true_targets(seen, layout) if detector is None else _detected(cell, seen, detector)
+        return (Candidate(kind=None, score=1.0, mask=whole_bin(shot.view, cell.box)),)
+    found = _true_targets(shot, layout) if detector is None else _detected(cell, shot, detector)
     if picking.pose == "truth":
-        found = [_with_true_pose(target, seen, layout) for target in found]
+        found = [_with_true_pose(target, shot, layout) for target in found]
     return tuple(found)
 
 
-def _true_targets(seen: Look, layout: Layout) -> list[Target]:
+def _true_targets(shot: BinScan, layout: Layout) -> list[Candidate]:
     found = []
     for number, kind in enumerate(layout.part_index.tolist()):
-        mask = seen.instance == number
+        mask = shot.instance == number
         if mask.sum() >= LEAST_VISIBLE_PX:
-            found.append(Target(kind=kind, score=1.0, mask=mask))
+            found.append(Candidate(kind=kind, score=1.0, mask=mask))
     return found
 
 
-def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
+def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
     # What the detector calls by another name; ids below 0 would be left out.
     another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     example = Example(
         scene_id=0,
-        rgb=seen.rgb,
-        gray=seen.gray,
-        scanner_depth_m=seen.view.depth_m.astype(np.float32),
-        depth_m=seen.view.depth_m.astype(np.float32),
+        rgb=shot.rgb,
+        gray=shot.gray,
+        scanner_depth_m=shot.view.depth_m.astype(np.float32),
+        depth_m=shot.view.depth_m.astype(np.float32),
     )
     found: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
     return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
 
 
-def _target(found: Detections, i: int, *, kinds: int) -> Target:
+def _target(found: Detections, i: int, *, kinds: int) -> Candidate:
     from pycocotools import mask as coco_mask
 
     mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
     kind = int(found.obj_id[i])
-    return Target(
+    return Candidate(
         kind=kind if kind < kinds else None,
         score=float(found.score[i]),
         mask=mask,
@@ -146,17 +148,17 @@ def _target(found: Detections, i: int, *, kinds: int) -> Target:
     )
 
 
-def _with_true_pose(target: Target, seen: Look, layout: Layout) -> Target:
+def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
     """The pose of the part that most of a detection's pixels are of."""
-    inside = seen.instance[target.inside(seen.instance.shape)]
+    inside = shot.instance[target.inside(shot.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):
         return target
     number = int(np.bincount(inside).argmax())
-    return Target(
+    return Candidate(
         kind=int(layout.part_index[number]),
         score=target.score,
         mask=target.mask,
         box_px=target.box_px,
-        T_cam_part=inverse(seen.view.T_world_cam) @ layout.T_world_part[number],
+        T_cam_part=inverse(shot.view.T_world_cam) @ layout.T_world_part[number],
     )

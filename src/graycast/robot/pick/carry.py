@@ -13,7 +13,7 @@ from ...world.drop.lift import STEP_S
 from ...world.scene import Layout
 from .aim import Aim
 from .choose import Choice
-from .contact import Held, NotHeld
+from .contact import NoGrip, PartGrip
 from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
 from .ready import Ready
 from .robot import Joints
@@ -24,7 +24,7 @@ FREED_M = 0.1  # about a part that was taken, where failed grips may be tried ag
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class World:
+class BinState:
     """A bin between two attempts.
 
     `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
@@ -39,11 +39,11 @@ class World:
     tabu: tuple[Float[np.ndarray, "3"], ...] = ()
     blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
-    def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "World":
+    def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "BinState":
         """The same, where the arm found no way to these places."""
         return replace(self, blocked=(*self.blocked, *places_m))
 
-    def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "World":
+    def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "BinState":
         """The same after a grip: a failure is remembered, a pick clears what is near it."""
         if not taken:
             return replace(self, tabu=(*self.tabu, place_m))
@@ -66,7 +66,7 @@ class Carried:
     lost_s: float | None = None
 
 
-def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, World]:
+def carry_out(ready: Ready, world: BinState, choice: Choice) -> tuple[Carried, BinState]:
     """Execute the chosen grip in the true world."""
     layout, aim = world.layout, choice.aim
     met = touch(
@@ -79,7 +79,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
     )
     error = _pose_error(ready, layout, aim)
     world = replace(world, q=choice.ways.away.q[-1])
-    if isinstance(met, NotHeld):
+    if isinstance(met, NoGrip):
         carried = Carried(
             outcome=_blamed(met.outcome, error), detail=met.detail, part=met.part, pose_error=error
         )
@@ -94,16 +94,16 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         _path(ready, choice.ways, met.T_world_tool),
     )
     outside = parts_outside(ready.cell.box, ready.bodies, lifted.T_world_part, layout.part_index)
-    carried = _told(ready, met, lifted, outside, error)
+    carried = _carried(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
     after = _settled(ready, world, lifted.T_world_part, ~gone)
     return carried, after.gripped(aim.place_m, taken=carried.outcome in TAKEN)
 
 
-def _told(
+def _carried(
     ready: Ready,
-    met: Held,
+    met: PartGrip,
     lifted: Lift,
     outside: Bool[np.ndarray, " n"],
     error: tuple[float, float] | None,
@@ -143,8 +143,8 @@ def _path(
 
 
 def _settled(
-    ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
-) -> World:
+    ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
+) -> BinState:
     """The remaining parts, at rest again, without those that fell out of the bin."""
     box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]

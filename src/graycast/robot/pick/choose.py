@@ -11,8 +11,8 @@ from ..grasp import Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
-    Sight,
-    Target,
+    Candidate,
+    DepthView,
     aims_by_pose,
     aims_in_depth,
     best_first,
@@ -35,7 +35,6 @@ LEAST_UP_M = 0.02
 UNKNOWN_CENTER_M = 0.01
 # What is so far off the part's surface over so large a share of the tool's ground is another.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
-# What was not found, by how far the search came.
 _MISSING = (
     "no detection",
     "no depth: too little was measured on every detection",
@@ -55,8 +54,8 @@ class Choice:
 
 def choose(
     ready: Ready,
-    view: Sight,
-    found: Sequence[Target],
+    view: DepthView,
+    found: Sequence[Candidate],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
     blocked: Sequence[Float[np.ndarray, "3"]],
@@ -77,7 +76,7 @@ def choose(
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
-    heaps, posed, reached = _Heaps(ready, view), list[Target](), int(bool(found))
+    heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(found))
 
     def aims() -> Iterator[Aim]:
         """In the order in which they are tried; the places that are sought decide it, too."""
@@ -86,10 +85,10 @@ def choose(
         for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
             with clock("grips"):
                 all_of_them = _aims(ready, together, view, seed, posed)
-                held = [aim for aim in all_of_them if aim.score >= picking.least_score]
+                candidates = [aim for aim in all_of_them if aim.score >= picking.least_score]
             reached = max(reached, 4 if all_of_them else 3 if posed else 2)
-            fresh = [aim for aim in held if not _near(aim.place_m, tabu, TABU_M)]
-            if held and not fresh and why.outcome is Outcome.NOTHING_FOUND:
+            fresh = [aim for aim in candidates if not _near(aim.place_m, tabu, TABU_M)]
+            if candidates and not fresh and why.outcome is Outcome.NOTHING_FOUND:
                 why = Blocked(outcome=Outcome.GIVEN_UP)
             for aim in spread(best_first(fresh), ALIKE_M, round_tool=ready.tool.is_round):
                 if _near(aim.place_m, (*blocked, *sought), BLOCKED_M):
@@ -115,7 +114,7 @@ def choose(
     return replace(why, places_m=tuple(sought))
 
 
-def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
+def _together(groups: Sequence[Sequence[Candidate]], count: int) -> Iterator[Sequence[Candidate]]:
     """Batches of targets of one group."""
     for group in groups:
         for start in range(0, len(group), count):
@@ -129,7 +128,7 @@ def _near(
 
 
 def _aims(
-    ready: Ready, found: Sequence[Target], view: Sight, seed: int, posed: list[Target]
+    ready: Ready, found: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
     """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
@@ -160,17 +159,17 @@ class _Heap:
 class _Heaps:
     """The measured heap; for a tool that reaches round a part, without the part."""
 
-    def __init__(self, ready: Ready, view: Sight) -> None:
+    def __init__(self, ready: Ready, view: DepthView) -> None:
         self._ready, self._shape = ready, view.depth_m.shape
         self._points = measured_points(view.depth_m, view.camera, view.T_world_cam, ready.cell.box)
-        self._made: dict[int, _Heap] = {}
+        self._heaps: dict[int, _Heap] = {}
 
     def of(self, aim: Aim) -> _Heap:
         # Targets outlive the choice.
         key = id(aim.target) if self._ready.tool.reaches_round else -1
-        if key not in self._made:
-            self._made[key] = self._make(aim)
-        return self._made[key]
+        if key not in self._heaps:
+            self._heaps[key] = self._make(aim)
+        return self._heaps[key]
 
     def _make(self, aim: Aim) -> _Heap:
         own = self._ready.tool.reaches_round
@@ -182,7 +181,7 @@ class _Heaps:
         )
 
 
-def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
+def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
     """Whether the measured surface under a tool differs from the part at its pose.
 
     Another part lies on it, or the pose is wrong.

@@ -15,7 +15,7 @@ LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # as `grasp.load_facto
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class PartGrip:
     """A tool that holds a part: which, how, and where its tip came to rest."""
 
     part: int
@@ -30,7 +30,7 @@ class Held:
         *,
         law: LoadLaw,
         stiffness_n_m: float,
-    ) -> "Held":
+    ) -> "PartGrip":
         """A part in a tool with the law that gives the safety factor of a load.
 
         Args:
@@ -49,11 +49,11 @@ class Held:
             factor=factor,
             stiffness_n_m=stiffness_n_m,
         )
-        return Held(part=part, hold=hold, T_world_tool=T_world_tool)
+        return PartGrip(part=part, hold=hold, T_world_tool=T_world_tool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NotHeld:
+class NoGrip:
     """A tool that holds nothing: why, and the part that it met, if any."""
 
     outcome: Outcome

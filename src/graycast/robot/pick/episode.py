@@ -17,8 +17,8 @@ from ...base.streams import EMPTIED_BIN
 from ...render import Renderer
 from ...world.drop import drop
 from .attempt_picture import picture
-from .bin_scan import Look, scan, targets
-from .carry import World, carry_out
+from .bin_scan import BinScan, scan, targets
+from .carry import BinState, carry_out
 from .choose import choose
 from .clock import Clock
 from .outcome import TAKEN, Attempt, Outcome
@@ -26,7 +26,7 @@ from .pick_sections import PickingSection
 from .ready import Ready
 from .ways import Blocked, Ways
 
-SHOWN_S = 0.05  # between the arm's poses that are kept
+POSE_STEP_S = 0.05  # between the arm's poses that are kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +77,7 @@ def empty_bin(
         limits=config.drop,
         progress=progress,
     )
-    world = World(
+    world = BinState(
         layout=layout,
         numbers=np.arange(sum(counts)),
         hand_eye=_hand_eye(config.picking, np.random.default_rng(streams["calibration"])),
@@ -91,10 +91,10 @@ def empty_bin(
         left = len(world.numbers)
         progress.stage(f"bin {bin_id}, scan {len(attempts) + 1}: {left} parts are left")
         before = len(world.numbers)
-        attempt, seen, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
+        attempt, bin_scan, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
         attempts.append(attempt)
-        pictures.append(picture(seen, attempt))
-        depths_m.append(seen.view.depth_m)
+        pictures.append(picture(bin_scan, attempt))
+        depths_m.append(bin_scan.view.depth_m)
         if attempt.outcome is Outcome.TWO_AT_ONCE:
             taken += before - len(world.numbers)
         else:
@@ -126,17 +126,17 @@ def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.nda
 
 
 def _attempt(
-    ready: Ready, renderer: Renderer, world: World, seed: np.random.SeedSequence
-) -> tuple[Attempt, Look, World]:
+    ready: Ready, renderer: Renderer, world: BinState, seed: np.random.SeedSequence
+) -> tuple[Attempt, BinScan, BinState]:
     scan_seed, plan_seed = seed.spawn(2)
     clock = Clock()
     with clock("scan"):
-        seen = scan(ready.cell, renderer, world.layout, seed=scan_seed)
+        bin_scan = scan(ready.cell, renderer, world.layout, seed=scan_seed)
     with clock("detect"):
-        found = targets(ready.cell, seen, world.layout, ready.detector)
+        found = targets(ready.cell, bin_scan, world.layout, ready.detector)
     choice = choose(
         ready,
-        seen.view,
+        bin_scan.view,
         found,
         world.q,
         world.tabu,
@@ -149,15 +149,15 @@ def _attempt(
         T_world_part=world.layout.T_world_part,
         present=tuple(world.numbers.tolist()),
         targets=len(found),
-        seconds={"scan": seen.seconds, "motion": 0.0},
+        seconds={"scan": bin_scan.seconds, "motion": 0.0},
         work_s=clock.seconds,
     )
     if isinstance(choice, Blocked):
         world = world.without_way(choice.places_m)
-        return replace(attempt, outcome=choice.outcome, detail=choice.detail), seen, world
+        return replace(attempt, outcome=choice.outcome, detail=choice.detail), bin_scan, world
     with clock("physics"):
         carried, after = carry_out(ready, world, choice)
-    time_s, q = _shown(choice.ways)
+    time_s, q = _sampled(choice.ways)
     aim = choice.aim
     attempt = replace(
         attempt,
@@ -171,18 +171,18 @@ def _attempt(
         pose_error=carried.pose_error,
         least_factor=carried.least_factor,
         lost_s=carried.lost_s,
-        seconds={"scan": seen.seconds, "motion": choice.ways.seconds},
+        seconds={"scan": bin_scan.seconds, "motion": choice.ways.seconds},
         time_s=time_s,
         q=q,
     )
-    return attempt, seen, after
+    return attempt, bin_scan, after
 
 
-def _shown(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
-    """The whole motion, a pose every `SHOWN_S`."""
+def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
+    """The whole motion, a pose every `POSE_STEP_S`."""
     times, angles, before = [], [], 0.0
     for way in ways.all:
-        for t in np.arange(0.0, way.seconds, SHOWN_S):
+        for t in np.arange(0.0, way.seconds, POSE_STEP_S):
             times.append(before + t)
             angles.append(way.at(float(t)))
         before += way.seconds

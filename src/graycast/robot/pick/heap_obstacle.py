@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.frames import inverse, transform_points
-from ...rig.meshdepth import seen_from
+from ...rig.meshdepth import visible_surface
 from ...rig.optics import Optics, picture_rays, points
 from ...world.scene import Bin, bin_mesh
 
@@ -36,15 +36,15 @@ class MeasuredHeap:
     """Heights [m] above the bin's inner floor, in the world.
 
     Node [i, j] stands at x = (j - (columns - 1) / 2) * CELL_M, and y likewise from i.
-    `seen` says where a point was measured.
+    `is_measured` says where a point was.
     """
 
     height_m: Float[np.ndarray, "rows columns"]
-    seen: Bool[np.ndarray, "rows columns"]
+    is_measured: Bool[np.ndarray, "rows columns"]
 
     def __post_init__(self) -> None:
         self.height_m.flags.writeable = False
-        self.seen.flags.writeable = False
+        self.is_measured.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,8 +89,8 @@ def measured_heap(
     inside = (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
     height = np.full((rows, columns), -np.inf)
     np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
-    seen = np.isfinite(height)
-    return MeasuredHeap(height_m=_guessed(height, seen, size_m[2]), seen=seen)
+    is_measured = np.isfinite(height)
+    return MeasuredHeap(height_m=_guessed(height, is_measured, size_m[2]), is_measured=is_measured)
 
 
 def _of_wall(
@@ -101,7 +101,7 @@ def _of_wall(
 ) -> Bool[np.ndarray, "h w"]:
     """Pixels whose point lies on a wall of the bin, or on its rim."""
     mesh = bin_mesh(box)
-    face, z = seen_from(T_world_cam, mesh.vertices_m, mesh.faces, camera)
+    face, z = visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)
     ray = picture_rays(camera)
     height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
     normal = mesh.face_normal @ inverse(T_world_cam)[:3, :3].T
@@ -123,12 +123,12 @@ def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _guessed(
-    height: Float[np.ndarray, "r c"], seen: Bool[np.ndarray, "r c"], rim_m: float
+    height: Float[np.ndarray, "r c"], valid: Bool[np.ndarray, "r c"], rim_m: float
 ) -> Float[np.ndarray, "r c"]:
-    if not seen.any():
+    if not valid.any():
         return np.full(height.shape, rim_m)  # nothing is known, so nothing is free
     reach = int(np.ceil(GUESSED_M / CELL_M))
     around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
-    nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    whole = np.where(seen, height, around[tuple(nearest)])
+    nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    whole = np.where(valid, height, around[tuple(nearest)])
     return np.asarray(ndimage.maximum_filter(whole, footprint=BESIDE, mode="nearest"))

@@ -14,7 +14,7 @@ from ...world.drop import Body
 from ...world.drop.rapier import GRAVITY_M_S2
 from ...world.parts import Mesh, Part
 from ..grasp import CLEARANCE_M, Doubt, Grip, Jaws, closing, jaw_load_factor, jaw_places
-from .contact import Held, NotHeld, is_near
+from .contact import NoGrip, PartGrip, is_near
 from .outcome import Outcome
 from .robot import Mounted
 
@@ -82,7 +82,7 @@ class JawTool(Settings):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
-    ) -> Held | NotHeld:
+    ) -> PartGrip | NoGrip:
         """The jaws close until both pads touch."""
         jaws, open_m = self.jaws, self._open_m(opening_m)
         met = []
@@ -92,21 +92,21 @@ class JawTool(Settings):
                 if found is not None:
                     met.append((i, found))
         if not met:
-            return NotHeld(outcome=Outcome.MISSED, detail="nothing is between the pads")
+            return NoGrip(outcome=Outcome.MISSED, detail="nothing is between the pads")
         if len(met) > 1:
-            return NotHeld(
+            return NoGrip(
                 outcome=Outcome.NOT_HELD, detail="two parts are between the pads", part=met[0][0]
             )
         part, (aside_m, slope) = met[0]
         if slope > jaws.friction:
-            return NotHeld(
+            return NoGrip(
                 outcome=Outcome.NOT_HELD,
                 detail=f"the pads meet the part at a slope of {slope:.2f}, and the friction is "
                 f"{jaws.friction:.2f}",
                 part=part,
             )
         # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
-        return Held.of(
+        return PartGrip.of(
             part,
             T_world_part[part],
             T_world_tool @ rigid(np.eye(3), np.array([aside_m, 0.0, 0.0])),

@@ -173,8 +173,8 @@ def drive(
     window = round(RISE_S / step_s)
     time_s = step_s * np.arange(int(np.ceil(driven.duration / step_s)) + 1)
     q = np.asarray(driven(np.minimum(time_s, driven.duration)))
-    held = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
-    mean = sliding_window_view(held, window + 1, axis=0).mean(axis=-1)
+    wide = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
+    mean = sliding_window_view(wide, window + 1, axis=0).mean(axis=-1)
     return Trajectory(time_s=step_s * np.arange(len(mean)), q=mean)
 
 

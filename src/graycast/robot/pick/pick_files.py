@@ -37,7 +37,7 @@ _LOCK = ".lock"
 def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
     """(path inside the bin's folder, content)."""
     attempts = episode.attempts
-    told = {
+    record = {
         "bin_id": episode.bin_id,
         "kinds": list(episode.kinds),
         "filled": episode.filled,
@@ -56,7 +56,7 @@ def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
         for attempt in attempts
     ]
     files = [
-        (EPISODE, json_bytes(told)),
+        (EPISODE, json_bytes(record)),
         (MOTION, json_bytes({"attempts": motion})),
         (WORK, json_bytes({"attempts": [attempt.work_s for attempt in attempts]})),
     ]
@@ -105,17 +105,17 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
         DatasetError: the folder is another cell's, holds something else, or is in use.
     """
     base = cell.cell
-    told = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, described_scanner(base.scanner))
-    told |= dict(zip(BESIDE_CONFIG, beside, strict=True))
-    claim = make_claim(told, seed, base.scene.parts, base.scene.rig, 1e3 * DEPTH_STEP_M)
+    config |= dict(zip(BESIDE_CONFIG, beside, strict=True))
+    claim = make_claim(config, seed, base.scene.parts, base.scene.rig, 1e3 * DEPTH_STEP_M)
     if out.is_file():
         raise DatasetError(f"{out} is a file: give a folder for the picks")
     if out.is_dir() and not (out / CLAIM).exists():
-        held = [entry.name for entry in out.iterdir() if not entry.name.startswith(".")]
-        if held:
+        rest = [entry.name for entry in out.iterdir() if not entry.name.startswith(".")]
+        if rest:
             raise DatasetError(
-                f"{out} is not empty and holds no picks (it has {min(held)}): choose another folder"
+                f"{out} is not empty and holds no picks (it has {min(rest)}): choose another folder"
             )
     with claimed_folder(out, BINS, _LOCK):
         if (out / CLAIM).exists():
@@ -171,13 +171,13 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
 
 def _read(folder: Path) -> StoredEpisode:
     try:
-        told = parse_json((folder / EPISODE).read_bytes())
+        data = parse_json((folder / EPISODE).read_bytes())
         work = parse_json((folder / WORK).read_bytes())
         return StoredEpisode(
-            attempts=tuple(told["attempts"]),
+            attempts=tuple(data["attempts"]),
             work_s=tuple(work["attempts"]),
-            kinds=tuple(told.get("kinds", ())),
-            **{name: int(told[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")},
+            kinds=tuple(data.get("kinds", ())),
+            **{name: int(data[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")},
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GraycastError(

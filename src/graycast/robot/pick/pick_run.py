@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, Made, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
 from ...world.parts import Part
 from .episode import empty_bin
 from .pick_files import episode_files, open_picks
@@ -23,7 +23,7 @@ class BinEmptier:
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._ready: Ready | None = None
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One bin.
 
         Raises:
@@ -39,7 +39,7 @@ class BinEmptier:
                 self._ready, renderer, scene_id, seed=task.seed, progress=self._progress
             )
         outcomes = [str(attempt.outcome) for attempt in episode.attempts]
-        return Made(
+        return TaskResult(
             scene_id=scene_id,
             files=episode_files(episode),
             seconds=time.perf_counter() - start,
@@ -72,7 +72,7 @@ def pick_bins(
     seed: int,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_made: Callable[[Made], None] = lambda made: None,
+    on_result: Callable[[TaskResult], None] = lambda _: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[int, ...]:
@@ -81,7 +81,7 @@ def pick_bins(
     Args:
         out: the folder of picks; made, or continued where the same cell began it.
         device: of the renderer.
-        on_made, on_failed: take results, as in `generate`.
+        on_result, on_failed: take results, as in `generate`.
 
     Returns:
         The bins that could not be made.
@@ -94,9 +94,9 @@ def pick_bins(
     chosen = workers.device(cell.config.render.backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
 
-    def keep(made: Made) -> None:
-        folder.write(made.scene_id, made.files)
-        on_made(made)
+    def keep(result: TaskResult) -> None:
+        folder.write(result.scene_id, result.files)
+        on_result(result)
 
     with open_picks(out, cell, seed=seed) as folder:
         found = folder.finished()
@@ -107,6 +107,6 @@ def pick_bins(
             total=bins,
             workers=workers,
             progress=progress,
-            on_made=keep,
+            on_result=keep,
             on_failed=on_failed,
         )

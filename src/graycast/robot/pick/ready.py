@@ -20,7 +20,7 @@ from .obstacles import standing
 from .robot import Robot, open_robot
 from .robot_cell import PickCell
 from .tools import T_flange_tip, Tool
-from .touch import Kind
+from .touch import ContactPart
 from .ways import Load, Surroundings
 
 _PLACES = 200  # that are tried on each kind of part
@@ -40,7 +40,7 @@ class Ready:
     robot: Robot
     here: Surroundings
     bodies: tuple[Body, ...]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[ContactPart, ...]
     alike: tuple[Float[np.ndarray, "s 4 4"], ...]
     known: dict[int, KnownPart]
     detector: Any | None
@@ -85,7 +85,7 @@ def make_ready(cell: PickCell, *, progress: ProgressMeter = UNWATCHED) -> Ready:
         robot=robot,
         here=here,
         bodies=bodies,
-        kinds=tuple(Kind.of(part, body) for part, body in zip(parts, bodies, strict=True)),
+        kinds=tuple(ContactPart.of(part, body) for part, body in zip(parts, bodies, strict=True)),
         alike=tuple(motions(joined(part.symmetry, shape_symmetry(part.mesh))) for part in parts),
         known=known,
         detector=_detector(cell),
@@ -149,8 +149,8 @@ def _detector(cell: PickCell) -> Any | None:
 
     detector = load_detector(cell.detector)
     names = [part.name for part in cell.cell.scene.parts]
-    told_apart = set(detector.about.names) <= set(names)
-    if cell.config.picking.knows == "part" and len(names) > 1 and not told_apart:
+    distinguishes = set(detector.about.names) <= set(names)
+    if cell.config.picking.knows == "part" and len(names) > 1 and not distinguishes:
         raise ConfigError(
             f"picking.detector: it knows {', '.join(detector.about.names)}, and the cell has "
             f"{', '.join(names)}: train the detector on parts with these names"

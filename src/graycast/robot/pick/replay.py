@@ -117,10 +117,10 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
         raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
     try:
         claim = parse_json((out / CLAIM).read_bytes())
-        told = dict(claim["config"])
-        digests = told["files"]
+        content = dict(claim["config"])
+        digests = content["files"]
         config = PickConfig.model_validate(
-            {key: value for key, value in told.items() if key not in BESIDE_CONFIG}
+            {key: value for key, value in content.items() if key not in BESIDE_CONFIG}
         )
     except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
         why = " ".join(str(error).split())
@@ -154,10 +154,10 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
     """
     path = replay.folder / BINS / f"{episode.bin_id:06d}" / MOTION
     try:
-        told = parse_json(path.read_bytes())["attempts"]
+        motions = parse_json(path.read_bytes())["attempts"]
         return tuple(
             None if one is None else _motion(replay, attempt, one)
-            for attempt, one in zip(episode.attempts, told, strict=True)
+            for attempt, one in zip(episode.attempts, motions, strict=True)
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GraycastError(
@@ -165,10 +165,10 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
         ) from error
 
 
-def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any]) -> Motion:
+def _motion(replay: Replay, attempt: Mapping[str, Any], record: Mapping[str, Any]) -> Motion:
     """Raise ValueError if times, angles and the grip are inconsistent."""
     robot, tool = replay.robot, replay.cell.config.tool
-    time_s, q = np.array(told["time_s"], dtype=float), np.array(told["q"], dtype=float)
+    time_s, q = np.array(record["time_s"], dtype=float), np.array(record["q"], dtype=float)
     if q.shape != (len(time_s), len(robot.home)) or not np.isfinite(q).all() or len(time_s) < 2:
         raise ValueError(f"{len(time_s)} times and angles of shape {q.shape}")
     T_world_base = replay.cell.T_world_base
@@ -205,10 +205,10 @@ def _held_until(
 
 def _arm_limbs(robot: Robot) -> list[Mesh]:
     """A mesh for each place of the arm; a point where a joint has no shape."""
-    held = robot.limbs()
+    all_limbs = robot.limbs()
     limbs = []
     for number in range(len(robot.home) + 1):
-        shapes = [(shape_mesh(shape), T) for place, shape, T in held if place == number]
+        shapes = [(shape_mesh(shape), T) for place, shape, T in all_limbs if place == number]
         limbs.append(joined(shapes) if shapes else _NOTHING)
     return limbs
 

@@ -17,7 +17,6 @@ from ...base.frames import rigid
 from .arms import ARMS, urdf
 
 Joints = Float[np.ndarray, "q"]
-# Inverse kinematics: Newton steps with damping, from several starts.
 _STEPS, _STARTS = 60, 12
 _ALIKE_RAD = 0.05
 _DAMPING = 1e-6

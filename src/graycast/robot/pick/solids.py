@@ -24,11 +24,11 @@ def shape_mesh(shape: Any) -> Mesh:
 
     match shape:
         case coal.Sphere():
-            made = creation.uv_sphere(shape.radius, count=[ROUND // 2, ROUND])
+            mesh = creation.uv_sphere(shape.radius, count=[ROUND // 2, ROUND])
         case coal.Cylinder():
-            made = creation.cylinder(shape.radius, 2 * shape.halfLength, sections=ROUND)
+            mesh = creation.cylinder(shape.radius, 2 * shape.halfLength, sections=ROUND)
         case coal.Box():
-            made = creation.box(2 * np.asarray(shape.halfSide))
+            mesh = creation.box(2 * np.asarray(shape.halfSide))
         case coal.BVHModelBase():
             return _listed(
                 [shape.vertex(i) for i in range(shape.num_vertices)],
@@ -39,7 +39,7 @@ def shape_mesh(shape: Any) -> Mesh:
                 f"a {type(shape).__name__} cannot be drawn: make the robot of spheres, cylinders, "
                 "boxes and meshes"
             )
-    return Mesh(vertices_m=np.array(made.vertices), faces=np.array(made.faces, dtype=np.int64))
+    return Mesh(vertices_m=np.array(mesh.vertices), faces=np.array(mesh.faces, dtype=np.int64))
 
 
 def joined(pieces: Iterable[tuple[Mesh, Float[np.ndarray, "4 4"]]]) -> Mesh:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from ...base.plotting import ACCENT, INK, SOFT, caption, plain_figure, save_png
 from .outcome import Outcome
-from .summary import Summary
+from .summary import PickSummary
 
 COLOR = {
     Outcome.NOTHING_FOUND: "#c3ccd5",
@@ -24,7 +24,7 @@ COLOR = {
 }
 
 
-def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
+def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
     """Write a PNG with a row for each run, the first on top.
 
     Raises:
@@ -35,7 +35,7 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
     )
     _rates(rate, runs)
     _failures(failures, runs)
-    share = [100 * told.left / told.filled if told.filled else 0.0 for told in runs.values()]
+    share = [100 * picks.left / picks.filled if picks.filled else 0.0 for picks in runs.values()]
     left.barh(range(len(runs)), share, color=SOFT, height=0.6)
     caption(left, "Parts left in the bins", "of 100 parts")
     for ax in (rate, failures, left):
@@ -45,19 +45,19 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
     save_png(figure, path, dpi=110)
 
 
-def _rates(ax: Axes, runs: Mapping[str, Summary]) -> None:
-    rate, low, high = 100 * np.array([told.rate for told in runs.values()]).T
+def _rates(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
+    rate, low, high = 100 * np.array([picks.rate for picks in runs.values()]).T
     ends = np.stack([rate - low, high - rate])
     ax.errorbar(rate, range(len(runs)), xerr=ends, fmt="o", color=ACCENT, ecolor=INK, lw=1.2, ms=5)
     ax.set_xlim(right=100.5)
     caption(ax, "Grips that took a part out", "%, with the 95 % interval")
 
 
-def _failures(ax: Axes, runs: Mapping[str, Summary]) -> None:
+def _failures(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
     start = np.zeros(len(runs))
-    parts = np.array([max(told.filled, 1) for told in runs.values()])
+    parts = np.array([max(picks.filled, 1) for picks in runs.values()])
     for outcome, color in COLOR.items():
-        count = np.array([told.outcomes.get(str(outcome), 0) for told in runs.values()])
+        count = np.array([picks.outcomes.get(str(outcome), 0) for picks in runs.values()])
         if count.any():
             each = 100 * count / parts
             ax.barh(range(len(runs)), each, left=start, color=color, height=0.6, label=outcome)

@@ -17,15 +17,15 @@ from ..grasp import (
     Cup,
     Doubt,
     Grip,
+    GripEstimate,
     Patch,
-    SeenGrip,
     load_factor,
     patch_of_mesh,
     seal,
     suction_in_depth,
     suction_places,
 )
-from .contact import Held, NotHeld, is_near
+from .contact import NoGrip, PartGrip, is_near
 from .outcome import Outcome
 from .robot import Mounted
 from .solids import ROUND
@@ -56,7 +56,7 @@ class SuctionTool(Settings):
     reaches_round: ClassVar[bool] = False
 
     @property
-    def in_depth(self) -> Callable[..., list[SeenGrip]]:
+    def in_depth(self) -> Callable[..., list[GripEstimate]]:
         return partial(suction_in_depth, cup=self.cup)
 
     @property
@@ -102,15 +102,15 @@ class SuctionTool(Settings):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
-    ) -> Held | NotHeld:
+    ) -> PartGrip | NoGrip:
         """The cup is laid along its axis on the part that is under its middle."""
         height_m, number = self._under(T_world_tool, parts, T_world_part, part_index)
         middle = len(height_m) // 2
         part, at_m = int(number[middle, middle]), float(height_m[middle, middle])
         if part < 0 or at_m < -self.stroke_m:
-            return NotHeld(outcome=Outcome.MISSED, detail="nothing is under the cup")
+            return NoGrip(outcome=Outcome.MISSED, detail="nothing is under the cup")
         if at_m > self.stroke_m:
-            return NotHeld(
+            return NoGrip(
                 outcome=Outcome.COLLISION_UNSEEN,
                 detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
                 part=part,
@@ -124,8 +124,8 @@ class SuctionTool(Settings):
                 if lies.open_share
                 else f"the springs of the cup would be strained by {lies.strain:.0%}"
             )
-            return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
-        return Held.of(
+            return NoGrip(outcome=Outcome.NOT_HELD, detail=how, part=part)
+        return PartGrip.of(
             part,
             T_world_part[part],
             T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m])),

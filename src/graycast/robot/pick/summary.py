@@ -15,7 +15,7 @@ _TAKEN = [str(outcome) for outcome in TAKEN]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class PickSummary:
     """Of all bins of a folder.
 
     Attributes:
@@ -58,7 +58,7 @@ class Summary:
         return 3600 * self.picked / total_s if total_s else 0.0
 
 
-def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
+def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
     """Raise GraycastError if no bin is finished."""
     if not episodes:
         raise GraycastError("no bin is finished yet: run graycast pick first")
@@ -74,7 +74,7 @@ def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
     picked = sum(outcomes[name] for name in _TAKEN)
     low, high = wilson(picked, grips) if grips else (0.0, 1.0)
     stages = dict.fromkeys(stage for one in work for stage in one)
-    return Summary(
+    return PickSummary(
         bins=len(episodes),
         grips=grips,
         picked=picked,
@@ -149,8 +149,8 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
     ]
     first = next(iter(runs.values()))
     for name, episodes in runs.items():
-        told = summarize(episodes)
-        rate, low, high = told.rate
+        summary = summarize(episodes)
+        rate, low, high = summary.rate
         beside = "| | | | |"
         if episodes is not first:
             paired = pair(first, episodes)
@@ -158,8 +158,8 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
                 f"| {paired.pairs} | {paired.only_second} | {paired.only_first} | {paired.p:.2g} |"
             )
         lines.append(
-            f"| {name} | {told.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
-            f"{told.taken} of {told.filled} | {told.cleared} of {told.bins} | "
-            f"{told.picks_per_hour:.0f} {beside}"
+            f"| {name} | {summary.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
+            f"{summary.taken} of {summary.filled} | {summary.cleared} of {summary.bins} | "
+            f"{summary.picks_per_hour:.0f} {beside}"
         )
     return "\n".join(lines)

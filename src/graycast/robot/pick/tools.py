@@ -14,8 +14,8 @@ from pydantic import Field
 from ...base.frames import rigid
 from ...world.drop import Body
 from ...world.parts import Mesh, Part
-from ..grasp import Grip, SeenGrip
-from .contact import Held, NotHeld
+from ..grasp import Grip, GripEstimate
+from .contact import NoGrip, PartGrip
 from .jaw_tool import JawTool
 from .outcome import Outcome
 from .robot import Mounted
@@ -46,7 +46,7 @@ class Tool(Protocol):
         ...
 
     @property
-    def in_depth(self) -> Callable[..., list[SeenGrip]] | None:
+    def in_depth(self) -> Callable[..., list[GripEstimate]] | None:
         """The search for grips on a measured surface; None for a tool that needs a known part.
 
         Its arguments are those of `grasp.suction_in_depth` without the cup.
@@ -88,7 +88,7 @@ class Tool(Protocol):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
-    ) -> Held | NotHeld:
+    ) -> PartGrip | NoGrip:
         """What happens when the tip arrives among the true parts, where no rigid shape collides.
 
         Args:

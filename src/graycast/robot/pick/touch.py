@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from ...base.frames import inverse
 from ...world.drop import Body
 from ...world.parts import Part
-from .contact import Held, NotHeld
+from .contact import NoGrip, PartGrip
 from .obstacles import hull
 from .outcome import Outcome
 from .tools import T_flange_tip, Tool
@@ -23,26 +23,26 @@ PUSHED_M = 2e-3  # parts are nudged aside by less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class ContactPart:
     """A kind of part as a tool meets it: its surface, and its hulls as Coal knows them."""
 
     part: Part
     hulls: tuple[Any, ...]
 
     @staticmethod
-    def of(part: Part, body: Body) -> "Kind":
-        return Kind(part=part, hulls=tuple(hull(vertices) for vertices, _ in body.hulls))
+    def of(part: Part, body: Body) -> "ContactPart":
+        return ContactPart(part=part, hulls=tuple(hull(vertices) for vertices, _ in body.hulls))
 
 
 def touch(
     tool: Tool,
     T_world_tool: Float[np.ndarray, "4 4"],
-    kinds: Sequence[Kind],
+    kinds: Sequence[ContactPart],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
     *,
     opening_m: float | None = None,
-) -> Held | NotHeld:
+) -> PartGrip | NoGrip:
     """Move a tool to its target among the true parts.
 
     Args:
@@ -61,11 +61,11 @@ def touch(
 def _pushed(
     tool: Tool,
     T_world_tool: Float[np.ndarray, "4 4"],
-    kinds: Sequence[Kind],
+    kinds: Sequence[ContactPart],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
     opening_m: float | None,
-) -> NotHeld | None:
+) -> NoGrip | None:
     """Collisions of the rigid shapes of a tool with the parts; None if there is none."""
     import coal
 
@@ -83,7 +83,7 @@ def _pushed(
                     continue
                 deep_m = abs(result.getContact(0).penetration_depth)
                 if deep_m > PUSHED_M:
-                    return NotHeld(
+                    return NoGrip(
                         outcome=Outcome.COLLISION_UNSEEN,
                         detail=f"the {piece.name} is pressed {1e3 * deep_m:.0f} mm into a part",
                         part=i,

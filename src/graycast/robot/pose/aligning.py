@@ -39,7 +39,7 @@ def align(T, vertex, faces, face_normal, lens, ray, left, top, z, inside, tight,
 def _surface_rows(A, b, T, face_normal, ray, z, inside, tight, gate, drawn, face):
     h, w = z.shape
     row, p, q = np.empty(6), np.empty(3), np.empty(3)
-    held = 0
+    count = 0
     for i in range(h):
         for j in range(w):
             off_z = z[i, j] - drawn[i, j]
@@ -51,8 +51,8 @@ def _surface_rows(A, b, T, face_normal, ray, z, inside, tight, gate, drawn, face
             off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
             _fill(row, q, m[0], m[1], m[2])
             add_row(A, b, row, off, (1 - (off_z / gate) ** 2) ** 2)
-            held += 1
-    return held
+            count += 1
+    return count
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -77,7 +77,7 @@ def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
     A, b = np.zeros((6, 6)), np.zeros(6)
     row, p, n = np.empty(6), np.empty(3), np.empty(3)
     nx, ny, nz = nearest.shape
-    held = 0
+    count = 0
     for i in range(len(point)):
         for j in range(3):
             p[j] = n[j] = 0.0
@@ -102,13 +102,13 @@ def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
         row[2] = p[0] * m[1] - p[1] * m[0]
         row[3], row[4], row[5] = m[0], m[1], m[2]
         add_row(A, b, row, off, weight)
-        held += 1
-    if held < 6:
+        count += 1
+    if count < 6:
         return 0.0
     step = solved(A, b)
     # The scene moves by -step in the part's frame, so the part moves by +step in its own.
     turn_by(T, step)
-    return held / len(point)
+    return count / len(point)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,7 @@ from . import agreement
 from .closest import settle
 from .model import PoseModel
 from .pairs import votes
-from .trying import Judged, Trials
+from .trying import PoseTrial, Trials
 
 WINDOW = 0.035  # half width of the windows of normals, as a share of the diameter
 REACH = 0.75  # of the diameter around a detection is looked at
@@ -139,7 +139,7 @@ def _found(
             f"x {inside.shape[0]}, the camera {camera.width_px} x {camera.height_px}: give depth, "
             "mask and camera of one picture"
         )
-    seen = crop(
+    patch = crop(
         depth_m,
         camera,
         inside,
@@ -147,42 +147,42 @@ def _found(
         reach_m=REACH * model.diameter_m,
         window_m=WINDOW * model.diameter_m,
     )
-    if seen is None:
+    if patch is None:
         return NOTHING
-    point, normal = _scene_points(seen)
+    point, normal = _scene_points(patch)
     if len(point) < LEAST_POINTS:
         return NOTHING
-    guesses = _guesses(model, seen, point, normal)
+    guesses = _guesses(model, patch, point, normal)
     surface = model.surface
     settle(
         guesses, point, normal, surface.point, surface.normal, surface.low_m, surface.cell_m,
         surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
     )  # fmt: skip
-    best = _best(model, seen, guesses)
-    return _told(best, nearest_member(best.T, model.symmetry, near=near))
+    best = _best(model, patch, guesses)
+    return _estimate(best, nearest_member(best.T, model.symmetry, near=near))
 
 
-def _scene_points(seen: Crop) -> tuple[np.ndarray, np.ndarray]:
+def _scene_points(patch: Crop) -> tuple[np.ndarray, np.ndarray]:
     """Places of the detection with normals, spread evenly over its pixels."""
-    usable = seen.inside & np.isfinite(seen.smooth)
+    usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
     chosen = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
     stride = max(int(np.sqrt(len(i) / SCENE_POINTS)), 1)
     even = np.flatnonzero((i % stride == 0) & (j % stride == 0))
     chosen = even if len(even) >= LEAST_POINTS else chosen
     i, j = i[chosen], j[chosen]
-    z = seen.smooth[i, j]
-    point = np.column_stack([seen.ray[i, j] * z[:, None], z])
-    return point, np.ascontiguousarray(seen.normal[i, j])
+    z = patch.smooth[i, j]
+    point = np.column_stack([patch.ray[i, j] * z[:, None], z])
+    return point, np.ascontiguousarray(patch.normal[i, j])
 
 
-def _guesses(model: PoseModel, seen: Crop, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _guesses(model: PoseModel, patch: Crop, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Poses by votes, the best of each bundle of like ones, best bundle first."""
     references = np.arange(len(point))
-    if not seen.tight:
-        i, j = np.nonzero(seen.inside)
-        middle = seen.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
-        low, high = seen.ray[i.min(), j.min()], seen.ray[i.max(), j.max()]
+    if not patch.tight:
+        i, j = np.nonzero(patch.inside)
+        middle = patch.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
+        low, high = patch.ray[i.min(), j.min()], patch.ray[i.max(), j.max()]
         half = np.maximum((high - low) / 2, 1e-9)
         away = (point[:, :2] / point[:, 2:] - middle) / half
         core = np.flatnonzero(np.square(away).sum(axis=1) < CORE**2)
@@ -218,16 +218,16 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(T[best])
 
 
-def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> Judged:
+def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseTrial:
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
-    trials = Trials(model, seen)
+    trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
     tried = (
         trials.judge(T)
         for k in np.argsort(-first, kind="stable")[:CHOSEN]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(tried, key=lambda judged: judged.worth)  # the first of equals
+    best = max(tried, key=lambda candidate: candidate.worth)  # the first of equals
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:
@@ -239,7 +239,7 @@ def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> 
     return best
 
 
-def _told(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
+def _estimate(best: PoseTrial, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
     number = best.number
     return PoseFound(
         T_cam_part=T_cam_part,

@@ -24,14 +24,14 @@ LEAST_PIXELS = 30  # on which a pose that is put otherwise is placed
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+class PoseTrial:
     """A pose, its score (at most 1), and its pixels by kind (`checking`)."""
 
     T: Float[np.ndarray, "4 4"]
     worth: float
     number: Int[np.ndarray, " kinds"]
 
-    def better_of(self, other: "Judged") -> "Judged":
+    def better_of(self, other: "PoseTrial") -> "PoseTrial":
         return self if self.worth > other.worth else other
 
 
@@ -39,31 +39,31 @@ class Judged:
 class Trials:
     """Poses of a part tried in one detection's window."""
 
-    def __init__(self, model: PoseModel, seen: Crop) -> None:
-        noise_m = seen.noise_m if np.isfinite(seen.noise_m) else 0.0
+    def __init__(self, model: PoseModel, crop: Crop) -> None:
+        noise_m = crop.noise_m if np.isfinite(crop.noise_m) else 0.0
         self.tolerance_m = max(TOLERANCE * model.diameter_m, TOLERANCE_SIGMAS * noise_m)
-        self._model, self._seen = model, seen
-        self._lens = lens(seen.camera)
-        self._drawn = np.empty(seen.z.shape)
-        self._face = np.empty(seen.z.shape, np.int64)
-        i, j = np.nonzero(seen.inside)
+        self._model, self._crop = model, crop
+        self._lens = lens(crop.camera)
+        self._drawn = np.empty(crop.z.shape)
+        self._face = np.empty(crop.z.shape, np.int64)
+        i, j = np.nonzero(crop.inside)
         self._middle = np.array([j.mean(), i.mean()])
         self._box = np.array([j.min(), i.min(), j.max(), i.max()])
 
-    def judge(self, T: Float[np.ndarray, "4 4"]) -> Judged:
-        model, seen = self._model, self._seen
+    def judge(self, T: Float[np.ndarray, "4 4"]) -> PoseTrial:
+        model, crop = self._model, self._crop
         worth, number = score(
-            T, model.vertices_m, model.faces, self._lens, seen.ray, seen.left_px, seen.top_px,
-            seen.z, seen.inside, seen.tight, self._box, self.tolerance_m, self._drawn, self._face,
+            T, model.vertices_m, model.faces, self._lens, crop.ray, crop.left_px, crop.top_px,
+            crop.z, crop.inside, crop.tight, self._box, self.tolerance_m, self._drawn, self._face,
         )  # fmt: skip
-        return Judged(T=T, worth=float(worth), number=number)
+        return PoseTrial(T=T, worth=float(worth), number=number)
 
     def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose moved so that surface and outline lie on what is measured."""
-        model, seen, moved = self._model, self._seen, T.copy()
+        model, crop, moved = self._model, self._crop, T.copy()
         align(
-            moved, model.vertices_m, model.faces, model.face_normal, self._lens, seen.ray,
-            seen.left_px, seen.top_px, seen.z, seen.inside, seen.tight,
+            moved, model.vertices_m, model.faces, model.face_normal, self._lens, crop.ray,
+            crop.left_px, crop.top_px, crop.z, crop.inside, crop.tight,
             np.array(GATES) * self.tolerance_m, EDGE * self.tolerance_m, OUTLINE_WEIGHT,
             self._drawn, self._face,
         )  # fmt: skip
@@ -74,19 +74,19 @@ class Trials:
 
         Twice: a shift along the ray changes what is covered.
         """
-        seen, moved = self._seen, T.copy()
+        crop, moved = self._crop, T.copy()
         for _ in range(2):
             draw(
-                moved, self._model.vertices_m, self._model.faces, self._lens, seen.ray,
-                seen.left_px, seen.top_px, self._drawn, self._face,
+                moved, self._model.vertices_m, self._model.faces, self._lens, crop.ray,
+                crop.left_px, crop.top_px, self._drawn, self._face,
             )  # fmt: skip
             covered = np.isfinite(self._drawn)
-            off_m = (seen.z - self._drawn)[seen.inside & covered & np.isfinite(seen.z)]
+            off_m = (crop.z - self._drawn)[crop.inside & covered & np.isfinite(crop.z)]
             if len(off_m) < LEAST_PIXELS:
                 return None
-            hidden = (seen.z < self._drawn - self.tolerance_m) & ~seen.inside
+            hidden = (crop.z < self._drawn - self.tolerance_m) & ~crop.inside
             i, j = np.nonzero(covered & ~hidden)
-            if seen.tight:
+            if crop.tight:
                 off_px = self._middle - [j.mean(), i.mean()]
             else:
                 corners = np.array([j.min(), i.min(), j.max(), i.max()])

@@ -1,6 +1,6 @@
 """Comparison of scanners and their poses on the same heaps of parts."""
 
-from .choosing import Row, choose, sentences
+from .choosing import SettingFigures, choose, sentences
 from .design_run import run_design
 from .design_tables import rows_of, write_design
 from .point_fates import Fate
@@ -10,8 +10,8 @@ from .study import DesignSpec, design_schema, read_design
 __all__ = [
     "DesignSpec",
     "Fate",
-    "Row",
     "Setting",
+    "SettingFigures",
     "choose",
     "design_schema",
     "read_design",

@@ -20,7 +20,7 @@ FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class SettingFigures:
     """A setting's figures: the mean over the heaps, and the measured share of each of them.
 
     Figures are NaN where no heap has them. `front` says that no other setting measures as much or
@@ -60,23 +60,23 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
     return Interval(value=mean, low=mean - half, high=mean + half)
 
 
-def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> Row:
+def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
     """A setting's row from its figures by heap; None where a heap could not be made."""
-    made = [heap for heap in heaps if heap is not None]
-    return Row(
+    finished = [heap for heap in heaps if heap is not None]
+    return SettingFigures(
         name=placed.setting.name,
         placed=placed,
         measured_by_heap=np.array(
             [math.nan if heap is None else heap["measured"] for heap in heaps], dtype=np.float64
         ),
-        figure={name: _mean([heap[name] for heap in made]) for name in FIGURES},
-        share={fate: _mean([heap["share"][fate] for heap in made]) for fate in FATES},
+        figure={name: _mean([heap[name] for heap in finished]) for name in FIGURES},
+        share={fate: _mean([heap["share"][fate] for heap in finished]) for fate in FATES},
     )
 
 
 def _mean(values: Sequence[float | None]) -> float:
-    held = [value for value in values if value is not None]
-    return float(np.mean(held)) if held else math.nan
+    numbers = [value for value in values if value is not None]
+    return float(np.mean(numbers)) if numbers else math.nan
 
 
 def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
@@ -91,24 +91,24 @@ def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
     return [not each for each in beaten]
 
 
-def cost(row: Row) -> tuple[float, float, float]:
+def cost(row: SettingFigures) -> tuple[float, float, float]:
     """The quantities to minimise, rounded as printed: unmeasured share, sigma [mm], seconds."""
     sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
     return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
 
 
-def choose(spec: DesignSpec, rows: Sequence[Row]) -> Row | None:
+def choose(spec: DesignSpec, rows: Sequence[SettingFigures]) -> SettingFigures | None:
     """The setting that measures most among those that meet the study's needs."""
     fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
     return max(fit, key=lambda row: row.measured.value, default=None)
 
 
-def meets(spec: DesignSpec, row: Row) -> bool:
+def meets(spec: DesignSpec, row: SettingFigures) -> bool:
     wanted = spec.needs.model_dump(exclude_none=True)
     return all(row.figure[name] <= most for name, most in wanted.items())
 
 
-def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
+def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str, Interval]:
     """The difference of the measured share between the best row and each other row."""
     return {
         row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
@@ -117,12 +117,12 @@ def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
     }
 
 
-def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
+def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
         return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}"
-    told = (
+    paragraph = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
         f"{1e3 * best.figure['bias_m']:+.2f} mm. It resolves features from "
@@ -130,19 +130,19 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     )
     lost = [f"{share:.1%} {_WORDS[fate]}" for fate, share in best.missing()[:3]]
     if lost:
-        told += f" Most of what it misses is {_list(lost)}."
-    told += f" Of the {len(rows)} settings it measures most"
-    told += f" among those of which each {_wanted(spec)}." if _needs(spec) else "."
+        paragraph += f" Most of what it misses is {_list(lost)}."
+    paragraph += f" Of the {len(rows)} settings it measures most"
+    paragraph += f" among those of which each {_wanted(spec)}." if _needs(spec) else "."
     fit = [row for row in rows if meets(spec, row) and row is not best]
     like = [name for name, less in unlike(fit, best).items() if not less.low > 0]
     if like and spec.layouts > 1:
-        told += (
+        paragraph += (
             f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
         )
-    return told
+    return paragraph
 
 
-def where(row: Row) -> str:
+def where(row: SettingFigures) -> str:
     """A setting in words: the rig, its place, and what else was chosen."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
@@ -201,13 +201,13 @@ def _wanted(spec: DesignSpec) -> str:
     return f"has {_list(_needs(spec))}"
 
 
-def _nearest(spec: DesignSpec, rows: Sequence[Row]) -> str:
+def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The smallest value that any setting has of a required quantity."""
     found = []
     for name in spec.needs.model_dump(exclude_none=True):
-        held = [row for row in rows if math.isfinite(row.figure[name])]
-        if held:
-            row = min(held, key=lambda row: row.figure[name])
+        candidates = [row for row in rows if math.isfinite(row.figure[name])]
+        if candidates:
+            row = min(candidates, key=lambda row: row.figure[name])
             words, unit, factor = _UNIT[name]
             found.append(
                 f"The least {words} is {factor * row.figure[name]:.3g} {unit}, of {row.name}."

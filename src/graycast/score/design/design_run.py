@@ -12,7 +12,7 @@ from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, Made, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
 from ...render import Rendering
 from ...world.parts import Part
 from .fate_picture import picture_png
@@ -31,7 +31,7 @@ class Comparer:
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One heap in one light, by all codes and exposures.
 
         Raises:
@@ -49,17 +49,17 @@ class Comparer:
             radiance = replace(rendering.radiance, pattern=rendering.radiance.pattern[patterns])
             capture = take(scanner, radiance, seed=heap.noise_seed)
             _, depth = measure(scanner, capture)
-            judged = judge(
+            fates = judge(
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
             )
             seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
-            told = figures(scene, view, heap.surface, judged, seconds=seconds)
-            measured[name] = told["measured"]
+            record = figures(scene, view, heap.surface, fates, seconds=seconds)
+            measured[name] = record["measured"]
             picture = None
             if number == 0:
-                picture = picture_png(gray_picture(capture), view, heap.surface, judged)
-            files += heap_files(name, number, told, picture)
-        return Made(
+                picture = picture_png(gray_picture(capture), view, heap.surface, fates)
+            files += heap_files(name, number, record, picture)
+        return TaskResult(
             scene_id=scene_id,
             files=tuple(files),
             seconds=time.perf_counter() - start,
@@ -80,18 +80,18 @@ class Comparer:
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
         """One rendering of the patterns of all codes, and where each setting's own are in it."""
         cell = group[0].cell
-        shown = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
-        ends = np.cumsum([len(patterns) for patterns in shown.values()]).tolist()
+        by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
+        ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()
         own = {
             code: slice(end - len(patterns), end)
-            for (code, patterns), end in zip(shown.items(), ends, strict=True)
+            for (code, patterns), end in zip(by_code.items(), ends, strict=True)
         }
         self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
         with self._kept.of(cell) as renderer:
             rendering = renderer.render(
                 cell.scene,
                 heap.layout,
-                np.concatenate(list(shown.values())),
+                np.concatenate(list(by_code.values())),
                 quality=resolve_quality(cell.config),
                 seed=heap.render_seed,
             )
@@ -129,7 +129,7 @@ def run_design(
     *,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_made: Callable[[str, int, Made], None] = lambda name, layout, made: None,
+    on_result: Callable[[str, int, TaskResult], None] = lambda name, layout, result: None,
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ def run_design(
     Args:
         out: the study's folder. The same study goes on in it, also with more settings or heaps.
         device: of the renderer.
-        on_made, on_failed: take results with the name of a rendering, and the number of its heap.
+        on_result, on_failed: take results with the name of a rendering, and the number of its heap.
 
     Returns:
         The renderings that could not be made, by name and heap.
@@ -157,9 +157,9 @@ def run_design(
         group, layout = task.named(scene_id)
         return _light_name(group), layout
 
-    def keep(made: Made) -> None:
-        folder.write(made.files)
-        on_made(*named(made.scene_id), made)
+    def keep(result: TaskResult) -> None:
+        folder.write(result.files)
+        on_result(*named(result.scene_id), result)
 
     with open_design(out) as folder:
         for one in placed:
@@ -172,7 +172,7 @@ def run_design(
             total=len(scene_ids),
             workers=workers,
             progress=progress,
-            on_made=keep,
+            on_result=keep,
             on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
         )
     return tuple("{}/{:03d}".format(*named(scene_id)) for scene_id in lost)

@@ -14,7 +14,7 @@ from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
 from ..evaluate.intervals import Interval
-from .choosing import FIGURES, Row, choose, cost, on_front, row_of, sentences
+from .choosing import FIGURES, SettingFigures, choose, cost, on_front, row_of, sentences
 from .point_fates import FATE_COLOR, FATES, Fate
 from .result_files import PICTURE, SETTINGS, read_heaps
 from .setting import place_settings, settings_of
@@ -39,17 +39,17 @@ def write_design(spec: DesignSpec, out: Path) -> str:
         GraycastError: figures are damaged, or the disk refuses.
     """
     rows = rows_of(spec, out)
-    said = sentences(spec, rows)
-    write_whole(out / "table.md", _markdown(spec, rows, said).encode())
+    conclusion = sentences(spec, rows)
+    write_whole(out / "table.md", _markdown(spec, rows, conclusion).encode())
     write_whole(out / "table.csv", _csv(rows).encode())
-    content = {"title": spec.title, "says": said, "rows": [_record(row) for row in rows]}
+    content = {"title": spec.title, "says": conclusion, "rows": [_record(row) for row in rows]}
     write_whole(out / "design.json", json_bytes(content))
     _draw_pareto(spec, rows, out / "pareto.png")
     _draw_missing(spec, rows, out / "missing.png")
-    return said
+    return conclusion
 
 
-def rows_of(spec: DesignSpec, out: Path) -> list[Row]:
+def rows_of(spec: DesignSpec, out: Path) -> list[SettingFigures]:
     """The settings' rows, the one that measures most first."""
     placed = place_settings(spec, settings_of(spec))
     rows = [row_of(one, read_heaps(out, one.setting.name, spec)) for one in placed]
@@ -58,7 +58,7 @@ def rows_of(spec: DesignSpec, out: Path) -> list[Row]:
     return sorted(rows, key=lambda row: np.nan_to_num(-row.measured.value, nan=math.inf))
 
 
-def _record(row: Row) -> dict[str, str | float | bool]:
+def _record(row: SettingFigures) -> dict[str, str | float | bool]:
     interval = row.measured
     return {
         "setting": row.name,
@@ -71,7 +71,7 @@ def _record(row: Row) -> dict[str, str | float | bool]:
     }
 
 
-def _csv(rows: Sequence[Row]) -> str:
+def _csv(rows: Sequence[SettingFigures]) -> str:
     text = io.StringIO()
     records = [_record(row) for row in rows]
     table = csv.DictWriter(text, list(records[0]), lineterminator="\n")
@@ -80,9 +80,9 @@ def _csv(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def _markdown(spec: DesignSpec, rows: Sequence[Row], said: str) -> str:
+def _markdown(spec: DesignSpec, rows: Sequence[SettingFigures], conclusion: str) -> str:
     heads = ["setting", "measured %", *(head for head, _, _ in _HEADS.values()), "front"]
-    lines = [f"# {spec.title}", "", said, "", _head(heads)]
+    lines = [f"# {spec.title}", "", conclusion, "", _head(heads)]
     for row in rows:
         cells = [f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", _share(row.measured)]
         cells += [
@@ -127,7 +127,7 @@ def _share(interval: Interval) -> str:
     return f"{text} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
 
 
-def _draw_pareto(spec: DesignSpec, rows: Sequence[Row], path: Path) -> None:
+def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
     """Measured share over sigma, and over seconds; who is beaten in these two is pale."""
     best = choose(spec, rows)
     figure, axes = plain_figure(11.0, 4.6, (1, 1))
@@ -137,7 +137,9 @@ def _draw_pareto(spec: DesignSpec, rows: Sequence[Row], path: Path) -> None:
     save_png(figure, path, dpi=110)
 
 
-def _draw_front(ax: Axes, rows: Sequence[Row], best: Row | None, column: int) -> None:
+def _draw_front(
+    ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
+) -> None:
     """Measured share over one of the costs, the front as a line; of close names one is written."""
     costs = np.array([cost(row) for row in rows])
     front = np.array(on_front(costs[:, [0, column]]))
@@ -164,7 +166,7 @@ def _draw_front(ax: Axes, rows: Sequence[Row], best: Row | None, column: int) ->
             )
 
 
-def _draw_missing(spec: DesignSpec, rows: Sequence[Row], path: Path) -> None:
+def _draw_missing(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
     """A bar for each setting: what became of the open surface."""
     figure, (ax,) = plain_figure(10.0, 1.6 + 0.24 * len(rows), (1,), grid="x")
     left = np.zeros(len(rows))

@@ -4,23 +4,23 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from .heap_surface import Sight, Surface
-from .point_fates import FATE_COLOR, FATES, Fate, Judged, SurfaceView
+from .heap_surface import HeapSurface, Visibility
+from .point_fates import FATE_COLOR, FATES, Fate, PointFates, SurfaceView
 
 _DIM = 0.5  # of the white frame behind the colours
 _LEGEND_PX = 168
 
 
 def picture_png(
-    gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: Surface, judged: Judged
+    gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, fates: PointFates
 ) -> bytes:
     """What the camera sees of the open surface, beside the white frame, as a PNG file.
 
     A point colours its pixel and the eight around it, what is not measured over what is.
     """
-    fate = judged.fate
-    shown = surface.opened & (view.camera == Sight.SEEN)
-    order = np.flatnonzero(shown)
+    fate = fates.fate
+    visible = surface.opened & (view.camera == Visibility.VISIBLE)
+    order = np.flatnonzero(visible)
     order = order[np.argsort(fate[order] != FATES.index(Fate.MEASURED), kind="stable")]
     ink = np.array([_rgb(FATE_COLOR[name]) for name in FATES], dtype=np.uint8)
     image = np.repeat((gray * _DIM).astype(np.uint8)[..., None], 3, axis=-1)

@@ -11,7 +11,7 @@ from ...cell.resolve import Cell
 from ...cell.simulate import counts_of
 from ...world.drop import drop
 from ...world.scene import Layout
-from .heap_surface import Surface, spread_surface
+from .heap_surface import HeapSurface, spread_surface
 from .study import DesignSpec
 
 
@@ -21,7 +21,7 @@ class Heap:
     """Parts as they lie, and the seeds of the light and the noise that all settings share."""
 
     layout: Layout
-    surface: Surface
+    surface: HeapSurface
     render_seed: int
     noise_seed: int
 

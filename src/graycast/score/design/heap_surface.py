@@ -23,10 +23,10 @@ SLACK_M = 0.5e-3  # by which parts may press into each other, and their meshes l
 RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))  # directions, and how far they lean, of the cone
 
 
-class Sight(IntEnum):
+class Visibility(IntEnum):
     """Whether a point is visible from an eye position, and what hides it otherwise."""
 
-    SEEN = 0
+    VISIBLE = 0
     OUTSIDE = 1  # of its picture
     BY_PARTS = 2  # a part is before it, or it looks away, so that its own part is
     BY_BIN = 3
@@ -34,7 +34,7 @@ class Sight(IntEnum):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class HeapSurface:
     """Points on parts as they lie, each of about the same area, in world coordinates.
 
     `weight` is how much a point shows in views from above: the mean, over the directions of a cone,
@@ -68,7 +68,7 @@ class Obstacles:
         self.is_bin.flags.writeable = False
 
 
-def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> Surface:
+def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> HeapSurface:
     """So many points over all parts of a heap, and how much of them the cone above it sees.
 
     No chance is involved: one heap has the same points in every setting.
@@ -88,9 +88,9 @@ def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float
     eyes = _cone(box, cone_deg)
     weight = np.zeros(len(point_m))
     for eye, T_world_eye in eyes:
-        seen = sight(obstacles, eye, T_world_eye, point_m, normals) == Sight.SEEN
-        weight += np.where(seen, -(normals @ T_world_eye[:3, 2]), 0.0).clip(0.0) / len(eyes)
-    return Surface(
+        visible = sight(obstacles, eye, T_world_eye, point_m, normals) == Visibility.VISIBLE
+        weight += np.where(visible, -(normals @ T_world_eye[:3, 2]), 0.0).clip(0.0) / len(eyes)
+    return HeapSurface(
         point_m=point_m, normal=normals, instance=np.concatenate(instance), weight=weight
     )
 
@@ -114,7 +114,7 @@ def sight(
     point_m: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],
 ) -> Int[np.ndarray, " n"]:
-    """What a camera or a projector sees of points on the parts: of each a `Sight`.
+    """What a camera or a projector sees of points on the parts: of each a `Visibility`.
 
     A point is hidden where the nearest surface, both at its pixel's centre and where its plane
     meets the point's own ray, lies before it by more than `SLACK_M`. The picture is made as large
@@ -129,17 +129,17 @@ def sight(
     column, row = np.rint(np.nan_to_num(pixel, nan=-1.0)).clip(-1, 2**30).astype(np.int64).T
     inside = (at[:, 2] > 0) & (column >= 0) & (column < eye.width_px)
     inside &= (row >= 0) & (row < eye.height_px)
-    seen = np.full(len(point_m), int(Sight.OUTSIDE))
+    visibility = np.full(len(point_m), int(Visibility.OUTSIDE))
     column, row = column[inside], row[inside]
     hit, own = face[row, column], at[inside]
     nearest_m = np.maximum(z_m[row, column], _on_plane(vertices, obstacles, hit, own))
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
     by_bin = hidden & obstacles.is_bin[hit]
     towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
-    found = np.where(hidden | (towards <= 0), int(Sight.BY_PARTS), int(Sight.SEEN))
+    found = np.where(hidden | (towards <= 0), int(Visibility.BY_PARTS), int(Visibility.VISIBLE))
     # What looks away would be hidden by its own part without any bin.
-    seen[inside] = np.where(by_bin & (towards > 0), int(Sight.BY_BIN), found)
-    return seen
+    visibility[inside] = np.where(by_bin & (towards > 0), int(Visibility.BY_BIN), found)
+    return visibility
 
 
 def _on_plane(

@@ -12,7 +12,7 @@ from ...camera.decode import DepthMap, Reason
 from ...render import GroundTruth
 from ...rig.optics import project
 from ...world.scene import Layout, Scene
-from .heap_surface import Sight, Surface, obstacles_of, sight
+from .heap_surface import HeapSurface, Visibility, obstacles_of, sight
 
 FEATURE_PX = 3  # a feature is as wide as so many pixels
 FEATURE_SIGMAS = 3  # and as high as so many standard deviations
@@ -76,7 +76,7 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 class SurfaceView:
     """What camera and projector of a setting see of a heap's points; codes do not change it."""
 
-    camera: Int[np.ndarray, " n"]  # a `Sight` each
+    camera: Int[np.ndarray, " n"]  # a `Visibility` each
     projector: Int[np.ndarray, " n"]
     row: Int[np.ndarray, " n"]  # of the camera's pixel; 0 where a point is outside the picture
     column: Int[np.ndarray, " n"]
@@ -88,7 +88,7 @@ class SurfaceView:
             getattr(self, name).flags.writeable = False
 
 
-def view_of(scene: Scene, layout: Layout, surface: Surface) -> SurfaceView:
+def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
     """Where the scene's camera and projector see the surface's points."""
     obstacles, rig = obstacles_of(scene, layout), scene.rig
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
@@ -96,7 +96,7 @@ def view_of(scene: Scene, layout: Layout, surface: Surface) -> SurfaceView:
     to_projector = transform_points(inverse(T_world_proj), surface.point_m)
     camera = sight(obstacles, rig.camera, scene.T_world_cam, surface.point_m, surface.normal)
     pixel = np.rint(project(rig.camera, at))
-    inside = camera != Sight.OUTSIDE
+    inside = camera != Visibility.OUTSIDE
     # An enlarged picture ends where the camera's own does, but rounds half pixels by itself.
     last = np.array([rig.camera.width_px - 1, rig.camera.height_px - 1])
     column, row = np.where(inside[:, None], pixel, 0.0).clip(0, last).astype(np.int64).T
@@ -112,7 +112,7 @@ def view_of(scene: Scene, layout: Layout, surface: Surface) -> SurfaceView:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class PointFates:
     """The fate of each point, as its number in `FATES`, and depth less truth where measured [m]."""
 
     fate: Int[np.ndarray, " n"]
@@ -124,8 +124,8 @@ class Judged:
 
 
 def judge(
-    view: SurfaceView, surface: Surface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
-) -> Judged:
+    view: SurfaceView, surface: HeapSurface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
+) -> PointFates:
     """The fate of each point of a surface. Its error is the error of the pixel that sees it."""
     pixel = (view.row, view.column)
     own = truth.instance[pixel] == surface.instance
@@ -133,13 +133,13 @@ def judge(
     measured = own & (np.abs(error_m) <= wrong_m)
     reason = depth.reason[pixel]
     decided: list[tuple[Fate, Bool[np.ndarray, " n"]]] = [
-        (Fate.OUTSIDE_PICTURE, view.camera == Sight.OUTSIDE),
-        (Fate.HIDDEN_BY_WALL, view.camera == Sight.BY_BIN),
-        (Fate.HIDDEN_BY_PARTS, view.camera == Sight.BY_PARTS),
+        (Fate.OUTSIDE_PICTURE, view.camera == Visibility.OUTSIDE),
+        (Fate.HIDDEN_BY_WALL, view.camera == Visibility.BY_BIN),
+        (Fate.HIDDEN_BY_PARTS, view.camera == Visibility.BY_PARTS),
         (Fate.MEASURED, measured),
-        (Fate.OUTSIDE_PROJECTOR, view.projector == Sight.OUTSIDE),
-        (Fate.WALL_SHADOW, view.projector == Sight.BY_BIN),
-        (Fate.PART_SHADOW, view.projector == Sight.BY_PARTS),
+        (Fate.OUTSIDE_PROJECTOR, view.projector == Visibility.OUTSIDE),
+        (Fate.WALL_SHADOW, view.projector == Visibility.BY_BIN),
+        (Fate.PART_SHADOW, view.projector == Visibility.BY_PARTS),
         (Fate.EDGE, ~own),
         *((fate, reason == number) for number, fate in _OF_REASON.items()),
     ]
@@ -148,11 +148,11 @@ def judge(
         [_NUMBER[fate] for fate, _ in decided],
         default=_NUMBER[Fate.WRONG],
     )
-    return Judged(fate=fate, error_m=np.where(fate == _NUMBER[Fate.MEASURED], error_m, np.nan))
+    return PointFates(fate=fate, error_m=np.where(fate == _NUMBER[Fate.MEASURED], error_m, np.nan))
 
 
 def figures(
-    scene: Scene, view: SurfaceView, surface: Surface, judged: Judged, *, seconds: float
+    scene: Scene, view: SurfaceView, surface: HeapSurface, fates: PointFates, *, seconds: float
 ) -> dict[str, Any]:
     """A setting's figures over the open surface of one heap; None where nothing was measured.
 
@@ -164,27 +164,27 @@ def figures(
     as wide as `FEATURE_PX` pixels and as high as `FEATURE_SIGMAS` sigma.
     """
     weight = surface.weight / surface.weight.sum()
-    share = dict(zip(FATES, np.bincount(judged.fate, weight, len(FATES)).tolist(), strict=True))
-    unseen = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
-    seen = 1 - sum(share[fate] for fate in unseen)
-    told: dict[str, Any] = {
+    share = dict(zip(FATES, np.bincount(fates.fate, weight, len(FATES)).tolist(), strict=True))
+    hidden = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
+    visible = 1 - sum(share[fate] for fate in hidden)
+    record: dict[str, Any] = {
         "points": int(surface.opened.sum()),
         "share": {str(name): value for name, value in share.items()},
         "measured": share[Fate.MEASURED],
-        "of_seen": share[Fate.MEASURED] / seen if seen > 0 else None,
+        "of_seen": share[Fate.MEASURED] / visible if visible > 0 else None,
         "seconds": seconds,
     }
-    here = surface.opened & np.isfinite(judged.error_m)
+    here = surface.opened & np.isfinite(fates.error_m)
     if not here.any():
-        return told | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
-    low, bias_m, high = _quantiles(judged.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
+        return record | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
+    low, bias_m, high = _quantiles(fates.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
     sigma_m = (high - low) / 2
     camera, projector = scene.rig.camera, scene.rig.projector
     pixel_m = max(
         _quantiles(z_m[here], weight[here], (0.5,))[0] / min(device.fx_px, device.fy_px)
         for device, z_m in ((camera, view.z_m), (projector, view.z_projector_m))
     )
-    return told | {
+    return record | {
         "sigma_m": sigma_m,
         "bias_m": bias_m,
         "pixel_m": pixel_m,

@@ -72,15 +72,15 @@ class DesignFolder:
             write_whole(path, json_bytes(described))
             return
         try:
-            held = parse_json(path.read_bytes())
+            earlier = parse_json(path.read_bytes())
         except ValueError as error:
             raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
-        told = plain(described)
+        record = plain(described)
         where = next(
             (
                 found
-                for key in sorted({*held, *told})
-                if (found := difference(held.get(key), told.get(key), key)) is not None
+                for key in sorted({*earlier, *record})
+                if (found := difference(earlier.get(key), record.get(key), key)) is not None
             ),
             None,
         )

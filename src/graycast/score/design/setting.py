@@ -161,9 +161,9 @@ def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
     keys = ("distance_m", "tilt_deg", "azimuth_deg")
     view = {key: getattr(setting, key) for key in keys if getattr(setting, key) is not None}
     if config.view.T_world_cam is not None and (view or setting.baseline_m is not None):
-        given = next(iter(view), "baseline_m")
+        view_key = next(iter(view), "baseline_m")
         raise ConfigError(
-            f"the cell's view.T_world_cam is the whole pose: remove it there, or {given} here"
+            f"the cell's view.T_world_cam is the whole pose: remove it there, or {view_key} here"
         )
     changes: dict[str, Any] = {"view": config.view.model_copy(update=view)}
     if setting.rig is not None:

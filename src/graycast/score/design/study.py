@@ -132,7 +132,7 @@ def read_design(path: Path) -> DesignSpec:
     Raises:
         ConfigError: the file is missing, has an unknown, missing or wrong key, or names no rig.
     """
-    said = read_settings(path, DesignSpec)
+    study = read_settings(path, DesignSpec)
     base = Path(os.path.normpath(path.parent.absolute()))
 
     def rig(name: str) -> str:
@@ -146,14 +146,14 @@ def read_design(path: Path) -> DesignSpec:
         return str(_from(base, Path(name)))
 
     changes: dict[str, Any] = {
-        "cell": _from(base, said.cell),
-        "bins": {name: _bin_from(base, section) for name, section in said.bins.items()},
+        "cell": _from(base, study.cell),
+        "bins": {name: _bin_from(base, section) for name, section in study.bins.items()},
         "sweeps": tuple(
             sweep.model_copy(update={"rig": sweep.rig and tuple(map(rig, sweep.rig))})
-            for sweep in said.sweeps
+            for sweep in study.sweeps
         ),
     }
-    return said.model_copy(update=changes)
+    return study.model_copy(update=changes)
 
 
 def _from(base: Path, path: Path) -> Path:

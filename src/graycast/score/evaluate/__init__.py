@@ -2,7 +2,7 @@
 
 from .depth_files import DEPTH, evaluate_depth, write_depth
 from .judgement_files import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
-from .judging import Judgement, Protocol, Row, judge
+from .judging import GroupRow, Judgement, Protocol, judge
 from .labels import Labels, labels_of
 from .mistakes import AT_HALF, false_alarms
 from .pose_errors import mspd, mssd, rotation_translation, vsd
@@ -17,10 +17,10 @@ __all__ = [
     "EVALUATION",
     "POSES",
     "Evaluation",
+    "GroupRow",
     "Judgement",
     "Labels",
     "Protocol",
-    "Row",
     "Scores",
     "Task",
     "camera_of",

@@ -55,7 +55,7 @@ def depth_rows(scenes: Iterable[SceneContent], *, parts_only: bool = False) -> l
         if parts_only:
             row = np.where(scene.label >= 0, row, -1)
         _count(scene, row, steps, reasons, scale_mm)
-    return [_row(k, steps[k], reasons[k], scale_mm) for k in range(EDGE + 1)]
+    return [_depth_row(k, steps[k], reasons[k], scale_mm) for k in range(EDGE + 1)]
 
 
 def rows_of_pixels(scene: SceneContent) -> Int[np.ndarray, "h w"]:
@@ -85,9 +85,9 @@ def incidence_rad(
         distortion: k1, k2, p1, p2, k3 of OpenCV.
     """
     y, x = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]].astype(float)
-    seen = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]], axis=-1)
+    direction = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]], axis=-1)
     k1, k2, p1, p2, k3 = distortion
-    ideal = undistort(seen, (k1, k2, p1, p2, k3))
+    ideal = undistort(direction, (k1, k2, p1, p2, k3))
     ray = np.concatenate([ideal, np.ones((*depth_m.shape, 1))], axis=-1)
     point = depth_m[..., None].astype(float) * ray
     normal = np.cross(_slope(point, 1), _slope(point, 0))
@@ -146,7 +146,7 @@ def _count(
         steps[k].update(dict(zip(value.tolist(), times.tolist(), strict=True)))
 
 
-def _row(k: int, steps: Counter[int], reasons: Counter[str], scale_mm: float) -> DepthRow:
+def _depth_row(k: int, steps: Counter[int], reasons: Counter[str], scale_mm: float) -> DepthRow:
     pixels = sum(reasons.values())
     ends = ANGLE_EDGES_DEG[k : k + 2]
     return DepthRow(

@@ -89,7 +89,7 @@ def depth_markdown(tables: Tables) -> str:
                 ((share, reason) for reason, share in row.reason.items() if reason != "decoded"),
                 reverse=True,
             )
-            told = ", ".join(f"{r.replace('_', ' ')} {s:.1%}" for s, r in holes if s >= 0.001)
+            shares = ", ".join(f"{r.replace('_', ' ')} {s:.1%}" for s, r in holes if s >= 0.001)
             error = "| none | none | none | none |"
             if e.pixels:
                 error = (
@@ -97,7 +97,7 @@ def depth_markdown(tables: Tables) -> str:
                     f"| {e.beyond_5mm:.2%} |"
                 )
             decoded = row.reason.get("decoded", 0.0)
-            lines.append(f"| {row.name} | {row.pixels} | {decoded:.1%} {error} {told} |")
+            lines.append(f"| {row.name} | {row.pixels} | {decoded:.1%} {error} {shares} |")
     return "\n".join(lines) + "\n"
 
 
@@ -111,9 +111,9 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
     """The reasons that occur, in the given order; others come last."""
-    held = {name for rows in tables.values() for row in rows for name in row.reason}
-    first = [name for name in order if name in held and name != "decoded"]
-    return first + sorted(held - {"decoded", *first})
+    reasons_there = {name for rows in tables.values() for row in rows for name in row.reason}
+    first = [name for name in order if name in reasons_there and name != "decoded"]
+    return first + sorted(reasons_there - {"decoded", *first})
 
 
 def _draw(tables: Tables, colors: Mapping[str, str], path: Path) -> None:

@@ -89,7 +89,7 @@ def differences(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drawn:
+class BootstrapFigure:
     """A figure with its value in each draw, so that sums of figures also get intervals.
 
     Figures of the same scenes from the same seed are paired: their difference has the interval of
@@ -103,8 +103,8 @@ class Drawn:
     def __post_init__(self) -> None:
         self.draws.flags.writeable = False
 
-    def __sub__(self, other: "Drawn") -> "Drawn":
-        return Drawn(
+    def __sub__(self, other: "BootstrapFigure") -> "BootstrapFigure":
+        return BootstrapFigure(
             value=self.value - other.value,
             draws=self.draws - other.draws,
             scenes=min(self.scenes, other.scenes),
@@ -115,19 +115,19 @@ class Drawn:
         return interval_of(self.value, self.draws, self.scenes)
 
 
-def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> Drawn:
+def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> BootstrapFigure:
     """One of `FIGURES` of the scores with its draws."""
     times = draw_scenes(scores.scene_of, seed=seed, draws=draws)
-    return Drawn(
+    return BootstrapFigure(
         value=getattr(scores, figure),
         draws=figures_of_draws(scores.matches, times)[figure],
         scenes=scores.scenes,
     )
 
 
-def mean(figures: Sequence[Drawn]) -> Drawn:
+def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
     """The mean of figures of different sets of scenes."""
-    return Drawn(
+    return BootstrapFigure(
         value=float(np.mean([each.value for each in figures])),
         draws=np.mean([each.draws for each in figures], axis=0),
         scenes=min(each.scenes for each in figures),

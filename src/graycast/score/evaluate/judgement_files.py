@@ -17,7 +17,7 @@ from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
 from .precision_plots import draw_groups, draw_precision_recall
-from .results import Run
+from .results import DetectionRun
 from .scores import FIGURES
 from .sheets import Picture, draw_false_alarms, draw_misses
 
@@ -31,8 +31,8 @@ class Evaluation:
 
     dataset: str
     split: str
-    run: Run
-    against: Run | None
+    run: DetectionRun
+    against: DetectionRun | None
     categories: Mapping[int, str]
     protocol: Protocol
     judgements: tuple[Judgement, ...]
@@ -98,11 +98,11 @@ def summary(evaluation: Evaluation) -> str:
     """The figures of all instances, for the terminal."""
     lines = [_what(evaluation)]
     for one in evaluation.judgements:
-        told = ", ".join(f"{_TITLES[n]} {_told(f)}" for n, f in one.rows[0].figures.items())
-        lines.append(f"{one.kind:5} {told}")
+        text = ", ".join(f"{_TITLES[n]} {_interval(f)}" for n, f in one.rows[0].figures.items())
+        lines.append(f"{one.kind:5} {text}")
         if one.against is not None:
-            told = ", ".join(f"{_TITLES[n]} {_told(f, '+')}" for n, f in one.against.items())
-            lines.append(f"      difference: {told}")
+            text = ", ".join(f"{_TITLES[n]} {_interval(f, '+')}" for n, f in one.against.items())
+            lines.append(f"      difference: {text}")
         lines.append(f"      {_point(one)}")
     lines += [f"note: {note}" for note in evaluation.notes]
     return "\n".join(lines)
@@ -126,7 +126,7 @@ def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
                 [
                     "| " + " | ".join(_TITLES[name] for name in FIGURES) + " |",
                     "|" + "---|" * len(FIGURES),
-                    "| " + " | ".join(_told(one.against[name], "+") for name in FIGURES) + " |",
+                    "| " + " | ".join(_interval(one.against[name], "+") for name in FIGURES) + " |",
                 ]
             )
 
@@ -134,14 +134,14 @@ def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
 def _what(evaluation: Evaluation) -> str:
     known, run = evaluation.judgements[0].known, evaluation.run
     empty = sum(not len(one) for one in known.found)
-    seen = sum(map(len, known.labels))
+    instances = sum(map(len, known.labels))
     ignored = sum(int(one.ignored.sum()) for one in known.labels)
-    made = "" if run.model is None else f" of {run.model} on {run.input}"
+    source = "" if run.model is None else f" of {run.model} on {run.input}"
     speed = "" if np.isnan(run.median_ms) else f" {run.median_ms:.0f} ms a picture (median)."
     return (
-        f"{sum(map(len, known.found))} detections{made} in {len(known.labels)} scenes of "
+        f"{sum(map(len, known.found))} detections{source} in {len(known.labels)} scenes of "
         f"{evaluation.dataset} (set {evaluation.split}; nothing was found in {empty}), "
-        f"{seen - ignored} instances to find; {ignored} of less than "
+        f"{instances - ignored} instances to find; {ignored} of less than "
         f"{evaluation.protocol.min_visibility:.0%} visibility are ignored.{speed}"
     )
 
@@ -157,10 +157,10 @@ def _point(one: Judgement) -> str:
 
 def _mistakes(one: Judgement) -> str:
     why = Counter(alarm.why for alarm in one.false_alarms)
-    told = ", ".join(f"{count} {name}" for name, count in why.most_common())
+    counts = ", ".join(f"{count} {name}" for name, count in why.most_common())
     return (
         f"There {len(one.misses)} are missed, {len(one.false_alarms)} alarms are false"
-        f"{f' ({told})' if told else ''}."
+        f"{f' ({counts})' if counts else ''}."
     )
 
 
@@ -168,11 +168,11 @@ def _table(one: Judgement) -> Iterator[str]:
     yield "| by | which | to find | " + " | ".join(_TITLES[name] for name in FIGURES) + " |"
     yield "|---|---|---|" + "---|" * len(FIGURES)
     for row in one.rows:
-        cells = [row.by, row.name, str(row.to_find), *(_told(row.figures[n]) for n in FIGURES)]
+        cells = [row.by, row.name, str(row.to_find), *(_interval(row.figures[n]) for n in FIGURES)]
         yield "| " + " | ".join(cells) + " |"
 
 
-def _told(figure: Interval, sign: str = "") -> str:
+def _interval(figure: Interval, sign: str = "") -> str:
     if np.isnan(figure.value):
         return "none to find"
     if np.isnan(figure.low):
@@ -205,9 +205,9 @@ def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
 def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
     """What is found, missed and false in each scene at the working point."""
     hits: Counter[int] = Counter()
-    for held in one.scores.matches.values():
-        at_work = held.hit[AT_HALF] & (held.score >= one.point.score)
-        hits.update(held.scene[at_work].tolist())
+    for match in one.scores.matches.values():
+        at_work = match.hit[AT_HALF] & (match.score >= one.point.score)
+        hits.update(match.scene[at_work].tolist())
     missed = Counter(miss.scene for miss in one.misses)
     false = Counter(alarm.scene for alarm in one.false_alarms)
     for scene, labels in enumerate(one.known.labels):

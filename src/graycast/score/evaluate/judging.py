@@ -39,7 +39,7 @@ class Protocol:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class GroupRow:
     """Figures of all instances, of a class or of a group.
 
     Attributes:
@@ -68,7 +68,7 @@ class Judgement:
     kind: Kind
     known: Overlaps
     scores: Scores
-    rows: tuple[Row, ...]
+    rows: tuple[GroupRow, ...]
     against: Mapping[str, Interval] | None
     point: WorkingPoint
     misses: tuple[Miss, ...]
@@ -130,16 +130,18 @@ def _rows(
     times: Int[np.ndarray, "draws pictures"],
     categories: Mapping[int, str],
     protocol: Protocol,
-) -> Iterator[Row]:
-    yield _row("all", "all", scores, times)
+) -> Iterator[GroupRow]:
+    yield _group_scores("all", "all", scores, times)
     if len(scores.matches) > 1:
         for obj_id, one in scores.matches.items():
             alone = scores_of({obj_id: one}, known)
-            yield _row("class", categories.get(obj_id, str(obj_id)), alone, times)
+            yield _group_scores("class", categories.get(obj_id, str(obj_id)), alone, times)
     for group in groups(known.labels, kind=known.kind, min_visibility=protocol.min_visibility):
         inside = scores_of(match(known, group.outside), known)
-        yield _row(group.by, group.name, inside, times)
+        yield _group_scores(group.by, group.name, inside, times)
 
 
-def _row(by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> Row:
-    return Row(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))
+def _group_scores(
+    by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]
+) -> GroupRow:
+    return GroupRow(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))

@@ -112,17 +112,17 @@ def overlaps(
     _check_scenes(scene_ids, [one.scene_id for one in found])
     found = [by_scene[scene_id] for scene_id in scene_ids]
     pairs: dict[int, list[Pair]] = {}
-    for scene, (there, seen) in enumerate(zip(ordered, found, strict=True)):
-        shapes = _shapes(there, seen, kind)
-        for obj_id in np.union1d(there.obj_id, seen.obj_id).tolist():
-            pair = _pair(scene, there, seen, obj_id, shapes, most)
+    for scene, (there, of_scene) in enumerate(zip(ordered, found, strict=True)):
+        shapes = _shapes(there, of_scene, kind)
+        for obj_id in np.union1d(there.obj_id, of_scene.obj_id).tolist():
+            pair = _pair(scene, there, of_scene, obj_id, shapes, most)
             pairs.setdefault(obj_id, []).append(pair)
     return Overlaps(
         kind=kind,
         most=most,
         labels=tuple(ordered),
         found=tuple(found),
-        pairs={obj_id: tuple(held) for obj_id, held in sorted(pairs.items())},
+        pairs={obj_id: tuple(values) for obj_id, values in sorted(pairs.items())},
     )
 
 
@@ -144,41 +144,41 @@ def _check_scenes(labelled: list[int], found: list[int]) -> None:
         )
 
 
-def _shapes(there: Labels, seen: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
+def _shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
     """What is compared: boxes or run lengths of instances and of detections."""
     if kind == "box":
-        return there.box_px.astype(float).tolist(), seen.box_px.astype(float).tolist()
+        return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
     if there.mask is None:
         raise GraycastError(
             f"scene {there.scene_id}: its labels have no masks: score boxes with --kind, or add "
             "masks to the labels"
         )
-    if seen.mask is None and len(seen):
+    if of_scene.mask is None and len(of_scene):
         raise GraycastError(
             f"scene {there.scene_id}: its detections have no masks: score boxes with --kind, or "
             "use a detector that finds masks"
         )
-    for mask in seen.mask or ():
+    for mask in of_scene.mask or ():
         if there.size_px is not None and tuple(mask["size"]) != there.size_px:
             raise GraycastError(
                 f"scene {there.scene_id}: a detection's mask is of {mask['size'][1]} x "
                 f"{mask['size'][0]} pixels, the picture has {there.size_px[1]} x "
                 f"{there.size_px[0]}: give results of this dataset"
             )
-    return list(there.mask), list(seen.mask or ())
+    return list(there.mask), list(of_scene.mask or ())
 
 
 def _pair(
     scene: int,
     there: Labels,
-    seen: Detections,
+    of_scene: Detections,
     obj_id: int,
     shapes: tuple[list[Any], list[Any]],
     most: int,
 ) -> Pair:
     instance = np.flatnonzero(there.obj_id == obj_id)
-    of_class = np.flatnonzero(seen.obj_id == obj_id)
-    detection = of_class[np.argsort(-seen.score[of_class], kind="stable")][:most]
+    of_class = np.flatnonzero(of_scene.obj_id == obj_id)
+    detection = of_class[np.argsort(-of_scene.score[of_class], kind="stable")][:most]
     ignored = there.ignored[instance]
     overlap = np.zeros((len(detection), len(instance)))
     if overlap.size:
@@ -191,7 +191,7 @@ def _pair(
         scene=scene,
         instance=instance,
         detection=detection,
-        score=seen.score[detection].astype(np.float64),
+        score=of_scene.score[detection].astype(np.float64),
         ignored=ignored,
         overlap=np.ascontiguousarray(overlap, dtype=np.float64),
     )

@@ -93,9 +93,9 @@ def vsd(
     The error is the share, of the pixels where either is visible, of those where but one is or both
     differ by the tolerance or more. 1 where neither is visible.
     """
-    seen = _visible(true_m, measured_m, delta_m)
-    mine = _visible(estimate_m, measured_m, delta_m) | (seen & np.isfinite(estimate_m))
-    both, either = seen & mine, seen | mine
+    visible = _visible(true_m, measured_m, delta_m)
+    mine = _visible(estimate_m, measured_m, delta_m) | (visible & np.isfinite(estimate_m))
+    both, either = visible & mine, visible | mine
     total = int(either.sum())
     if total == 0:
         return np.ones(len(tolerances_m))

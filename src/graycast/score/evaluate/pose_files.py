@@ -21,7 +21,7 @@ from ...dataset.training import Examples, open_examples
 from ...rig.optics import Optics, optics_of
 from .intervals import Interval, draw_scenes, interval_of
 from .judging import Protocol
-from .pose_recall import Counts, Truth, count_picture, solid_of
+from .pose_recall import Counts, PictureTruth, count_picture, solid_of
 
 POSES = "poses.json"
 FIGURES = (
@@ -117,16 +117,16 @@ def pose_rows(
     `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
     """
     times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
-    rows = [_row("all", counts, scene_of, times)]
+    rows = [_pose_row("all", counts, scene_of, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:
         for obj_id in present:
             mine = [one for one in counts if one.obj_id == obj_id]
-            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
+            rows.append(_pose_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
     return tuple(rows)
 
 
-def _row(
+def _pose_row(
     name: str,
     counts: Sequence[Counts],
     scene_of: Mapping[int, int],
@@ -163,10 +163,10 @@ def _median(
     of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
 ) -> Interval:
     """The median of all found, each picture's as often as its scene is drawn."""
-    values = np.array([x for held in of_picture for x in held])
+    values = np.array([x for errors in of_picture for x in errors])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
-    picture = np.repeat(np.arange(len(of_picture)), [len(held) for held in of_picture])
+    picture = np.repeat(np.arange(len(of_picture)), [len(errors) for errors in of_picture])
     order = np.argsort(values, kind="stable")
     total = np.cumsum(times[:, picture[order]], axis=1)
     place = (2 * total >= total[:, -1:]).argmax(axis=1)
@@ -207,7 +207,7 @@ def _by_picture(
     return of_picture
 
 
-def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) -> None:
+def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: PictureTruth) -> None:
     """Refuse poses whose distances from the camera are of another unit than the parts'."""
     if not estimates:
         return
@@ -223,14 +223,14 @@ def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) 
     )
 
 
-def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
+def _truth(dataset: Path, example: Example, min_visibility: float) -> PictureTruth:
     measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
     if example.obj_id is None or example.T_cam_part is None or measured is None:
         raise GraycastError(
             f"{dataset}: scene {example.scene_id} has no poses or no depth: give a dataset that "
             "graycast generate made"
         )
-    return Truth(
+    return PictureTruth(
         scene_id=example.scene_id,
         camera=camera_of(example),
         measured_m=measured.astype(np.float64),
@@ -303,14 +303,14 @@ def poses_markdown(evaluation: PoseEvaluation) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in evaluation.rows:
-        cells = [_told(row.figures[name], 3, "") for name in _SHARES]
-        cells += [_told(row.figures["rotation_deg"], 2, " deg")]
-        cells += [_told(row.figures["translation_mm"], 2, " mm")]
+        cells = [_interval_text(row.figures[name], 3, "") for name in _SHARES]
+        cells += [_interval_text(row.figures["rotation_deg"], 2, " deg")]
+        cells += [_interval_text(row.figures["translation_mm"], 2, " mm")]
         lines.append(f"| {row.name} | {row.to_find} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def _told(figure: Interval, digits: int, unit: str) -> str:
+def _interval_text(figure: Interval, digits: int, unit: str) -> str:
     if np.isnan(figure.value):
         return "none"
     if np.isnan(figure.low):
@@ -324,7 +324,7 @@ def _csv(evaluation: PoseEvaluation) -> str:
     writer.writerow(["part", "to_find", "figure", "value", "low", "high"])
     for row in evaluation.rows:
         for name, figure in row.figures.items():
-            held = (figure.value, figure.low, figure.high)
-            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in held]
+            numbers = (figure.value, figure.low, figure.high)
+            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in numbers]
             writer.writerow([row.name, row.to_find, name, *cells])
     return text.getvalue()

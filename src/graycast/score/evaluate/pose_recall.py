@@ -18,7 +18,7 @@ from ...world.parts import Mesh, Symmetry
 from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
-# BOP 2020, section 2.4: thresholds of correctness.
+# The thresholds of correctness are those of BOP 2020, section 2.4.
 TAU = np.arange(1, 11) * 0.05  # VSD's tolerance, of the diameter
 THETA_VSD = np.arange(1, 11) * 0.05  # of VSD itself
 THETA_MSSD = np.arange(1, 11) * 0.05  # of the diameter
@@ -27,7 +27,7 @@ NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # the plain criterion beside BOP's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Truth:
+class PictureTruth:
     """What is to be found in one picture.
 
     Attributes:
@@ -89,20 +89,20 @@ def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
 
 
 def count_picture(
-    truth: Truth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
+    truth: PictureTruth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
 ) -> list[Counts]:
     """The counts of each object that the picture has to find."""
-    made = []
+    candidates = []
     for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
         there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)
         mine = [one for one in estimates if one.obj_id == obj_id]
         mine.sort(key=lambda one: -one.score)  # stable: equal scores in the file's order
-        made.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
-    return made
+        candidates.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
+    return candidates
 
 
 def _counted(
-    truth: Truth,
+    truth: PictureTruth,
     there: Int[np.ndarray, " n"],
     estimates: Sequence[PoseEstimate],
     solid: Solid,
@@ -148,7 +148,7 @@ def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int
 
 
 def _vsd_of_pairs(
-    truth: Truth,
+    truth: PictureTruth,
     poses: Float[np.ndarray, "n 4 4"],
     estimates: Sequence[PoseEstimate],
     solid: Solid,
@@ -166,8 +166,8 @@ def _vsd_of_pairs(
             low, high = np.minimum(box_a[0], box_b[0]), np.maximum(box_a[1], box_b[1])
             apart = (np.maximum(box_a[0], box_b[0]) >= np.minimum(box_a[1], box_b[1])).any()
             if not apart:
-                held = np.s_[low[0] : high[0], low[1] : high[1]]
-                error[:, i, j] = vsd(a[held], b[held], measured[held], TAU * solid.diameter_m)
+                window = np.s_[low[0] : high[0], low[1] : high[1]]
+                error[:, i, j] = vsd(a[window], b[window], measured[window], TAU * solid.diameter_m)
     return error
 
 

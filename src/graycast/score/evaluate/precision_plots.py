@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from .curves import RECALLS, precision_curves
-from .judging import Judgement, Row
+from .judging import GroupRow, Judgement
 from .matching import THRESHOLDS
 
-_SHOWN = ((0, INK), (5, ACCENT), (8, SECOND))  # of THRESHOLDS: 0.50, 0.75, 0.90
+_CURVES = ((0, INK), (5, ACCENT), (8, SECOND))  # of THRESHOLDS: 0.50, 0.75, 0.90
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 
 
@@ -66,7 +66,7 @@ def _thresholds(
 ) -> None:
     if curves:
         mean = np.mean(list(curves.values()), axis=0)
-        for t, color in _SHOWN:
+        for t, color in _CURVES:
             label = f"{THRESHOLDS[t]:.2f}: {mean[t].mean():.3f}"
             ax.plot(RECALLS, mean[t], color=color, lw=1.5, label=label)
         _finish(ax, "overlap: AP")
@@ -116,7 +116,7 @@ def _bars(ax: Axes, by: str, judgements: Sequence[Judgement]) -> None:
     caption(ax, f"By {by}", "(instances to find)", "AP, 95 % interval")
 
 
-def _whisker(ax: Axes, x: float, row: Row) -> None:
+def _whisker(ax: Axes, x: float, row: GroupRow) -> None:
     figure = row.figures["ap"]
     if np.isnan(figure.value):
         ax.text(x, 0.02, "none", fontsize=6, color=SOFT, ha="center")

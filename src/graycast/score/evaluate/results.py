@@ -9,12 +9,12 @@ import numpy as np
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...dataset.detections import LOOKED, RESULTS, Detections, read_results
+from ...dataset.detections import DETECT_JSON, RESULTS, Detections, read_results
 from ...dataset.export.split import Split
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class DetectionRun:
     """The content of `detect.json`; fields are None for a single file of results.
 
     Attributes:
@@ -43,67 +43,67 @@ class Run:
         return float(np.median(self.ms_per_picture)) if self.ms_per_picture else float("nan")
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path) -> DetectionRun:
     """Results and what is known of them.
 
     Raises:
         GraycastError: there are none, or `detect.json` is missing or damaged.
     """
     if not path.is_dir():
-        return Run(path=path)
+        return DetectionRun(path=path)
     if not (path / RESULTS).is_file():
         raise GraycastError(
             f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
             "COCO results"
         )
-    if not (path / LOOKED).is_file():
+    if not (path / DETECT_JSON).is_file():
         raise GraycastError(
-            f"{path}: has no {LOOKED}, which lists the scenes of the detections: give "
+            f"{path}: has no {DETECT_JSON}, which lists the scenes of the detections: give "
             f"{path / RESULTS} itself, and state its set of scenes with --split"
         )
-    return _run(path / RESULTS, path / LOOKED)
+    return _run(path / RESULTS, path / DETECT_JSON)
 
 
 def read_found(
-    run: Run, scene_ids: Sequence[int], categories: Mapping[int, str]
+    run: DetectionRun, scene_ids: Sequence[int], categories: Mapping[int, str]
 ) -> list[Detections]:
     """The run's detections of some of its scenes.
 
     Raises:
         GraycastError: the results are damaged, or of other scenes or objects.
     """
-    looked_at = scene_ids if run.scene_ids is None else run.scene_ids
-    if odd := set(scene_ids) - set(looked_at):
+    scene_ids_of_run = scene_ids if run.scene_ids is None else run.scene_ids
+    if odd := set(scene_ids) - set(scene_ids_of_run):
         raise GraycastError(
             f"{run.path}: scene {min(odd)} was not used by graycast detect: score the set of "
             "scenes that it used"
         )
-    found = read_results(run.path, looked_at, obj_ids=set(categories))
+    found = read_results(run.path, scene_ids_of_run, obj_ids=set(categories))
     wanted = set(scene_ids)
     return [one for one in found if one.scene_id in wanted]
 
 
-def _run(results: Path, said: Path) -> Run:
+def _run(results: Path, path: Path) -> DetectionRun:
     try:
-        told = parse_json(said.read_bytes())
-        division = told["division"]
-        return Run(
+        record = parse_json(path.read_bytes())
+        division = record["division"]
+        return DetectionRun(
             path=results,
-            scene_ids=tuple(_whole(scene_id) for scene_id in told["scene_ids"]),
-            split=told["split"],
+            scene_ids=tuple(_whole(scene_id) for scene_id in record["scene_ids"]),
+            split=record["split"],
             division=None
             if division is None
             else Split(shares=tuple(division["shares"]), seed=_whole(division["seed"])),
-            model=told["model"],
-            input=told["input"],
-            ms_per_picture=tuple(float(ms) for ms in told["ms_per_picture"]),
+            model=record["model"],
+            input=record["input"],
+            ms_per_picture=tuple(float(ms) for ms in record["ms_per_picture"]),
         )
     except OSError as error:
-        raise GraycastError(f"{said}: cannot be read ({error.strerror})") from error
+        raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
     except KeyError as error:
-        raise GraycastError(f"{said}: lacks {error}: run graycast detect again") from error
+        raise GraycastError(f"{path}: lacks {error}: run graycast detect again") from error
     except (ValueError, TypeError) as error:
-        raise GraycastError(f"{said}: is damaged ({error}): run graycast detect again") from error
+        raise GraycastError(f"{path}: is damaged ({error}): run graycast detect again") from error
 
 
 def _whole(value: Any) -> int:

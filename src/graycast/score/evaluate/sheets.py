@@ -16,7 +16,7 @@ from ...base.plotting import INK, save_png
 from .judging import Judgement
 from .mistakes import NEAR, FalseAlarm, Miss
 
-SHOWN = 20
+MOST_CROPS = 20
 TRUTH_COLOR, FOUND_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
 _MARGIN = 0.6  # as a share of the longer side of what is shown, on each side
@@ -31,16 +31,16 @@ def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
     Raises:
         GraycastError: the file cannot be written.
     """
-    shown = judgement.misses[:SHOWN]
+    crops = judgement.misses[:MOST_CROPS]
     least = judgement.point.score
-    told = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
-    figure, axes = _sheet(len(shown), f"{len(judgement.misses)} missed (green){told}")
-    for ax, miss in zip(axes, shown, strict=True):
+    threshold = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
+    figure, axes = _sheet(len(crops), f"{len(judgement.misses)} missed (green){threshold}")
+    for ax, miss in zip(axes, crops, strict=True):
         labels = judgement.known.labels[miss.scene]
         known = "" if labels.visib_fract is None else f", {labels.visib_fract[miss.instance]:.0%}"
         title = f"scene {labels.scene_id}{known}{' visible' if known else ''}\n{_nearest(miss)}"
         _draw(ax, judgement, miss, picture, title)
-    return _save(figure, path, shown)
+    return _save(figure, path, crops)
 
 
 def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> bool:
@@ -49,16 +49,16 @@ def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> boo
     Raises:
         GraycastError: the file cannot be written.
     """
-    shown = judgement.false_alarms[:SHOWN]
-    told = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
-    figure, axes = _sheet(len(shown), told)
-    for ax, alarm in zip(axes, shown, strict=True):
+    crops = judgement.false_alarms[:MOST_CROPS]
+    heading = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
+    figure, axes = _sheet(len(crops), heading)
+    for ax, alarm in zip(axes, crops, strict=True):
         scene_id = judgement.known.labels[alarm.scene].scene_id
         title = (
             f"scene {scene_id}, score {alarm.score:.2f}\n{alarm.why}, overlap {alarm.overlap:.2f}"
         )
         _draw(ax, judgement, alarm, picture, title)
-    return _save(figure, path, shown)
+    return _save(figure, path, crops)
 
 
 def _nearest(miss: Miss) -> str:
@@ -78,10 +78,10 @@ def _sheet(count: int, title: str) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
-def _save(figure: Figure, path: Path, shown: Sequence[Any]) -> bool:
-    if shown:
+def _save(figure: Figure, path: Path, crops: Sequence[Any]) -> bool:
+    if crops:
         save_png(figure, path, dpi=90)
-    return bool(shown)
+    return bool(crops)
 
 
 def _draw(
@@ -97,8 +97,8 @@ def _draw(
     left, top, right, bottom = _window(center.astype(float), image.shape[:2])
     ax.imshow(image[top:bottom, left:right], extent=(left, right, bottom, top))
     least = judgement.point.score
-    seen = np.flatnonzero(~(found.score < least)) if not np.isnan(least) else np.arange(0)
-    for i in seen.tolist():
+    above = np.flatnonzero(~(found.score < least)) if not np.isnan(least) else np.arange(0)
+    for i in above.tolist():
         own = isinstance(mistake, FalseAlarm) and i == mistake.detection
         if own or isinstance(mistake, Miss):
             _outline(ax, found.box_px[i], _mask_of(found.mask, i, judgement), FOUND_COLOR, own)

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import Detections
-from ...dataset.example import shown
+from ...dataset.example import display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
 from ...dataset.training import Examples, open_examples
@@ -21,7 +21,7 @@ from .judging import Protocol, judge, kinds_of
 from .labels import Labels, labels_of
 from .matching import Kind
 from .notes import notes
-from .results import Run, open_run, read_found
+from .results import DetectionRun, open_run, read_found
 from .sheets import Picture
 
 _Either = TypeVar("_Either", Labels, Detections)
@@ -57,12 +57,12 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
     run = open_run(task.results)
     against = None if task.against is None else open_run(task.against)
     sets = _sets(task, run)
-    held = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
+    of_scene = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
     categories = dict(sets[0].categories)
-    scene_ids = _scene_ids(task, run, held)
+    scene_ids = _scene_ids(task, run, of_scene)
     found = read_found(run, scene_ids, categories)
     other = None if against is None else read_found(against, scene_ids, categories)
-    labels = list(_labels(task, held, scene_ids, progress))
+    labels = list(_labels(task, of_scene, scene_ids, progress))
     if task.one_class:
         labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
         other = None if other is None else [as_one_class(one) for one in other]
@@ -89,10 +89,10 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
         judgements=judgements,
         notes=tuple(notes(judgements)),
     )
-    return evaluation, _pictures(held)
+    return evaluation, _pictures(of_scene)
 
 
-def _sets(task: Task, run: Run) -> list[Examples]:
+def _sets(task: Task, run: DetectionRun) -> list[Examples]:
     """The set that is judged; all sets of an export where the results are of all."""
     split = task.split or run.split
     if not (task.dataset / RECORD).is_file():
@@ -104,12 +104,12 @@ def _sets(task: Task, run: Run) -> list[Examples]:
     return [open_examples(task.dataset, split=split or "train", division=task.division)]
 
 
-def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int, ...]:
+def _scene_ids(task: Task, run: DetectionRun, of_scene: Mapping[int, Examples]) -> tuple[int, ...]:
     """Those that were looked at or, where the set is named, all of the set."""
     if run.scene_ids is None or task.split is not None:
-        return tuple(held)
-    if odd := set(run.scene_ids) - set(held):
-        split = next(iter(held.values())).split
+        return tuple(of_scene)
+    if odd := set(run.scene_ids) - set(of_scene):
+        split = next(iter(of_scene.values())).split
         raise GraycastError(
             f"{run.path}: has detections in scene {min(odd)}, which the set {split} of "
             f"{task.dataset} does not have: give the dataset of the detections with --on"
@@ -119,16 +119,16 @@ def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int,
 
 def _labels(
     task: Task,
-    held: Mapping[int, Examples],
+    of_scene: Mapping[int, Examples],
     scene_ids: Sequence[int],
     progress: ProgressMeter,
 ) -> Iterator[Labels]:
     for done, scene_id in enumerate(scene_ids, start=1):
-        example = held[scene_id].read(scene_id)
+        example = of_scene[scene_id].read(scene_id)
         yield labels_of(
             example,
             min_visibility=task.protocol.min_visibility,
-            scene=held[scene_id].place_of[scene_id][0],
+            scene=of_scene[scene_id].place_of[scene_id][0],
         )
         progress.count("scenes", done, len(scene_ids))
 
@@ -138,9 +138,9 @@ def as_one_class(one: _Either) -> _Either:
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 
-def _pictures(held: Mapping[int, Examples]) -> Picture:
+def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
     @lru_cache(maxsize=64)
     def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
-        return shown(held[scene_id].read(scene_id))
+        return display_image(of_scene[scene_id].read(scene_id))
 
     return picture

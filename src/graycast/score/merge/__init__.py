@@ -2,9 +2,9 @@
 
 from .adding import best_order
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud, fuse
+from .merge_text import described
 from .merging import merge, merged_ply
 from .stored_views import read_view
-from .told import described
 from .view import MeasuredView
 
 __all__ = [

@@ -27,7 +27,7 @@ _SLOPE = 0.2  # the same, in pixels on the surface
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class ViewTruth:
     """What a simulated view should have measured: z [m], NaN for nothing; -1 is no part."""
 
     depth_m: Float[np.ndarray, "h w"]
@@ -40,7 +40,7 @@ class Truth:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class SurfacePoints:
     """Points on parts as they lie, in the world, each of the same area."""
 
     point_m: Float[np.ndarray, "n 3"]
@@ -54,7 +54,7 @@ class Surface:
 
 def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
-) -> Surface:
+) -> SurfacePoints:
     """So many points over all instances, by their areas; no chance is involved."""
     area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
@@ -63,7 +63,7 @@ def surface_of(
         place.append(transform_points(T, own))
         normal.append(facing @ T[:3, :3].T)
         instance.append(np.full(len(own), number))
-    return Surface(
+    return SurfacePoints(
         point_m=np.concatenate(place),
         normal=np.concatenate(normal),
         instance=np.concatenate(instance),
@@ -71,7 +71,7 @@ def surface_of(
 
 
 def why_not(
-    surface: Surface, view: MeasuredView, points: Points, truth: Truth
+    surface: SurfacePoints, view: MeasuredView, points: Points, truth: ViewTruth
 ) -> UInt8[np.ndarray, " n"]:
     """Why a view has no depth of each place: its reason there, or HIDDEN, OUTSIDE, WRONG; 0, if so.
 
@@ -82,19 +82,19 @@ def why_not(
     at = transform_points(T_cam_world, surface.point_m)
     column, row = np.rint(np.nan_to_num(project(camera, at), nan=-1.0)).T
     inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    pixel = tuple(np.where(inside, held, 0).astype(np.int64) for held in (row, column))
+    pixel = tuple(np.where(inside, index, 0).astype(np.int64) for index in (row, column))
     # The true point of the pixel lies on the way from the camera, as the measured one would.
     eye, toward = view.T_world_cam[:3, 3], points.toward[pixel]
     along_m = truth.depth_m[pixel] / -(toward @ T_cam_world[2, :3])
     off_m = ((eye - along_m[:, None] * toward - surface.point_m) * surface.normal).sum(axis=-1)
     facing = (surface.normal * (eye - surface.point_m)).sum(axis=-1) > 0
     spacing_m = at[:, 2] / np.sqrt(camera.fx_px * camera.fy_px)
-    seen = facing & (truth.instance[pixel] == surface.instance)
-    seen &= np.abs(off_m) <= _SLACK_M + _SLOPE * spacing_m
+    visible = facing & (truth.instance[pixel] == surface.instance)
+    visible &= np.abs(off_m) <= _SLACK_M + _SLOPE * spacing_m
     wrong = np.abs(view.depth_m[pixel] - truth.depth_m[pixel]) > WRONG_M
-    cases = [~inside, ~seen, wrong]
-    told = [np.uint8(OUTSIDE), np.uint8(HIDDEN), np.uint8(WRONG)]
-    return np.select(cases, told, view.reason[pixel])
+    cases = [~inside, ~visible, wrong]
+    reasons = [np.uint8(OUTSIDE), np.uint8(HIDDEN), np.uint8(WRONG)]
+    return np.select(cases, reasons, view.reason[pixel])
 
 
 def best_order(has: Bool[np.ndarray, "views n"]) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -17,7 +17,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from .looking import Looked, Measured, at, look
+from .looking import Measured, ViewAgreement, at, look
 from .view import MeasuredView, points_of
 from .view_poses import pose_doubts
 
@@ -82,21 +82,21 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
     if not 1 <= len(views) <= MOST:
         raise ValueError(f"there are {len(views)} views to merge: give 1 to {MOST}")
     points = [points_of(view) for view in views]
-    own = [at(held, np.argwhere(held.known)) for held in points]
-    looked = [
+    own = [at(view_points, np.argwhere(view_points.known)) for view_points in points]
+    agreement = [
         {j: look(own[i], views[j], points[j]) for j in range(len(views)) if j != i}
         for i in range(len(views))
     ]
     rejected = [
         _count(answers, "through", len(one.pixel)) > _count(answers, "agrees", len(one.pixel))
-        for answers, one in zip(looked, own, strict=True)
+        for answers, one in zip(agreement, own, strict=True)
     ]
     wrong = [_picture(v, one, bad) for v, one, bad in zip(views, own, rejected, strict=True)]
     kept = [
-        ~rejected[i] & ~_stood_for(i, own[i], looked[i], wrong) for i in range(len(views))
+        ~rejected[i] & ~_stood_for(i, own[i], agreement[i], wrong) for i in range(len(views))
     ]  # fmt: skip
-    pieces = [_piece(i, own[i], looked[i], views, kept[i]) for i in range(len(views))]
-    confirmed = (_count(looked[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
+    pieces = [_piece(i, own[i], agreement[i], views, kept[i]) for i in range(len(views))]
+    confirmed = (_count(agreement[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
     return Fused(
         cloud=FusedCloud(
             **{name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
@@ -108,7 +108,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
     )
 
 
-def _count(answers: Mapping[int, Looked], name: str, points: int) -> Int[np.ndarray, " n"]:
+def _count(answers: Mapping[int, ViewAgreement], name: str, points: int) -> Int[np.ndarray, " n"]:
     """How many views answer so, of each point."""
     total = np.zeros(points, dtype=np.int64)
     for answer in answers.values():
@@ -127,7 +127,7 @@ def _picture(
 def _stood_for(
     i: int,
     own: Measured,
-    answers: Mapping[int, Looked],
+    answers: Mapping[int, ViewAgreement],
     wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
     """Whether a view with smaller pixels on the surface has the place; of equals the first."""
@@ -142,7 +142,7 @@ def _stood_for(
 def _piece(
     i: int,
     own: Measured,
-    answers: Mapping[int, Looked],
+    answers: Mapping[int, ViewAgreement],
     views: Sequence[MeasuredView],
     kept: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
@@ -171,7 +171,7 @@ def _piece(
     return {name: values[kept] for name, values in found.items()}
 
 
-def _first_reason(answer: Looked, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
+def _first_reason(answer: ViewAgreement, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
     reason = first.reason[tuple(answer.there.pixel.T)]
     unknown = ~np.isfinite(answer.there.sigma_m)
     cases = [answer.agrees, ~answer.inside, unknown, answer.before]

@@ -47,7 +47,7 @@ class Measured:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class ViewAgreement:
     """A view's answer for each point: it agrees, sees through it, is hidden from it, or is silent.
 
     Attributes:
@@ -72,14 +72,14 @@ class Looked:
 def at(points: Points, pixel: Int[np.ndarray, "n 2"]) -> Measured:
     """What a view has at some of its pixels."""
     row, column = pixel.T
-    held = {name: getattr(points, name)[row, column] for name in Points.__dataclass_fields__}
-    return Measured(pixel=pixel, **held)
+    values = {name: getattr(points, name)[row, column] for name in Points.__dataclass_fields__}
+    return Measured(pixel=pixel, **values)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Met:
-    """The pixel of a view at which each point would be seen; the names are those of `Looked`.
+class ProjectedPoints:
+    """The pixel of a view at which each point would be seen, named as in `ViewAgreement`.
 
     `depth_m` is the point's own z in the view's camera.
     """
@@ -92,7 +92,7 @@ class Met:
     depth_m: Float[np.ndarray, " n"]
 
 
-def meet(own: Measured, view: MeasuredView, points: Points) -> Met:
+def meet(own: Measured, view: MeasuredView, points: Points) -> ProjectedPoints:
     """What a view measured where it would see another's points."""
     camera = view.camera
     place = transform_points(inverse(view.T_world_cam), own.point_m)
@@ -104,7 +104,7 @@ def meet(own: Measured, view: MeasuredView, points: Points) -> Met:
     across = _mean_normal(own, there)
     offset_m = (apart * across).sum(axis=-1)
     aside_m = np.linalg.norm(apart - offset_m[:, None] * across, axis=-1)
-    return Met(
+    return ProjectedPoints(
         inside=inside,
         there=there,
         agrees=inside & _on_one_surface(own, there, across, offset_m, aside_m),
@@ -114,7 +114,7 @@ def meet(own: Measured, view: MeasuredView, points: Points) -> Met:
     )
 
 
-def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
+def look(own: Measured, view: MeasuredView, points: Points) -> ViewAgreement:
     """Ask a view about another's points.
 
     A view sees through a point where all nine pixels about the place have measured something
@@ -127,7 +127,7 @@ def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
     through = inside & there.plane & ~agrees & beyond & _over_plane(own, there)
     apart = there.point_m - own.point_m
     before = inside & ~agrees & ((apart * there.toward).sum(axis=-1) > 0)
-    return Looked(
+    return ViewAgreement(
         inside=inside,
         there=there,
         agrees=agrees,

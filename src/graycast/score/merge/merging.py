@@ -14,7 +14,7 @@ from ...dataset.places import CLAIM
 from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from .fuse import FusedCloud, fuse
 from .stored_views import read_surface, read_view
-from .view_figures import SurfaceSeen, cloud_figures, joined, surface_figures, surface_seen
+from .view_figures import SurfaceCoverage, cloud_figures, joined, surface_coverage, surface_figures
 
 RECORD = "merge.json"
 
@@ -38,36 +38,36 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
     if out.absolute().is_relative_to(stored.folder.absolute()):
         raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
     models = read_models(stored.folder)
-    seen: dict[tuple[str, ...], list[SurfaceSeen]] = {}
-    told: dict[int, str] = {}
+    of_views: dict[tuple[str, ...], list[SurfaceCoverage]] = {}
+    reason_name: dict[int, str] = {}
     doubts: list[str] = []
     with new_folder(out) as folder:
         for done, shots in enumerate(scenes, start=1):
             names = tuple(shot.image_name for shot in shots)
             views = [read_view(stored, shot) for shot in shots]
-            told |= views[0].reason_name
-            fused = fuse([held.view for held in views])
-            surface = surface_seen(read_surface(models, shots[0]), views)
+            reason_name |= views[0].reason_name
+            fused = fuse([view.view for view in views])
+            surface = surface_coverage(read_surface(models, shots[0]), views)
             figures = {
                 "scene": shots[0].scene_key,
-                "surface": surface_figures(surface, names, told),
-                "cloud": cloud_figures(fused, views, told),
+                "surface": surface_figures(surface, names, reason_name),
+                "cloud": cloud_figures(fused, views, reason_name),
                 "doubts": fused.doubts,
             }
             doubts += [f"scene {shots[0].scene_key}: {doubt}" for doubt in fused.doubts]
             (folder / f"{shots[0].scene_key}.json").write_bytes(json_bytes(figures))
             (folder / f"{shots[0].scene_key}.ply").write_bytes(merged_ply(fused.cloud))
-            seen.setdefault(names, []).append(surface)
+            of_views.setdefault(names, []).append(surface)
             progress.count("scenes", done, len(scenes))
         record = {
             "dataset": str(stored.folder),
             "fingerprint": stored.claim.get("fingerprint", ""),
             "scenes": [shots[0].scene_key for shots in scenes],
             "doubts": doubts,
-            "reasons": {str(k): name for k, name in sorted(told.items())},
+            "reasons": {str(k): name for k, name in sorted(reason_name.items())},
             "surfaces": [
-                {"scenes": len(held)} | surface_figures(joined(held), names, told)
-                for names, held in seen.items()
+                {"scenes": len(surfaces)} | surface_figures(joined(surfaces), names, reason_name)
+                for names, surfaces in of_views.items()
             ],
         }
         (folder / RECORD).write_bytes(json_bytes(record))
@@ -96,7 +96,7 @@ def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
     shots = [shot for shot in stored.pictures if not one or _same(shot.folder, source)]
     if not shots:
         raise DatasetError(f"{source}: is no finished scene of {stored.folder}: give one of them")
-    return stored, [list(held) for _, held in groupby(shots, key=lambda shot: shot.folder)]
+    return stored, [list(view) for _, view in groupby(shots, key=lambda shot: shot.folder)]
 
 
 def _same(a: Path, b: Path) -> bool:

@@ -17,7 +17,7 @@ from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable
 from ...dataset.stored import StoredDataset, StoredScene
 from ...rig.optics import optics_of
-from .adding import Surface, Truth, surface_of
+from .adding import SurfacePoints, ViewTruth, surface_of
 from .view import MeasuredView
 from .view_noise import depth_slope_m, measured_noise_px
 
@@ -30,7 +30,7 @@ class StoredView:
     """A view with what it should have measured, and where its noise is known from."""
 
     view: MeasuredView
-    truth: Truth
+    truth: ViewTruth
     noise: str  # `code maps` or `neighbours`
     reason_name: dict[int, str]
 
@@ -61,13 +61,13 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
             reason=np.where(np.isfinite(depth_m), 0, content.reason).astype(np.uint8),
             color=content.rgb,
         ),
-        truth=Truth(depth_m=_metres(content.depth, step_m), instance=content.label),
+        truth=ViewTruth(depth_m=_metres(content.depth, step_m), instance=content.label),
         noise=noise,
         reason_name=content.reason_name,
     )
 
 
-def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> Surface:
+def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> SurfacePoints:
     """The surface of a scene's parts where they lie, from any of its pictures.
 
     Raises:
@@ -98,9 +98,9 @@ def _sigma_m(
         maps = read_code_maps(shot.folder, sensor=shot.sensor, number=shot.image)
     except Unreadable as error:
         raise DatasetError(f"{shot.folder}: {error}: run graycast validate") from error
-    told = maps.get(f"sigma_{triangulation_axis(rig)}")
-    if told is not None:
-        noise_px, source = told.astype(np.float64), "code maps"
+    sigma_px = maps.get(f"sigma_{triangulation_axis(rig)}")
+    if sigma_px is not None:
+        noise_px, source = sigma_px.astype(np.float64), "code maps"
     else:
         light = shot.depth_steps("modulation_sl")
         noise_px, source = measured_noise_px(depth_m, slope_m, light, rig), "neighbours"

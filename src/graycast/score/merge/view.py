@@ -109,9 +109,9 @@ def planes_of(
         return normal, smooth
     f_px = math.sqrt(camera.fx_px * camera.fy_px)
     window_m = _WINDOW_PX * float(np.median(depth_m[known])) / f_px
-    held = crop(depth_m, camera, known, tight=True, reach_m=0.0, window_m=window_m)
-    assert held is not None  # some pixel is known
-    h, w = held.z.shape
-    box = np.s_[held.top_px : held.top_px + h, held.left_px : held.left_px + w]
-    normal[box], smooth[box] = held.normal, held.smooth
+    cut = crop(depth_m, camera, known, tight=True, reach_m=0.0, window_m=window_m)
+    assert cut is not None  # some pixel is known
+    h, w = cut.z.shape
+    box = np.s_[cut.top_px : cut.top_px + h, cut.left_px : cut.left_px + w]
+    normal[box], smooth[box] = cut.normal, cut.smooth
     return normal, smooth

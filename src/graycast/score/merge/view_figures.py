@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from ...base.frames import transform_points
 from ...rig.optics import points
-from .adding import WRONG, WRONG_M, Surface, best_order, why_not
+from .adding import WRONG, WRONG_M, SurfacePoints, best_order, why_not
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud
 from .stored_views import StoredView
 from .view import points_of
@@ -21,7 +21,7 @@ OWN_NAMES = {
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceSeen:
+class SurfaceCoverage:
     """Why each view has no depth of each visible place; 0 where it has. `of` counts all places."""
 
     why: UInt8[np.ndarray, "views n"]
@@ -35,42 +35,42 @@ class SurfaceSeen:
         return self.why == 0
 
 
-def surface_seen(surface: Surface, views: Sequence[StoredView]) -> SurfaceSeen:
+def surface_coverage(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceCoverage:
     """Ask every view about the surface; what no camera sees is left out."""
     why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
     visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)
-    return SurfaceSeen(why=why[:, visible], of=why.shape[1])
+    return SurfaceCoverage(why=why[:, visible], of=why.shape[1])
 
 
-def joined(seen: Sequence[SurfaceSeen]) -> SurfaceSeen:
+def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
     """Several scenes' surfaces, looked at by views of the same names, as one."""
-    return SurfaceSeen(
-        why=np.concatenate([one.why for one in seen], axis=1), of=sum(one.of for one in seen)
+    return SurfaceCoverage(
+        why=np.concatenate([one.why for one in parts], axis=1), of=sum(one.of for one in parts)
     )
 
 
 def surface_figures(
-    seen: SurfaceSeen, names: Sequence[str], reason_name: dict[int, str]
+    parts: SurfaceCoverage, names: Sequence[str], reason_name: dict[int, str]
 ) -> dict[str, Any]:
     """Shares of the surface that at least one camera sees; `best_order` is the greedy one."""
-    has, places = seen.has, max(seen.why.shape[1], 1)
+    has, places = parts.has, max(parts.why.shape[1], 1)
     some = has.any(axis=0)
-    told = reason_name | OWN_NAMES
+    names_of = reason_name | OWN_NAMES
     views = [
         {
             "view": name,
             "measured": float(row.sum() / places),
             "only_this_view": float((row & (has.sum(axis=0) == 1)).sum() / places),
-            "filled_by_others": _shares(seen.why[i][some & ~row], told, places),
-            "missing": _shares(seen.why[i][~row], told, places),
+            "filled_by_others": _shares(parts.why[i][some & ~row], names_of, places),
+            "missing": _shares(parts.why[i][~row], names_of, places),
         }
         for i, (name, row) in enumerate(zip(names, has, strict=True))
     ]
     order, gains = best_order(has)
     total = np.cumsum(gains)
     return {
-        "points": seen.of,
-        "visible": float(seen.why.shape[1] / max(seen.of, 1)),
+        "points": parts.of,
+        "visible": float(parts.why.shape[1] / max(parts.of, 1)),
         "wrong_m": WRONG_M,
         "measured": float(some.sum() / places),
         "views": views,
@@ -142,6 +142,6 @@ def _noise(
     }
 
 
-def _shares(reason: UInt8[np.ndarray, " n"], told: dict[int, str], of: int) -> dict[str, float]:
+def _shares(reason: UInt8[np.ndarray, " n"], names_of: dict[int, str], of: int) -> dict[str, float]:
     number, count = np.unique(reason, return_counts=True)
-    return {told[int(k)]: float(c / max(of, 1)) for k, c in zip(number, count, strict=True)}
+    return {names_of[int(k)]: float(c / max(of, 1)) for k, c in zip(number, count, strict=True)}

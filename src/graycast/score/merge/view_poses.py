@@ -28,7 +28,7 @@ POINTS = 4000  # of a view that are looked up in another
 LEAST_POINTS = 200  # on planes that both see, for a statement
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)  # of the depth, and 4 sigma
 ALIGNED = 0.7  # cosine between normals of one surface
-HELD = 1e-4  # of the depth: standard deviation in a direction that the surface determines
+DETERMINED = 1e-4  # of the depth: standard deviation in a direction that the surface determines
 OFF = 4e-4  # of the depth: a motion beyond this is no bias; of right simulated views up to 1e-4
 LEAST_SHARE = 0.3  # of the points that two right views measured, those on one surface
 
@@ -78,7 +78,7 @@ def agreements(
     views: Sequence[MeasuredView], points: Sequence[Points]
 ) -> dict[tuple[int, int], Agreement]:
     """Of each pair of views."""
-    own = [_some(held) for held in points]
+    own = [_some(view_points) for view_points in points]
     pairs = combinations(range(len(views)), 2)
     return {(i, j): _agreement(own[i], views[j], points[j]) for i, j in pairs}
 
@@ -108,8 +108,8 @@ def _differs(
     if best.meets:
         other = pair[0] if pair[1] == i else pair[1]
         to_other = best if pair[0] == i else replace(best, shift_m=-best.shift_m)
-        told = _displaced(views[i], views[other], to_other)
-        return f"{told}: its pose is off, or its depth is biased"
+        doubt = _displaced(views[i], views[other], to_other)
+        return f"{doubt}: its pose is off, or its depth is biased"
     if best.points < LEAST_POINTS:
         none = f"view {views[i].name} measured nothing where another view did"
     else:
@@ -188,7 +188,7 @@ def _agreement(own: Measured, view: MeasuredView, points: Points) -> Agreement:
             met.offset_m[near],
             variance_m2[near],
             kernel_m=gate * depth_m / 4,
-            held_m=HELD * depth_m,
+            determined_m=DETERMINED * depth_m,
         )
         R = Rotation.from_rotvec(step[:3] / radius_m).as_matrix()
         T = rigid(R, middle + step[3:] - R @ middle) @ T
@@ -217,7 +217,7 @@ def _least_squares(
     variance_m2: Float[np.ndarray, " n"],
     *,
     kernel_m: float,
-    held_m: float,
+    determined_m: float,
 ) -> Float[np.ndarray, "6"]:
     """With Cauchy's weights, in the directions that the noise lets be known to `held_m`.
 
@@ -227,9 +227,9 @@ def _least_squares(
     spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)
     value, vector = np.linalg.eigh(row.T @ (row / noise_m2[:, None]))
-    along = row @ vector[:, value > held_m**-2]
+    along = row @ vector[:, value > determined_m**-2]
     x = np.zeros(along.shape[1])
     for _ in range(5):
         weight = 1 / (noise_m2 + kernel_m**2 + np.square(offset_m - along @ x))
         x = np.linalg.solve(along.T @ (weight[:, None] * along), along.T @ (weight * offset_m))
-    return vector[:, value > held_m**-2] @ x
+    return vector[:, value > determined_m**-2] @ x

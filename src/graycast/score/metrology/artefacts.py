@@ -95,9 +95,9 @@ def common_rectangle_m(
 
 def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
     """Whether camera and projector both have a point in their fields; depth is not asked."""
-    seen = _in_picture(project(rig.camera, point), rig.camera)
+    in_camera = _in_picture(project(rig.camera, point), rig.camera)
     lit = project(rig.projector, transform_points(rig.T_proj_cam, point))
-    return seen & _in_picture(lit, rig.projector)
+    return in_camera & _in_picture(lit, rig.projector)
 
 
 def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material) -> Quad:
@@ -174,7 +174,6 @@ class BallBar:
         return float(np.linalg.norm(self.ends_m[1] - self.ends_m[0]))
 
 
-# From one corner of the volume (u, v, w) to another, through its middle.
 BAR_DIRECTIONS = {
     "space diagonal 1": ((-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
     "space diagonal 2": ((1.0, -1.0, 0.0), (-1.0, 1.0, 1.0)),

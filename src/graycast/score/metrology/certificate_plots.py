@@ -102,9 +102,9 @@ def _shape(certificate: Certificate) -> Figure:
     plane.set_xticks([])
     plane.set_yticks([])
     plane.spines[["left", "bottom"]].set_visible(False)
-    shown = figure.colorbar(image, ax=plane, shrink=0.8, pad=0.02)
-    shown.ax.tick_params(labelsize=8)
-    shown.outline.set_visible(False)
+    color_bar = figure.colorbar(image, ax=plane, shrink=0.8, pad=0.02)
+    color_bar.ax.tick_params(labelsize=8)
+    color_bar.outline.set_visible(False)
     middle_mm = 1e3 * certificate.middle.z_m
     caption(plane, f"Plane at {middle_mm:.0f} mm less its fit [mm]", "", "")
     z_mm = [1e3 * one.centre_m[2] for one in certificate.probing]

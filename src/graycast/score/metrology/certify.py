@@ -41,7 +41,6 @@ PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # spheres' diameters, of the volume
 SMALLEST_FIELD_SHARE = 0.35
 MAP_WIDTH = 104
 
-# Where the probing spheres stand (u, v, w): across the field and from near to far.
 PLACES = (
     (0.0, 0.0, 0.5),
     (-1.0, -1.0, 0.0),
@@ -242,8 +241,8 @@ def _judge_plane(
     middle = _middle(shots, pose.z_m)
     fit, off = flatness(point[decoded])
     noise_m = temporal_noise_m(shots.depth_m, middle) if pose.captures > 1 else math.nan
-    seen = middle & np.isfinite(first_m)
-    if not seen.any():
+    measured = middle & np.isfinite(first_m)
+    if not measured.any():
         raise ValueError(
             f"the plane {pose.name!r} has no depth in its middle: check the focus and the working "
             "range"
@@ -260,7 +259,7 @@ def _judge_plane(
         dropped=off.dropped,
         decoded_share=float(decoded.sum() / shots.where.sum()),
         noise_m=noise_m,
-        sigma_m=float(np.median(shots.sigma_m[seen])),
+        sigma_m=float(np.median(shots.sigma_m[measured])),
         spacing_m=point_spacing_m(point, middle),
         exposure_s=shots.exposure_s,
         modulation=modulation(lab.code, shots.light, middle),

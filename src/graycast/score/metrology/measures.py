@@ -193,15 +193,15 @@ def modulation(
         By the name of the (first) frame. Sets of phases that are not complete (micro phase
         shifting's) are left out, and a code without white and black frames has none.
     """
-    shown = {frame: light[k, where].astype(np.float64) for k, frame in enumerate(code.frames)}
-    ends = {frame.kind: picture for frame, picture in shown.items() if frame.axis is None}
+    value_of = {frame: light[k, where].astype(np.float64) for k, frame in enumerate(code.frames)}
+    ends = {frame.kind: picture for frame, picture in value_of.items() if frame.axis is None}
     if not {"white", "black"} <= ends.keys():
         return {}
     white, black = ends["white"], ends["black"]
     lit = white > black
     found = {}
-    for frame, picture in shown.items():
-        swing = _swing(frame, picture, shown, white + black)
+    for frame, picture in value_of.items():
+        swing = _swing(frame, picture, value_of, white + black)
         if swing is not None and lit.any():
             found[frame.name] = float((swing[lit] / (white - black)[lit]).mean())
     return found
@@ -210,18 +210,18 @@ def modulation(
 def _swing(
     frame: Frame,
     picture: Float[np.ndarray, " n"],
-    shown: dict[Frame, Float[np.ndarray, " n"]],
+    value_of: dict[Frame, Float[np.ndarray, " n"]],
     both_ends: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"] | None:
     """Bright less dark, once per bit and set of phases: the frame that speaks for it has one."""
     if frame.kind in ("gray", "complementary") and not frame.inverse:
-        inverted = [other for other in shown if _is_inverse(other, frame)]
-        return np.abs(picture - shown[inverted[0]] if inverted else 2 * picture - both_ends)
+        inverted = [other for other in value_of if _is_inverse(other, frame)]
+        return np.abs(picture - value_of[inverted[0]] if inverted else 2 * picture - both_ends)
     if frame.kind in ("phase", "line") and frame.step == 0:
-        own = [o for o in shown if (o.kind, o.axis, o.period_px) == _key(frame)]
+        own = [o for o in value_of if (o.kind, o.axis, o.period_px) == _key(frame)]
         if len(own) == frame.steps:
             turn = np.exp(-2j * np.pi * np.array([other.step for other in own]) / frame.steps)
-            return 4 / frame.steps * np.abs(turn @ np.stack([shown[other] for other in own]))
+            return 4 / frame.steps * np.abs(turn @ np.stack([value_of[other] for other in own]))
     return None
 
 

@@ -80,8 +80,8 @@ def changed(document: Document, key: str, value: Any) -> Document:
             if name not in RigChange.__dataclass_fields__:
                 known = ", ".join(RigChange.__dataclass_fields__)
                 raise ConfigError(f"the key {key} does not exist: the keys are {known}")
-            given = getattr(RigChange(), name) if value is None else float(value)
-            return replace(document, rig=replace(document.rig, **{name: given}))
+            number = getattr(RigChange(), name) if value is None else float(value)
+            return replace(document, rig=replace(document.rig, **{name: number}))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{key} is {value!r}: give a number") from error
     content = deepcopy(dict(document.content))

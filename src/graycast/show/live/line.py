@@ -31,7 +31,7 @@ from ...render import Quality, Renderer, Rendering
 from ...world.drop import DropLimits, drop
 from ...world.scene import Layout, Scene
 from .asking import Answer, Ask
-from .showing import Shown, picture_answer, world_answer, world_key
+from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
 ROUGH = (1, 4)  # samples of the pictures before the configured ones
@@ -44,7 +44,7 @@ class Superseded(Exception):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lit:
+class LightState:
     """A rendering, and the light that it was made with."""
 
     key: Hashable  # of all that the light depends on but the two factors
@@ -80,13 +80,13 @@ class Line:
         self._cell: Cell | None = None
         self._renderer: tuple[Hashable, Renderer] | None = None
         self._lain: tuple[Hashable, Layout] | None = None
-        self._lit: Lit | None = None
+        self._lit: LightState | None = None
         self._taken: tuple[Hashable, Capture] | None = None
         self._linear: tuple[Hashable, Float[np.ndarray, "h w 3"]] | None = None
         self._rgb: tuple[Hashable, UInt8[np.ndarray, "h w 3"]] | None = None
         self._world = ""
         self._count = 0
-        self.shown: Shown | None = None
+        self.content: PageContent | None = None
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -121,7 +121,7 @@ class Line:
             final = quality == resolve_quality(ask.config)
             rendering = self._render(run, quality)
             self._count += 1
-            self._lit = Lit(
+            self._lit = LightState(
                 key=key,
                 number=self._count,
                 ambient=ask.ambient,
@@ -136,17 +136,17 @@ class Line:
 
     def look(self, ask: Ask) -> None:
         """What is shown once more, with another of its captured frames."""
-        if self.shown is not None:
-            self._emit(picture_answer(ask, self.shown, kind="look", ms=0.0, first=False))
+        if self.content is not None:
+            self._emit(picture_answer(ask, self.content, kind="look", ms=0.0, first=False))
 
     # --- the stages ---------------------------------------------------------------------------
 
     def _resolved(self, config: Config) -> Cell:
         """The cell; its files are read again only where more has changed than the free sections."""
-        held = self._cell
-        if held is not None and _light_key(config) == _light_key(held.config):
+        before = self._cell
+        if before is not None and _light_key(config) == _light_key(before.config):
             scanner = resolve_scanner(config, self._folder)
-            self._cell = replace(held, config=config, scanner=scanner)
+            self._cell = replace(before, config=config, scanner=scanner)
         else:
             self._cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
         return self._cell
@@ -190,7 +190,7 @@ class Line:
         if total > max(ROUGH) and done < total and self._superseded():
             raise Superseded
 
-    def _finish(self, run: "_Run", lit: Lit, *, kind: str, exact: bool, first: bool) -> None:
+    def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
         """From light to what the page shows; the colour picture follows where it takes longer."""
         scanner, ask = run.cell.scanner, run.ask
         light = (lit.number, ask.power / lit.power, ask.ambient / (lit.ambient or 1.0))
@@ -203,7 +203,7 @@ class Line:
         depth = with_field(run.scene.rig, rendering.truth, codes, depth)
         look = (light, exact, scanner.sensor, run.seeds["picture"])
         rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None
-        self.shown = Shown(
+        self.content = PageContent(
             cell=run.cell,
             scene=run.scene,
             layout=run.layout,
@@ -215,7 +215,7 @@ class Line:
             depth=depth,
             rgb=rgb,
         )
-        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=first))
+        self._emit(picture_answer(ask, self.content, kind=kind, ms=run.ms, first=first))
         self._tell_world(ask)
         if rgb is not None:
             return
@@ -224,16 +224,16 @@ class Line:
         linear = self._color_light(run, rendering, (light, exact))
         rgb = developed(linear, scanner, seed=run.seeds["picture"])
         self._rgb = look, rgb
-        self.shown = replace(self.shown, rgb=rgb, exact=exact)
-        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=False))
+        self.content = replace(self.content, rgb=rgb, exact=exact)
+        self._emit(picture_answer(ask, self.content, kind=kind, ms=run.ms, first=False))
 
     def _tell_world(self, ask: Ask) -> None:
         """The bodies of the 3D view, where they are other ones."""
-        assert self.shown is not None
-        key = world_key(self.shown)
+        assert self.content is not None
+        key = world_key(self.content)
         if key != self._world:
             self._world = key
-            self._emit(world_answer(ask, self.shown))
+            self._emit(world_answer(ask, self.content))
 
     def _color_light(
         self, run: "_Run", rendering: Rendering, key: tuple[Hashable, bool]
@@ -269,14 +269,14 @@ def _light_key(config: Config) -> str:
     return config.model_dump_json(exclude=set(FREE_SECTIONS))
 
 
-def _qualities(wanted: Quality, kept: Lit | None) -> list[Quality]:
+def _qualities(wanted: Quality, kept: LightState | None) -> list[Quality]:
     """Rough pictures first, but none that is no better than what is there."""
     there = kept.quality.samples if kept is not None else 0
     rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
     return [*rough, wanted]
 
 
-def _scaled(kept: Lit, ask: Ask) -> Rendering:
+def _scaled(kept: LightState, ask: Ask) -> Rendering:
     """The rendering under another power of the projector and another ambient light.
 
     A light that was dark says nothing of a brighter one: what it would add is left out until it

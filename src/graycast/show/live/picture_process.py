@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock, Thread
 
-from ...base.errors import GraycastError, told
+from ...base.errors import GraycastError, error_line
 from .asking import Answer, Ask
 
 STOP_S = 3.0  # within which it ends by itself; a rendering that is not broken off is killed
@@ -40,9 +40,9 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
             except Superseded:
                 continue
             except (GraycastError, ValueError, OSError, MemoryError) as error:
-                connection.send(_refusal(ask, told(error)))
+                connection.send(_refusal(ask, error_line(error)))
             except Exception as error:  # the page must hear of what nobody foresaw
-                text = f"{type(error).__name__} {told(error)}"
+                text = f"{type(error).__name__} {error_line(error)}"
                 connection.send(
                     _refusal(ask, f"{text}: this is an error in Graycast or in the machine")
                 )
@@ -70,7 +70,7 @@ def _refusal(ask: Ask, text: str) -> Answer:
     return Answer(kind="error", number=ask.number, header={"error": text}, arrays={})
 
 
-class Maker:
+class PictureProcess:
     """The running process, and a thread that hands its answers on."""
 
     def __init__(

@@ -19,17 +19,16 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar
 
-from ...base.errors import GraycastError, told
+from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
 from .page import about
-from .session import Held, Message, Session
+from .session import LatestAnswer, Message, Session
 
 HOST = "127.0.0.1"
 GRACE_S = 2.0  # that a page may take to be loaded again, before all it needs is given back
 MOST_BYTES = 1_000_000  # of what a page sends
 _BEAT_S = 0.25  # at which a page's stream looks whether the page is still there
 
-# The report page's own scripts, and those of this page.
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
@@ -90,8 +89,8 @@ class Server:
                 self._pause.cancel()
             self.session.open()
             queue.put(Message(kind="state", content=self.session.state()))
-            for held in self.session.newer(0):
-                queue.put(Message(kind=held.answer.kind, content={"version": held.version}))
+            for latest in self.session.newer(0):
+                queue.put(Message(kind=latest.answer.kind, content={"version": latest.version}))
             if (refusal := self.session.refusal) is not None:
                 queue.put(refusal)
             with self._lock:
@@ -216,7 +215,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             answer = self.live.do(_command(body))
         except (GraycastError, ValueError, OSError) as error:
-            answer = {"error": told(error)}
+            answer = {"error": error_line(error)}
         self._send(json.dumps(answer).encode(), "application/json")
 
     def _is_ours(self) -> bool:
@@ -281,7 +280,7 @@ def _is_gone(connection: socket.socket) -> bool:
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 
 
-def _packed(answers: list[Held]) -> bytes:
+def _packed(answers: list[LatestAnswer]) -> bytes:
     """Answers as one piece: the length of a head, the head as JSON, and every array's bytes.
 
     Arrays begin at multiples of 8 bytes, so that a browser looks at them where they are.
@@ -289,14 +288,14 @@ def _packed(answers: list[Held]) -> bytes:
     places: list[dict[str, Any]] = []
     pieces: list[bytes] = []
     at = 0
-    for held in answers:
+    for latest in answers:
         arrays = {}
-        for name, data in held.answer.arrays.items():
+        for name, data in latest.answer.arrays.items():
             arrays[name] = [at, len(data)]
             pieces += [data, b"\0" * (-len(data) % 8)]
             at += len(data) + (-len(data) % 8)
-        header = held.answer.header
-        places.append({"kind": held.answer.kind, "version": held.version, "arrays": arrays,
+        header = latest.answer.header
+        places.append({"kind": latest.answer.kind, "version": latest.version, "arrays": arrays,
                        "header": header})  # fmt: skip
     head = json.dumps(places).encode()
     head += b" " * (-(len(head) + 4) % 8)

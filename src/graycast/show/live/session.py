@@ -17,7 +17,7 @@ from ...base.settings import check_settings, parse_yaml, read_text
 from ...cell.config import Config, resolve_scanner
 from .asking import Answer, Ask
 from .document import Document, RigChange, Written, changed, checked, document_text, written
-from .picture_process import Maker
+from .picture_process import PictureProcess
 
 MOST_UNDO = 500
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}\.ya?ml")
@@ -32,7 +32,7 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class LatestAnswer:
     """The last answer of a kind, for pages to fetch."""
 
     version: int
@@ -66,13 +66,13 @@ class Session:
         self._states, self._at, self._draft = [document], 0, False
         self._frame = 2
         self._number = self._version = 0
-        self._asked: dict[int, Document] = {}
-        self._asked_at: dict[int, float] = {}
-        self._held: dict[str, Held] = {}
+        self._requests: dict[int, Document] = {}
+        self._request_s: dict[int, float] = {}
+        self._latest: dict[str, LatestAnswer] = {}
         self._refusal: Message | None = None
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
-        self._maker: Maker | None = None
+        self._maker: PictureProcess | None = None
         self._has_finished = False  # whether the running process has finished a picture
         self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
 
@@ -95,7 +95,7 @@ class Session:
         with self._lock:
             if self._maker is None:
                 self._has_finished = False
-                self._maker = Maker(
+                self._maker = PictureProcess(
                     folder=self._path.parent,
                     scene_id=self._scene_id,
                     device=self._device,
@@ -108,7 +108,7 @@ class Session:
         """Give back all memory and threads; what is set, and what it was before, stays."""
         with self._lock:
             maker, self._maker = self._maker, None
-            self._held.clear()
+            self._latest.clear()
         if maker is not None:
             maker.stop()
 
@@ -147,9 +147,9 @@ class Session:
     def return_to(self, number: int) -> None:
         """Set all as it was when the picture of that number was asked for."""
         with self._lock:
-            if number not in self._asked:
+            if number not in self._requests:
                 raise ConfigError(f"picture {number} is no longer stored: set its values by hand")
-            self._take(self._asked[number], draft=False)
+            self._take(self._requests[number], draft=False)
 
     def look(self, frame: int) -> None:
         """Look at another of the captured frames."""
@@ -206,16 +206,16 @@ class Session:
                     "rig": config.rig,
                     "resolution": config.resolution,
                 },
-                "said": _said(now.content) + _turned(now),
+                "said": _keys_of(now.content) + _turned(now),
                 "undo": self._at,
                 "redo": len(self._states) - 1 - self._at,
                 "number": self._number,
             }
 
-    def newer(self, version: int) -> list[Held]:
+    def newer(self, version: int) -> list[LatestAnswer]:
         """The last answers of each kind that are newer than a version."""
         with self._lock:
-            return [held for held in self._held.values() if held.version > version]
+            return [latest for latest in self._latest.values() if latest.version > version]
 
     @property
     def refusal(self) -> Message | None:
@@ -247,10 +247,10 @@ class Session:
         """Tell the page what is set, and ask for its picture."""
         self._number += 1
         self._refusal = None
-        self._asked_at[self._number] = time.perf_counter()
-        self._asked[self._number] = self._now
-        for old in [n for n in self._asked if n <= self._number - MOST_UNDO]:
-            del self._asked[old], self._asked_at[old]
+        self._request_s[self._number] = time.perf_counter()
+        self._requests[self._number] = self._now
+        for old in [n for n in self._requests if n <= self._number - MOST_UNDO]:
+            del self._requests[old], self._request_s[old]
         self._on_message(Message(kind="state", content=self.state()))
         if self._maker is not None:
             now, unturned = self._now, replace(self._now, ambient=1.0)
@@ -282,15 +282,15 @@ class Session:
 
     def _answered(self, answer: Answer) -> None:
         with self._lock:
-            asked_at = self._asked_at.get(answer.number)
-            waited_ms = None if asked_at is None else 1e3 * (time.perf_counter() - asked_at)
+            request_s = self._request_s.get(answer.number)
+            waited_ms = None if request_s is None else 1e3 * (time.perf_counter() - request_s)
             content = dict(answer.header)
             self._has_finished |= content.get("exact", False)
             if answer.arrays:
                 self._version += 1
-                self._held[answer.kind] = Held(version=self._version, answer=answer)
-                told = ("number", "kind", "first", "samples", "of", "exact")
-                content = {name: content[name] for name in told if name in content}
+                self._latest[answer.kind] = LatestAnswer(version=self._version, answer=answer)
+                keys = ("number", "kind", "first", "samples", "of", "exact")
+                content = {name: content[name] for name in keys if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}
             if answer.kind == "error":
                 content["number"] = answer.number
@@ -329,12 +329,12 @@ def _turned(document: Document) -> list[str]:
     return names + (["ambient"] if document.ambient != 1 else [])
 
 
-def _said(content: Mapping[str, Any], before: str = "") -> list[str]:
+def _keys_of(content: Mapping[str, Any], before: str = "") -> list[str]:
     """Every key that the configuration's own text holds, with dots."""
     keys = []
     for name, value in content.items():
         key = f"{before}{name}"
         keys.append(key)
         if isinstance(value, Mapping):
-            keys += _said(value, f"{key}.")
+            keys += _keys_of(value, f"{key}.")
     return keys

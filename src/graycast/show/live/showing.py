@@ -29,7 +29,7 @@ DEPTH_MAX = 65535
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class PageContent:
     """What is on the page: everything that a picture of it needs."""
 
     cell: Cell
@@ -44,16 +44,16 @@ class Shown:
     rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
 
 
-def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool) -> Answer:
+def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: bool) -> Answer:
     """All maps of what is shown; the colour picture is among them once it is made."""
-    cell, depth, truth = shown.cell, shown.depth, shown.rendering.truth
+    cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
     axis = triangulation_axis(cell.scanner.rig)
-    codes = shown.codes
+    codes = page.codes
     place, spread = (
         (codes.column, codes.sigma_column) if axis == "column" else (codes.row, codes.sigma_row)
     )
-    frame = ask.frame % len(shown.capture.frames)
+    frame = ask.frame % len(page.capture.frames)
     arrays = {
         "depth": _steps(truth.depth_m, scale_mm),
         "scanner": _steps(depth.depth_m, scale_mm),
@@ -62,28 +62,28 @@ def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool)
         "instance": (truth.instance + 1).astype(np.uint16),
         "place": place.astype(np.float32),
         "place_sigma": spread.astype(np.float32),
-        "white": _levels(shown, cell.code.brightest),
-        "frame": _levels(shown, frame),
+        "white": _levels(page, cell.code.brightest),
+        "frame": _levels(page, frame),
     }
-    if shown.rgb is not None:
-        arrays["rgb"] = shown.rgb
+    if page.rgb is not None:
+        arrays["rgb"] = page.rgb
     header = {
         "number": ask.number,
         "kind": kind,
         "first": first,
         "ms": round(ms, 1),
-        "samples": shown.samples,
+        "samples": page.samples,
         "of": cell.config.render.samples,
-        "exact": shown.exact,
+        "exact": page.exact,
         "frame": frame,
         "axis": axis,
         "depth_scale_mm": scale_mm,
-        **_camera(shown),
-        **_capture(shown),
-        "figures": _figures(shown),
+        **_camera(page),
+        **_capture(page),
+        "figures": _figures(page),
         "rig": _rig(cell.scanner.rig),
-        "lines": _lines(cell.scanner.rig, shown.scene.T_world_cam),
-        "target": _target(shown),
+        "lines": _lines(cell.scanner.rig, page.scene.T_world_cam),
+        "target": _target(page),
         "notes": list(cell.notes),
         **described_controls(cell, ask),
     }
@@ -95,9 +95,9 @@ def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool)
     )
 
 
-def world_answer(ask: Ask, shown: Shown) -> Answer:
+def world_answer(ask: Ask, page: PageContent) -> Answer:
     """The bodies of the 3D view: meshes of the bin and of every kind of part, and their places."""
-    scene, layout = shown.scene, shown.layout
+    scene, layout = page.scene, page.layout
     kinds = sorted({int(kind) for kind in layout.part_index})
     meshes = {f"part{kind}": scene.parts[kind].mesh for kind in kinds}
     if scene.bin is not None:
@@ -118,9 +118,9 @@ def world_answer(ask: Ask, shown: Shown) -> Answer:
     return Answer(kind="world", number=ask.number, header=header, arrays=arrays)
 
 
-def world_key(shown: Shown) -> str:
+def world_key(page: PageContent) -> str:
     """Changes when the bodies of the 3D view do."""
-    scene, layout = shown.scene, shown.layout
+    scene, layout = page.scene, page.layout
     digest = hashlib.sha256(layout.T_world_part.tobytes())
     meshes: list[Mesh] = [part.mesh for part in scene.parts]
     if scene.bin is not None:
@@ -136,32 +136,32 @@ def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndar
     return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
 
 
-def _levels(shown: Shown, index: int) -> UInt8[np.ndarray, "h w"]:
+def _levels(page: PageContent, index: int) -> UInt8[np.ndarray, "h w"]:
     """A captured frame over the sensor's range, dark level to saturation, linear."""
-    low_dn, high_dn = _range_dn(shown)
-    share = (shown.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
+    low_dn, high_dn = _range_dn(page)
+    share = (page.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
     return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
-def _range_dn(shown: Shown) -> tuple[float, float]:
-    sensor = shown.capture.sensor
+def _range_dn(page: PageContent) -> tuple[float, float]:
+    sensor = page.capture.sensor
     return sensor.offset_dn, sensor.saturation_dn
 
 
-def _capture(shown: Shown) -> dict[str, Any]:
-    low_dn, high_dn = _range_dn(shown)
+def _capture(page: PageContent) -> dict[str, Any]:
+    low_dn, high_dn = _range_dn(page)
     return {
-        "bits": shown.capture.sensor.bit_depth,
+        "bits": page.capture.sensor.bit_depth,
         "low_dn": low_dn,
         "high_dn": high_dn,
-        "merged": isinstance(shown.capture.exposure_s, np.ndarray),
-        "frames": [frame.name for frame in shown.cell.code.frames],
+        "merged": isinstance(page.capture.exposure_s, np.ndarray),
+        "frames": [frame.name for frame in page.cell.code.frames],
     }
 
 
-def _camera(shown: Shown) -> dict[str, Any]:
-    camera: Optics = shown.cell.scanner.rig.camera
-    T_cam_world = inverse(shown.scene.T_world_cam)
+def _camera(page: PageContent) -> dict[str, Any]:
+    camera: Optics = page.cell.scanner.rig.camera
+    T_cam_world = inverse(page.scene.T_world_cam)
     return {
         "width": camera.width_px,
         "height": camera.height_px,
@@ -185,9 +185,9 @@ def _rig(rig: Rig) -> dict[str, Any]:
     }
 
 
-def _figures(shown: Shown) -> dict[str, Any]:
+def _figures(page: PageContent) -> dict[str, Any]:
     """What stands beside the picture, in numbers."""
-    depth, truth = shown.depth, shown.rendering.truth
+    depth, truth = page.depth, page.rendering.truth
     on_part = truth.instance >= 0
     error_mm = MM_PER_M * (depth.depth_m - truth.depth_m)
     known = error_mm[on_part & np.isfinite(error_mm)]
@@ -196,8 +196,8 @@ def _figures(shown: Shown) -> dict[str, Any]:
         "part_decoded": _mean(depth.reason[on_part] == Reason.DECODED),
         "bias_mm": float(np.median(known)) if known.size else None,
         "sigma_mm": float(robust_sigma(known - np.median(known))) if known.size else None,
-        "exposure_ms": 1e3 * float(np.max(shown.capture.exposure_s)),
-        "saturated": _mean(shown.capture.frames[0] >= shown.capture.sensor.saturation_dn),
+        "exposure_ms": 1e3 * float(np.max(page.capture.exposure_s)),
+        "saturated": _mean(page.capture.frames[0] >= page.capture.sensor.saturation_dn),
     }
 
 
@@ -205,9 +205,9 @@ def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
     return float(np.mean(values)) if np.size(values) else None
 
 
-def _target(shown: Shown) -> list[float]:
+def _target(page: PageContent) -> list[float]:
     """What the rig turns about when it is dragged, in the world [mm]."""
-    view, box = shown.cell.config.view, shown.scene.bin
+    view, box = page.cell.config.view, page.scene.bin
     height_m = 0.0 if box is None else box.inner_m[2]
     return [MM_PER_M * v for v in view.target_m or (0.0, 0.0, height_m / 3)]
 
@@ -255,8 +255,8 @@ def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]
 def _volume(outlines: list[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "2 3"]]:
     """Outlines one behind the other, and edges between their outermost corners."""
     segments = [segment for corners in outlines for segment in _around(corners)]
-    seen = [corners for corners in outlines if len(corners)]
-    for front, back in pairwise(seen):
+    visible = [corners for corners in outlines if len(corners)]
+    for front, back in pairwise(visible):
         for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
             ends = [corners[np.argmax(corners[:, :2] @ [x, y])] for corners in (front, back)]
             segments.append(np.stack(ends))

@@ -168,9 +168,9 @@ def _filling_distance_m(mesh: Mesh, towards: Float[np.ndarray, "3"]) -> float:
     """
     T_middle_cam = look_at(np.zeros(3), -towards, np.array([0.0, 0.0, -1.0]))
     point = mesh.vertices_m[np.unique(mesh.faces)] - mesh.bounds_m.mean(axis=0)
-    seen = transform_points(inverse(T_middle_cam), point)
+    point_eye = transform_points(inverse(T_middle_cam), point)
     limit_px = 0.5 * _FILL * np.array(_TILE_PX)
-    needed = _FOCAL_PX * np.abs(seen[:, :2]) / limit_px - seen[:, 2:]
+    needed = _FOCAL_PX * np.abs(point_eye[:, :2]) / limit_px - point_eye[:, 2:]
     return float(needed.max())
 
 

@@ -170,16 +170,16 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
 def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
     """The white frame, a coarse one, and the finest in a close-up from the frame's middle."""
     axis = triangulation_axis(shot.sample.scene.rig)
-    shown = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
-    coarse, finest = shown[min(_COARSE_RANK, len(shown) - 1)], shown[-1]
+    index = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
+    coarse, finest = index[min(_COARSE_RANK, len(index) - 1)], index[-1]
     camera = shot.sample.scene.rig.camera
     width, height = (-(-side // _CLOSE_UP) for side in sheet.tile_px)
     left, top = (camera.width_px - width) // 2, (camera.height_px - height) // 2
-    white = sheet.picture("white frame", _shown(shot, code.brightest))
+    white = sheet.picture("white frame", _frame_picture(shot, code.brightest))
     if left > 0 and top > 0:
         white.add_patch(_rectangle(left, top, width, height, color="#ffcc33"))
-    sheet.picture(_title(code.frames[coarse]), _shown(shot, coarse))
-    ax = sheet.picture(_title(code.frames[finest]), _shown(shot, finest))
+    sheet.picture(_title(code.frames[coarse]), _frame_picture(shot, coarse))
+    ax = sheet.picture(_title(code.frames[finest]), _frame_picture(shot, finest))
     if left > 0 and top > 0:
         ax.images[0].set_interpolation("nearest")
         ax.set(xlim=(left - 0.5, left + width - 0.5), ylim=(top + height - 0.5, top - 0.5))
@@ -201,7 +201,7 @@ def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
     sheet.color_bar(_CODE_MAP, limits, f"projector {axis}")
 
 
-def _shown(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
+def _frame_picture(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
     """A frame over the sensor's range, dark level to saturation, as a grey picture."""
     sensor = shot.capture.sensor
     signal = shot.capture.frames[index].astype(np.float32) - np.float32(sensor.offset_dn)
@@ -232,7 +232,7 @@ def _draw_depths(sheet: _Sheet, shot: Shot) -> None:
     limits = depth_limits_mm(sample.truth)
     sheet.picture("perfect depth", painted(1e3 * sample.truth.depth_m, _DEPTH_MAP, limits))
     sheet.color_bar(_DEPTH_MAP, limits, "mm, both depths")
-    scanned = sample.scanner.depth_m
+    scanned = sample.scanner_depth.depth_m
     ax = sheet.picture("scanner's depth", painted(1e3 * scanned, _DEPTH_MAP, limits))
     _note(ax, f"{100 * np.isfinite(scanned).mean():.1f} % known")
     sheet.color_bar(_DEPTH_MAP, limits, "mm, dark where unknown")
@@ -256,7 +256,7 @@ def depth_limits_mm(truth: GroundTruth) -> tuple[float, float]:
 
 def _draw_error(sheet: _Sheet, shot: Shot) -> None:
     sample = shot.sample
-    error_mm = 1e3 * (sample.scanner.depth_m - sample.truth.depth_m)
+    error_mm = 1e3 * (sample.scanner_depth.depth_m - sample.truth.depth_m)
     limit_mm = 1e3 * error_limit_m(sample.scene, sample.truth)
     limits = (-limit_mm, limit_mm)
     ax = sheet.picture(
@@ -284,7 +284,7 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
 
 
 def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
-    reason = shot.sample.scanner.reason
+    reason = shot.sample.scanner_depth.reason
     on_part = reason[labelled(shot.sample).truth.instance >= 0]
     palette = np.array([to_rgb(r.color) for r in Reason])
     ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))
@@ -307,16 +307,16 @@ def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
     sample = labelled(shot.sample)
     instance = sample.truth.instance
     color = instance_colors(len(sample.layout.part_index))
-    seen = np.unique(instance[instance >= 0])
-    width = 1.6 if len(seen) <= 60 else 0.9
-    ax = sheet.picture("visible masks", tinted(_shown(shot, 0), instance, color))
-    _note(ax, f"{len(seen)} instances visible, {len(color) - len(seen)} hidden")
+    visible = np.unique(instance[instance >= 0])
+    width = 1.6 if len(visible) <= 60 else 0.9
+    ax = sheet.picture("visible masks", tinted(_frame_picture(shot, 0), instance, color))
+    _note(ax, f"{len(visible)} instances visible, {len(color) - len(visible)} hidden")
     ax = sheet.picture("boxes of the visible masks", sample.rgb)
-    for i in seen:
+    for i in visible:
         ax.add_patch(_rectangle(*mask_box(instance == i), color=color[i], width_pt=width))
     ax = sheet.picture("oriented boxes", sample.rgb)
     T_cam_world = inverse(sample.scene.T_world_cam)
-    for i in seen:
+    for i in visible:
         part = sample.scene.parts[sample.layout.part_index[i]]
         T_cam_part = T_cam_world @ sample.layout.T_world_part[i]
         edges = box_edges_px(part, T_cam_part, sample.scene.rig.camera)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from ..scene import Bin
 from .body import Body
-from .rapier import Kind, Terms, open_heap
+from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
 # Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
@@ -86,7 +86,7 @@ def lift(
         T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
             on the part.
     """
-    kinds = [Kind.of(body) for body in bodies]
+    kinds = [RapierPart.of(body) for body in bodies]
     heap = open_heap(
         Terms(speed_m_s=SPEED_M_S, step_s=STEP_S), box, kinds, T_world_part, part_index
     )

@@ -52,7 +52,7 @@ class Terms:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class RapierPart:
     """A kind of part as the engine holds it."""
 
     shape: rapier3d.SharedShape
@@ -60,8 +60,8 @@ class Kind:
     friction: float
 
     @staticmethod
-    def of(body: Body) -> "Kind":
-        return Kind(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
+    def of(body: Body) -> "RapierPart":
+        return RapierPart(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class _Block:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heap:
+class RapierHeap:
     """A world with a bin and parts that stand still in it; colliders' labels count both."""
 
     world: rapier3d.PhysicsWorld
@@ -114,16 +114,16 @@ class Heap:
 def open_heap(
     terms: Terms,
     box: Bin,
-    kinds: list[Kind],
+    kinds: list[RapierPart],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
-) -> Heap:
+) -> RapierHeap:
     """Open a new world without speeds, forces or contacts of an earlier stage."""
     world = _world(terms)
     ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if terms.guided else None
     blocks = _add_bin(world, box, ceiling_m, friction=terms.friction)
     parts = _add_parts(world, kinds, T_world_part, part_index, terms, first_label=len(blocks))
-    return Heap(world=world, blocks=blocks, parts=parts)
+    return RapierHeap(world=world, blocks=blocks, parts=parts)
 
 
 def _world(terms: Terms) -> rapier3d.PhysicsWorld:
@@ -195,7 +195,7 @@ def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, labe
 
 def _add_parts(
     world: rapier3d.PhysicsWorld,
-    kinds: list[Kind],
+    kinds: list[RapierPart],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
     terms: Terms,

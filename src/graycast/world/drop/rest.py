@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ...base.frames import transform_points
 from ..scene import Bin, Layout
 from .body import Body, motion_m, parts_outside
-from .rapier import Heap, Kind, Terms, deepest_penetration_m, open_heap
+from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_heap
 
 LOOK_S = 0.04  # poses are read this often
 
@@ -65,7 +65,7 @@ def simulate(
         The final state without a verdict, which `flaws` gives. `deepest_penetration_m` is the
         deepest overlap of any two hulls of different parts, or of a hull and the bin.
     """
-    kinds = [Kind.of(body) for body in bodies]
+    kinds = [RapierPart.of(body) for body in bodies]
     box_m = np.stack([body.box_m for body in bodies])[part_index]
     heap = open_heap(_FALL, box, kinds, T_world_part, part_index)
     fallen, fall_s = _fall(heap, box_m, simulated_s)
@@ -87,21 +87,21 @@ def simulate(
 
 
 def _fall(
-    heap: Heap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
+    heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float]:
     """Poses where no part moves far any more, or patience ends, and the simulated time [s]."""
-    seen = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
+    poses = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
     for look in range(1, 1 + _looks(patience_s)):
         heap.damp(np.full(len(box_m), _damping(look * LOOK_S, *FALL_DAMPING_S)))
         heap.run(LOOK_S)
-        seen.append(heap.poses())
-        if look >= FALLEN_LOOKS and motion_m(np.stack(seen), box_m).max() <= FALLEN_MOTION_M:
+        poses.append(heap.poses())
+        if look >= FALLEN_LOOKS and motion_m(np.stack(poses), box_m).max() <= FALLEN_MOTION_M:
             break
-    return seen[-1], look * LOOK_S
+    return poses[-1], look * LOOK_S
 
 
 def _rest(
-    heap: Heap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
+    heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
     """Poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 
@@ -111,7 +111,7 @@ def _rest(
     or `STILL_MOTION_M` in `PLACE_LOOKS`. A part is damped from when it has left its place until it
     has come to another.
     """
-    seen = deque([heap.poses()], maxlen=1 + REST_LOOKS)
+    poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
     damped_looks = np.zeros(len(box_m))  # for how many looks each part has been damped
     free_looks, rests, look = 0, False, 0
     while not rests and look < _looks(patience_s):
@@ -119,8 +119,8 @@ def _rest(
         factor = _damping(damped_looks * LOOK_S, *PART_DAMPING_S)
         heap.damp(np.where(damped_looks > 0, factor, 0.0))
         heap.run(LOOK_S)
-        seen.append(heap.poses())
-        away_m = motion_m(np.stack(seen), box_m)
+        poses.append(heap.poses())
+        away_m = motion_m(np.stack(poses), box_m)
         moved_m, lately_m = away_m.max(axis=0), away_m[-1 - PLACE_LOOKS :].max(axis=0)
         on_its_way = (moved_m > REST_MOTION_M) & (lately_m > PLACE_MOTION_M)
         damped_looks = np.where(on_its_way, damped_looks + 1, 0)
@@ -129,7 +129,7 @@ def _rest(
         still = free_looks >= PLACE_LOOKS and lately_m.max() <= STILL_MOTION_M
         rests = bool(holds or still)
     last_m = lately_m if still else moved_m
-    return seen[-1], float(last_m.max()), look * LOOK_S, rests
+    return poses[-1], float(last_m.max()), look * LOOK_S, rests
 
 
 def _looks(seconds: float) -> int:

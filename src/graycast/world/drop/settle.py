@@ -153,7 +153,7 @@ def make_bodies(
         ValueError, GraycastError: as in `convex_hulls` and `body_of`.
     """
     prepared = prepare(parts, hull_folder=hull_folder, progress=progress)
-    return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
+    return tuple(body_of(part, hulls.hulls) for part, hulls in zip(parts, prepared, strict=True))
 
 
 def prepare(
@@ -172,11 +172,11 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
     """Notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
         f"{part.name}: its collision hulls are too coarse: they are up to "
-        f"{1e3 * made.error.worst_m:.2f} mm from its surface, and the bound is "
-        f"{1e3 * made.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
+        f"{1e3 * hulls.error.worst_m:.2f} mm from its surface, and the bound is "
+        f"{1e3 * hulls.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
         "other. A simpler mesh without the inside of the part helps"
-        for part, made in zip(parts, prepared, strict=True)
-        if made.coarse
+        for part, hulls in zip(parts, prepared, strict=True)
+        if hulls.coarse
     )
 
 

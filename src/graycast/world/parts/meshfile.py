@@ -20,7 +20,7 @@ from ...base.file_limits import refuse_large_size
 from .builtin import CREASE_RAD
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
-from .surface import MAX_FACES, Refusal, Surface, as_solid, judge, too_many, welded
+from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, welded
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
@@ -135,7 +135,7 @@ def _quiet() -> Iterator[None]:
         logger.disabled = was_disabled
 
 
-def _read(path: Path) -> Surface:
+def _read(path: Path) -> RawMesh:
     _load_reader()
     import trimesh
 
@@ -196,7 +196,7 @@ def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def _surface(pieces: Sequence, *, shares_vertices: bool) -> Surface:
+def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
     """The reader's meshes as one; uv and texture are kept where one texture covers all."""
     start = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
     faces = [
@@ -209,8 +209,8 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> Surface:
             raise Refusal("faces name vertices that do not exist; export the mesh again")
     uv = [_uv(piece) for piece in pieces]
     pictures = [_picture(piece) for piece in pieces]
-    shown = [p for p in pictures if p is not None]
-    distinct = [p for i, p in enumerate(shown) if not any(np.array_equal(p, q) for q in shown[:i])]
+    maps = [p for p in pictures if p is not None]
+    distinct = [p for i, p in enumerate(maps) if not any(np.array_equal(p, q) for q in maps[:i])]
     bare = sum(p is None for p in pictures)
     findings = []
     coloured = any(_has_colours(piece) for piece in pieces)
@@ -227,7 +227,7 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> Surface:
                 "The mesh has texture coordinates, but no picture was read with it: it is "
                 "missing, damaged or too large."
             )
-    return Surface(
+    return RawMesh(
         vertices=np.concatenate([np.asarray(p.vertices, dtype=np.float64) for p in pieces]),
         faces=np.concatenate(faces),
         corner_uv=corner_uv,
@@ -298,14 +298,14 @@ def _size(metres: float) -> str:
     return f"{metres:.4g} m" if metres >= 1 else f"{1000 * metres:.4g} mm"
 
 
-def _material(surface: Surface, given: Material | None, findings: list[str]) -> Material:
-    if given is not None:
-        if given.texture is not None and surface.corner_uv is None:
+def _material(surface: RawMesh, material: Material | None, findings: list[str]) -> Material:
+    if material is not None:
+        if material.texture is not None and surface.corner_uv is None:
             raise Refusal(
                 "the material has a texture, but the mesh has no texture coordinates; unwrap it "
                 "and export OBJ or GLB, or give a base colour"
             )
-        return given
+        return material
     if surface.texture is None:
         return Material()
     if surface.other_materials or surface.corner_uv is None:

@@ -122,10 +122,10 @@ def _cube_grid(
 def solid(surface: Surface) -> Manifold:
     """A closed surface as a solid for boolean operations."""
     vertices, faces = surface
-    made = Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
-    if made.is_empty():
-        raise ValueError(f"not a closed surface: {made.status()}")
-    return made
+    manifold = Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
+    if manifold.is_empty():
+        raise ValueError(f"not a closed surface: {manifold.status()}")
+    return manifold
 
 
 def union(

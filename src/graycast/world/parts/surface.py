@@ -19,7 +19,7 @@ class Refusal(Exception):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class RawMesh:
     """The content of a file in its own unit, before any check."""
 
     vertices: Float[np.ndarray, "v 3"]
@@ -58,7 +58,7 @@ def too_many(faces: int) -> str:
     )
 
 
-def welded(surface: Surface, findings: list[str]) -> Surface:
+def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
     """The same surface with one vertex per position; uv stays with the face corners."""
     used = surface.used
     first, of_used = _distinct(surface.vertices[used])
@@ -90,7 +90,7 @@ def welded(surface: Surface, findings: list[str]) -> Surface:
         raise Refusal("all its faces are degenerate; export the mesh again")
     kept = np.zeros(len(position), dtype=bool)
     kept[faces[keep]] = True
-    return Surface(
+    return RawMesh(
         vertices=position[kept],
         faces=kept.cumsum()[faces[keep]] - 1,
         corner_uv=None if surface.corner_uv is None else surface.corner_uv[keep],
@@ -115,7 +115,7 @@ def _distinct(
     return order[new], which
 
 
-def judge(surface: Surface, findings: list[str]) -> None:
+def judge(surface: RawMesh, findings: list[str]) -> None:
     """Refuse a surface that is open, inconsistently wound, inside out or flat."""
     faces = surface.faces
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
@@ -145,7 +145,7 @@ def judge(surface: Surface, findings: list[str]) -> None:
         raise Refusal("the surface is inside out (negative volume); flip its normals")
 
 
-def as_solid(surface: Surface, findings: list[str]) -> Surface:
+def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
     """The surface of one solid: of bodies that overlap, that of their union."""
     try:
         outward, inward = shells_of(surface.vertices, surface.faces)
@@ -160,12 +160,12 @@ def as_solid(surface: Surface, findings: list[str]) -> Surface:
     if joined is None:
         return surface
     union, twice = joined
-    told = f"{len(outward)} bodies overlap, {twice:.2%} of their volume would count twice"
+    text = f"{len(outward)} bodies overlap, {twice:.2%} of their volume would count twice"
     if surface.corner_uv is not None:
         raise Refusal(
-            f"{told}; join them (a boolean union) in a mesh editor, which keeps their texture"
+            f"{text}; join them (a boolean union) in a mesh editor, which keeps their texture"
         )
-    findings.append(f"{told}: they were joined into one.")
+    findings.append(f"{text}: they were joined into one.")
     mesh = union.to_mesh64()
     return replace(
         surface,

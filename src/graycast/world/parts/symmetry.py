@@ -140,18 +140,18 @@ def turns_together(
     steps = [
         _turn(np.array(axis), np.array(point_m), 2 * np.pi / fold) for axis, point_m, fold in turns
     ]
-    made = [np.eye(4)]
-    for motion in made:  # grows while it is read, until no step leads to a new one
+    motions = [np.eye(4)]
+    for motion in motions:  # grows while it is read, until no step leads to a new one
         for step in steps:
             next_motion = step @ motion
-            if not any(np.allclose(next_motion, other, atol=1e-6) for other in made):
-                made.append(next_motion)
-        if len(made) > MOST_MOTIONS:
+            if not any(np.allclose(next_motion, other, atol=1e-6) for other in motions):
+                motions.append(next_motion)
+        if len(motions) > MOST_MOTIONS:
             raise ValueError(
                 f"the turns together make more than {MOST_MOTIONS} motions: check that their axes "
                 "meet in one point, or give a continuous axis"
             )
-    return tuple(made[1:])
+    return tuple(motions[1:])
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:
@@ -177,14 +177,14 @@ def _candidates(middle: Float[np.ndarray, "3"]):
 
 def axis_rotations() -> Float[np.ndarray, "24 3 3"]:
     """The rotations that map the coordinate axes to each other, the identity first."""
-    held = []
+    rotations = []
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
             R = np.zeros((3, 3))
             R[np.arange(3), order] = sign
             if np.linalg.det(R) > 0:
-                held.append(R)
-    return np.stack(held)
+                rotations.append(R)
+    return np.stack(rotations)
 
 
 def _turn(

@@ -11,7 +11,7 @@ SOURCE = Path(__file__).with_name("camera.osl")
 SENSOR_MM = 36.0  # any width serves: the lens is given in the same unit
 
 
-class Camera:
+class CyclesCamera:
     def __init__(self, scene: bpy.types.Scene, job: dict[str, Any], folder: Path):
         self.data = bpy.data.cameras.new("camera")
         body = bpy.data.objects.new("camera", self.data)

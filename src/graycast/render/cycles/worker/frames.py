@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 import numpy as np
-from camera import Camera
+from camera import CyclesCamera
 from projector import Projector
 from world import World
 
@@ -29,7 +29,7 @@ def render_job(folder: Path) -> Iterator[str]:
     bpy.ops.wm.read_factory_settings(use_empty=True)  # frees all of the job before
     scene = bpy.context.scene
     _settings(scene, job)
-    camera = Camera(scene, job, folder)
+    camera = CyclesCamera(scene, job, folder)
     projector = Projector(scene, job, folder)
     world = World(scene, job, folder)
     for frame in todo:

@@ -73,13 +73,13 @@ class Surface:
             "ADD", self.geometry.outputs["True Normal"], (NORMAL_OFFSET,) * 3
         )
         info = self.nodes.new("ShaderNodeObjectInfo")
-        shown = {
+        sockets = {
             "albedo": base,
             "position": self.geometry.outputs["Position"],
             "normal": lifted.outputs[0],
             "instance": info.outputs["Object Index"],
         }
-        return {name: self._emitted(value) for name, value in shown.items()}
+        return {name: self._emitted(value) for name, value in sockets.items()}
 
     def _emitted(self, value: object) -> bpy.types.NodeSocket:
         node = self.nodes.new("ShaderNodeEmission")

@@ -62,7 +62,7 @@ class Projector:
         nodes = Nodes(light.node_tree)
         ray = nodes.new("ShaderNodeNewGeometry")
         way = [nodes.dot(ray.outputs["Incoming"], tuple(T[:3, i])) for i in range(3)]
-        x, y = self._seen(nodes, ray, way, T)
+        x, y = self._position(nodes, ray, way, T)
         x, y, inside = self._distorted(nodes, x, y)
         shine = nodes.mul(inside, nodes.math("GREATER_THAN", way[2], 0.0))
         column = nodes.fma(x, self.optics["fx_px"], self.optics["cx_px"])
@@ -89,7 +89,7 @@ class Projector:
             missing = nodes.fma(nodes.mul(place, place), self.optics["falloff"] / 2, missing)
         return nodes.math("SUBTRACT", 1.0, missing)
 
-    def _seen(self, nodes: Nodes, ray: bpy.types.Node, way: list, T: np.ndarray) -> tuple:
+    def _position(self, nodes: Nodes, ray: bpy.types.Node, way: list, T: np.ndarray) -> tuple:
         """Normalised coordinates of the point in focus that the ray goes through."""
         focus_m = self.optics["focus_m"]
         slope = [nodes.math("DIVIDE", way[i], way[2]) for i in range(2)]

@@ -11,7 +11,7 @@ from ....dataset.scene_folder import of_sensor, picture_name
 from ....dataset.stats import SceneFigures, scene_figures
 from ....dataset.stored import StoredDataset, StoredScene, open_dataset
 from ....score.evaluate import Evaluation
-from .found import FOUND, found_index, found_scripts, judged
+from .found import FOUND, evaluation_of, found_index, found_scripts
 from .fused import FUSED, fused_script
 from .index import index_script
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
@@ -106,7 +106,7 @@ def write_report(
             another dataset.
     """
     stored = open_dataset(dataset)
-    evaluation = None if detections is None else judged(dataset, detections)
+    evaluation = None if detections is None else evaluation_of(dataset, detections)
     pieces = [
         _ScenePiece(stored=stored, scene=scene, width_px=width_px) for scene in stored.pictures
     ]
@@ -119,10 +119,10 @@ def write_report(
 
 def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: StoredDataset) -> None:
     """A script of every scene that was looked at; none of an earlier build stays."""
-    held = {} if evaluation is None else dict(found_scripts(evaluation, stored))
+    scripts = {} if evaluation is None else dict(found_scripts(evaluation, stored))
     for scene in scenes.iterdir():
-        if scene.name in held:
-            write_whole(scene / FOUND, held[scene.name])
+        if scene.name in scripts:
+            write_whole(scene / FOUND, scripts[scene.name])
         else:
             (scene / FOUND).unlink(missing_ok=True)
 

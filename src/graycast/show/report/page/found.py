@@ -24,13 +24,15 @@ from ....score.evaluate import (
     evaluate,
     false_alarms,
 )
-from ....score.evaluate import summary as told
+from ....score.evaluate import summary as evaluation_summary
 
 FOUND = "detections.js"
 _DIGITS = 4
 
 
-def judged(dataset: Path, results: Path, *, progress: ProgressMeter = UNWATCHED) -> Evaluation:
+def evaluation_of(
+    dataset: Path, results: Path, *, progress: ProgressMeter = UNWATCHED
+) -> Evaluation:
     """The results, judged by the dataset with the usual choices.
 
     Raises:
@@ -46,7 +48,7 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
     Outlines are judged by masks where there are any. Detections are of pictures in `train/`,
     however these are divided.
     """
-    judgement = _shown(evaluation)
+    judgement = _judgement(evaluation)
     point = judgement.point
     rows: dict[str, Any] = {
         stored.picture(labels.scene_id).key: {
@@ -66,14 +68,14 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
         "name": evaluation.run.name,
         "kind": judgement.kind,
         "score": 0.5 if np.isnan(point.score) else _below(point.score),
-        "told": told(evaluation).splitlines(),
+        "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,
     }
 
 
 def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
     """Scene keys, and for each a script with its detections and what is found of its instances."""
-    judgement = _shown(evaluation)
+    judgement = _judgement(evaluation)
     scenes = len(judgement.known.labels)
     detections: list[dict[int, dict[str, Any]]] = [{} for _ in range(scenes)]
     found_at: list[dict[int, float]] = [{} for _ in range(scenes)]
@@ -106,11 +108,11 @@ def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tup
             }
             for i in range(len(labels))
         }
-        held = [one for _, one in sorted(detections[scene].items())]
-        yield key, _receiving(f"{key}/{FOUND}", held, instances)
+        of_scene = [one for _, one in sorted(detections[scene].items())]
+        yield key, _receiving(f"{key}/{FOUND}", of_scene, instances)
 
 
-def _shown(evaluation: Evaluation) -> Judgement:
+def _judgement(evaluation: Evaluation) -> Judgement:
     return evaluation.judgements[-1]  # masks come after boxes
 
 

@@ -17,7 +17,6 @@ from ....rig.pattern import Code, CodeSpec
 from .packing import color_table
 from .scene_files import MISSING_COLOR
 
-# Depth, column, difference as in previews; captured frames.
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
 
 
@@ -35,7 +34,7 @@ def index_script(
 
     def passing() -> Iterator[SceneFigures]:
         for one in figures:
-            rows.append(_row(one))
+            rows.append(_scene_row(one))
             yield one
 
     statistics = tally(passing(), stored.categories)
@@ -63,7 +62,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def _row(one: SceneFigures) -> list[Any]:
+def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)
@@ -108,10 +107,10 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
     return float(bins[np.searchsorted(total, total[-1] / 2)] + 0.5) * DEPTH_BIN_MM
 
 
-def _claim(said: Mapping[str, Any]) -> dict[str, Any]:
+def _claim(content: Mapping[str, Any]) -> dict[str, Any]:
     """The claim without digests."""
     kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
-    claim = {key: said[key] for key in kept if key in said}
+    claim = {key: content[key] for key in kept if key in content}
     if "config" in claim:
         claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
     return claim
@@ -143,10 +142,10 @@ def _scanners(stored: StoredDataset) -> dict[str, Any]:
 
 def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
     """The projected frames, each as its levels along its own axis; None where none are known."""
-    rig, told = taker.get("rig"), taker.get("scanner", {}).get("code")
-    if not rig or not told:
+    rig, settings = taker.get("rig"), taker.get("scanner", {}).get("code")
+    if not rig or not settings:
         return None
-    spec = CodeSpec(**{**told, "axes": tuple(told["axes"])})
+    spec = CodeSpec(**{**settings, "axes": tuple(settings["axes"])})
     code = spec.code(rig["projector"]["width_px"], rig["projector"]["height_px"])
     return {"codec": spec.codec, "frames": list(_frames(code))}
 

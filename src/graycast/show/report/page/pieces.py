@@ -48,9 +48,9 @@ class ReportSummary:
     removed: int
 
 
-def stamp_of(said: str, folder: Path, names: Iterable[str]) -> str:
+def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
     """Changes with the words, and when a file does; files that are not there are left out."""
-    digest = hashlib.sha256(said.encode())
+    digest = hashlib.sha256(text.encode())
     for name in names:
         path = folder / name
         if path.exists():
@@ -102,7 +102,7 @@ def write_pieces(
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
     kept = len(pieces) - len(todo)
     progress.count(what, kept, len(pieces))
-    for done, _ in enumerate(_made(todo, folder, workers), start=kept + 1):
+    for done, _ in enumerate(_finished_keys(todo, folder, workers), start=kept + 1):
         progress.count(what, done, len(pieces))
     gone = {entry.name for entry in folder.iterdir()} - {piece.key for piece in pieces}
     for key in gone:
@@ -128,11 +128,11 @@ class Web:
 
 def write_web(out: Path, web: Web) -> None:
     """Write what a browser runs, but for index.js, which holds the page's content."""
-    held = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
+    folders = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
     for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
-        found = next(folder for folder in held if folder.joinpath(name).is_file())
+        found = next(folder for folder in folders if folder.joinpath(name).is_file())
         write_whole(out / name, found.joinpath(name).read_bytes())
-    template = Template(held[-1].joinpath("index.html").read_text(encoding="utf-8"))
+    template = Template(folders[-1].joinpath("index.html").read_text(encoding="utf-8"))
     page = template.substitute(
         title=web.title,
         home=web.home,
@@ -164,7 +164,7 @@ def _is_current(folder: Path, piece: Piece) -> bool:
     return stamp.exists() and stamp.read_text() == piece.stamp()
 
 
-def _made(todo: Sequence[Piece], folder: Path, workers: int) -> Iterator[str]:
+def _finished_keys(todo: Sequence[Piece], folder: Path, workers: int) -> Iterator[str]:
     make = partial(_make, folder=folder)
     if workers == 1 or len(todo) < 2:
         yield from map(make, todo)

@@ -19,7 +19,7 @@ from .bodies import packed_places, placed
 
 _FORM = "1"  # of a bin's files; a change builds them anew
 _QUALITY = 85
-_TOLD = (
+_ATTEMPT_KEYS = (
     "outcome", "detail", "targets", "part", "kind", "score", "pose_error", "least_factor",
     "seconds", "present",
 )  # fmt: skip
@@ -50,17 +50,17 @@ class BinPiece:
         replay = open_replay(self.out, folder=self.cell_folder)
         episode, motions = self.episode, read_motions(replay, self.episode)
         still = replay.T_world_limb(replay.robot.home)
-        told = zip(episode.attempts, episode.work_s, strict=True)
-        attempts = [_told(attempt, work_s) for attempt, work_s in told]
+        timed = zip(episode.attempts, episode.work_s, strict=True)
+        attempts = [_attempt_record(attempt, work_s) for attempt, work_s in timed]
         content = {"key": self.key, "kinds": replay.kinds(episode), "attempts": attempts}
         yield "scene.js", receiving(content)
         for number, motion in enumerate(motions):
             name = f"attempt-{number:03d}.js"
-            content = {"key": f"{self.key}/{name}", **self._seen(number)}
+            content = {"key": f"{self.key}/{name}", **self._record(number)}
             yield name, receiving({**content, "motion": _packed_motion(motion, still)})
             still = still if motion is None else motion.T_world_limb[-1]
 
-    def _seen(self, number: int) -> dict[str, Any]:
+    def _record(self, number: int) -> dict[str, Any]:
         depth = read_image(self.folder / "depth" / f"{number:03d}.png")
         if depth.dtype != np.uint16 or depth.ndim != 2:
             raise GraycastError(f"{self.folder}/depth/{number:03d}.png: holds no depth")
@@ -93,10 +93,10 @@ def read_image(path: Path) -> np.ndarray:
     return image
 
 
-def _told(attempt: Mapping[str, Any], work_s: Mapping[str, float]) -> dict[str, Any]:
+def _attempt_record(attempt: Mapping[str, Any], work_s: Mapping[str, float]) -> dict[str, Any]:
     places = placed(np.array(attempt["T_world_part"], dtype=float).reshape(-1, 4, 4))
     return {
-        **{name: attempt[name] for name in _TOLD},
+        **{name: attempt[name] for name in _ATTEMPT_KEYS},
         "work_s": {stage: round(seconds, 4) for stage, seconds in work_s.items()},
         "parts": np.round(places, 5).tolist(),
     }

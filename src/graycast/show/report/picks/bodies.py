@@ -15,7 +15,6 @@ from ..page.packing import pack_bytes
 
 UPRIGHT = 0.9  # cosine to the vertical from which a face looks up
 TABLE_BEYOND_M = 0.25
-# Colours of films (RGB from 0 to 1); the page has its own, which follow light and dark.
 TINT = {
     "arm": (0.66, 0.70, 0.76),
     "tool": (0.19, 0.21, 0.25),

@@ -101,8 +101,8 @@ def write_film(
         )
     episodes = {episode.bin_id: episode for episode in read_episodes(picks)}
     if bin_id not in episodes:
-        held = f"it has {min(episodes)} to {max(episodes)}" if episodes else "none is finished yet"
-        raise GraycastError(f"{picks}: bin {bin_id} does not exist: {held}")
+        bins = f"it has {min(episodes)} to {max(episodes)}" if episodes else "none is finished yet"
+        raise GraycastError(f"{picks}: bin {bin_id} does not exist: {bins}")
     replay = open_replay(picks, folder=cell_folder)
     episode = episodes[bin_id]
     frames = []
@@ -213,9 +213,9 @@ def _part(
 
 def _drawn(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
     """A mesh in one colour, as bright as it faces the eye."""
-    seen = eye.sees(mesh)
-    face, z = rasterize(seen, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
-    corner = seen[mesh.faces]
+    vertices = eye.sees(mesh)
+    face, z = rasterize(vertices, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
+    corner = vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     camera = eye.camera
     shade = _shade(normal[face], picture_rays(camera))
@@ -257,10 +257,10 @@ def _scattered(
     order = np.argsort(-point[:, 2])
     order = order[_inside(row[order], column[order], (height, width))]
     row, column, z = row[order], column[order], point[order, 2]
-    seen = z < ground.z[row, column] + _ON_SURFACE_M
-    row, column, z = row[seen], column[seen], z[seen]
+    visible = z < ground.z[row, column] + _ON_SURFACE_M
+    row, column, z = row[visible], column[visible], z[visible]
     color, depth = ground.color.copy(), ground.z.copy()
-    color[row, column] = shade[order][seen][:, None] * np.array(TINT["point"])
+    color[row, column] = shade[order][visible][:, None] * np.array(TINT["point"])
     depth[row, column] = z
     return _Layer(color=color, z=depth)
 
@@ -305,9 +305,9 @@ def _encoded(frames: list[Image.Image], kind: str) -> bytes:
     if kind == "GIF":
         palette = _palette(frames)
         frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    told = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
+    encoding = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
     file = io.BytesIO()
     frames[0].save(
-        file, kind, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, **told
+        file, kind, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, **encoding
     )
     return file.getvalue()

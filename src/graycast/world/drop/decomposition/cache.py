@@ -47,15 +47,15 @@ def read_decomposition(file: Path) -> Decomposition | None:
     )
 
 
-def write_decomposition(file: Path, made: Decomposition) -> None:
+def write_decomposition(file: Path, decomposition: Decomposition) -> None:
     """Write a cache file, completely or not at all."""
-    hulls, error = made.hulls, made.error
+    hulls, error = decomposition.hulls, decomposition.error
     file.parent.mkdir(parents=True, exist_ok=True)
-    held: dict[str, Any] = {
+    arrays: dict[str, Any] = {
         "vertices_m": np.vstack([vertices for vertices, _ in hulls]),
         "faces": np.vstack([faces for _, faces in hulls]),
         "vertex_split": np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
         "face_split": np.cumsum([len(faces) for _, faces in hulls])[:-1],
-        "measured_m": np.array([error.filled_m, error.lost_m, made.tolerance_m]),
+        "measured_m": np.array([error.filled_m, error.lost_m, decomposition.tolerance_m]),
     }
-    fill_whole(file, lambda aside: np.savez(aside, **held))
+    fill_whole(file, lambda aside: np.savez(aside, **arrays))

@@ -39,7 +39,7 @@ def tolerance_m(mesh: Mesh) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class MeshSamples:
     """Triangles, and points spread over them by area, for questions on distance."""
 
     corner: Float[np.ndarray, "f 3 3"]
@@ -80,12 +80,12 @@ class Surface:
         return farthest
 
 
-def surface_samples(solid: Manifold) -> Surface:
+def surface_samples(solid: Manifold) -> MeshSamples:
     """A surface with samples to find its triangles by."""
     point, face, corner = spread(solid, SAMPLES)
     cross = _cross(corner)
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(float).tiny)
-    return Surface(corner=corner, point=point, face=face, normal=normal, tree=cKDTree(point))
+    return MeshSamples(corner=corner, point=point, face=face, normal=normal, tree=cKDTree(point))
 
 
 def spread(
@@ -109,7 +109,7 @@ def spread(
     return point, np.concatenate([face, middles]), corner
 
 
-def filled_m(hull: Manifold, solid: Manifold, surface: Surface) -> float:
+def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
     """How far a hull reaches out of a solid: the farthest from its surface, outside it [m]."""
     filling = hull - solid
     if filling.is_empty():

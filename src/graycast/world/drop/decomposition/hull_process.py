@@ -85,10 +85,10 @@ class _Child:
             return message["stage"]
         if "refused" in message:
             raise ValueError(message["refused"])
-        made = read_decomposition(self.hull_file)
-        if made is None:
+        decomposition = read_decomposition(self.hull_file)
+        if decomposition is None:
             raise GraycastError(_obituary(self.name, self.process.wait(), self.log))
-        return made
+        return decomposition
 
 
 @contextmanager
@@ -120,9 +120,9 @@ def _obituary(name: str, code: int, log: IO[str]) -> str:
     how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
     log.seek(0)
     words = "; ".join(line.strip() for line in log.read().splitlines()[-_LOG_LINES:])
-    told = f" ({words})" if words else ""
+    why = f" ({words})" if words else ""
     return (
-        f"the process that cuts {name or 'a part'} into convex hulls {how}{told}: free memory, or "
+        f"the process that cuts {name or 'a part'} into convex hulls {how}{why}: free memory, or "
         "decimate the part's mesh"
     )
 

@@ -14,7 +14,6 @@ from .mesh_hulls import decompose
 
 FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
 
-# All that hulls depend on beside the mesh and `CACHE_VERSION`.
 _SETTINGS = (
     error.TOLERANCE_M,
     error.TOLERANCE_OF_DIAGONAL,
@@ -65,8 +64,8 @@ def convex_hulls(
         ValueError: the mesh is not closed, or inside out.
         GraycastError: the child was killed.
     """
-    (made,) = convex_hulls_of((("", mesh),), folder=folder, progress=progress)
-    return made
+    (hulls,) = convex_hulls_of((("", mesh),), folder=folder, progress=progress)
+    return hulls
 
 
 def convex_hulls_of(
@@ -88,11 +87,11 @@ def convex_hulls_of(
     folder = cache_folder() if folder is None else folder
     files = [folder / f"{key_of(mesh, _SETTINGS)}.npz" for _, mesh in named]
     kinds = dict(zip(files, named, strict=True))
-    ready = {file: made for file in kinds if (made := read_decomposition(file)) is not None}
+    ready = {file: hulls for file in kinds if (hulls := read_decomposition(file)) is not None}
 
-    def keep(file: Path, made: Decomposition) -> None:
-        write_decomposition(file, made)
-        ready[file] = made
+    def keep(file: Path, hulls: Decomposition) -> None:
+        write_decomposition(file, hulls)
+        ready[file] = hulls
 
     def jobs() -> Iterator[tuple[Path, str, Mesh]]:
         for file, (name, mesh) in kinds.items():

@@ -21,7 +21,7 @@ CUT_SHARE = 0.9
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
 _CONVEX = 1e-9  # as a share of the hull's volume: what a body may lack by round-off alone
-_TOLD_EACH = 25  # pieces
+_PROGRESS_EACH = 25  # pieces
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
@@ -49,7 +49,7 @@ def _pieces(cutter: Cutter, body: Manifold, of: str, progress: ProgressMeter) ->
     for piece in cutter.pieces():
         if len(pieces) == MOST_PIECES or cutter.worked > MOST_FACES_CUT:
             return []
-        if len(pieces) % _TOLD_EACH == 0:
+        if len(pieces) % _PROGRESS_EACH == 0:
             done = f"{len(pieces)} so far{of}"
             progress.stage(f"cutting {body.num_tri()} faces into convex pieces, {done}")
         pieces.append(piece.hull())

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-_SHOWN = 2  # reasons of a view
+_MOST_REASONS = 2  # reasons of a view
 
 
 def described(surface: Mapping[str, Any]) -> Iterator[str]:
@@ -17,12 +17,12 @@ def described(surface: Mapping[str, Any]) -> Iterator[str]:
     yield f"  {'view':{max(wide, 4)}}  measures  only it  others fill, and why it has none"
     for view in views:
         filled = view["filled_by_others"]
-        why = sorted(filled.items(), key=lambda item: -item[1])[:_SHOWN]
-        told = ", ".join(f"{name.replace('_', ' ')} {_share(share)}" for name, share in why)
+        why = sorted(filled.items(), key=lambda item: -item[1])[:_MOST_REASONS]
+        reasons = ", ".join(f"{name.replace('_', ' ')} {_share(share)}" for name, share in why)
         yield (
             f"  {view['view']:{max(wide, 4)}}  {_share(view['measured']):>8}  "
             f"{_share(view['only_this_view']):>7}  {_share(sum(filled.values(), 0.0)):>6}"
-            + (f" ({told})" if told else "")
+            + (f" ({reasons})" if reasons else "")
         )
     if len(views) > 1:
         steps = [

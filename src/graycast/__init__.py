@@ -12,7 +12,8 @@ This module offers every step to Python; `docs/library.md` begins with ten lines
 is first asked for.
 
 The rooms in order; the docstring of each has a line for each of its modules. A module imports only
-from those above it, which `tests/test_imports.py` checks.
+from those above it, which `tests/test_imports.py` checks. CONTRIBUTING.md says where a new code,
+renderer, detector, exporter or gripper goes.
 
     base      what every room uses: errors, settings, whole files, frames, plots
     rig       optics, codes, and the pair of camera and projector

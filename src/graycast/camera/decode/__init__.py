@@ -1,4 +1,16 @@
-"""From a stack of pictures to projector positions to depth, with a reason where there is none."""
+"""From a stack of pictures to projector positions to depth, with a reason where there is none.
+
+maps           inputs and results: thresholds, maps, and the reasons of pixels without depth
+plan           which frames are the bits and the phases of each axis
+bits, phases   the values of bits and of phases; phases that disagree
+positions      all frames into positions: where a pixel is decoded or gets its reason
+settling       ambiguous periods, which neighbours resolve
+visibility     pixels that a nearer surface must hide
+separation     direct and global light
+triangulation  from positions to depth
+displaced      sigma of speckle, uneven lines and bends, beyond the noise of the sensor
+outliers, median, filters   what a device removes from its depth
+"""
 
 from .displaced import with_bends, with_displacement, with_place_sigma
 from .filters import FilterSpec, depth_steps, filter_depth

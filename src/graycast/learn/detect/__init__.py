@@ -1,5 +1,12 @@
 """Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`.
 
+    encoding, training_pictures   pictures as a network takes them
+    network, networks             what all networks have in common; which there are
+    mask_rcnn, yolov3, solov2, yolov7, rf_detr, backbones, suppression   the networks
+    run, training, weights        the folder of a training, its loop, published weights
+    detector, detecting           a trained detector, and its use on pictures
+    onnx_file                     a detector for other programs
+
 A public name is imported from its module when it is first asked for, as the encoding of a picture
 needs no PyTorch.
 """

@@ -1,4 +1,7 @@
-"""The one place that knows which networks exist; each is imported when it is asked for."""
+"""Which networks there are; each is imported when it is asked for.
+
+The command line repeats their names, since this module imports PyTorch.
+"""
 
 from ...base.errors import GraycastError
 from .network import Network, NetworkClass

@@ -1,4 +1,4 @@
-"""What the robot asks of its tool, and the choice of tools that a file has.
+"""What the robot asks of its tool, a gripper, and the choice of tools that a file has.
 
 The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
 flange, jaws close along x.

@@ -9,29 +9,24 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 # The names that still have a word of another thing, and how often each is defined: keys of files,
-# outcomes that files name, and `real/twin`. A number here only becomes smaller.
+# and outcomes that files name. A number here only becomes smaller.
 REMAINING = {
     "COLLISION_SEEN": 1,
     "COLLISION_UNSEEN": 1,
     "GIVEN_UP": 1,
-    "Held": 1,
     "NOT_HELD": 1,
     "_SHOWN": 1,
-    "_held": 1,
     "_held_until": 1,
     "_seen": 1,
-    "asked": 1,
-    "held": 7,
+    "held": 2,
     "held_until_s": 1,
     "lines_seen": 1,
     "made": 2,
-    "made_by": 1,
-    "made_up": 1,
-    "seen": 8,
+    "seen": 4,
     "seen_m": 1,
     "seen_px": 2,
-    "shown": 8,
-    "told": 9,
+    "shown": 6,
+    "told": 4,
 }
 
 

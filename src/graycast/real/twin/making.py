@@ -42,13 +42,13 @@ COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
 class Twin:
     """What was found, with pictures and the classifier's word on it.
 
-    `shown` has a real scan, and its scene as the scanner was configured and as the twin scans it.
+    `examples` has a real scan, and its scene as the scanner was configured and as the twin scans it.
     `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.
     """
 
     fit: Fit
     scans: int  # that were fitted
-    shown: tuple[DepthScan, DepthScan, DepthScan]
+    examples: tuple[DepthScan, DepthScan, DepthScan]
     classified: dict[str, TwoSample]
 
 
@@ -129,8 +129,8 @@ def make_twin(
             names=("real", "as configured" if name == "before" else "twin"),
             seed=seed,
         )
-    shown = real[0], before[0], after[0]
-    return Twin(fit=fit, scans=fitted, shown=shown, classified=classified)
+    examples = real[0], before[0], after[0]
+    return Twin(fit=fit, scans=fitted, examples=examples, classified=classified)
 
 
 def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None:

@@ -68,8 +68,8 @@ def light_scenes(
         names: of the scenes, for who waits.
     """
     rig = cell.scanner.rig
-    shown = [replace(cell.scanner, code=code).light_code() for code in codes]
-    stack = [one.render(lambda share: grey_levels(rig, share)) for one in shown]
+    light_codes = [replace(cell.scanner, code=code).light_code() for code in codes]
+    stack = [one.render(lambda share: grey_levels(rig, share)) for one in light_codes]
     ends = np.cumsum([len(one) for one in stack])
     lit = []
     for number, (scene, name) in enumerate(zip(scenes, names, strict=True)):

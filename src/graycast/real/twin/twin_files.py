@@ -114,10 +114,10 @@ def draw_twin(twin: Twin, path: Path) -> None:
     figure = Figure(figsize=(15, 11), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
-    known = np.concatenate([s.depth_m[s.valid] for s in twin.shown])
+    known = np.concatenate([s.depth_m[s.valid] for s in twin.examples])
     low, high = np.percentile(known, [1, 99])
     names = ("a real scan", "its scene as configured", "its scene as the twin scans it")
-    for k, (name, scan) in enumerate(zip(names, twin.shown, strict=True)):
+    for k, (name, scan) in enumerate(zip(names, twin.examples, strict=True)):
         ax = figure.add_subplot(grid[0, k])
         ax.imshow(scan.depth_m, vmin=low, vmax=high, cmap="viridis")
         ax.set_facecolor("black")

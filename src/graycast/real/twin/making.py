@@ -42,7 +42,7 @@ COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
 class Twin:
     """What was found, with pictures and the classifier's word on it.
 
-    `examples` has a real scan, and its scene as the scanner was configured and as the twin scans it.
+    `examples` has a real scan, and its scene by the configured scanner and by the twin.
     `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.
     """
 

@@ -22,7 +22,7 @@ from scipy.stats import binom, chi2
 from ...base.robust import robust_sigma
 from .patches import second_difference
 from .realism_record import BinRecord, Fine, Pairs
-from .scan import DepthScan
+from .scan import DepthScan, incidence_rad
 
 TILE_PX = 8
 LEAST_TILES = 20  # in a bin, to be compared with another
@@ -202,10 +202,7 @@ def _brightness(scan: DepthScan, corner: Float[np.ndarray, "n 2"]) -> Float[np.n
 def _incidence(
     K: Float[np.ndarray, "3 3"], tiles: Float[np.ndarray, "n t t"], corner: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Between each tile's plane `1/z = g . (x, y, 1)` and the ray in its middle.
-
-    The plane's normal is along K^T g; the ray is K^-1 (x, y, 1).
-    """
+    """Between each tile's plane and the ray in its middle."""
     t = np.arange(TILE_PX) - (TILE_PX - 1) / 2
     x, y = (c.ravel() for c in np.meshgrid(t, t))
     inverse = 1.0 / tiles.reshape(len(tiles), TILE_PX**2)
@@ -216,10 +213,7 @@ def _incidence(
     slope = np.linalg.solve(normal, right[..., None])[..., 0]
     centre = corner + (TILE_PX - 1) / 2
     g = np.column_stack([slope[:, :2], slope[:, 2] - (slope[:, :2] * centre).sum(axis=1)])
-    across = g @ K
-    ray = np.column_stack([centre, np.ones(len(centre))]) @ np.linalg.inv(K).T
-    length = np.linalg.norm(across, axis=1) * np.linalg.norm(ray, axis=1)
-    return np.arccos((np.abs((across * ray).sum(axis=1)) / length).clip(max=1.0))
+    return incidence_rad(K, g, centre)
 
 
 # --- bins ----------------------------------------------------------------------------------------

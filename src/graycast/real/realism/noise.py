@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from ...base.robust import robust_sigma
-from .scan import DepthScan
+from .scan import DepthScan, incidence_rad
 
 PATCH_PX = 15
 REACH_PX = 4
@@ -267,16 +267,9 @@ def _incidence(
     plane: Float[np.ndarray, "n 3"],
     centre_px: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angle between the planes' normals and the camera's rays, and depth, at the patches' centres.
-
-    With 1/z = g . (x, y, 1) and the ray r = K^-1 (x, y, 1) the plane's normal is along K^T g.
-    """
+    """Angle between each plane and the camera's ray, and depth, at the patches' centres."""
     t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
     slope = plane[:, 1:] / np.sqrt(PATCH_PX * (t @ t))
     middle = plane[:, 0] / PATCH_PX
     g = np.column_stack([slope, middle - (slope * centre_px).sum(axis=1)])
-    normal = g @ K
-    ray = np.column_stack([centre_px, np.ones(len(centre_px))]) @ np.linalg.inv(K).T
-    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
-    cosine = np.abs((normal * ray).sum(axis=1)) / length
-    return np.arccos(cosine.clip(max=1.0)), 1.0 / middle
+    return incidence_rad(K, g, centre_px), 1.0 / middle

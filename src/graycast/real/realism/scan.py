@@ -65,3 +65,17 @@ class DepthScan:
         It is `JUMP_FOOTPRINTS` times the width of a pixel on a facing surface, z / f.
         """
         return float(JUMP_FOOTPRINTS / np.sqrt(self.K[0, 0] * self.K[1, 1]))
+
+
+def incidence_rad(
+    K: Float[np.ndarray, "3 3"], plane: Float[np.ndarray, "n 3"], at_px: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """The angle between the normal of a plane and the camera's ray, at one pixel of each plane.
+
+    With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
+    is K^-1 (x, y, 1).
+    """
+    normal = plane @ K
+    ray = np.column_stack([at_px, np.ones(len(at_px))]) @ np.linalg.inv(K).T
+    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+    return np.arccos((np.abs((normal * ray).sum(axis=1)) / length).clip(max=1.0))

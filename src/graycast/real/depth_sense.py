@@ -5,9 +5,9 @@ from jaxtyping import Float, Float32
 
 from ..base.errors import DatasetError
 
-BEYOND = 1.5  # times the far end, or its inverse times the near end: no other place of the camera
-FILLED = 0.05  # of the known pixels that have exactly the farthest depth
-_FEWER = 5  # times fewer pixels at each of the next depths below: measured depth thins out there
+BEYOND = 1.5  # No place of the camera explains a median beyond far times this or near over this.
+FILLED = 0.05  # A larger share of the known pixels at exactly the farthest depth may be a fill.
+_FEWER = 5  # Far measured depth thins out; a fill has so many times the pixels of depths below.
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
 

@@ -10,7 +10,7 @@ from ..base.errors import DatasetError
 from ..base.ply import COLORS, read_vertices
 
 _SIZE = {"num_cols": "width", "width": "width", "num_rows": "height", "height": "height"}
-_FIT_PX = 0.5  # largest RMS of a cloud about its own pinhole camera
+_FIT_PX = 0.5  # It is the largest RMS of a cloud about its own pinhole camera.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

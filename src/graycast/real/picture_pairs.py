@@ -24,7 +24,7 @@ from .depth_file import (
 from .organised import read_ply
 
 FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
-_NEAREST_M = 0.01  # no scanner measures from nearer
+_NEAREST_M = 0.01  # No scanner measures from nearer.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

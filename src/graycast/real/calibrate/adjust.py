@@ -16,15 +16,15 @@ from .board import CalibrationError
 DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
 REWEIGHTINGS = 4
-MOST_STEPS = 100  # of one fit, where good views take some ten
+MOST_STEPS = 100  # Good views take some ten steps in one fit.
 NO_FIT = (
     "no camera and projector fit these views: decode each stack with graycast decode to see "
     "whether its code is right, and show the board in more different directions"
 )
-OUTLIER = 6.0  # times the median residual: a corner found wrong, not one found badly
+OUTLIER = 6.0  # A residual above so many medians means a wrong corner, not an inexact one.
 RADIAL = ("k1", "k2", "k3")
-DETERMINED = 5.0  # standard deviations that a device's last radial term must differ from 0 by
-OUTLIER_FLOOR_PX = 0.05  # of that median: what is that good is not thrown away for being the worst
+DETERMINED = 5.0  # A device's last radial term must differ from 0 by so many standard deviations.
+OUTLIER_FLOOR_PX = 0.05  # The median counts as at least this, so the worst good corner stays.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

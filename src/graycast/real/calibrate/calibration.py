@@ -15,19 +15,19 @@ from .adjust import NO_FIT, Adjustment, Observations, adjust
 from .board import Board, CalibrationError
 from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe
 
-GOOD_SPREAD_RAD = math.radians(20)  # between the two boards that differ most in direction
-GOOD_COVERAGE = 0.4  # as a share of the picture, within the hull of all corners
-OUTLYING = 2.5  # times the median view's residual
-OUTLYING_FLOOR_PX = 0.05  # below it a view is good, whatever the others are
-SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # likewise of a view that spoils the fit of the others
-MOST_LOST = 0.4  # of a view's corners that disagree with the fit
-# What no device has: bounds of fx / fy or its inverse, of the focal length and of the principal
-# point in widths of the picture, of distortion as a share of the distance from the middle, and of a
-# standard deviation as a share of its number.
+GOOD_SPREAD_RAD = math.radians(20)  # The directions of some two boards should differ by this.
+GOOD_COVERAGE = 0.4  # The hull of all corners should cover this share of the picture.
+OUTLYING = 2.5  # A view fits badly if its residual is more than so many times the median view's.
+OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is good, whatever the others are.
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of the others.
+MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
+# No device is beyond these bounds: of fx / fy or its inverse, of the focal length and of the
+# principal point in widths of the picture, of distortion as a share of the distance from the
+# middle, and of a standard deviation as a share of its number.
 MOST_ASPECT, MOST_SHIFT, MOST_DISTORTION, MOST_DEVIATION = 3.0, 2.0, 0.7, 0.3
 FOCAL = (0.2, 50.0)
-GOOD_DEVIATION = 0.001  # of the focal length and the baseline
-RANGE_MARGIN = 0.1  # beyond the nearest and the farthest corner, as a share of their depth
+GOOD_DEVIATION = 0.001  # The focal length and the baseline should be certain to this share.
+RANGE_MARGIN = 0.1  # The range goes beyond the nearest and farthest corner by this share of depth.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

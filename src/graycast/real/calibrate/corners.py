@@ -9,15 +9,14 @@ from scipy.special import erf
 
 from .board import Board, CalibrationError
 
-MIN_CORNERS = 8  # of a view: a pose and a homography with something left over to judge them by
-REFINE_REACH = 0.45  # as a share of a square; beyond it the next edges come in
-REFINE_REACH_PX = 15.0  # more costs time and lets distortion bend the edges
+MIN_CORNERS = 8  # So many fix a view's pose and a homography, and some are left over to judge them.
+REFINE_REACH = 0.45  # It is a share of a square; beyond it the next edges come in.
+REFINE_REACH_PX = 15.0  # A longer reach costs time and lets distortion bend the edges.
 REFINE_ITERATIONS = 20
-SMOOTH_PX = 0.8  # standard deviation of a blur that makes sharp edges wider than a pixel
+SMOOTH_PX = 0.8  # A blur of this standard deviation makes sharp edges wider than a pixel.
 MIN_BLUR_PX = 0.5
-MIN_CONTRAST = 0.05  # half the step between dark and bright, of the picture's range
-# as a share of a square, by which refining may move a corner: else it found something else
-MAX_MOVE = 0.2
+MIN_CONTRAST = 0.05  # It is half the step from dark to bright, as a share of the picture's range.
+MAX_MOVE = 0.2  # If refining moves a corner by a larger share of a square, it found something else.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

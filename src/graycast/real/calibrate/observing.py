@@ -14,14 +14,14 @@ from .board import Board, CalibrationError
 from .corners import MIN_CORNERS, find_corners
 from .projector_corners import projector_corners
 
-MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
+MIN_VIEWS = 3  # Fewer directions of a plane do not determine the intrinsics.
 GOOD_VIEWS = 8
-SAME_POSE = 0.005  # of the board's radius in the picture, by which its corners differ
-GROSS, GROSS_PX = 6.0, 2.0  # corners off from their view's others, in medians and pixels
-MOST_RMS = 0.005  # of a device, in widths of its picture
-GOOD_RMS_PX, SPOILING = 0.5, 3.0  # of a device alone; by which one view may worsen it
-# A view that puts the projector elsewhere: by so many times what is usual, and at least by so much.
-ELSEWHERE, TURN_DEG, SHIFT = 4.0, 0.25, 0.02  # the shift is a share of the baseline
+SAME_POSE = 0.005  # In a picture, corners of one pose are nearer, as a share of the board's radius.
+GROSS, GROSS_PX = 6.0, 2.0  # A corner above both, in its view's medians and in pixels, is wrong.
+MOST_RMS = 0.005  # A device's residual is at most this, in widths of its picture.
+GOOD_RMS_PX, SPOILING = 0.5, 3.0  # A device alone is good below it; one view may worsen it so far.
+# A view puts the projector elsewhere if it is off by so many times the usual and at least so much.
+ELSEWHERE, TURN_DEG, SHIFT = 4.0, 0.25, 0.02  # The shift is a share of the baseline.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

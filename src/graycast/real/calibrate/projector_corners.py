@@ -8,11 +8,11 @@ from jaxtyping import Float, Int
 from ...base.robust import robust_sigma
 from .corners import Corners
 
-REACH = 0.9  # as a share of a square: every inner corner has a whole square around it on the board
-MIN_SHARE = 0.3  # as a share of the pixels around a corner that must be decoded and agree
+REACH = 0.9  # It is in squares: every inner corner has a whole square around it on the board.
+MIN_SHARE = 0.3  # This share of the pixels around a corner must be decoded and agree.
 MIN_PIXELS = 20
 ROUNDS = 12
-OUTLIER = 3.0  # robust standard deviations
+OUTLIER = 3.0  # A value is an outlier beyond so many robust standard deviations.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,17 +32,17 @@ from ...world.parts.normals import crease_normals
 from ...world.scene import Bin, bin_mesh
 from .bin_views import BinView
 
-EDGE_M = 8e-3  # edges this short are not split; also the standard deviation of the smoothing
-_LONGEST_M = 8 * EDGE_M  # edges longer than this always are: a face is looked at in a few points
-_CURVED_M = 1e-4  # how far a face may be from the smooth shape: the noise of one pixel
+EDGE_M = 8e-3  # Shorter edges are not split; it is also the standard deviation of the smoothing.
+_LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is looked at in a few points.
+_CURVED_M = 1e-4  # A face may be so far from the smooth shape, as this is the noise of one pixel.
 # Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
 REACH_M = 15e-3
-_STEP_M = 5e-3  # how much more than its neighbours' a step in depth is
-_MARGIN_PX = 3  # pixels beside a step or a part mix two surfaces
+_STEP_M = 5e-3  # A step in depth is larger than its neighbours' steps by this.
+_MARGIN_PX = 3  # So many pixels beside a step or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
-_LEAST_SHARE = 0.05  # of the mesh's pixels; fewer say that the pose is wrong
-_COARSER = 0.01  # weight of the next coarser level: it counts where little is measured
-_ROUNDS = 3  # smoothing takes 10 % off a bulge, and two rounds more put all but 0.1 % back
+_LEAST_SHARE = 0.05  # If fewer of the mesh's pixels are measured near it, the pose is wrong.
+_COARSER = 0.01  # The next coarser level has this weight, which counts where little is measured.
+_ROUNDS = 3  # Smoothing takes 10 % off a bulge, and two rounds more put all but 0.1 % back.
 
 
 def bend_bin(
@@ -280,8 +280,8 @@ class _Bend:
         return np.clip(pixel, 0, [width_px - 1, height_px - 1])
 
 
-# Corners 0 to 2 of a face and the middles 3 to 5 of its edges 01, 12 and 20: the faces that take
-# its place, by which edges are split (bits 1, 2 and 4).
+# A face has corners 0 to 2 and middles 3 to 5 of its edges 01, 12 and 20. These faces take its
+# place, by which edges are split (bits 1, 2 and 4).
 _PIECES = (
     ((0, 1, 2),),
     ((0, 3, 2), (3, 1, 2)),
@@ -294,7 +294,7 @@ _PIECES = (
 )
 
 
-_STEPS = 4  # per edge, of the points at which a face is compared with the smooth shape
+_STEPS = 4  # A face and the smooth shape are compared at points, so many steps per edge.
 _WITHIN = np.array(
     [(i, j, _STEPS - i - j) for i in range(_STEPS + 1) for j in range(_STEPS + 1 - i)]
 ) / float(_STEPS)

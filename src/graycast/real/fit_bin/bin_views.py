@@ -18,7 +18,7 @@ from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
-_NORMALS_ACROSS = 400  # normals come from pixels a two-hundredth of the picture apart, or 2
+_NORMALS_ACROSS = 400  # Normals come from pixels a two-hundredth of the picture apart, or 2.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
-_RAISED_M, _AROUND_M = 0.015, 0.025  # of content: above the floor; walls, and what places are off
+# Content starts this far above the floor; walls and what places are off widen it by the second.
+_RAISED_M, _AROUND_M = 0.015, 0.025
 
 
 @final

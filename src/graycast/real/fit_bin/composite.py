@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from ...base.errors import DatasetError
 from .bin_views import BinView
 
-SHARED_M = 2e-3  # two depths nearer than this are of one surface
+SHARED_M = 2e-3  # Two depths nearer to each other than this are of one surface.
 
 
 def empty_view(views: Sequence[BinView]) -> BinView:

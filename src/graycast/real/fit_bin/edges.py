@@ -16,10 +16,10 @@ from .shape import BinShape
 
 SEARCHED = ("x", "y", "about z")
 _FIRST_M, _LAST_M = 4e-3, 0.05e-3
-_LEVER_M = 0.2  # a turn is as large a step as a shift of a point so far away
+_LEVER_M = 0.2  # A turn is as large a step as a shift of a point so far away.
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
-_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # a shift by the one must cost as many pixels as the other
+_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must cost as many pixels as the second.
 
 
 def hold_by_edges(

@@ -34,14 +34,14 @@ from .bin_views import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over, is_floor
 
 SURFACES = ("walls", "floor", "table")
-_ACROSS_PX = 256  # of the pictures that are compared
+_ACROSS_PX = 256
 _SAMPLES = 64
 _ROUNDS = 12
-_SETTLED = 0.003  # largest relative change of a reflectance in the last round
-_EXPONENT = 0.9  # of a step: light from wall to wall answers more than in proportion
+_SETTLED = 0.003  # The rounds end when no reflectance changes by a larger share.
+_EXPONENT = 0.9  # A step is reduced, as light from wall to wall answers more than in proportion.
 _LEAST_PX = 60
-_NEAR_M = 0.004  # a pixel is of a surface where its depth is as near to it
-_DARK, _BRIGHT = 6, 250  # 8-bit values beyond are noise or clipped
+_NEAR_M = 0.004  # A pixel is of a surface where its depth is as near to it.
+_DARK, _BRIGHT = 6, 250  # Darker 8-bit values are noise, and brighter ones are clipped.
 
 Color = tuple[float, float, float]
 

@@ -25,7 +25,7 @@ NAMES = (
     "underside",
 )
 _SAMPLES, _LEAST_SPACING_M = 200_000, 1e-3
-_REACH_M = 0.05  # farther faces are not looked for
+_REACH_M = 0.05  # Faces that are farther away are not looked for.
 
 
 @final

@@ -20,13 +20,13 @@ from .registration import LAST_M, FacePairs, equations, pairs_of, register
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 
-FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # of the bin, in its own frame
-_LEAST_INLIERS = 60  # points of a face that hold a degree of freedom
-_FINE_M = 0.005  # of the evidence that picks one of the starts
-_SEARCH_PX = 64  # of the grid on which the first search looks
-_NEARLY_SQUARE = 0.8  # width over length of a bin that coarse steps may take crosswise
-_STARTS, _FINALISTS = 10, 4  # poses begun with on each plane, and followed to the end
-_LEAST_AGREEING = 0.35  # as a share of what is measured where the bin should be
+FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # They are in the bin's own frame.
+_LEAST_INLIERS = 60  # Fewer points on the faces across an axis do not fix the shift along it.
+_FINE_M = 0.005  # The evidence that picks one of the starts falls to 0 over this distance.
+_SEARCH_PX = 64
+_NEARLY_SQUARE = 0.8  # Coarse steps may take a bin of a larger width over length crosswise.
+_STARTS, _FINALISTS = 10, 4  # So many poses begin on each plane, and so many go on to the end.
+_LEAST_AGREEING = 0.35  # This share of what is measured where the bin should be must agree.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 

@@ -19,8 +19,8 @@ from ...base.frames import rigid, transform_points
 from ...base.robust import robust_sigma
 from .shape import BinShape, height_over
 
-FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # how far a point may lie from its face
-_TUKEY = 4.685  # in standard deviations, for an efficiency of 95 %
+FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # A point may be so far from its face, ever less.
+_TUKEY = 4.685  # So many standard deviations give an efficiency of 95 %.
 _LEAST_SIGMA_M = 1e-4
 
 

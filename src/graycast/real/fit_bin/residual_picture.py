@@ -15,9 +15,9 @@ from .bin_views import BinView
 from .pose_fit import PoseFit
 from .shape import NO_FACE, BinShape, height_over
 
-_RANGE_M = 0.006  # beyond, it is not the bin
+_RANGE_M = 0.006  # What is farther off is not the bin.
 _ACROSS_PX = 640
-_BELOW = (0.5, -0.1)  # of an axes' own size
+_BELOW = (0.5, -0.1)  # It counts in sizes of the axes.
 
 
 def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], path: Path) -> None:

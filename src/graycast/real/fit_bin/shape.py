@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from .bin_views import Grid
 
 NO_FACE = -1
-COS_ALIKE = 0.707  # as a share of the largest angle between a point's normal and its face's
+COS_ALIKE = 0.707  # A point's normal and its face's differ by at most 45 degrees.
 
 
 @runtime_checkable

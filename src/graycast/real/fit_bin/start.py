@@ -17,16 +17,16 @@ from .bin_views import Grid
 from .box import OpenBox, open_box
 from .shape import is_floor
 
-PLANES = 6  # the floor is among the largest: table, floor, walls
+PLANES = 6  # The floor is among the largest planes: the others are the table and the walls.
 _TRIALS = 400
-_PLANE_M = 0.004  # half thickness of a plane's points, noise included
-_LEAST_SHARE = 0.02  # of all points, for a plane
+_PLANE_M = 0.004  # A plane's points lie so far to either side of it, noise included.
+_LEAST_SHARE = 0.02  # A plane has at least this share of all points.
 _YAW_STEP_RAD = np.radians(7.5)
-_STEPS = 12  # between places, in the box's shorter side
+_STEPS = 12  # The box's shorter side is so many steps between places long.
 _CONTENT = 1.0
-_CLIMBERS = 200  # of them, that are moved to where they fit best
-_CENTRES = 2000  # places tried on one plane, at most
-_APART = 0.25  # poses nearer than this share of the box's shorter side are one
+_CLIMBERS = 200  # So many of the best places are moved to where they fit best.
+_CENTRES = 2000  # At most about so many places are tried on one plane.
+_APART = 0.25  # Poses that are nearer than this share of the box's shorter side are one.
 
 
 def start_poses(

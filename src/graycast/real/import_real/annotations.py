@@ -16,7 +16,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs, parse_json
 
-_RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # corners as picks of (x0, x1) and (y0, y1)
+_RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # Its corners pick of (x0, x1) and of (y0, y1).
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ _Values = Float[np.ndarray, "..."]
 _Mask = Bool[np.ndarray, "..."]
 
 _REACH_PX = 8
-_MARGIN = 0.25  # of the least step: how far off both surfaces, and off its neighbours, a flyer is
+_MARGIN = 0.25  # A flyer is off both surfaces and its neighbours by this share of the least step.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

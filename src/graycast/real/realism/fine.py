@@ -25,14 +25,14 @@ from .realism_record import BinRecord, Fine, Pairs
 from .scan import DepthScan, incidence_rad
 
 TILE_PX = 8
-LEAST_TILES = 20  # in a bin, to be compared with another
+LEAST_TILES = 20  # A bin needs so many tiles to be compared with another.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), np.nextafter(1.0, 2.0)])
 INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
-_OUTLIER = 6.0  # times the sigma of the tile or square
-_MOST_OUTLIERS = 0.05  # as a share of a tile's differences; with more it is an edge
-_LEAST_DIFFERENCES = 20  # of the 36 of a tile
-_FACING_DEG = 45.0  # noise is compared over brightness up to there
-_SAME_M = 3e-3  # two maps show the same surface where they differ by less
+_OUTLIER = 6.0  # A difference is an outlier beyond so many sigmas of the tile or square.
+_MOST_OUTLIERS = 0.05  # A tile with a larger share of outliers is an edge.
+_LEAST_DIFFERENCES = 20  # A tile has 36 differences.
+_FACING_DEG = 45.0  # Noise is compared over brightness up to this angle.
+_SAME_M = 3e-3  # Two maps show the same surface where they differ by less.
 _PERCENTILES = (5, 25, 50, 75, 95)
 _LAGS = (1, 2, 3)
 

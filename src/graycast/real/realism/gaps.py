@@ -25,16 +25,16 @@ from .realism_record import Baseline
 from .scan import DepthScan
 
 _LEAST_GAP_PX = 4
-_RIM_PX = 3  # valid pixels on one surface on either side
-_SMOOTH = 1 / 3  # of a jump, at most, between neighbours on it
-_AGREE = 0.2  # relative
+_RIM_PX = 3  # A gap has so many valid pixels on one surface on either side.
+_SMOOTH = 1 / 3  # Neighbours on a surface differ by at most this share of a jump.
+_AGREE = 0.2  # Estimates agree within this share.
 _ROUNDS = 3
-_LEAST_ROWS = 5  # that cut the same edge; fewer are no edge
+_LEAST_ROWS = 5  # Fewer rows that cut the same edge are no edge.
 _LEAST_EDGES = 5
-_LEAST_AGREEING = 0.25  # of the edges
-_EDGE_PX = 2.0  # how well a shadow's width follows the formula, for each edge (one sigma)
-_EATEN_PX = 2.0  # what a scanner's filters take off the rims (one sigma)
-_FORWARD = 0.5  # and t what it is for axes that meet in the middle distance, relative
+_LEAST_AGREEING = 0.25
+_EDGE_PX = 2.0  # A shadow's width follows the formula so well, for each edge (one sigma).
+_EATEN_PX = 2.0  # A scanner's filters take so much off the rims (one sigma).
+_FORWARD = 0.5  # It is t's relative sigma about its value for axes meeting in the middle distance.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

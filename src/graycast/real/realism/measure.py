@@ -15,7 +15,7 @@ from .realism_record import Autocorrelation, Jumps, Noise, Realism, Steps
 from .scan import DepthScan
 
 _PERCENTILES = (5, 25, 50, 75, 95)
-_LEAST_PATCHES = 10  # to tell an autocorrelation
+_LEAST_PATCHES = 10  # Fewer patches do not determine an autocorrelation.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

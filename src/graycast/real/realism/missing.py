@@ -11,13 +11,13 @@ from scipy.optimize import isotonic_regression
 from .realism_record import BinRecord, DropOut, Islands, Missing
 from .scan import DepthScan
 
-LEVELS = 4095  # of the brightness histogram: 8, 10 and 12 bits keep their own levels apart
+LEVELS = 4095  # The histogram of brightness keeps the levels of 8, 10 and 12 bits apart.
 ISLAND_PX = 10
-# Octaves, because a sensor's response is judged by ratios; and what is at its end.
+# A sensor's response is judged by ratios, so bins are octaves; the last one is where it saturates.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
-SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # from and to, of islands told by size
-_LEAST_DROP = 0.2  # as a share of the missing share, to be called a step
-_NEIGHBOURS = np.ones((3, 3), dtype=int)  # corners connect
+SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # Islands are counted by sizes from and to these.
+_LEAST_DROP = 0.2  # The share that is missing must drop by this at a step.
+_NEIGHBOURS = np.ones((3, 3), dtype=int)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

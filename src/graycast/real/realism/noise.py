@@ -19,17 +19,17 @@ from .scan import DepthScan, incidence_rad
 
 PATCH_PX = 15
 REACH_PX = 4
-_LEAST_VALID = 0.9  # of a patch's pixels
-_MOST_OUTLIERS = 0.05  # as a share of a patch's pixels, beyond that it is an edge
+_LEAST_VALID = 0.9  # A patch must have this share of valid pixels.
+_MOST_OUTLIERS = 0.05  # A patch with a larger share of outliers is an edge.
 _OUTLIER_SIGMAS = 5.0
-_DEGREE = 5  # of the full fit
+_DEGREE = 5
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
-_PLANE = 3  # terms of the basis that make a plane; the rest of it bends
-_CERTAINTY = 0.999  # with which a patch is bent before it is called so
+_PLANE = 3  # So many terms of the basis make a plane; the rest of it bends.
+_CERTAINTY = 0.999  # A patch is called bent only if that is so certain.
 _ROUNDS = 4
-_LEAST_PATCHES = 5  # for an autocorrelation
+_LEAST_PATCHES = 5  # Fewer patches do not determine an autocorrelation.
 
-# Lags (dx, dy) of which each pair of pixels has one: half of the plane, and zero first.
+# Each pair of pixels has one of these lags (dx, dy): they are half of the plane, and zero first.
 LAGS = [(dx, dy) for dy in range(REACH_PX + 1) for dx in range(-REACH_PX, REACH_PX + 1)
         if dy > 0 or dx >= 0]  # fmt: skip
 

@@ -20,21 +20,21 @@ from .scan import DepthScan
 
 SQUARE_PX = 32
 STRIDE_PX = 16
-STEP_M = 0.015  # neighbours further apart in depth are a step
+STEP_M = 0.015  # Neighbours that are farther apart in depth are a step.
 _LEAST_VALID = {"smooth": 0.7, "floor": 0.5}
-_SMOOTH_M = 2e-3  # all but `_STRAY` of a smooth square lie so near to a paraboloid
-_FLOOR_M = 4e-3  # and of the floor to its plane
+_SMOOTH_M = 2e-3  # All but `_STRAY` of a smooth square lie so near to a paraboloid.
+_FLOOR_M = 4e-3  # All but `_STRAY` of a square on the floor lie so near to its plane.
 _STRAY = 0.03
-_FLOOR_SHARE = 0.05  # as a share of a map's pixels, to be called a floor
-_SAMPLED = 4000  # pixels of a map, of which the valid ones vote for a floor
+_FLOOR_SHARE = 0.05  # A floor has more than this share of a map's pixels.
+_SAMPLED = 4000  # The valid ones among so many pixels of a map vote for a floor.
 # Three pixels lie on a floor of a fifth of the depth once in 125 draws, and of these planes only
 # some are right to 4 mm everywhere.
 _DRAWS = 6000
-_ELECTORS = 2000  # so many of the pixels judge all draws, and all pixels judge the best of these
+_ELECTORS = 2000  # So many of the pixels judge all draws, and all pixels judge the best of these.
 _FINALISTS = 20
-_LEAST_TRIANGLE_PX2 = 4000.0  # twice the area: a smaller one tells no slope
+_LEAST_TRIANGLE_PX2 = 4000.0  # It is twice the area: a smaller triangle determines no slope.
 _TINY_M = 1e-6
-_LEAST_PAIRS = 30  # of which a correlation is told
+_LEAST_PAIRS = 30  # A correlation needs so many pairs of values.
 
 FEATURES: dict[str, tuple[str, ...]] = {
     "noise": (

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...base.errors import DatasetError, GraycastError
 
-RECORD_FILE = "realism.json"  # in the folder that `graycast realism` writes
+RECORD_FILE = "realism.json"  # It is in the folder that `graycast realism` writes.
 FORMAT_VERSION = 4
 
 

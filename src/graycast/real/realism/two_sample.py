@@ -26,9 +26,9 @@ from .scan import DepthScan
 PLACES = ("smooth", "floor")
 _TREES = 200
 _LEAST_IN_LEAF = 3
-_LEAST_SQUARES = 20  # of each set at a place, to learn from
+_LEAST_SQUARES = 20
 _FOLDS = 5
-_MOST_HALVES = 6  # ways to divide the first set into two
+_MOST_HALVES = 6  # The first set is divided into two in at most so many ways.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

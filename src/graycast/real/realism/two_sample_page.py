@@ -15,8 +15,8 @@ from .scan import DepthScan
 from .two_sample import PLACES, Auc, TwoSample
 
 CLASSIFIER = "classifier.md"
-_SHOWN = 8  # squares of each set in a row of the picture
-_RELIEF_MM = 0.8  # black to white
+_SHOWN = 8  # A row of the picture has so many squares of one set.
+_RELIEF_MM = 0.8  # It goes from black to white.
 _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 

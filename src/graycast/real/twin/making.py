@@ -32,10 +32,10 @@ from .searching import Fit, scans_of, search
 from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
-LEAST_KEPT = 2  # scans that the search does not see, for the classifier to learn from
-_BRIGHTEST = 0.9  # reflectance that a bin may be given
-_SMOOTHEST = 0.1  # roughness: a smoother coat shows the lamp in single pixels
-COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
+LEAST_KEPT = 2  # The classifier learns from these scans, which the search does not see.
+_BRIGHTEST = 0.9
+_SMOOTHEST = 0.1  # A coat of less roughness shows the lamp in single pixels.
+COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,15 +14,15 @@ from jaxtyping import Float
 from ...camera.scanner import Scanner
 from ...rig.pattern import CodeSpec
 
-# The keys that are no scanner's: factors on the bin's own colour and on the coat over it, and how
-# much rougher the coat is.
+# These keys are no scanner's: they are factors on the bin's own colour and on the coat over it, and
+# how much rougher the coat is.
 BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS = OF_BIN = (
     "bin.material.base_color",
     "bin.material.specular",
     "bin.material.roughness",
 )
-ROUGHER = 0.15  # the range of the roughness, to either side of the configured one
-FULL_WELL = "sensor.full_well_e"  # the gain follows, so that a full well keeps its digital number
+ROUGHER = 0.15  # The roughness may differ so far to either side from the configured one.
+FULL_WELL = "sensor.full_well_e"  # The gain follows, so that a full well keeps its digital number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,8 +78,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
 )
 
-# What a search found of one laser scanner (a PhoXi) over one bin of plastic: a place to begin at
-# for scanners of that kind, whose noise is the surface's and hardly the light's (docs/twin.md).
+# A search found this of one laser scanner (a PhoXi) over one bin of plastic. It is a place to begin
+# at for scanners of that kind, whose noise is the surface's and hardly the light's (docs/twin.md).
 LASER_OVER_PLASTIC: Mapping[str, float] = {
     "exposure.target": 0.9,
     "exposure.factors[1]": 15.0,

@@ -6,8 +6,8 @@ from ...base.errors import GraycastError
 from ..realism import DepthScan
 from ..realism.depth_steps import count_steps
 
-_LEAST_JUMPS = 20  # per map, to tell a shadow side
-_MOST_SHARE = 0.25  # of jumps on one side over those on the other, for that side to be in shadow
+_LEAST_JUMPS = 20  # Fewer jumps per map do not show which side is in shadow.
+_MOST_SHARE = 0.25  # A side is in shadow if its jumps are at most this share of the other side's.
 
 
 def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:

@@ -25,26 +25,26 @@ from ...world.parts import Material, Mesh, Part
 from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
 from ..realism import DepthScan
 
-_THIN_M = 1.5e-3  # above the bin: its mesh and the noise are off by less
-_LEAST_BIN = 0.05  # as a share of all depth; less says that the pose is wrong
-_LEAST_PX = 30  # pixels of a thing; a mirror image in a glossy wall has fewer
-_STEP_M = 5e-3  # neighbours whose surfaces are further apart are not joined
-_MOST_GAP_PX = 60  # of a gap that the surface about it crosses
-_BENT_M = 4e-3  # the surface about a gap may be this far from a plane, or the gap stays
-_LEAST_AROUND = 0.8  # as a share of what is about it
-_MOST_COVERED = 0.95  # a pixel beside a thing is covered by it to this share at most
-_UNDER_M = 2e-3  # so deep the sides go into the bin
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that so many pixels of all pictures are below
-_DARKEST = 0.03  # black print and plastic reflect about as much
-_GREY = 0.5  # without a picture
+_THIN_M = 1.5e-3  # A thing stands higher above the bin, whose mesh and noise are off by less.
+_LEAST_BIN = 0.05  # If less of all depth is near the bin, the pose is wrong.
+_LEAST_PX = 30  # A mirror image in a glossy wall has fewer pixels than a thing.
+_STEP_M = 5e-3  # Neighbours whose surfaces are farther apart are not joined.
+_MOST_GAP_PX = 60  # A gap of at most so many pixels is crossed by the surface about it.
+_BENT_M = 4e-3  # The surface about a gap may be this far from a plane, or the gap stays.
+_LEAST_AROUND = 0.8  # This share of what is about a gap must have a surface.
+_MOST_COVERED = 0.95  # A pixel beside a thing is covered by it to this share at most.
+_UNDER_M = 2e-3  # The sides go so deep into the bin.
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # The share of all pictures' pixels is below the reflectance.
+_DARKEST = 0.03  # Black print and plastic reflect about as much.
+_GREY = 0.5  # It is for a part without a picture.
 _ROUGHNESS = 0.5
-# Radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is near to a surface
-# [m], round after round. A gap of 0.6 mm is three times the noise of dark plastic.
+# A round has the radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is
+# near to a surface [m]. A gap of 0.6 mm is three times the noise of dark plastic.
 _ROUNDS = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
-_WIDTHS = 1.7  # a window's radius in standard deviations of its weight
-_RIDGE = 1e-3  # in pixels' weights: a slope that few pixels tell is small
+_WIDTHS = 1.7  # A window's radius is so many standard deviations of its weight.
+_RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
 
-Planes = Float[np.ndarray, "h w 3"]  # inverse depth [1/m], its changes per pixel along x and y
+Planes = Float[np.ndarray, "h w 3"]  # It is inverse depth [1/m] and its change per pixel in x, y.
 
 
 def restage(
@@ -214,11 +214,11 @@ def solid_of(
 
 # --- the mesh ------------------------------------------------------------------------------------
 
-# The four pixels about a corner, as the steps from the corner's row and column to theirs. Corner
+# These are the steps from a corner's row and column to those of the four pixels about it. Corner
 # (i, j) lies above and left of pixel (i, j). It lies a bit aside, as the ray of a pixel's centre
 # would otherwise run along the edge between the two triangles of the pixel, and may miss both.
 _ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
-_CORNER_PX = np.array([-0.45, -0.48])  # x and y, from the centre of pixel (i, j)
+_CORNER_PX = np.array([-0.45, -0.48])  # It is x and y from the centre of pixel (i, j).
 
 
 def _corners(

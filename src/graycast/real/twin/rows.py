@@ -21,15 +21,15 @@ from ..realism.patches import (
     third_difference,
 )
 
-Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
-_SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
-_LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
-_LEAST_KNOWN = 0.7  # of a square's differences
-_LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # of fewer, scans differ by chance
-_SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface
+Places = Mapping[str, Bool[np.ndarray, "h w"]]  # Missing depth is counted there, by `PLACES`.
+_SIGMAS = 2.0  # A row is met within so many standard deviations of the real scans' mean.
+_LEAST_SPREAD = 0.05  # It is a share of the mean, as three scans do not determine a spread well.
+_LEAST_KNOWN = 0.7  # This share of a square's differences must be known.
+_LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # With fewer, scans differ by chance.
+_SMOOTH_M = 5e-4  # A square whose differences scatter more is no smooth surface.
 PLACES = ("visible", "left", "right", "upper", "lower", "blind")
-_UNKNOWN_Z = 5.0  # how far off a row is that the twin's scans cannot tell
-_FAR_Z = 3.0  # what is farther off counts by its logarithm
+_UNKNOWN_Z = 5.0  # A row that is missing in the twin's scans counts as so far off.
+_FAR_Z = 3.0  # What is farther off counts by its logarithm.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,7 @@ def loss_of(rows: Sequence[Row]) -> float:
     return float((pulls_of(rows) ** 2).mean())
 
 
-# name: unit, and the least spread that is believed
+# Each name has its unit and the least spread that is believed.
 ROWS: dict[str, tuple[str, float]] = {
     "missing where a real scan has depth": ("%", 3.0),
     "missing on the bin's left side": ("%", 3.0),

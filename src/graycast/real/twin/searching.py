@@ -37,13 +37,13 @@ from .parameters import (
 from .rows import Figures, Places, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, LitScene, scan_lit
 
-_DARK_LOSS = 1e3  # of a scanner that sees nothing
-_LEVER = 0.1  # over which slopes are taken, as a share of a range: over less they are mostly noise
-_STARTS = 16  # places of the first look that are spread over the ranges
-# Of the steps: the first damping [spreads^2 per range^2], how many may fail before slopes are taken
-# anew, and the shortest way.
+_DARK_LOSS = 1e3  # It is the loss of a scanner that sees nothing.
+_LEVER = 0.1  # Slopes are taken over this share of a range, as over less they are mostly noise.
+_STARTS = 16  # So many places of the first look are spread over the ranges.
+# Steps have a first damping [spreads^2 per range^2], a number that may fail before slopes are taken
+# anew, and a shortest way.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
-_LEAST_PIXELS = 1000  # with depth, for a scan to be one
+_LEAST_PIXELS = 1000  # A scan with depth in fewer pixels is none.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

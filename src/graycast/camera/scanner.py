@@ -39,7 +39,7 @@ from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
 
-APERTURE_SLACK = 0.05  # sensor.f_number may differ by this share from the camera's own aperture.
+APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

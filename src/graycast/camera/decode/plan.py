@@ -68,8 +68,8 @@ class AxisPlan:
     cell_px: float
     reach: int
     periods: tuple[Period, ...]  # the shortest full one first
-    half_px: float  # about the middle of its cell, or of the projector, a place lies within
-    model_rad: float  # by which phases of one place may differ beyond their noise
+    half_px: float  # A place lies this near the middle of its cell, or of the projector.
+    model_rad: float  # Phases of one place may differ by this beyond their noise.
 
     @property
     def gray_counts(self) -> bool:

@@ -31,8 +31,8 @@ class _Edges:
     """Where one neighbour sees one Gray cell and the other the next, which is between the two."""
 
     place: Float[np.ndarray, " n"]  # [periods]
-    phase: Float[np.ndarray, " n"]  # there [periods], as the stated steps make it
-    forwards: float  # mean of sin(its change), counted towards higher places
+    phase: Float[np.ndarray, " n"]  # It is the phase there [periods], as the stated steps make it.
+    forwards: float  # It is the mean of sin(change of phase) towards higher places.
 
     @property
     def backwards(self) -> bool:

@@ -40,7 +40,7 @@ from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
 MAX_DEATHS = 3
-NORMAL_OFFSET = 2.0  # worker/materials.py adds the same number.
+NORMAL_OFFSET = 2.0  # The worker adds it in worker/materials.py.
 
 GREY = (1 / 3, 1 / 3, 1 / 3)
 

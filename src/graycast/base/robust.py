@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-MAD_SIGMA = 1.4826  # a normal law's standard deviation over its median absolute deviation
+MAD_SIGMA = 1.4826  # It is a normal law's standard deviation over its median absolute deviation.
 
 
 def robust_sigma(

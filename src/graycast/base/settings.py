@@ -32,7 +32,7 @@ Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 Level = Annotated[float, Field(ge=0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]  # in files every number is
+Finite = Annotated[float, Field(allow_inf_nan=False)]  # In files every number is finite.
 
 
 def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -42,7 +42,7 @@ def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 Number = TypeVar("Number")
-SpanOf = Annotated[tuple[Number, Number], AfterValidator(_ordered)]  # [lowest, highest]
+SpanOf = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 Span = SpanOf[float]
 PositiveSpan = SpanOf[Positive]
 ShareSpan = SpanOf[Share]
@@ -279,7 +279,7 @@ def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
     return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
 
 
-# What pydantic calls a key that a section, or a dataclass in its place, does not know.
+# Pydantic gives these types to a key that a section, or a dataclass in its place, does not know.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 

@@ -8,10 +8,11 @@ from enum import IntEnum
 
 import numpy as np
 
-SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")  # of a dataset's seed
-OF_IMAGE = ("render", "noise", "picture")  # each image of a scene has these for itself
+# A dataset's seed has the first of these; each image of a scene has the second for itself.
+SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
+OF_IMAGE = ("render", "noise", "picture")
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
-EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # of a robot's seed
+EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # They are of a robot's seed.
 
 
 class CaptureStream(IntEnum):

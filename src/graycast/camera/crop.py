@@ -12,10 +12,10 @@ from ..base.mask_box import mask_box
 from ..base.robust import robust_sigma
 from ..rig.optics import Optics, rays
 
-OUTLIER_SIGMAS = 2.5  # neighbours farther off a first plane are no part of the second
-LEAST_SHARE = 0.4  # as a share of a window that has to be of one surface, or there is no normal
-ROUNDING = 1e-6  # as a share of the depth: below it a plane has no outliers
-STEEP = 3.0  # depth over width that a surface may have: 72 degrees to the ray
+OUTLIER_SIGMAS = 2.5  # The second fit of a plane leaves out neighbours farther off the first.
+LEAST_SHARE = 0.4  # A window has a normal only if this share of it is of one surface.
+ROUNDING = 1e-6  # Neighbours off a plane by less than this share of the depth are no outliers.
+STEEP = 3.0  # A surface's depth may grow by this over its width: 72 degrees to the ray.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,10 +28,9 @@ from scipy import ndimage
 from ..base.settings import check_fields
 from .decode import DepthMap
 
-# as a share of its depth, that a surface may rise from one pixel to the next but one
-STEEPEST = 0.02
-_SEED = 15  # of the raster; any number would do
-_SMOOTHED = (4 * math.pi) ** -0.25  # what a Gaussian of one pixel leaves of white noise, one sigma
+STEEPEST = 0.02  # A surface rises by less than this share of its depth over two pixels.
+_SEED = 15  # It fixes the raster, and any number would do.
+_SMOOTHED = (4 * math.pi) ** -0.25  # A Gaussian of one pixel leaves this of white noise's sigma.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from ..base.streams import CaptureStream, stream
 
-# Distance on a surface at which the finish of two places has a correlation of 1/e. Measured on five
-# scans of one bin of plastic, the parts in it included.
+# At this distance on a surface, the finish of two places has a correlation of 1/e. It was measured
+# on five scans of one bin of plastic, the parts in it included.
 PATCH_M = 0.010
 
 

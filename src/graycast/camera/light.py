@@ -8,8 +8,8 @@ from scipy import fft
 from ..render.radiance import Radiance
 from ..rig.pair import Rig
 
-OCTAVES = 6  # of the veil: standard deviations of 1/64, 1/32 .. 1/2 of the image's width
-LOW_WIDTH_PX = 128  # of the picture on which the veil is computed: the finest octave spans 2 pixels
+OCTAVES = 6  # The veil has sigmas of 1/64, 1/32 .. 1/2 of the image's width.
+LOW_WIDTH_PX = 128  # The veil is computed on a picture this wide: the finest octave spans 2 pixels.
 
 
 def camera_light(

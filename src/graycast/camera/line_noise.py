@@ -23,8 +23,8 @@ from ..rig.pattern import Axis, Code
 from .decode import DecodeSpec, Levels, decode
 from .decode.plan import plan_axes
 
-_LEAST_WEIGHT = 1e-4  # of a frequency, as a share of the greatest; finer ones are not drawn
-_TOP_DN = 60_000  # as which light is decoded without noise
+_LEAST_WEIGHT = 1e-4  # Fine frequencies below this share of the greatest weight are not drawn.
+_TOP_DN = 60_000  # Light is decoded without noise, with its brightest pixel at this value.
 
 
 def lines_seen(

@@ -10,7 +10,7 @@ from ..rig.pair import Rig
 from .scanner import Scanner
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose
 
-PERCENTILE, TARGET = 98.0, 0.85  # of the colour picture's exposure
+PERCENTILE, TARGET = 98.0, 0.85  # The exposure puts this percentile at this share of the range.
 
 
 def color_picture(

@@ -39,7 +39,7 @@ from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
 
-APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
+APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,14 +333,14 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     )
 
 
-_PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and its kin
+_PHOXI_PITCH_M = 3.45e-6  # Sony's IMX252 and its kin have 2064 x 1544 pixels of this pitch.
 _PHOXI_F_NUMBER = 4.0
-# Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
+# Five real scans show them (docs/rigs.md) by their noise on black and on white, and on slopes.
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
 # It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Over this length it
 # is independent from pixel to pixel, as most noise of those scans is (docs/rigs.md).
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
-# 0.2 mm, as small maps of a real device have; nothing is known of full ones.
+# It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
 
 __all__ = [

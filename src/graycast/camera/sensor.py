@@ -26,7 +26,7 @@ from ..base.streams import CaptureStream
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
-EXACT_POISSON_BELOW_E = 64.0  # above, a normal law: the skewness left out is under 1 / 8
+EXACT_POISSON_BELOW_E = 64.0  # Above, a normal law leaves out a skewness of under 1 / 8.
 # A full well still shows read noise: a value this many standard deviations under it counts as full.
 SATURATION_SIGMAS = 4.0
 

@@ -27,9 +27,9 @@ from scipy import fft
 from ..base.streams import CaptureStream, stream
 from .sensor import SensorSpec
 
-LAGS = 3  # pixels over which neighbours' speckle is correlated: a speckle is smaller
-MOST_REFLECTANCE = 0.95  # a mean path in matter without any absorption has no end
-FURTHEST_PX = 0.5  # light that a pixel gathers is centred within what it senses with
+LAGS = 3  # Pixels farther apart have independent speckle, because a speckle is smaller.
+MOST_REFLECTANCE = 0.95  # A mean path in matter without any absorption has no end.
+FURTHEST_PX = 0.5  # Light that a pixel gathers has its centre within what the pixel senses with.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,13 +18,13 @@ from pathlib import Path
 
 from ..base.errors import DeviceError
 
-OLDEST_LLVM = 19  # 15 and 16 are known to abort; 17 and 18 were not tried
+OLDEST_LLVM = 19  # Versions 15 and 16 are known to abort; 17 and 18 were not tried.
 DEVICES = ("auto", "cpu", "llvm", "cuda")
 
 _VARIANT = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 _USER_CHOICE = "DRJIT_LIBLLVM_PATH"
-# libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1, libLLVM.so.22.1; not a compiler's own copy
-# such as libLLVM-19-rust-1.82.0.so, which is trimmed.
+# It matches libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1 and libLLVM.so.22.1, but not a
+# compiler's own copy such as libLLVM-19-rust-1.82.0.so, which is trimmed.
 _LLVM_NAME = re.compile(r"libLLVM(?:-(\d+)[\d.]*\.so[\d.]*|\.so\.(\d+)[\d.]*)")
 _LLVM_FOLDERS = (
     "/usr/lib/*-linux-gnu",

@@ -19,9 +19,9 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float
 
-TABLE = 128  # nodes of a table over a cosine; linear between them
-_FACETS = 4096  # of the visible-normal integral: its error is below 2e-4
-_STEP = 0.5698402909980532  # of M. Roberts' R2 sequence, which spreads them over two dimensions
+TABLE = 128  # A table over a cosine has so many nodes and is linear between them.
+_FACETS = 4096  # With so many, the error of the visible-normal integral is below 2e-4.
+_STEP = 0.5698402909980532  # M. Roberts' R2 sequence spreads the facets over two dimensions.
 
 
 def distribution(half: mi.Vector3f, alpha: mi.Float) -> mi.Float:

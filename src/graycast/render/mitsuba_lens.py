@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from ..rig.optics import Optics, fold_radius2
 
-NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
+NEWTON_STEPS = 6  # Each doubles the digits, and lenses need four for float32.
 
 
 def camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:

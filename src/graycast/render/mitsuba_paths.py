@@ -27,15 +27,15 @@ from .mitsuba_lens import (
 from .mitsuba_patterns import bit_counts, finest_patterns, packed
 from .radiance import OnPass, Quality
 
-PASS_SAMPLES = 2_500_000  # of all pixels together, between two calls of `on_pass`
-ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
-MAX_SURVIVAL = 0.95  # ends paths between perfect whites
-PATCH_LOOKUPS = 3  # over a patch of interreflected light
-DISC_LOOKUPS = 6  # over the disc of a defocused projector: pairs, so that stripes stay in place
+PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
+ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
+MAX_SURVIVAL = 0.95  # It ends paths between perfect whites.
+PATCH_LOOKUPS = 3  # So many lookups stand for a patch of interreflected light.
+DISC_LOOKUPS = 6  # On a defocused projector's disc they are pairs, so that stripes stay in place.
 
-# Steps of additive recurrences, a pair of dimensions each: M. Roberts' R2 for places in the pixel;
-# roots of primes (Richtmyer) for the pupil and blur of the camera, pupil and disc of the projector,
-# lamps, and the direction from the first vertex.
+# These are steps of additive recurrences, for a pair of dimensions each: M. Roberts' R2 for places
+# in the pixel; roots of primes (Richtmyer) for the pupil and blur of the camera, pupil and disc of
+# the projector, lamps, and the direction from the first vertex.
 STEPS = (
     (0.7548776662466927, 0.5698402909980532),
     *(

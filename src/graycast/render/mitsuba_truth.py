@@ -15,8 +15,8 @@ from .mitsuba_lens import camera_ray, distorted, project_to_projector
 from .mitsuba_scene import PartShape
 from .radiance import GroundTruth, Silhouette
 
-STEP_THROUGH_M = 2e-5  # past a surface: float32 errs by less, parts that touch overlap by less
-OUTLINE_POINTS = 33  # on each side of a part's box, which distortion bends
+STEP_THROUGH_M = 2e-5  # Float32 errs by less past a surface, and parts that touch overlap by less.
+OUTLINE_POINTS = 33  # Each side of a part's box has so many, because distortion bends it.
 
 
 def truth(

@@ -26,8 +26,8 @@ from jaxtyping import Bool, Float
 from ..rig.pattern import AXES, Axis
 from .radiance import PathNoise
 
-WINDOW_PX = 9  # side of the square whose squared errors are averaged: 81 values
-MOST_BEND = 1.0  # of places along three pixels, in standard deviations of one path: no edge
+WINDOW_PX = 9  # Squared errors are averaged over a square with this side: 81 values.
+MOST_BEND = 1.0  # Places along three pixels that bend by fewer sigmas of a path have no edge.
 
 
 def path_noise(

@@ -13,7 +13,7 @@ from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
 
 DenoiserName = Literal["none", "oidn", "optix"]
-# Takes radiance, albedo and normals, (h, w, 3) each in float32; returns clean radiance.
+# It takes radiance, albedo and normals, (h, w, 3) each in float32, and returns clean radiance.
 Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
@@ -24,8 +24,8 @@ PathDepth = Annotated[
         description="The largest number of surfaces on a light path. 1 is direct light only.",
     ),
 ]
-OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
-# Hears how many samples of a stack are done, and of how many; what it raises ends the rendering.
+OnFrame = Callable[[int, int], None]  # It gets the numbers of finished and all renders of a scene.
+# It gets the numbers of finished and all samples of a stack; what it raises ends the rendering.
 OnPass = Callable[[int, int], None]
 
 

@@ -29,7 +29,7 @@ from .radiance import (
 )
 from .wavelength import at_projector_wavelength
 
-CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 needs no more
+CLEARANCE_M = 1e-9  # A shadow ray starts this far from its surface; float64 needs no more.
 
 
 @final

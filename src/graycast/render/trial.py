@@ -23,7 +23,7 @@ from ..base.file_limits import parse_json
 from ..base.folder import cache_folder, write_whole
 from ..rig.optics import Optics
 
-_LIMIT_S = 300.0  # a first picture on a GPU compiles for some 10 s
+_LIMIT_S = 300.0  # A first picture on a GPU compiles for some 10 s.
 _CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, cy_px=23.5)
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 

@@ -4,8 +4,8 @@ from typing import no_type_check
 
 import numba
 
-ITERATIONS = 20  # Newton's method needs four or five where there is an inverse
-RESIDUAL = 1e-14  # normalised image coordinates; its steps end there
+ITERATIONS = 20  # Newton's method needs four or five where there is an inverse.
+RESIDUAL = 1e-14  # Newton's steps end at this error in normalised image coordinates.
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

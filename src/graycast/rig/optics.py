@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field
 from ..base.frames import pixel_grid
 from ..base.settings import Finite, check_fields
 
-MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
+MAX_SIDE_PX = 32_768  # It is twice the longest sensors; beyond it a number is no size in pixels.
 
 
 def _side(pixels: int) -> int:

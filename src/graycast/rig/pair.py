@@ -214,8 +214,8 @@ def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
     return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
 
 
-# fx at full resolution [px], baseline [m], toe-in of either device [deg], range [m]: figures of the
-# Photoneo PhoXi family from secondary sources that agree; 2064 x 1544, low resolution halves it.
+# These are fx at full resolution [px], baseline [m], toe-in of either device [deg] and range [m] of
+# the Photoneo PhoXi family. Secondary sources agree on them; low resolution halves 2064 x 1544.
 # Both devices are read as toed in: only then do the axes cross inside each stated range.
 _PHOXI = {
     "phoxi-s": (2246.0, 0.230, 15.45, 0.384, 0.520),
@@ -223,10 +223,10 @@ _PHOXI = {
     "phoxi-l": (2263.0, 0.550, 9.45, 0.870, 2.150),
 }
 _PHOXI_PROJECTOR_FIELD_DEG = (47.5, 36.0)
-_RED_LASER = (1.0, 0.0, 0.0)  # 637 nm lies in the red band
+_RED_LASER = (1.0, 0.0, 0.0)  # Its 637 nm lie in the red band.
 
 PRESETS = ("paper", *_PHOXI)
-# Sensor pixels across one pixel of the picture: a camera that sums squares of pixels is faster.
+# So many sensor pixels lie across one of the picture. Summing squares of pixels speeds a camera up.
 BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
 RESOLUTIONS = tuple(BINNING)
 

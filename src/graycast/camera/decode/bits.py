@@ -8,15 +8,15 @@ import numpy as np
 
 from .maps import Reason
 
-XOR_SIGMAS = 3.0  # a stripe's edge flips all bits that share it: noise alone decides there
-# By how much a fine bit's signal is off beyond its noise, as a share of the contrast: light from
-# elsewhere that differs between pattern and inverse, texture under the pixel, compression.
+XOR_SIGMAS = 3.0  # A stripe's edge flips all bits that share it: noise alone decides there.
+# A fine bit's signal is off beyond its noise by this share of the contrast. The reasons are light
+# from elsewhere that differs between pattern and inverse, texture under the pixel, and compression.
 # Of a real scan (the sea shell) a bit whose signal is 0.03, 0.08, 0.12 and 0.20 of the contrast is
 # wrong in 37, 20, 6 and 2 of 100 pixels of its columns, in 25, 8, 3 and 1 of its rows, whichever of
 # the finest four it is: a normal error of this share.
 FINE_ERROR = 0.06
-# The next coarser bit's signal, as a share of the contrast, under which blur leaves this bit
-# nothing, and over which its signal is small next to its edges only.
+# The next coarser bit has these signals, as shares of the contrast. Under the first, blur leaves
+# this bit nothing; over the second, this bit's signal is small next to its edges only.
 BLURRED, SHARP = 0.5, 0.8
 
 

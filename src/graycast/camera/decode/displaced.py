@@ -16,12 +16,12 @@ from ...rig.pair import Rig
 from .maps import CodeMap, DepthMap
 from .triangulation import triangulation_axis
 
-BEND_SIGMAS = 2.0  # a bend of less than this many standard deviations may be noise
+BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be noise.
 # A pixel that a step divides at random is off by a root mean square of 0.29 of the step, of which
 # the largest of the bends at it and beside it is 0.75; a fold through it is off by an eighth at
 # most. This share is between the two. docs/materials.md has what it makes of sigma.
 BEND_SHARE = 0.25
-STEP_RATIO = 4.0  # a position that rises this much faster than on a facing surface is a step
+STEP_RATIO = 4.0  # A position that rises this much faster than on a facing surface is a step.
 
 
 def with_place_sigma(codes: CodeMap, sigma_px: Float[np.ndarray, "2 h w"]) -> CodeMap:

@@ -23,10 +23,10 @@ from .maps import DepthMap, Reason
 from .outliers import find_outliers
 from .visibility import without_hidden
 
-STEP_SIGMAS = 3.0  # noise up to here neither tears a surface nor makes it steep
-LINE_SIGMAS = 4.0  # a pixel further off the line of two neighbours is not smoothed with them
-FLYING_REACH_PX = 3  # what takes more pixels than this to a side to fall is a surface, not a step
-NEGLIGIBLE_WEIGHT = 0.01  # of the smoothing kernel's middle: where the kernel ends
+STEP_SIGMAS = 3.0  # Noise up to here neither tears a surface nor makes it steep.
+LINE_SIGMAS = 4.0  # A pixel farther off the line of two neighbours is not smoothed with them.
+FLYING_REACH_PX = 3  # A fall that takes more pixels than this to a side is a surface, not a step.
+NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel ends at this share of its middle's weight.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float
 from ...base.robust import MAD_SIGMA
 from .median import median
 
-LEAST = 4  # values that make a median
-SUPPORT_PX = 3  # so many of 24 neighbours near an outlying pixel's depth make it a detail
-WHOLE_PX = 20  # so many of 24 neighbours near their median are a surface without an edge
+LEAST = 4  # A median needs this many values.
+SUPPORT_PX = 3  # So many of 24 neighbours near an outlying pixel's depth make it a detail.
+WHOLE_PX = 20  # So many of 24 neighbours near their median are a surface without an edge.
 
 
 def find_outliers(

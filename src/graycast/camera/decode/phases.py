@@ -10,13 +10,13 @@ from .maps import Reason
 from .plan import MODEL_RAD, OFF_CELL
 from .settling import CLEAR, OPEN, REFUSED
 
-MAX_MISFIT = 9.0  # mean square of residuals in their own standard deviations
-# Sum of squares by which the best place must lead the next, 4 sigma of noise: else it is open.
+MAX_MISFIT = 9.0  # A place with a greater mean square of residuals, in their sigmas, is refused.
+# The best place must lead the next by this sum of squares, 4 sigma of noise: else it is open.
 MIN_LEAD = 16.0
-APART_SIGMAS = 4.0  # by which a phase that is averaged with the finest may differ from it
-USUAL_SIGMAS = 2.0  # of noise, by which phases may differ without a wider sigma
-SLACK_SIGMAS = 4.0  # of the phase's noise, by which a place may lie beside where it must be
-NOWHERE = 1e30  # the cost of a place that is out of bounds
+APART_SIGMAS = 4.0  # A phase that differs from the finest by more is not averaged with it.
+USUAL_SIGMAS = 2.0  # Phases may differ by this many sigmas of noise without a wider sigma.
+SLACK_SIGMAS = 4.0  # A place may lie beside where it must be by this much of its phase's noise.
+NOWHERE = 1e30  # This is the cost of a place that is out of bounds.
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

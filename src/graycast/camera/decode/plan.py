@@ -13,18 +13,17 @@ from ...base.errors import DecodeError
 from ...rig.pattern import AXES, Axis, Code, Frame
 
 NO_FRAME = -1
-# Widest cell of a Gray code, as a share of the length over which phases are unique: an edge may be
-# misread by half of what is left.
+# A cell of a Gray code is at most this share of the length over which phases are unique, because
+# an edge may be misread by half of what is left.
 MAX_CELL = 0.75
-# By how much a place may lie outside of the Gray code's cell, as a share of the length over which
-# its phases are unique.
+# A place may lie outside of the Gray code's cell by this share of the length of unique phases.
 OFF_CELL = 0.125
-SAME_PERIODS = 0.002  # by which rounded lengths of periods move their common repetition
-# Errors of phases beyond noise: three steps of a projector whose light is not linear in the grey
+SAME_PERIODS = 0.002  # Rounded lengths of periods move their common repetition by at most this.
+# Phases have errors beyond noise: three steps of a projector whose light is not linear in the grey
 # level are off by some tenths of a radian, which matters where places differ as little.
 MODEL_RAD = 0.05
-# Where Gray bits leave few places, a share of what these differ by: three times this error is
-# halfway to where the next place would fit better.
+# Where Gray bits leave few places, the error may be this share of what these differ by: three times
+# this error is halfway to where the next place would fit better.
 MODEL_SHARE = 1 / 12
 
 
@@ -69,8 +68,8 @@ class AxisPlan:
     cell_px: float
     reach: int
     periods: tuple[Period, ...]  # the shortest full one first
-    half_px: float  # about the middle of its cell, or of the projector, a place lies within
-    model_rad: float  # by which phases of one place may differ beyond their noise
+    half_px: float  # A place lies this near the middle of its cell, or of the projector.
+    model_rad: float  # Phases of one place may differ by this beyond their noise.
 
     @property
     def gray_counts(self) -> bool:

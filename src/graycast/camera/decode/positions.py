@@ -30,7 +30,7 @@ from .phases import (
 from .plan import AxisPlan, plan_axes, read_frames
 from .settling import CHOICES, CLEAR, OPEN, settle, settle_refused
 
-SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
+SHADOW_SIGMAS = 6.0  # The range of some twenty noisy frames of equal light seldom exceeds it.
 
 
 def decode(

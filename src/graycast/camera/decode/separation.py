@@ -8,7 +8,7 @@ from ...rig.pattern import AXES, Code
 from .maps import Levels
 from .plan import Period, plan_axes
 
-NARROW_PX = 32.0  # Gray stripes of at most this period count as narrow
+NARROW_PX = 32.0  # Gray stripes of at most this period count as narrow.
 
 
 def separate(

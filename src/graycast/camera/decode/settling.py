@@ -7,19 +7,19 @@ import numpy as np
 
 from .median import median
 
-CLEAR, OPEN, REFUSED = 0, 1, 2  # of a count of periods: what its own phases say
-CHOICES = 4  # places that are kept of a pixel in doubt, the best ones
-REACH_PX = 2  # neighbours are those of a window of 5 x 5 pixels
-# By how much of a period neighbours on one surface may differ: beyond it the step between them may
-# be either way, so they say nothing.
+CLEAR, OPEN, REFUSED = 0, 1, 2  # A pixel's own phases say this of its count of periods.
+CHOICES = 4  # Only the best places of a pixel in doubt are kept.
+REACH_PX = 2  # The neighbours are those of a window of 5 x 5 pixels.
+# Neighbours on one surface may differ by this share of a period: beyond it the step between them
+# may be either way, so they say nothing.
 STEP_PERIODS = 0.3
-MOST_AGAINST = 6.0  # what a neighbour may say against a place, a sum of squares as MIN_LEAD is
-MIN_NEIGHBOURS = 8  # that say something
-# Of the most that they could say against a place, what they may for it to be taken: a third of
-# them, say, that see no such surface.
+MOST_AGAINST = 6.0  # A neighbour says at most this sum of squares, as MIN_LEAD is, against a place.
+MIN_NEIGHBOURS = 8
+# A place is taken if neighbours say at most this share of what they could say against it: a third
+# of them, for instance, may see no such surface.
 MAX_AGAINST = 0.34
-PASSES = 8  # what one pass settles speaks in the next
-AGAINST_SHARE = 0.25  # of those that speak for a period: more that speak against it leave it open
+PASSES = 8  # What one pass settles speaks in the next.
+AGAINST_SHARE = 0.25  # More neighbours against a period, as a share of those for it, leave it open.
 
 
 def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):

@@ -10,7 +10,7 @@ from ...rig.pattern import Axis
 from .maps import CodeMap, DepthMap, Reason
 
 DISTORTION_ITERATIONS = 5
-EPIPOLAR_SIGMAS = 3.0  # of noise that may bring a point off its epipolar line
+EPIPOLAR_SIGMAS = 3.0
 
 
 def triangulation_axis(rig: Rig) -> Axis:

@@ -11,7 +11,7 @@ from ...base.frames import is_rigid, rigid
 from ...rig.optics import Optics, rays
 from ...rig.pair import Rig, common_depths_m
 
-RANGE_STEPS = 33  # of the working range, at which both devices are asked for a common place
+RANGE_STEPS = 33  # A place that both devices see is looked for at so many depths of the range.
 
 
 def is_file_storage(text: str) -> bool:

@@ -21,11 +21,11 @@ from ...rig.optics import Optics
 from ...rig.pair import Rig, common_depths_m
 from .checks import build_optics, build_rig, check_rotation, is_file_storage
 
-MAX_SKEW = 1e-6  # as a share of the focal length; `Optics` has none
-MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
+MAX_SKEW = 1e-6  # `Optics` has no skew, so only this share of the focal length passes.
+MIN_BASELINE_M = 0.001  # Below it the unit is wrong, because no rig is that small.
 _MOST_BYTES = 100_000_000
 
-# Spellings met in OpenCV's samples and in public camera-projector calibration programs, without
+# OpenCV's samples and public camera-projector calibration programs have these spellings, less their
 # '_', '-' and spaces; in names of one or two letters case counts (Kc is a matrix, kc a distortion).
 _SPELLINGS = {
     "camera matrix": "camK cameraK Kcam Kcamera K1 M1 Kc cameraMatrix1 cameraMatrix camInt "

@@ -39,7 +39,7 @@ RigModel = section_of(
     more={
         "camera": (OpticsModel, ...),
         "projector": (OpticsModel, ...),
-        "T_cam_proj": None,  # a file has it in two keys
+        "T_cam_proj": None,  # A file has it in two keys.
         "R_cam_proj": (
             tuple[Row, Row, Row],
             Field(description="The rotation from projector to camera coordinates, row by row."),

@@ -13,8 +13,8 @@ from ...rig.pattern import AXES, Code
 from ..decode import CodeMap, Reason
 from ..decode.plan import plan_axes
 
-# Chance that a pixel belongs to the next cell: below the first it surely sees its own; where no
-# pixel of a cell is that sure, those below the second stand for it.
+# A pixel belongs to the next cell with some chance: below the first it surely sees its own; where
+# no pixel of a cell is that sure, those below the second stand for it.
 MAX_WRONG, MAX_WRONG_ALONE = 0.02, 0.2
 # Pixels of a cell scatter about their mean by sqrt(n / 2 pi) where they fill a disc; a slanted
 # surface makes that an ellipse. This many times as far, and half a pixel, is another surface's.

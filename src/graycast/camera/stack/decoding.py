@@ -40,9 +40,9 @@ from .stack_pictures import StackPictures, read_color, read_pictures
 # Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
 # a calibration is off by more than its residual here and there.
 EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
-MISPLACED_PX = 3.0  # median epipolar residual of a rig that is not the stack's
-OUT_OF_RANGE = 0.3  # of what decodes
-DECODED_AT_LEAST = 0.01  # as a share of the lit pixels, or the stack is refused
+MISPLACED_PX = 3.0  # With a greater median epipolar residual, the rig is not the stack's.
+OUT_OF_RANGE = 0.3  # The rig is doubtful if more than this share of what decodes is out of range.
+DECODED_AT_LEAST = 0.01  # A stack is refused if no more than this share of its lit pixels decodes.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,20 +14,20 @@ from .sense import phase_faults
 from .stack_figures import MAX_SAMPLES, samples, well_lit
 from .stack_pictures import StackPictures
 
-CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
-# as a share of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
-ALIKE = 0.25
-DRIFT = 0.15  # of brightness between frames
-OUTSIDE = 0.05  # of what decodes
-CONFLICT = 0.2  # as a share of what is well lit
-CLEAR_OF_NOISE = 20.0  # contrast over noise, below which noise alone can make frames contradict
+CLEAR = 0.75  # A value this far from the middle, in halves of the contrast, is not blurred.
+ALIKE = 0.25  # This share of well lit pixels may be clearly bright, or dark, in both of a pair.
+DRIFT = 0.15  # The brightness may change by this much between frames.
+OUTSIDE = 0.05  # This share may be beyond white, black or the projector's picture.
+CONFLICT = 0.2  # This share of the well lit pixels may have frames that contradict.
+CLEAR_OF_NOISE = 20.0  # Below this contrast over noise, noise alone can make frames contradict.
 SATURATED = 0.2
 UNLIT = 0.01
 MIRRORED = 0.7
-ROUGH = 0.15  # of neighbours more than FAR_PX apart
+ROUGH = 0.15  # This share of neighbours may be more than FAR_PX apart.
 FAR_PX = 8.0
-MENDED_OF = 30_000  # pairs on which changes of the order are tried
-TORN, FEWER = 2e-3, 0.5  # of neighbours far apart; of these when a bit is turned over
+MENDED_OF = 30_000  # Changes of the order are tried on so many pairs.
+# More than TORN of the neighbours far apart is a fault; its remedy leaves less than FEWER of them.
+TORN, FEWER = 2e-3, 0.5
 
 
 def symptoms(

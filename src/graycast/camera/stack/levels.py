@@ -15,11 +15,11 @@ from .scatter import QUANTISATION_DN2, bands, less_local_mean, line
 
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
-FULL_SCALES = (1023, 4095, 16383, 65535)  # of 10 to 16 bits, stored in 16
-PILE_SHARE = 1e-3  # as a share of the lit pixels that share the highest value, where it is the top
-MAX_PAIRS = 8  # coarse ones: the finest have edges everywhere
-FIRM = 0.8  # |pattern - inverse| as a share of the pixel's contrast: an edge of a stripe has less
-# Of a camera that nothing is known of: dark noise of 1/250 of the range, full well 10,000 e.
+FULL_SCALES = (1023, 4095, 16383, 65535)  # They are of 10 to 16 bits, stored in 16.
+PILE_SHARE = 1e-3  # The highest value is the top if more of the lit pixels share it than this.
+MAX_PAIRS = 8  # Only coarse pairs serve, because the finest have edges everywhere.
+FIRM = 0.8  # At a stripe's edge |pattern - inverse| is less, as a share of the contrast.
+# An unknown camera gets dark noise of 1/250 of the range and a full well of 10,000 e.
 DEFAULT_NOISE, DEFAULT_WELL_E = 1 / 250, 10_000.0
 
 

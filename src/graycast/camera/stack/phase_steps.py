@@ -8,8 +8,8 @@ from jaxtyping import Float, Num
 from ...rig.pattern import Code
 from .scatter import bands, less_local_mean, line
 
-MAX_PERIODS = 4  # more say the same
-SURELY_HARMONIC = 3  # a response that is not linear puts its light into the harmonics up to here
+MAX_PERIODS = 4  # More periods say the same.
+SURELY_HARMONIC = 3  # A response that is not linear puts its light into the harmonics up to here.
 
 
 def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> list[list[int]]:

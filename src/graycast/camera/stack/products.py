@@ -11,7 +11,7 @@ from ...base.ply import cloud_bytes
 from ..decode import Reason
 from .decoding import Cloud, StackResult
 
-CODE = "code.npz"  # always there
+CODE = "code.npz"  # Every result has this file.
 PREVIEW = "preview.png"
 FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
 

@@ -19,13 +19,14 @@ from ...rig.pair import Rig
 from ..decode import CodeMap, Reason, meet_planes, triangulation_axis
 
 SAMPLES = 4000
-LEAST = 30  # samples
-NEAR_PX, NEAR = 3.0, 0.01  # of its place; or as a share of the projector's size, if that is more
-FITS = 0.3  # as a share of the samples that lie where the rig puts them
-TIMES = 4.0  # by which another reading must fit better
-RIM_PX = 5  # between the last lit pixel and the last decoded one
+LEAST = 30  # Fewer samples are too few to judge the rig.
+# A sample fits within NEAR_PX of its place, or within NEAR of the projector's size if that is more.
+NEAR_PX, NEAR = 3.0, 0.01
+FITS = 0.3  # The rig fits if this share of the samples lies where it puts them.
+TIMES = 4.0  # Another reading must fit this many times better.
+RIM_PX = 5  # The outermost decoded pixel may lie this far inside the outermost lit one.
 
-# What to do with the pictures, and where that moves a pixel (x, y) about the picture's middle.
+# Each says what to do with the pictures, and where that moves a pixel (x, y) about their middle.
 _TURNS = {
     "turn the pictures by 180 degrees": ((-1, 0), (0, -1)),
     "mirror the pictures left to right": ((-1, 0), (0, 1)),

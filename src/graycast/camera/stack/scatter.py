@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter
 
-BAND_PX, MAX_BANDS = 32, 12  # of rows on which the noise is measured
-WINDOW_PX = 15  # over which light is smooth; noise that a camera's own filters blurred is not
+BAND_PX, MAX_BANDS = 32, 12  # Bands of rows are enough to measure the noise.
+WINDOW_PX = 15  # Light is smooth over it; noise that a camera's own filters blurred is not.
 # Squares are averaged below their 90 % quantile, which outliers do not reach; for a normal law that
 # mean is this share of the variance. (Medians of whole numbers are coarse.)
 TRIM, TRIMMED_SHARE = 0.9, 0.6235
-BINS = 12  # of brightness
+BINS = 12  # The brightness is divided into so many bins.
 MIN_IN_BIN = 200
 QUANTISATION_DN2 = 1 / 12
 

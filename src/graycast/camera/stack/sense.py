@@ -17,13 +17,13 @@ from ..decode.plan import AxisPlan, Period, plan_axes
 from .levels import Stack
 from .stack_figures import MAX_SAMPLES
 
-BAND_PX = 8  # rows that are read together, so that neighbours are there in both directions
-LEAST = 200  # edges of cells that are asked
-FAR_PERIODS = 0.25  # neighbours whose cells are farther apart lie on different surfaces
-SURE_SIGMAS = 5.0  # by which neighbours must tell that the steps run backwards
-UNRELATED = 0.5  # resultant below which the phases at the edges are anywhere
-ORIGIN_PERIODS = 0.04  # an origin this near is the stated one
-USUAL_PERIODS = 0.02  # and one this near to a whole step or a quarter of a period is that
+BAND_PX = 8  # Rows are read together, so that neighbours are there in both directions.
+LEAST = 200  # Fewer edges of cells are too few to judge the phases.
+FAR_PERIODS = 0.25  # Neighbours whose cells are farther apart lie on different surfaces.
+SURE_SIGMAS = 5.0  # Neighbours must say by this much that the steps run backwards.
+UNRELATED = 0.5  # Below this resultant the phases at the edges are anywhere.
+ORIGIN_PERIODS = 0.04  # An origin this near is the stated one.
+USUAL_PERIODS = 0.02  # An origin this near to a whole step or a quarter of a period is that.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +31,8 @@ class _Edges:
     """Where one neighbour sees one Gray cell and the other the next, which is between the two."""
 
     place: Float[np.ndarray, " n"]  # [periods]
-    phase: Float[np.ndarray, " n"]  # there [periods], as the stated steps make it
-    forwards: float  # mean of sin(its change), counted towards higher places
+    phase: Float[np.ndarray, " n"]  # It is the phase there [periods], as the stated steps make it.
+    forwards: float  # It is the mean of sin(change of phase) towards higher places.
 
     @property
     def backwards(self) -> bool:

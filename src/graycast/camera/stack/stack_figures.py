@@ -9,8 +9,8 @@ from ...rig.pattern import Code
 from ..decode import CodeMap, Mark, Reason, reason_shares
 from .levels import inverse_pairs
 
-WELL = 0.4  # as a share of the contrast that two of a hundred lit pixels exceed
-MAX_SAMPLES = 150_000  # pixels that medians are taken of
+WELL = 0.4  # Well lit is this share of the contrast that two of a hundred lit pixels exceed.
+MAX_SAMPLES = 150_000  # Medians are taken of at most so many pixels.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from ...base.errors import DecodeError
 from ...base.file_limits import refuse_large_picture
 
 Picture = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
-THREADS = 4  # decoding a JPEG or PNG lets other threads run
+THREADS = 4  # Decoding a JPEG or PNG lets other threads run.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

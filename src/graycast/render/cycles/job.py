@@ -27,7 +27,7 @@ from ...world.scene import (
 )
 from ..radiance import Quality
 
-WHITE = -1  # in a frame's list of patterns
+WHITE = -1  # A frame's list of patterns has this number for white.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

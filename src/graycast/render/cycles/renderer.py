@@ -39,8 +39,8 @@ from .job import ALBEDO, LOOK, TRUTH, Render, is_simple, need_renders, pattern_f
 from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
-MAX_DEATHS = 3  # of the child, for one scene
-NORMAL_OFFSET = 2.0  # as in worker/materials.py
+MAX_DEATHS = 3
+NORMAL_OFFSET = 2.0  # The worker adds it in worker/materials.py.
 
 GREY = (1 / 3, 1 / 3, 1 / 3)
 

@@ -8,7 +8,7 @@ import bpy
 from blender import place
 
 SOURCE = Path(__file__).with_name("camera.osl")
-SENSOR_MM = 36.0  # any width serves: the lens is given in the same unit
+SENSOR_MM = 36.0  # Any width serves: the lens is given in the same unit.
 
 
 class CyclesCamera:

@@ -16,8 +16,8 @@ from camera import CyclesCamera
 from projector import Projector
 from world import World
 
-LIGHT = ("projected", "ambient")  # kinds of frame that gather light; the others show a quantity
-TRUTH = ("position", "normal", "instance")  # at pixel centres
+LIGHT = ("projected", "ambient")  # These kinds of frame gather light; the others show a quantity.
+TRUTH = ("position", "normal", "instance")  # They are taken at pixel centres.
 
 
 def render_job(folder: Path) -> Iterator[str]:

@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 from blender import Nodes, texture_image
 
-NORMAL_OFFSET = 2.0  # keeps what is shown above 0
+NORMAL_OFFSET = 2.0  # It keeps what is shown above 0.
 
 
 class Surface:

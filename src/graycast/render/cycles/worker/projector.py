@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from blender import Nodes, number_image, place
 
-SPREAD = 1.001  # of the light cone beyond the field's corner
+SPREAD = 1.001  # The light cone reaches this far beyond the field's corner.
 
 
 class Projector:

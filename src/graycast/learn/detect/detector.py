@@ -25,7 +25,7 @@ from .encoding import Encoding, encoding_from
 from .network import Network, NetworkOutput
 from .networks import open_network
 
-ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
+ONE_CLASS = "part"  # A detector that does not tell parts apart gives them all this class.
 _FORM = 1
 
 

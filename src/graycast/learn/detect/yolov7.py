@@ -25,7 +25,7 @@ from .suppression import best_boxes
 PUBLISHED_PX = 640
 # Only cells whose centre is so many cells from that of an instance, along both axes, may own it.
 REACH = 1.5
-# A logit whose cross-entropy against "nothing here" is zero in single precision.
+# The cross-entropy of this logit against "nothing here" is zero in single precision.
 SILENT = -100.0
 
 

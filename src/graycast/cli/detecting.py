@@ -11,7 +11,7 @@ from .bars import open_bars
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")
-_NOTES = 5  # At most so many notes are printed.
+_NOTES = 5  # At most this many notes are printed.
 
 TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The

@@ -21,7 +21,7 @@ HOLES = ("channel", "zero", "far")
 # The published backbones were trained with these means and deviations of photographs.
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _RGB_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
-BLACK = -_RGB_MEAN / _RGB_DEVIATION  # This is how no light is encoded.
+BLACK = -_RGB_MEAN / _RGB_DEVIATION  # A pixel without light is encoded as this.
 _RELIEF_WINDOW = 1 / 10  # A window's side is this share of the longer side of the input.
 _RELIEF_SHARE = 1 / 20  # A height of this share of the working volume saturates the relief.
 _NOISY_SIGMA_M = 1e-3

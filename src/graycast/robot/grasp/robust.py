@@ -11,7 +11,7 @@ from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
 CARRIED_M_S2 = 0.5 * 9.81  # A tool accelerates a part in it by no more than this.
-SHAKE = 1.5  # At that acceleration, a part pulls with at most so many times its weight.
+SHAKE = 1.5  # At that acceleration, a part pulls with at most this many times its weight.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

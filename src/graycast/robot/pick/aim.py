@@ -18,8 +18,8 @@ LEAST_AREA = 0.3  # A detection must have at least this share of the largest one
 LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
 BESIDE_PX = 2  # What covers a part is looked for this near to its outline.
 COVERED_M = 8e-3  # What is nearer to the camera by more than this lies on the part.
-COVERED_SHARE = 0.08  # A part counts as covered if something lies on more of its outline.
-PLACES = 40  # Each round of the search without a model tries so many for each detection.
+COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.
+PLACES = 40  # Each round of the search without a model tries this many grips for each detection.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,8 +28,8 @@ from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, ways
 
 TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
-BLOCKED_M = 0.04  # Grips this near to one that no way leads to wait for their turn.
-ALIKE_M = 0.008  # Planning takes similar grips that are nearer to each other as one.
+BLOCKED_M = 0.04  # Grips this near to one without a way to it wait until others had their turn.
+ALIKE_M = 0.008  # Planning takes similar grips that are nearer to each other than this as one.
 LEAST_UP_M = 0.02
 # The visible middle of an unknown part may be this far off its centre of mass, along each axis.
 UNKNOWN_CENTER_M = 0.01

@@ -25,7 +25,7 @@ from ...world.scene import Bin, bin_mesh
 CELL_M = 4e-3
 BESIDE = ndimage.generate_binary_structure(2, 1)  # A node is as high as the four beside it.
 GUESSED_M = 8e-3
-NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if so many beside it differ less in depth.
+NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
 FLOOR_M = 3e-3  # What is less than this above the bin's floor counts as the floor.
 WALL_M = 5e-3  # What is nearer than this to a wall counts as the wall.
 BELOW_M = 0.05  # The heap is solid to this depth under the floor, and the table is as thick.

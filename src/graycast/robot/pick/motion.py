@@ -20,8 +20,7 @@ from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
 # Poses of a path that are checked for collisions lie this far apart at most: 30 mm at 0.8 m.
 CHECKED_RAD = 0.04
-# A joint that turns by more than this between two poses of a straight line has jumped.
-JUMP_RAD = 0.3
+JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
 MOST_CALLS = 20_000  # The planner asks its end condition this often before it gives up.
 SHORTCUTS = 60
 RISE_S = 0.12  # An acceleration rises from 0 to its value within this time.

@@ -18,18 +18,18 @@ from .trying import PoseTrial, Trials
 
 WINDOW = 0.035  # A window of normals has this half width, as a share of the diameter.
 REACH = 0.75  # The search looks at this share of the diameter around a detection.
-LEAST_POINTS = 30  # A detection must have so many points with normals.
-SCENE_POINTS = 220  # Votes take at least so many of a detection's points, at most 4 times as many.
-REFERENCES = 90  # So many of these points vote for poses.
+LEAST_POINTS = 30  # A detection must have this many points with normals.
+SCENE_POINTS = 220  # At least this many points of a detection form pairs, at most 4 times as many.
+REFERENCES = 90  # This many of these points are references, which vote for poses.
 CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
-PEAKS = 6  # Each reference point gives so many poses.
+PEAKS = 6  # Each reference point gives this many poses.
 ALIKE = 0.15  # Poses whose key points are nearer than this share of the diameter are one.
-KEPT = 200  # ICP lays so many poses on the depth, and they are drawn.
-CHOSEN = 16  # So many poses are aligned.
+KEPT = 200  # ICP lays this many poses on the depth, and they are drawn.
+CHOSEN = 16  # This many poses are aligned.
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
 SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
-TRIES = 3  # At most so often, the other ways of the best pose are tried anew.
+TRIES = 3  # The other ways of the best pose are tried anew at most this many times.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

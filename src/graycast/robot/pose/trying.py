@@ -13,13 +13,13 @@ from .drawing import draw, lens
 from .model import PoseModel
 
 TOLERANCE = 0.02  # A measurement may be off the part by this share of the diameter.
-TOLERANCE_SIGMAS = 3.5  # It may be off by so many times the noise, if that is more.
+TOLERANCE_SIGMAS = 3.5  # It may be off by this many times the noise, if that is more.
 # A pixel's depth pulls at the pose within so many tolerances, step by step. The first gate reaches
 # as far as ICP may have left the pose. The last is one and a half times what counts as visible.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
-EDGE = 3.0  # At a part's outline, the depth falls back by more than so many tolerances.
+EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.
 OUTLINE_WEIGHT = 1.0  # A pixel of the outline has this weight against one of the surface.
-LEAST_PIXELS = 30  # A part that is put otherwise is placed on at least so many pixels.
+LEAST_PIXELS = 30  # A part that is put otherwise is placed on at least this many pixels.
 
 
 @final

@@ -13,7 +13,7 @@ from .asking import Ask
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
-MOST_PARTS = 6  # So many kinds of parts have controls of their own; the text has all.
+MOST_PARTS = 6  # This many kinds of parts have controls of their own; the text has all.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,7 @@ class Control:
     high: Number | None = None
     step: Number | None = None  # A slider moves by this step; if it is None, by equal ratios.
     unit: str = ""
-    scale: float = 1.0  # The page shows so many times the value that is set.
+    scale: float = 1.0  # The page shows this many times the value that is set.
     choices: tuple[Any, ...] = ()
     whole: str | None = None
     grey: bool = False

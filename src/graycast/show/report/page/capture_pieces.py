@@ -19,7 +19,7 @@ from ....dataset.stored import StoredScene
 from .packing import jpeg_url, pack_words, shrunk
 
 _QUALITY = 85
-_FAST = 2  # Code maps are noisy, so a low level of zlib is enough.
+_FAST = 2  # This is a fast level of zlib, as code maps are noisy.
 _STEPS = 65534  # Of the values of 16 bits, 0 is no value, and the first step is 1.
 
 

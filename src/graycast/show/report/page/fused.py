@@ -10,8 +10,8 @@ from ....score.merge import FusedCloud, fuse, read_view
 from .scene_files import receiving
 
 FUSED = "fused.js"
-_STEPS = 65535  # The longest side of the cloud has so many steps, which 16 bits can count.
-_MOST = 400000  # A browser draws so many points smoothly.
+_STEPS = 65535  # The longest side of the cloud has this many steps, which 16 bits can count.
+_MOST = 400000  # A browser draws this many points smoothly.
 _SIGMA_STEP_MM = 0.002  # In 8 bits, steps of this size reach half a millimetre.
 
 

@@ -34,8 +34,8 @@ from .words import OUTCOME_COLOR
 KINDS = {".gif": "GIF", ".webp": "WEBP"}
 WIDTH_PX, LEAST_PX = 480, 280  # In a narrower picture, the words would lie over each other.
 FRAME_MS = 100  # GIF counts hundredths of a second.
-_END_FRAMES = 8  # An attempt's outcome stays for so many frames.
-_FIELD_RAD = 0.55  # The page has the same field of view.
+_END_FRAMES = 8  # An attempt's outcome stays for this many frames.
+_FIELD_RAD = 0.55  # The page has the same field of view (`FIELD_RAD`).
 _PITCH_RAD, _DISTANCE = 0.42, 4.2  # The distance is in units of `reach` of `look`.
 _BAND_PX = 26  # The words are in this band below the picture.
 _ON_SURFACE_M = 2e-3  # Points of the scan are drawn if they lie no deeper than this in a body.

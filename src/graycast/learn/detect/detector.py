@@ -25,7 +25,7 @@ from .encoding import Encoding, encoding_from
 from .network import Network, NetworkOutput
 from .networks import open_network
 
-ONE_CLASS = "part"  # A detector that does not tell parts apart gives them all this class.
+ONE_CLASS = "part"
 _FORM = 1
 
 

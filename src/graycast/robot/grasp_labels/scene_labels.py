@@ -19,7 +19,7 @@ from ..pick.touch import touch
 from .label_options import Labelling
 from .stored_world import GraspWorld, ScenePoses, around
 
-CLEAR_M = 0.05  # A part from the bin's floor is lifted to this height above the bin's rim.
+CLEAR_M = 0.05
 LIFT_M_S = 0.25  # The straight ways of a robot's cell have the same speed by default.
 STILL_S = 0.3  # The part has to hang on the tool for this time after the lift.
 

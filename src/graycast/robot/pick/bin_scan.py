@@ -19,7 +19,7 @@ from .aim import Candidate, DepthView, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # The truth has no target for a part of which less is visible.
-LEAST_SCORE = 0.3  # A detector's detections with a lower score are not used.
+LEAST_SCORE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,8 @@ CHECKED_RAD = 0.04
 JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
 MOST_CALLS = 20_000  # The planner asks its end condition this often before it gives up.
 SHORTCUTS = 60
-RISE_S = 0.12  # An acceleration rises from 0 to its value within this time.
-SPACED_RAD = 0.1  # The points of the spline that the robot drives lie this far apart.
+RISE_S = 0.12
+SPACED_RAD = 0.1
 
 Free = Callable[[Joints], bool]
 

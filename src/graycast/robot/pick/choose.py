@@ -33,7 +33,7 @@ ALIKE_M = 0.008  # Planning takes similar grips that are nearer to each other th
 LEAST_UP_M = 0.02
 # The visible middle of an unknown part may be this far off its centre of mass, along each axis.
 UNKNOWN_CENTER_M = 0.01
-# A surface this far off the part's, over this large a share of the tool's ground, is another body's.
+# A surface this far off the part's on this large a share of the tool's ground is another body's.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",

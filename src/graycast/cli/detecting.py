@@ -7,12 +7,11 @@ from ..base.errors import GraycastError
 from .arguments import above_zero, add_command, positive, seed, share
 from .bars import open_bars
 
-# torch takes seconds to import and may be missing, so its names are repeated here. A test compares
-# them.
+# Torch takes seconds to import and may be missing: a test compares these copies of its names.
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")
-_NOTES = 5  # that are printed
+_NOTES = 5  # At most this many notes are printed.
 
 TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The

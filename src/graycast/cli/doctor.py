@@ -14,7 +14,7 @@ from ..render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm,
 from ..render.trial import try_device
 
 _OLDEST_PYTHON = (3, 11)
-_PACKAGES = {  # distribution: what it gives
+_PACKAGES = {  # Each distribution has a text on what it gives.
     "numpy": "arrays, which every command needs",
     "mitsuba": "rendering",
     "drjit": "rendering",
@@ -23,7 +23,7 @@ _PACKAGES = {  # distribution: what it gives
     "manifold3d": "convex decomposition of parts",
     "pyoidn": "denoised colour pictures on a processor",
 }
-_OPTIONAL = {  # distribution: what installs it, what it gives
+_OPTIONAL = {  # Each distribution has the command that installs it, and what it gives.
     "torch": ("make extras", "detectors: train, detect and study"),
     "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
     "pin": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),

@@ -20,7 +20,7 @@ from .arguments import (
 )
 from .bars import open_bars, open_stages
 
-TABLE = "table.txt"  # `graycast realism` writes this file to every folder
+TABLE = "table.txt"  # The command `graycast realism` writes this file to every folder.
 
 
 def add_commands(commands) -> None:

@@ -9,7 +9,8 @@ from ..base.errors import GraycastError
 from .arguments import add_command, add_device
 
 DEMO_PART = "metal_workpiece_1"
-SURFACES = ("plastic", "dark-plastic", "steel", "aluminium", "card")  # of cell.new_cell, by a test
+# A test compares these names with those of `cell.new_cell`.
+SURFACES = ("plastic", "dark-plastic", "steel", "aluminium", "card")
 UNITS = ("m", "cm", "mm", "inch")
 DEMO = """\
 Make a demonstration: the configuration of a cell with machined brackets in a bin, a dataset of

@@ -12,8 +12,8 @@ from ...base.errors import GraycastError
 
 BACKBONES = ("mobilenet-v3-small", "mobilenet-v2", "resnet18", "resnet50", "darknet53")
 STRIDES = (4, 8, 16, 32)
-# How far a norm's statistics move in a step. Torchvision's 0.01 in MobileNetV3 is for a million
-# steps; after some hundred, what a network has learnt would not show outside training.
+# In a step, a norm's statistics move by this share. Torchvision's 0.01 in MobileNetV3 is for a
+# million steps; after some hundred, what a network has learnt would not show outside training.
 NORM_MOMENTUM = 0.1
 
 

@@ -30,9 +30,9 @@ from .detector import About, Detector
 from .encoding import Encoding
 
 DRAWINGS = "drawings"
-_INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
+_INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))
 _DRAWN_SCORE = 0.5
-LEAST_INSIDE = 0.5  # of a picture's depth, in the range that the detector learnt
+LEAST_INSIDE = 0.5  # A note warns of a picture with less of its depth in the range that was learnt.
 
 
 @final

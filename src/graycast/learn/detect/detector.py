@@ -25,7 +25,7 @@ from .encoding import Encoding, encoding_from
 from .network import Network, NetworkOutput
 from .networks import open_network
 
-ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
+ONE_CLASS = "part"
 _FORM = 1
 
 

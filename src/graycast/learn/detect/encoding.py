@@ -18,15 +18,15 @@ from ...dataset.example import Example
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")
 
-# Means and deviations of photographs, as the published backbones were trained with.
+# The published backbones were trained with these means and deviations of photographs.
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _RGB_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
-BLACK = -_RGB_MEAN / _RGB_DEVIATION  # what encodes no light
-_RELIEF_WINDOW = 1 / 10  # as a share of the longer side of the input
-_RELIEF_SHARE = 1 / 20  # of the working volume: what saturates the relief
+BLACK = -_RGB_MEAN / _RGB_DEVIATION  # A pixel without light is encoded as this.
+_RELIEF_WINDOW = 1 / 10  # A window's side is this share of the longer side of the input.
+_RELIEF_SHARE = 1 / 20  # A height of this share of the working volume saturates the relief.
 _NOISY_SIGMA_M = 1e-3
 _NOISY_HOLES_SHARE = 0.05
-_NOISY_HOLE_PX = (1, 12)  # radii, at the picture's own size
+_NOISY_HOLE_PX = (1, 12)  # The radii are between these, at the picture's own size.
 
 
 @final

@@ -22,8 +22,7 @@ from .network import NetworkOutput, Recipe, Target
 SIZES = ("nano", "small", "medium", "large")
 # A query that overlaps an ignored instance by more than this, and more than any other, may mean it.
 OVERLAP = 0.5
-# A logit whose loss against "nothing here" is zero in single precision.
-SILENT = -30.0
+SILENT = -30.0  # The loss of this logit against "nothing here" is zero in single precision.
 # The names of the library's losses begin so; each is there once a layer.
 TERMS = {"class": "loss_ce", "box": "loss_bbox", "overlap": "loss_giou"}
 

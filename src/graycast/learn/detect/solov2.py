@@ -27,8 +27,8 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 from .backbones import open_backbone
 from .network import NetworkOutput, Recipe, Target
 
-# One entry a level. An instance belongs to the levels whose range holds the root of its box's
-# area, as a share of the root of the picture's: two levels, as the ranges overlap.
+# Each level has one entry. An instance belongs to the levels whose range holds the root of its
+# box's area, as a share of the root of the picture's: two levels, as the ranges overlap.
 GRIDS = (40, 36, 24, 16, 12)
 RANGES = ((0, 3 / 32), (3 / 64, 3 / 16), (3 / 32, 3 / 8), (3 / 16, 3 / 4), (3 / 8, inf))
 LEAST_SIDE_PX = 1.0

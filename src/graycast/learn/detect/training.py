@@ -40,7 +40,7 @@ SHARES = (0.8, 0.1, 0.1)
 _SAVE_EVERY_S = 60.0
 _WARM_UP_SHARE = 0.05
 _MOST_NORM = 10.0
-_RANGE_MARGIN = 0.05  # as a share of the depth's span, at both ends
+_RANGE_MARGIN = 0.05  # This share of the depth's span is added at both ends.
 
 
 @final

@@ -20,19 +20,18 @@ from .backbones import Convolution, open_backbone
 from .network import NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
-# Width and height in pixels of a picture of 416 x 416, from the coarsest scale to the finest: the
-# paper's, clustered from COCO. They grow and shrink with the picture.
+# These widths and heights are in pixels of a picture of 416 x 416, from the coarsest scale to the
+# finest. They are the paper's, clustered from COCO, and grow and shrink with the picture.
 ANCHORS_416_PX = (
     ((116, 90), (156, 198), (373, 326)),
     ((30, 61), (62, 45), (59, 119)),
     ((10, 13), (16, 30), (33, 23)),
 )
 STRIDES = (32, 16, 8)
-# An anchor that overlaps an instance by more than this is not a negative.
-OVERLAP = 0.5
+OVERLAP = 0.5  # An anchor that overlaps an instance by more than this is not a negative.
 CENTRE_WEIGHT, SIZE_WEIGHT = 2.0, 2.0
-MOST_LOG_GROWTH = 8.0  # e^8 anchors is larger than any picture; more would overflow
-LEAST_SHARE = 1e-6  # of a cell, or of an anchor: the logarithm of zero is none
+MOST_LOG_GROWTH = 8.0  # A box of e^8 anchors is larger than any picture; more would overflow.
+LEAST_SHARE = 1e-6  # A share of a cell or of an anchor is at least this: zero has no logarithm.
 
 
 @final

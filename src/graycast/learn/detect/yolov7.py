@@ -21,11 +21,10 @@ from .backbones import follow_fast
 from .network import NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
-# The library's anchors are for pictures of this side.
-PUBLISHED_PX = 640
+PUBLISHED_PX = 640  # The library's anchors are for pictures of this side.
 # Only cells whose centre is so many cells from that of an instance, along both axes, may own it.
 REACH = 1.5
-# A logit whose cross-entropy against "nothing here" is zero in single precision.
+# The cross-entropy of this logit against "nothing here" is zero in single precision.
 SILENT = -100.0
 
 

@@ -23,7 +23,7 @@ from ..detect.encoding import Encoding
 from ..detect.networks import network_class
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
 
-FIGURE = "ap50"  # the paper's
+FIGURE = "ap50"  # The study uses the same figure as the paper.
 
 
 @final

@@ -15,7 +15,7 @@ from .study_runs import Result
 
 Row = dict[str, str | float]
 _KEYS = ("model", "input", "encoding", "training", "seed", "kind", "dataset")
-_ALL = "all"  # the datasets of a world, by their mean
+_ALL = "all"  # This name stands for the datasets of a world, by their mean.
 
 
 def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...base.frames import rigid
 
-LEAN_RAD = np.radians(30)  # a bin's walls and neighbours make a tool lean by about as much
+LEAN_RAD = np.radians(30)  # A bin's walls and neighbours make a tool lean by about as much.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

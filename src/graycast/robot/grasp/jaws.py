@@ -15,11 +15,11 @@ from ...world.parts.sampling import spread_points
 from .grip import Grip, downs
 from .robust import SHAKE, Doubt
 
-CLEARANCE_M = 2e-3  # between each open finger and the part
-TURNS = 8  # ways round the pads' axis that are tried at each place
-PAD_LINES = 8  # on each of two rings, along which a pad is followed to the part
-PAD_GIVES_M = 0.5e-3  # by which a rubber pad is pressed in
-PROBES = 3000  # points of the surface that no finger may hold within itself
+CLEARANCE_M = 2e-3  # This gap is left between each open finger and the part.
+TURNS = 8  # At each place, this many turns about the axis of the pads are tried.
+PAD_LINES = 8  # A pad is followed to the part along this many lines on each of two rings.
+PAD_GIVES_M = 0.5e-3  # The jaws press a rubber pad in by this depth.
+PROBES = 3000  # No finger may have any of these points of the part's surface within itself.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from ...base.frames import inverse, transform_points
 from ...rig.optics import Optics, project, rays
 from ...world.parts import Mesh
 
-STEP_M = 0.5e-3  # between the nodes under a tool that is tried
+STEP_M = 0.5e-3  # The nodes of the patch under a tool that is tried lie this far apart.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,8 +10,8 @@ from ...base.streams import stream
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
-CARRIED_M_S2 = 0.5 * 9.81  # with which a held part is moved at most
-SHAKE = 1.5  # times its weight that a part pulls then at most
+CARRIED_M_S2 = 0.5 * 9.81  # A tool accelerates a part in it by no more than this.
+SHAKE = 1.5  # At that acceleration, a part pulls with at most this many times its weight.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from .patch import Patch
 
-LIP_POINTS = 32  # springs round the lip: a groove of half their length opens the seal
-MOST_STRAIN = 0.10  # of a spring in a cup that seals. Source: Dex-Net 3.0, section IV
+LIP_POINTS = 32  # This many springs form the lip: a groove of half their length opens the seal.
+MOST_STRAIN = 0.10  # A cup seals if no spring has more strain. Source: Dex-Net 3.0, section IV.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,9 +19,9 @@ from ..pick.touch import touch
 from .label_options import Labelling
 from .stored_world import GraspWorld, ScenePoses, around
 
-CLEAR_M = 0.05  # how much higher than the bin's rim a part is lifted that lay on its floor
-LIFT_M_S = 0.25  # as straight ways of a robot's cell
-STILL_S = 0.3  # it has to hang at the end
+CLEAR_M = 0.05
+LIFT_M_S = 0.25  # The straight ways of a robot's cell have the same speed by default.
+STILL_S = 0.3  # The part has to hang on the tool for this time after the lift.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

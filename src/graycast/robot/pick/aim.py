@@ -14,12 +14,12 @@ from ..grasp import Doubt, Grip, GripEstimate
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from .heap_obstacle import FLOOR_M, WALL_M
 
-LEAST_AREA = 0.3  # as a share of the largest detection's pixels, which a detection must have
-LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
-BESIDE_PX = 2  # so near an outline, what covers a part is looked for
-COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part
-COVERED_SHARE = 0.08  # as a share of an outline, by which a part counts as covered
-PLACES = 40  # in each round of the search for grips without a model, for each detection
+LEAST_AREA = 0.3  # A detection must have at least this share of the largest one's pixels.
+LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
+BESIDE_PX = 2  # What covers a part is looked for this near to its outline.
+COVERED_M = 8e-3  # What is nearer to the camera by more than this lies on the part.
+COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.
+PLACES = 40  # Each round of the search without a model tries this many grips for each detection.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

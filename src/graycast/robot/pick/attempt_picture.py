@@ -9,7 +9,7 @@ from ...rig.optics import project
 from .bin_scan import BinScan
 from .outcome import TAKEN, Attempt
 
-_GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)  # RGB
+_GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)
 AXIS_M = 0.05
 
 

@@ -18,8 +18,8 @@ from ...world.scene import Layout
 from .aim import Candidate, DepthView, whole_bin
 from .robot_cell import PickCell
 
-LEAST_VISIBLE_PX = 30  # of a part that truth tells of
-LEAST_SCORE = 0.3  # of a detector's detection
+LEAST_VISIBLE_PX = 30  # The truth has no target for a part of which less is visible.
+LEAST_SCORE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,13 +27,13 @@ from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, ways
 
-TABU_M = 0.015  # about a grip that failed, where none is tried before something near was picked
-BLOCKED_M = 0.04  # about a grip to which no way was found, where others wait for their turn
-ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
+TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
+BLOCKED_M = 0.04  # Grips this near to one without a way to it wait until others had their turn.
+ALIKE_M = 0.008  # Planning takes similar grips that are nearer to each other than this as one.
 LEAST_UP_M = 0.02
-# How far the middle of what is seen of an unknown part may be from its centre of mass, each way.
+# The visible middle of an unknown part may be this far off its centre of mass, along each axis.
 UNKNOWN_CENTER_M = 0.01
-# What is so far off the part's surface over so large a share of the tool's ground is another.
+# A surface this far off the part's on this large a share of the tool's ground is another body's.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",

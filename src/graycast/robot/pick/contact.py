@@ -11,7 +11,7 @@ from ...world.drop import Hold
 from ...world.parts import Part
 from .outcome import Outcome
 
-LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # as `grasp.load_factor` of one tool
+LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # It is `grasp.load_factor` of one tool.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,7 @@ from .pick_sections import PickingSection
 from .ready import Ready
 from .ways import Blocked, Ways
 
-POSE_STEP_S = 0.05  # between the arm's poses that are kept
+POSE_STEP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

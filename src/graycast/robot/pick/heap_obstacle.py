@@ -23,12 +23,12 @@ from ...rig.optics import Optics, picture_rays, points
 from ...world.scene import Bin, bin_mesh
 
 CELL_M = 4e-3
-BESIDE = ndimage.generate_binary_structure(2, 1)  # a node is as high as the four beside it
+BESIDE = ndimage.generate_binary_structure(2, 1)  # A node is as high as the four beside it.
 GUESSED_M = 8e-3
-NEIGHBOURS, STEP_M = 3, 6e-3  # a point is believed where so many beside it are so near in depth
-FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
-WALL_M = 5e-3  # what lies nearer to a wall is the wall
-BELOW_M = 0.05  # what stands on the table is solid so far down
+NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
+FLOOR_M = 3e-3  # What is less than this above the bin's floor counts as the floor.
+WALL_M = 5e-3  # What is nearer than this to a wall counts as the wall.
+BELOW_M = 0.05  # The heap is solid to this depth under the floor, and the table is as thick.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,12 +20,11 @@ from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
 # Poses of a path that are checked for collisions lie this far apart at most: 30 mm at 0.8 m.
 CHECKED_RAD = 0.04
-# A joint that turns by more than this between two poses of a straight line has jumped.
-JUMP_RAD = 0.3
-MOST_CALLS = 20_000  # the planner asks its end condition this often before it gives up
+JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
+MOST_CALLS = 20_000  # The planner asks its end condition this often before it gives up.
 SHORTCUTS = 60
-RISE_S = 0.12  # an acceleration rises from 0 within this time
-SPACED_RAD = 0.1  # the points of the spline that the robot drives lie this far apart
+RISE_S = 0.12
+SPACED_RAD = 0.1
 
 Free = Callable[[Joints], bool]
 

@@ -11,7 +11,7 @@ from ...world.scene import TABLE_HALF_M, Scene, bin_mesh, bin_of
 from .heap_obstacle import BELOW_M, CELL_M, MeasuredHeap
 from .robot import Obstacle
 
-RIG_M = 0.06  # half the thickness of the box that stands for camera, projector and what joins them
+RIG_M = 0.06  # The box around camera, projector and what joins them is twice as thick as this.
 
 
 def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obstacle, ...]:

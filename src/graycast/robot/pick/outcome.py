@@ -31,7 +31,7 @@ BEFORE_MOVING = (
     Outcome.UNREACHABLE,
     Outcome.GIVEN_UP,
 )
-# The part has left the bin by the tool.
+# With these outcomes, the tool has taken the part out of the bin.
 TAKEN = (Outcome.PICKED, Outcome.TWO_AT_ONCE)
 # A pose is called wrong beyond this; symmetries of the part make no difference.
 WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3

@@ -23,7 +23,7 @@ from .tools import T_flange_tip, Tool
 from .touch import ContactPart
 from .ways import Load, Surroundings
 
-_PLACES = 200  # that are tried on each kind of part
+_PLACES = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,7 @@ from .robot_cell import PickCell, resolve_pick_cell
 from .solids import joined, shape_mesh
 from .tools import T_flange_tip, Tool
 
-AT_GRIP_M = 1e-3  # between the tip at the grip and where it was sent: files are rounded to less
+AT_GRIP_M = 1e-3  # The tip may be this far off its target at the grip: files are rounded to less.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from ...base.errors import ConfigError
 from ...base.frames import transform_points
 from ...world.parts import Mesh
 
-ROUND = 24  # sides of what is round
+ROUND = 24  # The mesh of a round shape has this many sides.
 
 
 def shape_mesh(shape: Any) -> Mesh:

@@ -30,7 +30,7 @@ from .outcome import Outcome
 from .robot import Mounted
 from .solids import ROUND
 
-STEP_M = 0.5e-3  # between the nodes of the surface on which a cup is laid
+STEP_M = 0.5e-3  # The nodes of the surface under a cup lie this far apart.
 
 
 class SuctionTool(Settings):

@@ -12,10 +12,10 @@ from .motion import Trajectory, drive, plan, straight
 from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
-TURNS = 4  # of a round cup about its axis, which all hold alike
-OFF_M = 0.01  # on which the load comes on the tool: bellows stretch by less
-Lines = dict[str, Float[np.ndarray, "k joints"]]  # straight motions by their names
-ELBOWS = 3  # ways to hold the arm that are tried before a grip
+TURNS = 4  # A round cup holds alike at each of these turns about its axis.
+OFF_M = 0.01  # The load comes on the tool along this way: bellows stretch by less.
+Lines = dict[str, Float[np.ndarray, "k joints"]]  # The keys are names of straight motions.
+ELBOWS = 3  # Before a grip, at most this many ways to place the arm are tried.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,13 +19,13 @@ KINDS = 7
 # MISSED_UNKNOWN: within the outline, nothing measured, and the part would not be there.
 
 
-# What a pixel is worth in a box, where a visible one is worth 1 and a contradicted one -1. Chosen
-# on brackets in heaps: the tempting mistakes are a part sunk flush into the floor (the surface goes
+# In a box, a visible pixel is worth 1, and a contradicted one -1. The other numbers were chosen on
+# brackets in heaps: the tempting mistakes are a part sunk flush into the floor (the surface goes
 # on around it, and the true part hides it) and a neighbour.
-OUTSIDE = 0.3  # agreeing, outside the box
-HIDING = 1.0  # taken off for one that is hidden
-GOING_ON = 3.0  # taken off for one beside the part where its surface goes on
-OFF_CENTRE = 0.3  # of the box's pixels, taken off if the part's middle is at the box's border
+OUTSIDE = 0.3  # A pixel that agrees, but outside the box, is worth this.
+HIDING = 1.0  # A hidden pixel takes this off.
+GOING_ON = 3.0  # A pixel beside the part takes this off where the part's surface goes on.
+OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share of the box's pixels.
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

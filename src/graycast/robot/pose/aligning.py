@@ -9,7 +9,7 @@ import numpy as np
 from .closest import add_row, solved, turn_by
 from .drawing import draw
 
-REACH_PX = 4.0  # how far from its drawn place an outline is looked for
+REACH_PX = 4.0  # An outline is looked for within this distance of its drawn place.
 LINE_STEP_PX = 0.5
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-CELLS = 60  # along the diameter
-BEYOND = 0.2  # as a share of the diameter that the grid reaches beyond the part's box
-ALIKE = 0.5  # the least cosine between normals of places that may correspond
-DAMPING = 1e-3  # of the mean curvature: keeps still what the points do not say
+CELLS = 60  # The grid has this many cells along the diameter.
+BEYOND = 0.2  # The grid reaches beyond the part's box by this share of the diameter.
+ALIKE = 0.5  # Places may correspond if the cosine between their normals is at least this.
+DAMPING = 1e-3  # This share of the mean curvature keeps still what the points do not determine.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

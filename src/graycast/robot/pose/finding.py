@@ -16,20 +16,20 @@ from .model import PoseModel
 from .pairs import votes
 from .trying import PoseTrial, Trials
 
-WINDOW = 0.035  # half width of the windows of normals, as a share of the diameter
-REACH = 0.75  # of the diameter around a detection is looked at
-LEAST_POINTS = 30  # with normals that a detection must have
-SCENE_POINTS = 220  # of a detection take part in voting at least, four times as many at most
-REFERENCES = 90  # of them vote for poses
-CORE = 0.6  # of a box, from its middle, that reference points are taken from
-PEAKS = 6  # poses from each reference point
-ALIKE = 0.15  # as a share of the diameter: poses whose key points are nearer are one
-KEPT = 200  # poses that are laid on the depth by ICP and drawn
-CHOSEN = 16  # poses that are aligned
-GATES = (0.12, 0.06, 0.03)  # of the diameter, of ICP, with so many rounds each
+WINDOW = 0.035  # A window of normals has this half width, as a share of the diameter.
+REACH = 0.75  # The search looks at this share of the diameter around a detection.
+LEAST_POINTS = 30  # A detection must have this many points with normals.
+SCENE_POINTS = 220  # At least this many points of a detection form pairs, at most 4 times as many.
+REFERENCES = 90  # This many of these points are references, which vote for poses.
+CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
+PEAKS = 6  # Each reference point gives this many poses.
+ALIKE = 0.15  # Poses whose key points are nearer than this share of the diameter are one.
+KEPT = 200  # ICP lays this many poses on the depth, and they are drawn.
+CHOSEN = 16  # This many poses are aligned.
+GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
-SURE = 0.9  # a score at which no other way to put the part is tried
-TRIES = 3  # how often the best pose's other ways are tried anew
+SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
+TRIES = 3  # The other ways of the best pose are tried anew at most this many times.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,9 +12,9 @@ from ...world.parts.symmetry import axis_rotations, motions
 from .closest import Closest, closest
 from .pairs import PairTable, pair_table
 
-STEP = 0.05  # spacing of the points of pairs, and bin of distance, as a share of the diameter
-MOST_POINTS = 700  # of them: pairs grow with the square
-DENSE_STEP = 0.008  # spacing of the points that depth is laid on
+STEP = 0.05  # This share of the diameter is the spacing of pairs' points and a bin of distance.
+MOST_POINTS = 700  # The number of pairs grows with the square of the number of points.
+DENSE_STEP = 0.008  # The points that depth is laid on lie this share of the diameter apart.
 MOST_DENSE = 40_000
 
 

@@ -17,8 +17,8 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-ANGLES = 15  # bins of 12 degrees for each angle of a feature
-TURNS = 30  # bins of 12 degrees for the turn about the normal
+ANGLES = 15  # Each angle of a feature has bins of 12 degrees.
+TURNS = 30  # The turn about the normal has bins of 12 degrees.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,14 +12,14 @@ from .aligning import align
 from .drawing import draw, lens
 from .model import PoseModel
 
-TOLERANCE = 0.02  # as a share of the diameter that a measurement may be off the part, or
-TOLERANCE_SIGMAS = 3.5  # times the noise, if that is more
-# In tolerances: within which a pixel's depth pulls at the pose, step by step. The first reaches
-# as far as ICP may have left the pose, the last is what counts as visible and a half.
+TOLERANCE = 0.02  # A measurement may be off the part by this share of the diameter.
+TOLERANCE_SIGMAS = 3.5  # It may be off by this many times the noise, if that is more.
+# A pixel's depth pulls at the pose within so many tolerances, step by step. The first gate reaches
+# as far as ICP may have left the pose. The last is one and a half times what counts as visible.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
-EDGE = 3.0  # tolerances between a part and what is behind its outline
-OUTLINE_WEIGHT = 1.0  # of a pixel of the outline against one of the surface
-LEAST_PIXELS = 30  # on which a pose that is put otherwise is placed
+EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.
+OUTLINE_WEIGHT = 1.0  # A pixel of the outline has this weight against one of the surface.
+LEAST_PIXELS = 30  # A part that is put otherwise is placed on at least this many pixels.
 
 
 @final

@@ -13,7 +13,7 @@ from .asking import Ask
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
-MOST_PARTS = 6  # kinds of parts that have controls of their own; the text has all
+MOST_PARTS = 6  # This many kinds of parts have controls of their own; the text has all.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,9 +30,9 @@ class Control:
     cost: Cost
     low: Number | None = None
     high: Number | None = None
-    step: Number | None = None  # of a slider; None: by equal ratios
+    step: Number | None = None  # A slider moves by this step; if it is None, by equal ratios.
     unit: str = ""
-    scale: float = 1.0  # what is shown, over what is set
+    scale: float = 1.0  # The page shows this many times the value that is set.
     choices: tuple[Any, ...] = ()
     whole: str | None = None
     grey: bool = False

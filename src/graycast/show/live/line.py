@@ -34,7 +34,7 @@ from .asking import Answer, Ask
 from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
-ROUGH = (1, 4)  # samples of the pictures before the configured ones
+ROUGH = (1, 4)  # Pictures with this many samples come before the configured ones.
 
 Emit = Callable[[Answer], None]
 

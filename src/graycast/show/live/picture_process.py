@@ -12,7 +12,7 @@ from threading import Lock, Thread
 from ...base.errors import GraycastError, error_line
 from .asking import Answer, Ask
 
-STOP_S = 3.0  # within which it ends by itself; a rendering that is not broken off is killed
+STOP_S = 3.0  # If a rendering keeps the process from ending in this time, the process is killed.
 
 
 def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> None:

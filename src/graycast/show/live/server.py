@@ -25,9 +25,9 @@ from .page import about
 from .session import LatestAnswer, Message, Session
 
 HOST = "127.0.0.1"
-GRACE_S = 2.0  # that a page may take to be loaded again, before all it needs is given back
-MOST_BYTES = 1_000_000  # of what a page sends
-_BEAT_S = 0.25  # at which a page's stream looks whether the page is still there
+GRACE_S = 2.0  # A page may take this time to load again before all that it needs is given back.
+MOST_BYTES = 1_000_000  # A page may not send more in one request.
+_BEAT_S = 0.25  # A page's stream looks this often whether the page is still there.
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")

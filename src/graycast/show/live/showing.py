@@ -41,7 +41,7 @@ class PageContent:
     capture: Capture
     codes: CodeMap
     depth: DepthMap
-    rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
+    rgb: UInt8[np.ndarray, "h w 3"] | None  # It is None until it is made.
 
 
 def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: bool) -> Answer:

@@ -19,12 +19,12 @@ from ...world.scene import Environment, Lamp, Layout, Quad, Scene
 from .preview import DPI, pixel_axes
 
 _TILE_PX = (480, 360)
-_FOCAL_PX = 900.0  # a field of 30 degrees: little perspective, as in a catalogue
-_FILL = 0.86  # share of the tile that a part takes in its longer direction
-_FROM = np.array([0.50, -0.80, 0.55])  # where the eye is: before the part, to its right, above
+_FOCAL_PX = 900.0  # A field of 30 degrees gives little perspective, as in a catalogue.
+_FILL = 0.86  # A part takes this share of the tile in its longer direction.
+_FROM = np.array([0.50, -0.80, 0.55])  # The eye is before the part, to its right and above.
 _GAP_PX, _HEAD_PX, _WORDS_PX = 24, 72, 104
 _FLOOR = Material(base_color=(0.5, 0.5, 0.5), specular=0.0)
-_WHITE_LEVEL = 0.55  # radiance [W sr^-1 m^-2] that the picture shows as white
+_WHITE_LEVEL = 0.55  # The picture shows this radiance [W sr^-1 m^-2] as white.
 
 
 def describe_parts(parts: tuple[Part, ...]) -> str:

@@ -33,20 +33,20 @@ from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from ...world.scene import Scene
 
-DPI = 100  # lengths in pixels; a point of type is then 1.39 px
+DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
-_ABOVE_PX = 36  # a tile's title
-_BELOW_PX = (14, 52, 84)  # per row: nothing, colour bars, a legend
-_COARSE_RANK = 2  # of an axis's frames: the third Gray bit has a few wide stripes
-_CLOSE_UP = 4  # camera pixels of the finest bit on the sheet: fewer would beat with its stripes
+_ABOVE_PX = 36  # The title of a tile is in this space.
+_BELOW_PX = (14, 52, 84)  # Below the rows come, in turn, nothing, colour bars and a legend.
+_COARSE_RANK = 2  # The third Gray bit of an axis has a few wide stripes.
+_CLOSE_UP = 4  # The finest bit shows a camera pixel this large: less would beat with its stripes.
 
 # Unknown is a neutral grey that its map does not hold: dark, but light where the map ends dark.
 _DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
 _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
 _ERROR_COLUMNS, _ERROR_FALLBACK_M = 3.0, 5e-3
-_EDGE_POINTS = 17  # per edge of a box; a lens with distortion bends them
+_EDGE_POINTS = 17  # An edge of a box has this many points, as a lens with distortion bends it.
 # Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
 

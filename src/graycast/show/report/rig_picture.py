@@ -20,7 +20,7 @@ from ...rig.optics import Optics, rays
 from ...rig.pair import Rig, depth_per_column_m, depth_per_row_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
-_BORDER_POINTS = 33  # per side; distorted borders are curved
+_BORDER_POINTS = 33  # A side has this many points, as distorted borders are curved.
 _DEPTHS = 61
 
 

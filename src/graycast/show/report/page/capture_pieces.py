@@ -19,8 +19,8 @@ from ....dataset.stored import StoredScene
 from .packing import jpeg_url, pack_words, shrunk
 
 _QUALITY = 85
-_FAST = 2  # of zlib: code maps are noisy
-_STEPS = 65534  # of 16 bits, as 0 is no value and the first step is 1
+_FAST = 2  # This is a fast level of zlib, as code maps are noisy.
+_STEPS = 65534  # Of the values of 16 bits, 0 is no value, and the first step is 1.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

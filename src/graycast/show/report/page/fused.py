@@ -10,9 +10,9 @@ from ....score.merge import FusedCloud, fuse, read_view
 from .scene_files import receiving
 
 FUSED = "fused.js"
-_STEPS = 65535  # of 16 bits, over the cloud's longest side
-_MOST = 400000  # points that a browser draws smoothly
-_SIGMA_STEP_MM = 0.002  # of 8 bits: up to half a millimetre
+_STEPS = 65535  # The longest side of the cloud has this many steps, which 16 bits can count.
+_MOST = 400000  # A browser draws this many points smoothly.
+_SIGMA_STEP_MM = 0.002  # In 8 bits, steps of this size reach half a millimetre.
 
 
 def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:

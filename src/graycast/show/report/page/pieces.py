@@ -17,7 +17,7 @@ from ....base.errors import GraycastError
 from ....base.folder import beside, remove_left, write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
 
-PIECES = "scenes"  # the folder in which the page's scripts look for them
+PIECES = "scenes"  # The page's scripts look for the pieces in this folder.
 _STAMP = "stamp"
 _MARK = "graycast-report"
 

@@ -110,7 +110,7 @@ _LEFT_OUT = (
     "manifest_sha256",
 )
 
-# Where a camera stands is not known of real pictures: as if it looked straight down.
+# The pose of the camera of a real picture is not known, so it looks straight down here.
 _DOWNWARDS = {"cam_R_w2c": [1, 0, 0, 0, -1, 0, 0, 0, -1], "cam_t_w2c": [0, 0, 0]}
 
 

@@ -17,7 +17,7 @@ from ..page.pieces import stamp_of
 from ..page.scene_files import receiving
 from .bodies import packed_places, placed
 
-_FORM = "1"  # of a bin's files; a change builds them anew
+_FORM = "1"  # A change of this number builds a bin's files anew.
 _QUALITY = 85
 _ATTEMPT_KEYS = (
     "outcome", "detail", "targets", "part", "kind", "score", "pose_error", "least_factor",

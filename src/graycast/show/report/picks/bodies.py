@@ -13,7 +13,7 @@ from ....world.parts import Mesh
 from ....world.scene import bin_mesh
 from ..page.packing import pack_bytes
 
-UPRIGHT = 0.9  # cosine to the vertical from which a face looks up
+UPRIGHT = 0.9  # A face looks up if the cosine of its normal to the vertical is larger.
 TABLE_BEYOND_M = 0.25
 TINT = {
     "arm": (0.66, 0.70, 0.76),

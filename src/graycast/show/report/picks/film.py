@@ -32,15 +32,15 @@ from .bodies import TINT, look, open_bin, table
 from .words import OUTCOME_COLOR
 
 KINDS = {".gif": "GIF", ".webp": "WEBP"}
-WIDTH_PX, LEAST_PX = 480, 280  # narrower, the words would lie over each other
-FRAME_MS = 100  # GIF counts hundredths of a second
-_END_FRAMES = 8  # for which an attempt's outcome stands
-_FIELD_RAD = 0.55  # as the page's
-_PITCH_RAD, _DISTANCE = 0.42, 4.2  # the distance in `reach` of `look`
-_BAND_PX = 26  # below the picture, for words
-_ON_SURFACE_M = 2e-3  # points of the scan that lie on a body are drawn
+WIDTH_PX, LEAST_PX = 480, 280  # In a narrower picture, the words would lie over each other.
+FRAME_MS = 100  # GIF counts hundredths of a second.
+_END_FRAMES = 8  # An attempt's outcome stays for this many frames.
+_FIELD_RAD = 0.55  # The page has the same field of view (`FIELD_RAD`).
+_PITCH_RAD, _DISTANCE = 0.42, 4.2  # The distance is in units of `reach` of `look`.
+_BAND_PX = 26  # The words are in this band below the picture.
+_ON_SURFACE_M = 2e-3  # Points of the scan are drawn if they lie no deeper than this in a body.
 _PALETTE_FRAMES = 12
-_SMOOTH_PX = 5  # over which the slope of what was measured is averaged, for shading alone
+_SMOOTH_PX = 5  # The slope of the measured surface is averaged over this, for shading alone.
 
 Colors = UInt8[np.ndarray, "h w 3"]
 

@@ -25,7 +25,7 @@ _WEB = Web(
     home="all bins (Esc)",
     styles=("picks.css",),
     scripts=(
-        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # of the page of a dataset
+        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # The page of a dataset has these.
         *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
     ),
 )

@@ -35,9 +35,9 @@ SPEED_LIMIT_M_S = 1.0
 # Parts keep this distance: contact is found more steadily between bodies a little apart, and it
 # makes up for what thinning takes from curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
 SKIN_M = 0.2e-3
-TRUSTED_DEPTH_M = 0.05e-3  # deeper contacts than this are measured again, exactly
-TABLE_M = 3.0  # half its width
-WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels through
+TRUSTED_DEPTH_M = 0.05e-3  # Deeper contacts than this are measured again, exactly.
+TABLE_M = 3.0  # It is half the table's width.
+WALL_M = 0.15  # Parts collide with walls that are so thick outwards: nothing tunnels through.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,7 +28,7 @@ from .stored import SceneContent, StoredDataset, StoredScene, open_dataset
 CARD = "README.md"
 FOLDER = "card"  # It holds the card's pictures.
 UNSTATED = "not stated"
-SAMPLED = 40  # The pictures of so many scenes are read where nobody has counted all.
+SAMPLED = 40  # The pictures of so many scenes are read if nobody has counted those of all.
 _MOST = 3
 _TILE_PX = 480
 _NAMED = 4  # A title names so many parts.

@@ -31,7 +31,7 @@ from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of
 
-_THREADS = 4  # Decoding a PNG lets others run.
+_THREADS = 4  # Decoding a PNG lets other threads run.
 FRAMES = "frames"
 STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # They lie beside the pictures.
 # Noise does not shrink, however long one tries: half the time of zlib's own, and smaller.

@@ -96,8 +96,8 @@ class StoredScene:
     holds: frozenset[str]
     sensor: str = ""
     image: int = 0
-    place: int = 0  # among all images of its scene, those of all scanners
-    of: int = 1  # how many those are
+    place: int = 0  # It counts all images of the scene, those of all scanners.
+    of: int = 1  # The scene has so many images.
 
     @property
     def image_id(self) -> int:

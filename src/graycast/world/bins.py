@@ -21,7 +21,7 @@ _TURNS = {
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
 }
-_CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # Odd shares of the width do not run along edges.
+_CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # Round shares of the width may run along edges.
 _UPRIGHT = 0.9  # The cosine between the floor's normal and z is at least this.
 _INWARD = 0.7  # A wall leans at most 45 degrees: this is its normal's cosine to the way inside.
 _LEAST_DEPTH = 0.1  # A bin that is shallower, as a share of its height, is a plate.

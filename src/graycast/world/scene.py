@@ -18,7 +18,7 @@ from ..rig.pair import Rig
 from .parts import Material, Mesh, Part
 
 BandRadiance = tuple[Level, Level, Level]  # Red, green and blue are in [W sr^-1 m^-2].
-Inner = Annotated[float, Field(ge=0.01, le=5)]  # It is a side of a bin's room.
+Inner = Annotated[float, Field(ge=0.01, le=5)]
 Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
 
 

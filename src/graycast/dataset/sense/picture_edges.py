@@ -27,7 +27,7 @@ LEAST_SIGMAS = 6.0
 OUTLINE_CORRELATION, NEAR_LEAST_PX = 0.06, 6000
 _DARK_DN = 8.0  # Eight bits resolve about this: noise in the dark is no edge.
 _SMOOTH_PX, _LINE_PX = 0.7, 1.0
-_WIDE_PX = 6.0  # What is as wide is no edge.
+_WIDE_PX = 6.0  # What is as wide as this is no edge.
 _AROUND_PX = 8
 _SHIFTS = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 

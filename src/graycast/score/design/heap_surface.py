@@ -28,8 +28,8 @@ class Visibility(IntEnum):
     """Whether a point is visible from an eye position, and what hides it otherwise."""
 
     VISIBLE = 0
-    OUTSIDE = 1  # of its picture
-    BY_PARTS = 2  # a part is before it, or it looks away, so that its own part is
+    OUTSIDE = 1  # The point is not in the picture.
+    BY_PARTS = 2  # A part is before it, or it looks away, so that its own part is.
     BY_BIN = 3
 
 

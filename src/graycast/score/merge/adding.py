@@ -20,8 +20,8 @@ from .fuse import HIDDEN, OUTSIDE
 from .view import MeasuredView, Points
 
 WRONG_M = 2e-3  # A depth farther off the truth is none.
-WRONG = 252  # It is beside the reasons: there is a depth, and it is wrong.
-# A model may be so far off the truth in the pixel that sees it: surfaces curve and parts press.
+WRONG = 252  # It stands beside a dataset's reasons: there is a depth, and it is wrong.
+# A model may be so far off the truth in its pixel: surfaces curve and parts press into others.
 _SLACK_M = 0.5e-3
 _SLOPE = 0.2  # The same slack grows with a pixel's size on the surface.
 

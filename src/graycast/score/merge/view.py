@@ -12,7 +12,7 @@ from ...camera.crop import crop
 from ...rig.optics import Optics, picture_rays
 
 _WINDOW_PX = 2  # It is half the width of the windows in which planes are laid.
-LEAST_COSINE = 0.2  # At steeper rays the normal's own error counts, not the noise.
+LEAST_COSINE = 0.2  # Where a surface is steeper to the ray, its normal's error counts, not noise.
 
 
 @final

@@ -24,8 +24,8 @@ from ...base.robust import robust_sigma
 from .looking import SIGMAS, Measured, at, meet
 from .view import MeasuredView, Points, points_of
 
-POINTS = 4000  # So many of a view are looked up in another.
-LEAST_POINTS = 200  # A statement needs so many on planes that both see.
+POINTS = 4000  # So many points of a view are looked up in another.
+LEAST_POINTS = 200  # A statement needs so many points on planes that both see.
 # In each step a point may be off by this share of the depth and by 4 sigma.
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
 ALIGNED = 0.7  # Normals of one surface have a larger cosine between them.

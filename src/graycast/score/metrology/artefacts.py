@@ -21,7 +21,7 @@ from ...world.scene import Quad, Sphere
 
 EDGE_PX = 2.0  # Artefacts keep clear of the edge of either picture by this.
 RANGE_MARGIN = 0.03  # It is a share of the range at both ends: noise takes no point out of it.
-DEPTHS = 41  # A common field is looked for at so many.
+DEPTHS = 41  # A common field is looked for at so many depths.
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # They lie on a sphere; about half of them face the camera.
 CLEARANCE = 1.1  # Spheres are apart by this multiple of their angular radii's sum.

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from ...rig.pattern import Code, Frame
 
-DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows so many of the points to be dropped.
+DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows at most so many points to be dropped.
 ITERATIONS = 50
 CONVERGED = 1e-12  # It is a share of the radius.
 

@@ -44,10 +44,10 @@ WALL_M = 0.15  # Parts collide with walls that are so thick outwards: nothing tu
 class Terms:
     """The conditions under which parts move."""
 
-    guided: bool = False  # between walls that stand on the bin's
-    clustered: bool = False  # see `_world`
-    friction: float = 1.0  # the share of it that counts
-    speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
+    guided: bool = False  # Walls without friction stand on the bin's.
+    clustered: bool = False  # See `_world`.
+    friction: float = 1.0  # This share of it counts.
+    speed_m_s: float = SPEED_LIMIT_M_S  # No part is faster.
     step_s: float = STEP_S
 
 

@@ -26,7 +26,7 @@ WORTH = 0.2  # A cut is worth it if it takes this share of what the hull fills.
 WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the numbers of most round facets.
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
 ROUND = 0.02  # A piece is round if two principal variances differ by less, of the largest.
-# A part more, the share of the largest part, and the cut's share of the surface count so much, as
+# One more part, the share of the largest part and the cut's share of the surface count so much, as
 # shares of what there is to fill. Without them thin slices are cut off, one after another.
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = 120, 24  # So many points of a hull are tested, the few first.

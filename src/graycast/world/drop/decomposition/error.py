@@ -44,7 +44,7 @@ class MeshSamples:
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]
-    face: Int[np.ndarray, " n"]  # that each point lies on
+    face: Int[np.ndarray, " n"]  # Each point lies on the triangle of this number.
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 

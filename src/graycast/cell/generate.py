@@ -293,7 +293,7 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 
-_HOPELESS = 3  # scenes given up before any came out: then the rest would be, too
+_HOPELESS = 3  # If so many scenes are given up before any comes out, the rest would be, too.
 
 
 class _Run:

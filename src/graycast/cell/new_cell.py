@@ -15,16 +15,16 @@ from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .views import ViewSection, hang
 
-RIGS = ("phoxi-s", "phoxi-m", "phoxi-l")  # from the smallest field to the largest
-BIN_LENGTHS = 5.0  # length of the bin inside, in lengths of the part
-BIN_M = (0.12, 1.0)  # length of the smallest and of the largest bin
-PACKING = 0.5  # share of a full bin that lies within the convex hulls of its parts
-HEAP_SHARE = 1 / 3  # of the parts that would fill the bin
-MOST_PARTS = 60  # in a scene, since the time of a drop grows with them
+RIGS = ("phoxi-s", "phoxi-m", "phoxi-l")  # They go from the smallest field to the largest.
+BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
+BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
+PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
+HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
+MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 
 
-# What a configuration says of a surface, and a density [kg/m^3]. Reflectances are typical ones of
-# technical surfaces: a start, until the user knows those of the part.
+# Each surface has a material, as a configuration has it, and a density [kg/m^3]. Reflectances are
+# typical ones of technical surfaces: a start, until the user knows those of the part.
 SURFACES: Mapping[str, tuple[str, int]] = {
     "plastic": ("{base_color: [0.3, 0.3, 0.3], roughness: 0.5}", 1100),
     "dark-plastic": ("{base_color: [0.04, 0.04, 0.04], roughness: 0.5}", 1100),

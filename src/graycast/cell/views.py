@@ -21,9 +21,9 @@ from ..world.scene import Bin
 
 Pose = Float[np.ndarray, "4 4"]
 MOST_VIEWS = 1000
-FARTHEST_SIGMAS = 3.0  # of a jitter: what lies beyond is drawn again
-_BEYOND = 0.05  # rad beyond a picture's edge, whose middle a lens may bend out
-_TURN = 13  # azimuths at which a dome's depth is asked for
+FARTHEST_SIGMAS = 3.0  # What lies beyond in a jitter is drawn again.
+_BEYOND = 0.05  # It is in rad beyond a picture's edge, whose middle a lens may bend out.
+_TURN = 13  # A dome's depth is asked for at so many azimuths.
 
 Tilt = SpanOf[Annotated[float, Field(ge=0, le=80)]]
 Angle = SpanOf[Annotated[float, Field(ge=-360, le=360)]]
@@ -147,7 +147,7 @@ Views = Annotated[
     ),
 ]
 
-# Words that follow the type of camera or of content in names of files: `mask_visib`, `depth_sl`.
+# These words follow the type of camera or content in names of files: `mask_visib`, `depth_sl`.
 _TAKEN = ("sl", "visib", "info", "coco", "box3d", "sigma", "camera", "gt")
 
 

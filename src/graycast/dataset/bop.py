@@ -36,10 +36,10 @@ from .sample import Sample, labelled
 from .scene_folder import of_sensor, picture_name
 from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
 
-_PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
-DEPTH_MAX = 65535  # of 16 bits
+_PNG_LEVEL = 2  # Higher ones take twice the time for a hundredth of the size.
+DEPTH_MAX = 65535
 _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-_NOTHING = [-1, -1, -1, -1]  # BOP's box of what cannot be seen
+_NOTHING = [-1, -1, -1, -1]  # BOP gives this box to what is invisible.
 
 
 def depth_scale_mm(reach_m: float) -> float:

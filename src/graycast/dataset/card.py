@@ -26,12 +26,12 @@ from .stats import Statistics, draw_statistics, scene_figures, statistics_json, 
 from .stored import SceneContent, StoredDataset, StoredScene, open_dataset
 
 CARD = "README.md"
-FOLDER = "card"  # of its pictures
+FOLDER = "card"  # It holds the card's pictures.
 UNSTATED = "not stated"
-SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
+SAMPLED = 40  # The pictures of so many scenes are read if nobody has counted those of all.
 _MOST = 3
 _TILE_PX = 480
-_NAMED = 4  # parts in a title
+_NAMED = 4  # A title names so many parts.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

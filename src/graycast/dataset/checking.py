@@ -24,7 +24,7 @@ from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
 
-_MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
+_MODEL_MM = 1e-3  # A PLY has nine digits, which are read back in single precision.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

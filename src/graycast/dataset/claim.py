@@ -23,8 +23,8 @@ from .json_text import plain
 from .records import FORMAT_VERSION
 from .seal import SUMS
 
-BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
-_BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
+BESIDE_CONFIG = ("files", "scanner")  # They are in a claim's configuration, but no keys of it.
+_BESIDE = ("fingerprint", "sources", "versions", SUMS)  # The fingerprint does not cover these.
 _CLAIMED = (
     "format_version",
     "seed",

@@ -9,7 +9,7 @@ import numpy as np
 from ..render.radiance import Silhouette
 from .records import split_annotation
 
-IGNORED_BELOW = 0.1  # bop_toolkit's calc_gt_coco ignores instances that are visible for less
+IGNORED_BELOW = 0.1  # Instances that show less are ignored by bop_toolkit's calc_gt_coco.
 
 
 def run_lengths(crop: Silhouette, *, height_px: int, width_px: int) -> list[int]:

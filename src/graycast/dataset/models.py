@@ -18,8 +18,8 @@ from ..base.ply import COLORS, header
 from ..world.parts import Mesh, Part
 from .records import MM_PER_M
 
-TEXTURE = "comment TextureFile"  # in the header of a model that has one
-_CHUNK = 2048  # rows of the distance matrix held at once
+TEXTURE = "comment TextureFile"  # The header of a model with a texture has it.
+_CHUNK = 2048  # So many rows of the distance matrix are in memory at once.
 
 
 def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:

@@ -14,7 +14,7 @@ from ..base.errors import GraycastError
 from ..base.frames import is_rigid, rigid
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
-ROTATION_TOLERANCE = 1e-3  # of R's entries: files hold few digits
+ROTATION_TOLERANCE = 1e-3  # R's entries may be off by this, since files hold few digits.
 _MM_PER_M = 1000.0
 
 

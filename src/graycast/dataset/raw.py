@@ -31,9 +31,9 @@ from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of
 
-_THREADS = 4  # decoding a PNG lets others run
-FRAMES = "frames"  # folder of a scene
-STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # beside the pictures
+_THREADS = 4  # Decoding a PNG lets other threads run.
+FRAMES = "frames"
+STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # They lie beside the pictures.
 # Noise does not shrink, however long one tries: half the time of zlib's own, and smaller.
 _NOISY_PNG = [
     cv2.IMWRITE_PNG_COMPRESSION,
@@ -106,7 +106,7 @@ def _tiff(image: Float32[np.ndarray, "h w"]) -> bytes:
     return file.getvalue()
 
 
-_PREDICTOR, _FLOATING_POINT = 317, 3  # tag and value of TIFF Technical Note 3
+_PREDICTOR, _FLOATING_POINT = 317, 3  # They are tag and value of TIFF Technical Note 3.
 
 
 # --- reading -----------------------------------------------------------------------------------

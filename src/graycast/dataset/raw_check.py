@@ -20,7 +20,7 @@ from .scene_folder import SceneFolder, of_sensor
 
 # A pixel has a projector position where only its depth was refused, not its code.
 _POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
-_GRAY_DN = 1  # another processor may round a half otherwise
+_GRAY_DN = 1  # Another processor may round a half otherwise.
 
 
 def raw_problems(

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Generic, TypeVar
 from pycocotools import mask as coco_mask
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, RootModel
 
-MM_PER_M = 1000.0  # the files have the millimetres of BOP
-FORMAT_VERSION = 3  # of `graycast.json` and all that belongs to it
+MM_PER_M = 1000.0  # The files have the millimetres of BOP.
+FORMAT_VERSION = 3  # It is the version of `graycast.json` and all that belongs to it.
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]

@@ -13,8 +13,7 @@ from ..camera.sensor import Capture
 from ..render.radiance import GroundTruth
 from ..world.scene import Layout, Scene
 
-# Share of a picture's pixels; in fewer, a wrong code happens to give a depth where there is none.
-LEAST_DECODED = 1e-3
+LEAST_DECODED = 1e-3  # In a smaller share of a picture wrong codes give depths by chance.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

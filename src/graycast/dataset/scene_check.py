@@ -22,8 +22,8 @@ from .sense import Evidence, sense_problems
 
 R = TypeVar("R", bound=BaseModel)
 
-BOX_MM = 1e-3  # of 3D boxes, whose sizes the models hold to nine digits
-WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # of one pose through two cameras, in double precision
+BOX_MM = 1e-3  # The models hold the sizes of 3D boxes to nine digits.
+WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # One pose is computed through two cameras in double precision.
 
 _OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
 _IMAGES = {

@@ -18,7 +18,7 @@ from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-SCANNER = "_sl"  # the type of camera that our own datasets add
+SCANNER = "_sl"  # Our own datasets add this type of camera.
 
 R = TypeVar("R", bound=BaseModel)
 

@@ -13,8 +13,8 @@ from typing import Any
 from .json_text import json_bytes
 
 MANIFEST = "manifest.json"
-SUMS, OWN = "sha256", "manifest_sha256"  # keys of a manifest; the first also of `graycast.json`
-# Of a scene's images but the first one, whose facts are the manifest's own.
+SUMS, OWN = "sha256", "manifest_sha256"  # Both are in a manifest, the first in `graycast.json` too.
+# These are of a scene's further images; the first one's facts are the manifest's own.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
 OWN_FACTS = ("exposure_s", "reasons", "part_reasons", "frames", "code_maps")
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)

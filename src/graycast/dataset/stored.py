@@ -24,7 +24,7 @@ from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 from .seal import facts_of
 
-NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
+NO_REASON = 255  # The dataset does not say why a pixel has no scanner depth.
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
@@ -96,8 +96,8 @@ class StoredScene:
     holds: frozenset[str]
     sensor: str = ""
     image: int = 0
-    place: int = 0  # among all images of its scene, those of all scanners
-    of: int = 1  # how many those are
+    place: int = 0  # It counts all images of the scene, those of all scanners.
+    of: int = 1  # The scene has so many images.
 
     @property
     def image_id(self) -> int:

@@ -17,8 +17,8 @@ from ..base.settings import Level, Positive, Vector, check_fields
 from ..rig.pair import Rig
 from .parts import Material, Mesh, Part
 
-BandRadiance = tuple[Level, Level, Level]  # [W sr^-1 m^-2] in red, green and blue
-Inner = Annotated[float, Field(ge=0.01, le=5)]  # a side of a bin's room
+BandRadiance = tuple[Level, Level, Level]  # Red, green and blue are in [W sr^-1 m^-2].
+Inner = Annotated[float, Field(ge=0.01, le=5)]
 Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
 
 
@@ -198,7 +198,7 @@ def bin_of(scene: Scene) -> Bin:
     return scene.bin
 
 
-TABLE_HALF_M = 4.0  # of the table's edge: it looks endless
+TABLE_HALF_M = 4.0  # The table's edge is so far off that the table looks endless.
 
 EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))
 
@@ -286,7 +286,7 @@ def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
     return looks_up & low & within
 
 
-_UPRIGHT, _LOW = 0.9, 0.03  # cosine to z; how far from the floor's height, of the bin's depth
+_UPRIGHT, _LOW = 0.9, 0.03  # A floor's cosine to z is more; it is off by less of the bin's depth.
 
 
 def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:

@@ -30,7 +30,7 @@ from .domain_sections import (
 from .named_files import Domain
 from .vary import lamp_of, shared_out, with_rig_and_bin
 
-PARTS_MAX = 255  # a drop has no more
+PARTS_MAX = 255  # A drop has no more.
 LAMP_TRIES = 1000
 
 Streams = Mapping[str, np.random.Generator]

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from ...base.color import linear, linear_share, srgb
 from ...world.parts import Material
 
-ROUGHNESS = (0.05, 1.0)  # what a material may have
+ROUGHNESS = (0.05, 1.0)  # The roughness of a material lies between these.
 
 Rgb = tuple[float, float, float]
 
@@ -21,7 +21,7 @@ _RGB_OF_XYZ = np.array(
         [-0.9692660, 1.8760108, 0.0415560],
         [0.0556434, -0.2040259, 1.0572252],
     ]
-)  # IEC 61966-2-1, white D65
+)  # The matrix is that of IEC 61966-2-1 for white D65.
 
 
 def drawn_color(drawn: Mapping[str, float]) -> Rgb:

@@ -12,7 +12,7 @@ from .domain_sections import AdaptedSection, DistractorRanges, RandomizedSection
 
 MAPS, PICTURES = (".exr", ".hdr"), (".png", ".jpg", ".jpeg")
 METAL_PARTS = ("metal_workpiece_1", "metal_workpiece_2")
-SMALL = 0.5  # as a share of the bin's shorter side: longer distractors are not put in unasked
+SMALL = 0.5  # Distractors longer than this share of the bin's shorter side are not put in unasked.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

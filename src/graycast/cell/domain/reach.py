@@ -12,7 +12,7 @@ from ...world.scene import Scene, bin_of
 from .domain_sections import AdaptedSection, RandomizedSection
 from .vary import moved_rig
 
-_AZIMUTHS = 37  # 10 degrees apart over a whole turn, which costs up to 0.4 % of the bin's half size
+_AZIMUTHS = 37  # In a whole turn, steps of 10 degrees cost up to 0.4 % of the bin's half size.
 
 
 def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) -> float:

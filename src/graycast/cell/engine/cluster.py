@@ -14,7 +14,7 @@ from .job import Job, TaskResult, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed
 
-_AHEAD = 2  # scenes submitted per place: workers need not wait, finished scenes do not pile up
+_AHEAD = 2  # So many scenes a place are submitted: no worker waits, no finished scenes pile up.
 
 
 class RayPool:
@@ -115,7 +115,7 @@ def _import_ray() -> Any:
 
 # --- in a worker of Ray ------------------------------------------------------------------------
 
-_maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it
+_maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it.
 
 
 def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> TaskResult:

@@ -19,8 +19,8 @@ from .job import Job, TaskResult, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
 
-_MEMORY_SHARE = 0.8  # as a share of the machine's memory, for all workers together
-# Libraries that would each take all cores. Open Image Denoise also binds its threads to the first
+_MEMORY_SHARE = 0.8  # All workers together get this share of the machine's memory.
+# These libraries would each take all cores. Open Image Denoise also binds its threads to the first
 # cores, where those of the other workers sit already.
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",

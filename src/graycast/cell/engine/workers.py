@@ -9,7 +9,7 @@ from ...world.drop import prepare
 from .job import Job, TaskResult
 from .pool import Failed, Pool, make_each
 
-MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
+MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the process.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,12 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-_ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # right, down, left, up: inside on the right
+_ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the right of each border.
 
 
-# A binary fraction; pycocotools rounds fifths of a pixel, so it may be up to a tenth.
-INSET_PX = 1 / 16
-_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # of a border in each direction
+INSET_PX = 1 / 16  # It is a binary fraction up to 0.1, as pycocotools rounds fifths of a pixel.
+_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each points inwards from such a border.
 
 
 def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:

@@ -23,7 +23,7 @@ except ImportError as error:
         "Parquet needs pyarrow, which is not installed: run pip install 'graycast[parquet]'"
     ) from error
 
-_GROUP = 16  # scenes in memory at once
+_GROUP = 16  # So many scenes are in memory at once.
 _IMAGES = {"rgb": "rgb", "gray_sl": "gray", "depth": "depth", "depth_sl": "depth_sl"}
 
 

@@ -8,7 +8,7 @@ from .. import records
 from ..safe_reading import Unreadable, read_json
 from ..stored import StoredDataset
 
-_SOME = 3  # keys that an error names
+_SOME = 3  # An error names so many keys.
 
 
 class Selection(records.Record):

@@ -8,7 +8,7 @@ from itertools import count
 from ...base.errors import GraycastError
 
 NAMES = ("train", "val", "test")
-_STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio, odd
+_STEP = 0x9E3779B97F4A7C15  # It is 2^64 over the golden ratio, and odd.
 _TURN = 2**64
 
 

@@ -18,7 +18,7 @@ from .. import records
 from ..claim import read_scanning, rig_of
 from ..safe_reading import Unreadable, record_as
 
-_ENOUGH_PX = 200_000  # for what holds for the picture as a whole
+_ENOUGH_PX = 200_000  # So many pixels are enough for what holds for the picture as a whole.
 
 
 @dataclass(frozen=True, kw_only=True)

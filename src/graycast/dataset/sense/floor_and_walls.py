@@ -12,8 +12,8 @@ from jaxtyping import Float
 from ...base.frames import transform_points
 from .evidence import Evidence
 
-FLOOR_MM = 1.0  # depth is off by less than 0.05 mm
-# What the drop lets parts overlap, and what convex pieces stand for a surface, of the part's size.
+FLOOR_MM = 1.0  # Depth is off by less than 0.05 mm.
+# The drop lets parts overlap, and convex pieces leave the surface by a share of the part's size.
 SUNK_MM, SUNK_SHARE = 2.0, 0.02
 OUTSIDE_SHARE, FLOOR_LEAST_PX = 0.01, 200
 

@@ -19,12 +19,11 @@ from .evidence import Evidence
 # Sound pictures of all codecs break none of these rules in any pixel; a fault breaks them in
 # thousands. What another processor's rounding could do stays far below.
 WRONG_SHARE, WRONG_PX = 1e-4, 10
-NOISE_SIGMAS = 10.0  # the extremes of some fifty frames and of the white one, against each other
-STRIPES_SHOW = 1.02  # patterns may outshine white by what a lens's veil leaves of it
+NOISE_SIGMAS = 10.0  # Extremes of some fifty frames and the white one are set against each other.
+STRIPES_SHOW = 1.02  # Patterns may outshine white by what a lens's veil leaves of it.
 STEP_MAX = 65535
-# as a share of the range: a pixel at its top is that bright in the white frame, with 8 bits too
-TOP = 0.75
-DIM_SIGMAS = 8.0  # the decoder's own limit for shadow is 6
+TOP = 0.75  # A pixel at the range's top has this share of it in the white frame, with 8 bits too.
+DIM_SIGMAS = 8.0  # The decoder's own limit for shadow is 6.
 
 
 def light_problems(scene: Evidence) -> Iterator[str]:

@@ -15,19 +15,19 @@ from scipy import ndimage
 
 from .evidence import Evidence
 
-BEND = 2e-3  # of inverse depth between three neighbours, as a share of its median: a crease
-# Share of the best agreement over all shifts that is there without one, give or take a pixel: 1 in
+BEND = 2e-3  # At a crease, inverse depth bends by more over three pixels, as a share of its median.
+# The agreement without a shift, give or take a pixel, is this share of the best of all shifts: 1 in
 # all sound pictures; after a shift by five pixels 0.1 to 0.55, by three 0.5 to 0.9.
 IN_PLACE = 0.92
-# By which the best shift stands out of all: 7.5 and more in sound pictures of 160 x 120 pixels, 50
-# and more in those of 1032 x 772. Chance alone gives 5.
+# The best shift stands out of all by more: by 7.5 and more in sound pictures of 160 x 120 pixels,
+# by 50 and more in those of 1032 x 772. Chance alone gives 5.
 LEAST_SIGMAS = 6.0
-# Correlation of edges with parts' outlines, near these: sound pictures show 0.34 and more, also
-# white parts in a white bin; those of another scene 0.04 and less. Over fewer pixels it scatters.
+# Edges correlate with parts' outlines, near these: sound pictures show 0.34 and more, also white
+# parts in a white bin; those of another scene 0.04 and less. Over fewer pixels it scatters.
 OUTLINE_CORRELATION, NEAR_LEAST_PX = 0.06, 6000
-_DARK_DN = 8.0  # about what eight bits resolve: noise in the dark is no edge
+_DARK_DN = 8.0  # Eight bits resolve about this: noise in the dark is no edge.
 _SMOOTH_PX, _LINE_PX = 0.7, 1.0
-_WIDE_PX = 6.0  # what is as wide is no edge
+_WIDE_PX = 6.0  # What is as wide as this is no edge.
 _AROUND_PX = 8
 _SHIFTS = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 

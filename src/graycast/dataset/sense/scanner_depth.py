@@ -17,7 +17,7 @@ from ...base.frames import transform_points
 from ...rig.optics import project
 from .evidence import Evidence
 
-# Sound pictures: medians up to 0.04, one of dark walls alone 0.07.
+# Sound pictures have medians up to 0.04, one of dark walls alone has 0.07.
 PICTURE_PX, PICTURE_LEAST = 0.15, 500
 # A part that was moved is off by the same everywhere: the middle half of its errors is as narrow as
 # ever, 0.5 for Gray codes. Light that goes astray between parts makes hundreds of pixels wrong to

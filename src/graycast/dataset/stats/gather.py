@@ -16,8 +16,8 @@ from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
 
 VISIBILITY_BINS = 20
-SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # quarter octaves, 1 to 4096 px
-SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # COCO's classes of object area
+SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # They are quarter octaves from 1 to 4096 px.
+SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # They bound COCO's classes of object area.
 _QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
 

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 from ..stored import SceneContent
 
 DEPTH_BIN_MM = 10.0
-ERROR_LIMIT_STEPS = 20000  # farther off is counted there: two metres in steps of 0.1 mm
+ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: it is two metres in steps of 0.1 mm.
 
 
 class SceneFigures(BaseModel):

@@ -13,7 +13,7 @@ from .scene_statistics import DEPTH_BIN_MM
 
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 _ERROR_SIGMAS = 5.0
-_ERROR_BARS = 100  # at most, about: finer ones would show noise
+_ERROR_BARS = 100  # There are about so many at most: finer ones would show noise.
 
 
 def draw_statistics(statistics: Statistics, path: Path) -> None:

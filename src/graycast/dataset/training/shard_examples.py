@@ -17,7 +17,7 @@ from ..export.record import ExportRecord
 from .from_bytes import boxes, depth_m, image_fields, masks
 
 Files = Mapping[str, bytes]
-Place = tuple[Path, int, int]  # file, offset and length of a member
+Place = tuple[Path, int, int]  # They are file, offset and length of a member.
 _DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
 
 

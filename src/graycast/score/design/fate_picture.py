@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from .heap_surface import HeapSurface, Visibility
 from .point_fates import FATE_COLOR, FATES, Fate, PointFates, SurfaceView
 
-_DIM = 0.5  # of the white frame behind the colours
+_DIM = 0.5  # The white frame behind the colours is dimmer by this factor.
 _LEGEND_PX = 168
 
 

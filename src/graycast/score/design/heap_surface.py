@@ -18,17 +18,18 @@ from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 
-LEAST_PX = 1000  # of the longer side of a picture in which points are looked for
-SLACK_M = 0.5e-3  # by which parts may press into each other, and their meshes lie off
-RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))  # directions, and how far they lean, of the cone
+LEAST_PX = 1000  # The longer side of a picture in which points are looked for has at least so many.
+SLACK_M = 0.5e-3  # Parts may press into each other, and their meshes lie off, by less than this.
+# Each ring has so many directions, which lean by this share of the cone.
+RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))
 
 
 class Visibility(IntEnum):
     """Whether a point is visible from an eye position, and what hides it otherwise."""
 
     VISIBLE = 0
-    OUTSIDE = 1  # of its picture
-    BY_PARTS = 2  # a part is before it, or it looks away, so that its own part is
+    OUTSIDE = 1  # The point is not in the picture.
+    BY_PARTS = 2  # A part is before it, or it looks away, so that its own part is.
     BY_BIN = 3
 
 

@@ -14,8 +14,8 @@ from ...rig.optics import project
 from ...world.scene import Layout, Scene
 from .heap_surface import HeapSurface, Visibility, obstacles_of, sight
 
-FEATURE_PX = 3  # a feature is as wide as so many pixels
-FEATURE_SIGMAS = 3  # and as high as so many standard deviations
+FEATURE_PX = 3
+FEATURE_SIGMAS = 3
 
 
 class Fate(StrEnum):

@@ -14,7 +14,7 @@ from ...cell.config import BinSection
 from ...rig.pair import PRESETS
 from ...world.parts.part_sections import MaterialSection
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # it becomes part of a path
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
 Code = Annotated[Settings, ReadAs(CodeSection)]
 Exposure = Annotated[Settings, ReadAs(ExposureSection)]
 Tilt = Annotated[float, Field(ge=0, le=80)]

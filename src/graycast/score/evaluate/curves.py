@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from .matching import ClassMatches
 
-RECALLS = np.linspace(0.0, 1.0, 101)  # COCO's
+RECALLS = np.linspace(0.0, 1.0, 101)  # They are COCO's.
 RECALLS.flags.writeable = False
 
 

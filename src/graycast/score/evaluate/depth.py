@@ -18,8 +18,8 @@ from ...dataset.stored import SceneContent
 from ...rig.optics import undistort
 
 ANGLE_EDGES_DEG = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90)
-EDGE = len(ANGLE_EDGES_DEG) - 1  # the row of pixels without an angle
-_KINK = 0.5  # of the spacing of neighbours: how far they may lie off their middle, along the ray
+EDGE = len(ANGLE_EDGES_DEG) - 1  # This row has the pixels without an angle.
+_KINK = 0.5  # Along the ray, a pixel may lie this share of the spacing off its neighbours' middle.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,7 +27,7 @@ AREA_EDGES = (
     0.016,
     0.064,
     1.0,
-)  # shares of the picture; each four times the last
+)  # They are shares of the picture, each four times the last.
 MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 
 

@@ -31,7 +31,7 @@ from .scores import Scores, figures_of_draws
 
 LEVEL = 0.95
 DRAWS = 1000
-_EQUAL = 1e-12  # draws nearer than this to the estimate are equal to it but for rounding
+_EQUAL = 1e-12  # Draws nearer than this to the estimate are equal to it but for rounding.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ from ...dataset.detections import Detections
 from .labels import Labels
 
 Kind = Literal["box", "mask"]
-THRESHOLDS = np.linspace(0.5, 0.95, 10)  # of intersection over union
+THRESHOLDS = np.linspace(0.5, 0.95, 10)  # They are of intersection over union.
 THRESHOLDS.flags.writeable = False
 
 

@@ -15,8 +15,8 @@ from pycocotools import mask as coco_mask
 
 from .matching import ClassMatches, Overlaps
 
-AT_HALF = 0  # the threshold of 0.5 among THRESHOLDS
-NEAR = 0.1  # overlapping less, a detection is of nothing
+AT_HALF = 0  # It is the place of 0.5 among THRESHOLDS.
+NEAR = 0.1  # A detection that overlaps less is of nothing.
 
 Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 

@@ -11,7 +11,7 @@ from .curves import precision_curves
 from .judging import Judgement
 from .matching import ClassMatches
 
-TELLING = 0.005  # by which the order of equal scores moves AP at least, to be worth a note
+TELLING = 0.005  # A note is worth it if the order of equal scores moves AP by this at least.
 
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:

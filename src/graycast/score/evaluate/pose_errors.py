@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from ...rig.optics import Optics
 
-DELTA_M = 0.015  # VSD: a surface is visible up to so far behind the measured one
-WIDTH_PX = 640.0  # MSPD is in pixels of a picture of this width
+DELTA_M = 0.015  # For VSD a surface is visible up to so far behind the measured one.
+WIDTH_PX = 640.0  # MSPD is in pixels of a picture of this width.
 
 
 def rotation_translation(

@@ -34,7 +34,7 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
-_UNIT = 10.0  # by which the distances of estimates and parts differ at most, in the same unit
+_UNIT = 10.0  # In one unit the distances of estimates and parts differ by this factor at most.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,11 +19,11 @@ from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
 # The thresholds of correctness are those of BOP 2020, section 2.4.
-TAU = np.arange(1, 11) * 0.05  # VSD's tolerance, of the diameter
-THETA_VSD = np.arange(1, 11) * 0.05  # of VSD itself
-THETA_MSSD = np.arange(1, 11) * 0.05  # of the diameter
-THETA_MSPD_PX = np.arange(1, 11) * 5.0  # of a picture 640 wide
-NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # the plain criterion beside BOP's
+TAU = np.arange(1, 11) * 0.05  # It is VSD's tolerance as a share of the diameter.
+THETA_VSD = np.arange(1, 11) * 0.05
+THETA_MSSD = np.arange(1, 11) * 0.05  # It is a share of the diameter.
+THETA_MSPD_PX = np.arange(1, 11) * 5.0  # It is for a picture that is 640 wide.
+NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # They are the plain criterion beside BOP's.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

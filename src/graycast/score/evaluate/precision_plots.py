@@ -12,7 +12,7 @@ from .curves import RECALLS, precision_curves
 from .judging import GroupRow, Judgement
 from .matching import THRESHOLDS
 
-_CURVES = ((0, INK), (5, ACCENT), (8, SECOND))  # of THRESHOLDS: 0.50, 0.75, 0.90
+_CURVES = ((0, INK), (5, ACCENT), (8, SECOND))  # Of THRESHOLDS, these are 0.50, 0.75, 0.90.
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 
 

@@ -11,7 +11,7 @@ from .curves import drawn_figures
 from .labels import Labels
 from .matching import THRESHOLDS, ClassMatches, Kind, Overlaps, match, overlaps
 
-MOST = 300  # detections of a scene and a class; a full bin holds 255 parts, COCO's 100 are too few
+MOST = 300  # A full bin has 255 parts of a class in a scene: COCO's 100 detections are too few.
 FIGURES = ("ap", "ap50", "ap75", "ar")
 
 

@@ -19,7 +19,7 @@ from .mistakes import NEAR, FalseAlarm, Miss
 MOST_CROPS = 20
 TRUTH_COLOR, FOUND_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
-_MARGIN = 0.6  # as a share of the longer side of what is shown, on each side
+_MARGIN = 0.6  # On each side it is a share of the longer side of what is shown.
 _LEAST_PX = 48
 
 Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]

@@ -25,7 +25,7 @@ from .results import DetectionRun, open_run, read_found
 from .sheets import Picture
 
 _Either = TypeVar("_Either", Labels, Detections)
-_ONE_CLASS = 1  # the object id of everything where classes do not matter
+_ONE_CLASS = 1  # Everything has this object id where classes do not matter.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

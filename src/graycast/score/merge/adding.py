@@ -19,10 +19,11 @@ from ...world.parts.sampling import spread_points
 from .fuse import HIDDEN, OUTSIDE
 from .view import MeasuredView, Points
 
-WRONG_M = 2e-3  # a depth farther off the truth is none
-WRONG = 252  # beside the reasons: there is a depth, and it is wrong
-_SLACK_M = 0.5e-3  # between a model and the truth in the pixel that sees it: curves, presses
-_SLOPE = 0.2  # the same, in pixels on the surface
+WRONG_M = 2e-3  # A depth farther off the truth is none.
+WRONG = 252  # It stands beside a dataset's reasons: there is a depth, and it is wrong.
+# A model may be so far off the truth in its pixel: surfaces curve and parts press into others.
+_SLACK_M = 0.5e-3
+_SLOPE = 0.2  # The same slack grows with a pixel's size on the surface.
 
 
 @final

@@ -21,10 +21,10 @@ from .looking import Measured, ViewAgreement, at, look
 from .view import MeasuredView, points_of
 from .view_poses import pose_doubts
 
-# Beside a dataset's reasons, why the first view has no such point: it measured something behind
-# the place, or before it; the place is not in its picture.
+# Beside a dataset's reasons, these say why the first view has no such point: it measured something
+# behind the place, or before it; the place is not in its picture.
 THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
-MOST = 250  # views
+MOST = 250  # So many views may be merged: their numbers have eight bits.
 
 
 @final

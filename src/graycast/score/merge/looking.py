@@ -11,10 +11,11 @@ from ...base.frames import inverse, transform_points
 from ...rig.optics import project
 from .view import LEAST_COSINE, MeasuredView, Points
 
-SIGMAS = 4.0  # by which views of one surface may differ
-_TURNED = 0.5  # cosine of the angle between normals of one surface: beyond 60 degrees it is another
-_ASIDE = 1.0  # pixels along the surface, at which another view's point may stand for this one
-_SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0  # by which a surface may leave its plane aside; without a plane
+SIGMAS = 4.0  # Views of one surface may differ by so many standard deviations.
+_TURNED = 0.5  # Normals of one surface have a larger cosine: beyond 60 degrees it is another.
+_ASIDE = 1.0  # Another view's point may stand for this one up to so many pixels along the surface.
+# Per metre aside, a surface may leave its plane by the first; without a plane, the second counts.
+_SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 
 
 @final

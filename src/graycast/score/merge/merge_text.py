@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-_MOST_REASONS = 2  # reasons of a view
+_MOST_REASONS = 2
 
 
 def described(surface: Mapping[str, Any]) -> Iterator[str]:

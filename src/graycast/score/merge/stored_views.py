@@ -21,7 +21,7 @@ from .adding import SurfacePoints, ViewTruth, surface_of
 from .view import MeasuredView
 from .view_noise import depth_slope_m, measured_noise_px
 
-SURFACE_POINTS = 20000  # over all parts of a scene
+SURFACE_POINTS = 20000  # All parts of a scene share them.
 
 
 @final

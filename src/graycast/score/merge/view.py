@@ -11,8 +11,8 @@ from ...base.frames import transform_points
 from ...camera.crop import crop
 from ...rig.optics import Optics, picture_rays
 
-_WINDOW_PX = 2  # half the width of the windows in which planes are laid
-LEAST_COSINE = 0.2  # steeper to the ray than this, the normal's own error counts, not the noise
+_WINDOW_PX = 2  # It is half the width of the windows in which planes are laid.
+LEAST_COSINE = 0.2  # Where a surface is steeper to the ray, its normal's error counts, not noise.
 
 
 @final

@@ -19,10 +19,10 @@ from ...rig.optics import points, project
 from ...rig.pair import Rig
 from .view import planes_of
 
-_GROUPS, _LEAST = 8, 400  # of pixels of like light, and pixels in one
-_NO_PLANES_PX = 12**-0.5  # of a place known to a projector pixel, where no plane shows its noise
-_CENTRE = 24 / 25  # what a plane through 25 pixels leaves of the middle one's variance
-_NUDGE = 1e-4  # of the depth, over which its slope is taken
+_GROUPS, _LEAST = 8, 400  # Each group has pixels of like light, and so many at least.
+_NO_PLANES_PX = 12**-0.5  # Where no plane shows its noise, a place is known to a projector pixel.
+_CENTRE = 24 / 25  # A plane through 25 pixels leaves this of the middle one's variance.
+_NUDGE = 1e-4  # The depth's slope is taken over this share of it.
 
 
 def depth_slope_m(depth_m: Float[np.ndarray, "h w"], rig: Rig) -> Float[np.ndarray, "h w"]:

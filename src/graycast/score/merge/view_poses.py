@@ -24,13 +24,14 @@ from ...base.robust import robust_sigma
 from .looking import SIGMAS, Measured, at, meet
 from .view import MeasuredView, Points, points_of
 
-POINTS = 4000  # of a view that are looked up in another
-LEAST_POINTS = 200  # on planes that both see, for a statement
-GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)  # of the depth, and 4 sigma
-ALIGNED = 0.7  # cosine between normals of one surface
-DETERMINED = 1e-4  # of the depth: standard deviation in a direction that the surface determines
-OFF = 4e-4  # of the depth: a motion beyond this is no bias; of right simulated views up to 1e-4
-LEAST_SHARE = 0.3  # of the points that two right views measured, those on one surface
+POINTS = 4000  # So many points of a view are looked up in another.
+LEAST_POINTS = 200  # A statement needs so many points on planes that both see.
+# In each step a point may be off by this share of the depth and by 4 sigma.
+GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
+ALIGNED = 0.7  # Normals of one surface have a larger cosine between them.
+DETERMINED = 1e-4  # A surface determines a direction to this standard deviation, of the depth.
+OFF = 4e-4  # A motion beyond this of the depth is no bias; right simulated views have up to 1e-4.
+LEAST_SHARE = 0.3  # Of the points that two right views measured, this share is on one surface.
 
 
 @final

@@ -19,15 +19,15 @@ from ...rig.pair import Rig
 from ...world.parts import Material
 from ...world.scene import Quad, Sphere
 
-EDGE_PX = 2.0  # of either picture, which artefacts keep clear of
-RANGE_MARGIN = 0.03  # as a share of the range at both ends, so that noise takes no point out of it
-DEPTHS = 41  # looked at for a common field
+EDGE_PX = 2.0  # Artefacts keep clear of the edge of either picture by this.
+RANGE_MARGIN = 0.03  # It is a share of the range at both ends: noise takes no point out of it.
+DEPTHS = 41  # A common field is looked for at so many depths.
 FIELD_GRID_PX = (48, 64)
-FACING_POINTS = 400  # on a sphere, about half of which face the camera
-CLEARANCE = 1.1  # of two spheres' sum of angular radii
-SHRINKING = np.arange(1.0, -0.01, -0.05)  # towards the middle, until a sphere fits
-BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # of the volume's diagonal
-PLANE_HALF = 8.0  # half edge of a plane as a multiple of its depth: wider than both fields
+FACING_POINTS = 400  # They lie on a sphere; about half of them face the camera.
+CLEARANCE = 1.1  # Spheres are apart by this multiple of their angular radii's sum.
+SHRINKING = np.arange(1.0, -0.01, -0.05)  # A sphere moves towards the middle until it fits.
+BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # They are shares of the volume's diagonal.
+PLANE_HALF = 8.0  # It is half a plane's edge as a multiple of its depth: wider than both fields.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

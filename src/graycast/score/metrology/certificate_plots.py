@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from .certificate import Certificate
 
-DEPTH_COLORS = ("#5aa9c7", ACCENT, "#0a3d56")  # near, middle, far
-MAP_SIGMAS = 3.0  # of the plane's deviation that the colours span
+DEPTH_COLORS = ("#5aa9c7", ACCENT, "#0a3d56")
+MAP_SIGMAS = 3.0  # The colours span so many of the plane's deviation.
 
 
 def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:

@@ -31,14 +31,12 @@ from .conditions import blur, conditions, fields_m, rig_figures
 from .lab import Lab, Shots, incidence_rad, measured_points, open_lab, shoot
 from .measures import flatness, modulation, point_spacing_m, probing, temporal_noise_m
 
-MIDDLE_SHARE = 0.5  # as a share of the common field's box, each way: where noise is measured
-# as a share of a tilted plane's distance: what lies further from it is not its middle
-MIDDLE_DEPTH = 0.05
+MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's box, each way.
+MIDDLE_DEPTH = 0.05  # A tilted plane's middle is within this share of its distance.
 FLATNESS_TILT_DEG = 30.0
-STEEPEST_DEG = 60.0  # incidence of camera or projector up to which a sphere's points are taken
-PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # spheres' diameters, of the volume's diagonal
-# as a share of the field at the near end, which a sphere may take at most
-SMALLEST_FIELD_SHARE = 0.35
+STEEPEST_DEG = 60.0  # A sphere's points count up to this incidence of camera or projector.
+PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # Spheres' diameters are of the volume's diagonal.
+SMALLEST_FIELD_SHARE = 0.35  # A sphere takes at most this share of the field at the near end.
 MAP_WIDTH = 104
 
 PLACES = (

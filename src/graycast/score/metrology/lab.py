@@ -20,9 +20,8 @@ from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .artefacts import Volume, in_view, working_volume
 from .certificate import Scope
 
-ERODED_PX = 3  # off the outline of every artefact
-# as a share of an artefact's pixels: fewer say more of the settings than of its shape
-MIN_DECODED = 0.05
+ERODED_PX = 3  # So much is left out along the outline of every artefact.
+MIN_DECODED = 0.05  # Fewer of an artefact's pixels say more of the settings than of its shape.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,9 +12,9 @@ from scipy.stats import chi2
 
 from ...rig.pattern import Code, Frame
 
-DROPPED_SHARE = (3, 1000)  # of the points, at most, as VDI/VDE 2634 part 2 allows
+DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows at most so many points to be dropped.
 ITERATIONS = 50
-CONVERGED = 1e-12  # of the radius
+CONVERGED = 1e-12  # It is a share of the radius.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from ...base.frames import random_quaternions, rotation_from_quaternion
 from ..scene import Bin
 
-FILL = 0.75  # share of the cells that get a part
-CLEARANCE = 1.02  # a cell is this much wider than the part
+FILL = 0.75  # This share of the cells gets a part.
+CLEARANCE = 1.02  # A cell is wider than the part by this factor.
 ORIENTATION_TRIES = 1000
 
 

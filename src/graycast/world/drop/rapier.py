@@ -35,19 +35,19 @@ SPEED_LIMIT_M_S = 1.0
 # Parts keep this distance: contact is found more steadily between bodies a little apart, and it
 # makes up for what thinning takes from curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
 SKIN_M = 0.2e-3
-TRUSTED_DEPTH_M = 0.05e-3  # deeper contacts than this are measured again, exactly
-TABLE_M = 3.0  # half its width
-WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels through
+TRUSTED_DEPTH_M = 0.05e-3  # Deeper contacts than this are measured again, exactly.
+TABLE_M = 3.0  # It is half the table's width.
+WALL_M = 0.15  # Parts collide with walls that are so thick outwards: nothing tunnels through.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
     """The conditions under which parts move."""
 
-    guided: bool = False  # between walls that stand on the bin's
-    clustered: bool = False  # see `_world`
-    friction: float = 1.0  # the share of it that counts
-    speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
+    guided: bool = False  # Walls without friction stand on the bin's.
+    clustered: bool = False  # See `_world`.
+    friction: float = 1.0  # This share of it counts.
+    speed_m_s: float = SPEED_LIMIT_M_S  # No part is faster.
     step_s: float = STEP_S
 
 

@@ -20,11 +20,11 @@ from ..scene import Bin, Layout
 from .body import Body, motion_m, parts_outside
 from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_heap
 
-LOOK_S = 0.04  # poses are read this often
+LOOK_S = 0.04  # Poses are read this often.
 
 # Clustered contacts cost a quarter; what they leave rocking comes to rest in the second stage.
 _FALL = Terms(guided=True, clustered=True)
-FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # the fall ends where nothing moved farther in 0.12 s
+FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # The fall ends where nothing moved farther in 0.12 s.
 
 # A heap that holds with nine tenths of its friction does not hang on the last of it.
 _REST = Terms(friction=0.9)
@@ -41,7 +41,7 @@ STILL_MOTION_M = 10e-6
 # One bolt of 255 may rock from edge to edge for ever. While all fall, damping doubles every second
 # from 2 s on; where one part is on its way, every 0.2 s from 0.4 s on. Even at 64 times nothing
 # hangs in the air: parts still fall at 0.77 m/s and topple at once.
-FALL_DAMPING_S = (2.0, 1.0)  # from when on, and in what time it doubles
+FALL_DAMPING_S = (2.0, 1.0)  # It is when damping starts, and the time in which damping doubles.
 PART_DAMPING_S = (0.4, 0.2)
 MOST_DAMPING = 64.0
 

@@ -19,9 +19,9 @@ from .decomposition import Decomposition, convex_hulls_of
 from .grid import start_poses
 from .rest import simulate
 
-PARTS_MAX = 255  # instance ids of a scene fit eight bits
-PACKING = 0.5  # share of its box that a random heap fills, generously
-HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
+PARTS_MAX = 255  # Instance ids of a scene fit into eight bits.
+PACKING = 0.5  # A random heap fills this share of its box, on a generous estimate.
+HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,18 +25,18 @@ BUILTIN: tuple[str, ...] = (
     "toothpaste",
 )
 
-CREASE_RAD = np.radians(35)  # above the widest facet step (22.5 deg), below the 45 deg chamfers
+CREASE_RAD = np.radians(35)  # It parts chamfers (45 deg) from the widest facet step (22.5 deg).
 _STEEL_KG_M3 = 7800.0
 
-# Half section (r, z) of the ring [mm], counter-clockwise: flange with a groove in its rim, a
-# narrower hub above it with a fillet at its foot, a bore with a counterbore from above.
+# The ring's half section (r, z) runs counter-clockwise: a flange has a groove in its rim, the hub
+# above it is narrower, with a fillet at its foot, and the bore has a counterbore from above.
 RING_PROFILE_MM = (
     (15.0, 0.0), (24.2, 0.0), (25.0, 0.8), (25.0, 3.0), (23.5, 3.0), (23.5, 5.0), (25.0, 5.0),
     (25.0, 7.2), (24.2, 8.0), (22.0, 8.0), (21.5, 8.134), (21.134, 8.5), (21.0, 9.0),
     (21.0, 17.2), (20.2, 18.0), (17.6, 18.0), (17.0, 17.4), (17.0, 13.0), (14.6, 13.0),
     (14.0, 12.4), (14.0, 1.0),
 )  # fmt: skip
-RING_SEGMENTS = 128  # a rim facet lies 7.5 um inside the circle
+RING_SEGMENTS = 128  # A rim facet lies 7.5 um inside the circle.
 
 
 def builtin_part(name: str) -> Part:
@@ -184,7 +184,8 @@ def _toothpaste() -> Part:
                    edge_mm=1.0, density_kg_m3=480.0, roughness=0.35)  # fmt: skip
 
 
-_SPRAY_BODY_MM = (58.0, 46.0, 128.0)  # outer size along x, y, and height of the neck's lower end
+# The first two are outer sizes along x and y, the third is the height of the neck's lower end.
+_SPRAY_BODY_MM = (58.0, 46.0, 128.0)
 
 
 def _spray() -> Part:

@@ -24,9 +24,9 @@ from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, wel
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
-MAX_BYTES = 400_000_000  # three times an ASCII STL of so many faces: there may be textures
-SIZE_M = (0.002, 1.5)  # longest side that a stated unit may give
-UNSTATED_SIZE_M = (0.005, 1.0)  # longest side at which metres are believed without being stated
+MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third of it; there may be textures.
+SIZE_M = (0.002, 1.5)  # A stated unit may give a longest side between these.
+UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these is taken as metres.
 
 
 def load_part(

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from ...base.settings import Share, check_fields
 
-Color = tuple[Share, Share, Share]  # linear red, green and blue
+Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
 Roughness = Annotated[float, Field(ge=0.05, le=1)]
 
 

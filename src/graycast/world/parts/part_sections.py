@@ -56,7 +56,6 @@ def _direction(axis: str | tuple[float, ...]) -> tuple[float, ...]:
     return tuple((np.array(axis) / np.linalg.norm(axis)).tolist())
 
 
-# The direction of an axis: x, y or z of the mesh, or three numbers of any length.
 Direction = Annotated[
     Vector, BeforeValidator(_direction, json_schema_input_type=Literal["x", "y", "z"] | Vector)
 ]

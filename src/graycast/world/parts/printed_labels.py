@@ -14,16 +14,14 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 Real = float | int
-Box = tuple[Real, Real, Real, Real]  # left, top, right, bottom as fractions of a panel
-Colour = tuple[int, int, int]  # 8-bit sRGB
+Box = tuple[Real, Real, Real, Real]  # They are left, top, right, bottom as fractions of a panel.
+Colour = tuple[int, int, int]  # It is 8-bit sRGB.
 
-_BLEED_PX = 3  # each panel's border repeated outwards, so that filtering picks up no neighbour
+_BLEED_PX = 3  # Each panel's border is repeated outwards, so that filtering picks up no neighbour.
 
-# Outer lengths along x, y, z [mm] of the boxes that the panels below are drawn for.
-SALT_BOX_MM = (70.0, 60.0, 145.0)
+SALT_BOX_MM = (70.0, 60.0, 145.0)  # The panels below are for boxes of these outer x, y, z.
 TOOTHPASTE_MM = (190.0, 38.0, 45.0)
-# Girth and height [mm] of the spray bottle's body; its label is wrapped once round it.
-SPRAY_WRAP_MM = (177.0, 128.0)
+SPRAY_WRAP_MM = (177.0, 128.0)  # Girth and height are the body's; the label goes once round it.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

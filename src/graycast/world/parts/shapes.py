@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from manifold3d import Manifold, Mesh64
 
-# A panel's outward normal, the direction to its reader's right, and up: each panel of a box as it
-# is read from outside, with the front towards -y. right x up = normal, so nothing is mirrored.
+# Each panel of a box has its outward normal, the direction to its reader's right, and up, as it is
+# read from outside, with the front towards -y. right x up = normal, so nothing is mirrored.
 PANELS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]]] = {
     "front": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
     "right": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),

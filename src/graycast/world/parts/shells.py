@@ -6,8 +6,7 @@ from manifold3d import Error, Manifold, Mesh64, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-# Of the whole volume: what bodies that merely touch may share by the file's rounding.
-TOUCHING = 1e-4
+TOUCHING = 1e-4  # Bodies that merely touch share so much of the whole volume: the file rounds.
 
 
 class ShellError(Exception):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from .shells import ShellError, shells_of, union_if_overlapping
 
 MAX_FACES = 500_000
-_MERGE = 1e-6  # vertices closer than this share of the longest side are one: float32 round-off
+_MERGE = 1e-6  # Vertices closer than this share of the longest side are one: float32 rounds so.
 
 
 class Refusal(Exception):

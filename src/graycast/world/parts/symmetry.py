@@ -11,14 +11,14 @@ from ...base.frames import rigid
 from .part import Mesh, Symmetry
 from .sampling import dense_points
 
-STEP = 0.01  # BOP: the rim of a turned body moves by at most this share of its diameter
-SHAPE_STEP = 0.04  # spacing of the points that a shape is compared by, as a share of its diameter
-SHAPE_TOLERANCE = 0.01  # a motion that moves the surface by less, as a share, leaves the shape
-LEFT = 0.98  # as a share of the points that have to be left on the surface
-FOLDS = (2, 3, 4, 5, 6, 8)  # turns by a full circle over these are tried
-MOST_MOTIONS = 120  # a solid with the most rotations, the icosahedron, has 60
-MANY = 36  # turns that a body of revolution has to bear
-# What each axis counts for in the choice of one pose of a symmetric part without a reference. With
+STEP = 0.01  # The rim of a turned body moves by at most this share of its diameter, as in BOP.
+SHAPE_STEP = 0.04  # A shape is compared by points that are this share of its diameter apart.
+SHAPE_TOLERANCE = 0.01  # A motion leaves the shape if the surface moves by less, of the diameter.
+LEFT = 0.98  # A motion has to leave this share of the points on the surface.
+FOLDS = (2, 3, 4, 5, 6, 8)  # Turns by a full circle over these are tried.
+MOST_MOTIONS = 120  # The icosahedron, the solid with the most rotations, has 60.
+MANY = 36  # A body of revolution has to bear turns by a full circle over this.
+# Each axis counts so much in the choice of one pose of a symmetric part without a reference. With
 # equal weights the two poses of a part that a half turn maps to itself would be equally near to the
 # camera's axes whenever it lies upside down, and noise would choose.
 AXIS_WEIGHT = (3.0, 2.0, 1.0)

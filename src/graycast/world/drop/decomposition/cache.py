@@ -13,7 +13,7 @@ from ....base.folder import fill_whole
 from ...parts import Mesh
 from .error import Decomposition, HullError
 
-CACHE_VERSION = 3  # raise it where a change in this folder gives other hulls
+CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
 
 
 def cache_folder() -> Path:

@@ -20,19 +20,19 @@ from manifold3d import Manifold
 from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import surface_of
 
-REFLEX_RAD = np.radians(12)  # a bend inwards of less is a facet of something round
-PLANES = 12  # flat faces that are tried, the longest bends first
-WORTH = 0.2  # a cut is worth it if it takes this share of what the hull fills
-WEDGES = (3, 4, 6, 8, 12, 16, 24)  # numbers that divide those of most round facets
-ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent, where it is tried to be cut
-ROUND = 0.02  # two principal variances that differ less, of the largest, are of something round
-# What a part more, the share of the largest part, and the cut's share of the surface count for, as
+REFLEX_RAD = np.radians(12)  # A smaller bend inwards is a facet of something round.
+PLANES = 12  # So many flat faces are tried, those with the longest bends first.
+WORTH = 0.2  # A cut is worth it if it takes this share of what the hull fills.
+WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the numbers of most round facets.
+ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
+ROUND = 0.02  # A piece is round if two principal variances differ by less, of the largest.
+# One more part, the share of the largest part and the cut's share of the surface count so much, as
 # shares of what there is to fill. Without them thin slices are cut off, one after another.
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
-GUESSES, FIRST_GUESSES = 120, 24  # points of a hull that are looked at
-DEEPEST_CUTS = 40  # in a row; what is left too far from its hull then is taken as it is
-THIN = 0.02  # as a share of the limit: sheets and slivers thinner than this, 9 um, are left out
-HAIR = 0.01  # of that: how far off a face it is cut
+GUESSES, FIRST_GUESSES = 120, 24  # So many points of a hull are tested, the few first.
+DEEPEST_CUTS = 40  # After so many cuts in a row a piece is taken, however far it is from its hull.
+THIN = 0.02  # Sheets and slivers thinner than this share of the limit, 9 um, are left out.
+HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.
 
 Points = Float[np.ndarray, "_ 3"]
 Plane = tuple[Float[np.ndarray, "3"], float]

@@ -18,14 +18,14 @@ from .hulls import Hull, height_m, hull_solid
 from .solid import bodies_of, surface_of
 
 TOLERANCE_M = 0.5e-3
-TOLERANCE_OF_DIAGONAL = 0.005  # a bottle is spared the hulls that a screw's 0.5 mm would cost
-MIDDLE_TOLERANCE = (0.01, 1e-3)  # a bracket too: 0.5 mm instead of 0.8 drops a third slower
-SAMPLES = 20_000  # of a part's surface
-LID_SAMPLES = 1000  # of the surface of what a hull fills
-NEAR = 48  # samples whose triangles are asked for the distance of a point
-AT_A_TIME = 32  # points whose exact distance is asked for
-STEEP = 0.5  # cosine to the normal
-_NOTHING = 1e-4  # as a share of the tolerance: a filling thinner than this on the mean is round-off
+TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5 mm would cost.
+MIDDLE_TOLERANCE = (0.01, 1e-3)  # A bracket at 0.5 mm instead of 0.8 drops a third more slowly.
+SAMPLES = 20_000  # They lie on a part's surface.
+LID_SAMPLES = 1000  # They lie on the surface of what a hull fills.
+NEAR = 48  # A point's distance is measured to the triangles of so many samples.
+AT_A_TIME = 32  # Exact distances are computed for so many points at once.
+STEEP = 0.5  # The way to a point outside has a larger cosine to the normal.
+_NOTHING = 1e-4  # A filling that is thinner on the mean, as a share of the tolerance, is round-off.
 
 
 def tolerance_m(mesh: Mesh) -> float:
@@ -44,7 +44,7 @@ class MeshSamples:
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]
-    face: Int[np.ndarray, " n"]  # that each point lies on
+    face: Int[np.ndarray, " n"]  # Each point lies on the triangle of this number.
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 

@@ -12,7 +12,7 @@ from .error import Decomposition, measured
 from .hull_process import decompose_apart
 from .mesh_hulls import decompose
 
-FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
+FEW_FACES = 20_000  # A mesh with so few faces is tried as one hull here, without a child process.
 
 _SETTINGS = (
     error.TOLERANCE_M,

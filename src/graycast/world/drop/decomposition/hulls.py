@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 Hull = tuple[np.ndarray, np.ndarray]
 """Vertices [m] (v, 3) in the part's frame and faces (f, 3), counter-clockwise from outside."""
 
-_PLANE_DECIMALS = 12  # planes [m] that differ less are one: coplanar triangles
+_PLANE_DECIMALS = 12  # Planes [m] that differ less are one: they are of coplanar triangles.
 
 
 def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:

@@ -11,17 +11,17 @@ from .hulls import Hull, hull_of, thinned
 from .joining import joined
 from .solid import bodies_of, simplified, surface_of
 
-# How far a hull may shrink when it loses vertices, of the box diagonal. A scanned box whose nearly
-# flat sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
+# A hull that loses vertices may shrink so far, of the box diagonal. A scanned box whose nearly flat
+# sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
 VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
-# What cutting and joining may fill, less what simplifying moved; the rest of the tolerance is for
-# what lies between the samples that look for the worst place.
+# Cutting and joining may fill this share, less what simplifying moved; the rest of the tolerance is
+# for what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
 # No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
-_CONVEX = 1e-9  # as a share of the hull's volume: what a body may lack by round-off alone
-_PROGRESS_EACH = 25  # pieces
+_CONVEX = 1e-9  # A body may lack this share of its hull's volume by round-off alone.
+_PROGRESS_EACH = 25  # Progress is shown anew after so many pieces.
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:

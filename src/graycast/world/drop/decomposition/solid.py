@@ -7,7 +7,7 @@ from manifold3d import Manifold, OpType
 from ...parts import Mesh
 from ...parts.shells import ShellError, separate, shells_of
 
-# Of the tolerance, in this order, until so few faces are left: cutting takes time with each.
+# These shares of the tolerance are tried in turn until so few faces are left: each costs time.
 SIMPLIFIED_BY = (0.1, 0.2, 0.3)
 ENOUGH_FACES = 12_500
 

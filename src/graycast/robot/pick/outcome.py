@@ -18,7 +18,7 @@ class Outcome(StrEnum):
     PICKED = "picked"
     TWO_AT_ONCE = "two at once"  # another part left the bin with it
     MISSED = "missed"  # nothing was where the tool went
-    WRONG_POSE = "wrong pose"  # It failed, and the pose was off by more than `WRONG_RAD` or `WRONG_M`.
+    WRONG_POSE = "wrong pose"  # it failed, the pose off by over `WRONG_RAD` or `WRONG_M`
     NOT_HELD = "not held"  # the cup did not seal, or the jaws did not close on both sides
     COLLISION_UNSEEN = "collision unseen"  # the tool pushed into what the scanner did not show
     LOST_SEAL = "lost seal"  # a cup let go on the way

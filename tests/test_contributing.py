@@ -2,6 +2,9 @@
 
 import ast
 import re
+from collections import defaultdict
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -42,21 +45,21 @@ def test_a_new_thing_touches_three_files_at_most_and_they_exist(kind):
     assert all((ROOT / name).is_file() for name in files)
 
 
-def knowing(names: set[str]) -> set[str]:
-    """The files of the package that have one of these names as a text."""
-    found = set()
+@cache
+def files_of_texts() -> Mapping[str, set[str]]:
+    """Of each text in the package, the files that have it."""
+    found = defaultdict(set)
     for path in (ROOT / "src").rglob("*.py"):
-        texts = {
-            n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)
-        }
-        if names & {text for text in texts if isinstance(text, str)}:
-            found.add(path.relative_to(ROOT).as_posix())
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found[node.value].add(path.relative_to(ROOT).as_posix())
     return found
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_no_other_file_knows_the_existing_ones_by_name(kind):
-    others = knowing(NAMES[kind]) - files_for(kind) - KNOWING
+    knowing = set().union(*(files_of_texts()[name] for name in NAMES[kind]))
+    others = knowing - files_for(kind) - KNOWING
     assert {name for name in others if "/render/cycles/" not in name} == set()
 
 

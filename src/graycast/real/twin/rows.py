@@ -165,7 +165,7 @@ def _one(
     return dict(zip(ROWS, values, strict=True))
 
 
-def _percentile(sigma_mm: Float[np.ndarray, " n"], share: float) -> float:
+def _percentile(sigma_mm: Float[np.ndarray, " n"], share: int) -> float:
     """NaN of a few tiles."""
     return float(np.percentile(sigma_mm, share)) if len(sigma_mm) >= _LEAST_TILES else np.nan
 

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, UnidentifiedImageError
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
@@ -47,17 +47,24 @@ class MaterialSection(Settings):
     )
 
 
-def _direction(axis: str | tuple[float, ...]) -> tuple[float, ...]:
-    """A unit vector, as datasets hold them; x, y and z are those of the mesh."""
-    if isinstance(axis, str):
-        return tuple(float(name == axis) for name in "xyz")
+def _named_axis(axis: Any) -> Any:
+    """The direction of x, y or z of the mesh; all else is checked as a vector."""
+    names = ("x", "y", "z")
+    return tuple(float(name == axis) for name in names) if axis in names else axis
+
+
+def _unit(axis: Vector) -> Vector:
+    """As datasets hold it."""
     if not any(axis):
         raise ValueError("an axis must have a direction, such as [0, 0, 1]")
-    return tuple((np.array(axis) / np.linalg.norm(axis)).tolist())
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    return float(x), float(y), float(z)
 
 
 Direction = Annotated[
-    Vector, BeforeValidator(_direction, json_schema_input_type=Literal["x", "y", "z"] | Vector)
+    Vector,
+    BeforeValidator(_named_axis, json_schema_input_type=Literal["x", "y", "z"] | Vector),
+    AfterValidator(_unit),
 ]
 
 

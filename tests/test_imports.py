@@ -169,12 +169,10 @@ def test_a_module_imports_only_from_modules_above_it():
 
 
 def test_no_files_import_each_other_in_a_circle():
-    """Of a file that runs as a process of its own, what it imports when it is imported counts."""
+    """Also not by imports within functions."""
     graph = {}
     for name, file, is_folder in modules():
-        runs = '__name__ == "__main__"' in file.read_text(encoding="utf-8")
-        nodes = tree_of(file).body if runs else import_nodes(file)
-        targets = set(imports(name, file, is_folder, nodes))
+        targets = set(imports(name, file, is_folder, import_nodes(file)))
         if name:
             graph[name] = {target for target in targets if target and target != name}
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle

@@ -14,17 +14,16 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 
 from .. import __version__
 from ..base.errors import GraycastError
 from ..base.file_limits import parse_json
 from ..base.folder import cache_folder, write_whole
-from ..rig.optics import Optics
 
 _LIMIT_S = 300.0  # A first picture on a GPU compiles for some 10 s.
-_CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, cy_px=23.5)
+_CHILD = f"{__package__}.trial_picture"
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 
 
@@ -38,7 +37,7 @@ class Trial:
     problem: str | None = None
 
 
-def try_device(device: str, *, program: Sequence[str] = ("-m", __spec__.name)) -> Trial:
+def try_device(device: str, *, program: Sequence[str] = ("-m", _CHILD)) -> Trial:
     """Render and denoise a small picture on 'llvm' or 'cuda' in a child process.
 
     Args:
@@ -87,43 +86,3 @@ def _obituary(child: subprocess.CompletedProcess[str]) -> str:
         how = f"was ended by {signal.Signals(-child.returncode).name}"
     why = f": {lines[-1]}" if lines else ""
     return f"a process that rendered a small picture on it {how}{why}"
-
-
-# --- in the child --------------------------------------------------------------------------------
-
-
-def _main(device: str) -> None:
-    import numpy as np
-
-    from ..rig.pair import preset_rig
-    from ..world.parts import Material
-    from ..world.scene import EMPTY_LAYOUT, Quad, Scene
-    from .denoise import OpenImageDenoise, denoise
-    from .device import open_device
-    from .radiance import Quality
-
-    open_device(device)
-    from .mitsuba import MitsubaRenderer
-
-    rig = replace(preset_rig("paper"), camera=_CAMERA)
-    wall = Quad(
-        center_m=(0.0, 0.0, 0.7),
-        half_u_m=(1.0, 0.0, 0.0),
-        half_v_m=(0.0, -1.0, 0.0),  # its front is towards the camera
-        material=Material(base_color=(0.5, 0.5, 0.5)),
-    )
-    scene = Scene(rig=rig, T_world_cam=np.eye(4), surfaces=(wall,))
-    white = np.full((1, rig.projector.height_px, rig.projector.width_px), 255, dtype=np.uint8)
-    with MitsubaRenderer(device) as renderer:
-        rendering = renderer.render(scene, EMPTY_LAYOUT, white, quality=Quality(samples=4), seed=0)
-        light = rendering.radiance
-        clean = denoise(light.white_rgb, light.albedo, rendering.truth.normal, renderer.denoiser)
-        if not (np.isfinite(clean).all() and clean.mean() > 0):
-            raise RuntimeError(f"the picture of a lit wall is dark: its mean is {clean.mean()}")
-        if not isinstance(renderer.denoiser, OpenImageDenoise):
-            raise RuntimeError("the renderer has another denoiser")
-        print(json.dumps({"denoiser": renderer.denoiser.device}))
-
-
-if __name__ == "__main__":
-    _main(sys.argv[1])

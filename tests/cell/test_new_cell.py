@@ -20,6 +20,16 @@ def test_the_command_knows_the_surfaces_and_units_that_there_are():
     assert (*SURFACES,) == starting.SURFACES and get_args(Unit) == starting.UNITS
 
 
+@pytest.mark.parametrize("name", ["a: b #1.stl", 'it\'s "big" {v2}.stl', "größe, 5 %.stl"])
+def test_a_file_may_have_any_name(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
+    (tmp_path / "block.stl").rename(tmp_path / name)
+    assert main(["new", "cell", "--part", name, "--unit", "m"]) == 0
+    cell = resolve_cell(load_config(tmp_path / "cell/cell.yaml"), tmp_path / "cell")
+    assert cell.scene.parts[0].source == name
+
+
 @pytest.mark.parametrize("surface", SURFACES)
 def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     monkeypatch.chdir(tmp_path)
@@ -53,7 +63,7 @@ def test_a_bin_is_five_parts_long_within_what_bins_are(longest_m, length_m):
 
 def test_a_built_in_part_keeps_its_own_surface():
     part = builtin_part("toothpaste")
-    assert "material" not in new_cell("a", part, "builtin: toothpaste", surface=None)
+    assert "material" not in new_cell("a", part, {"builtin": "toothpaste"}, surface=None)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
-EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # They are of a robot's seed.
+EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these.
 
 
 class CaptureStream(IntEnum):

@@ -1,5 +1,6 @@
 """A commented configuration for one part: bin, number of parts and rig are fitted to its size."""
 
+import json
 from collections.abc import Mapping
 from itertools import product
 
@@ -22,7 +23,6 @@ PACKING = 0.5  # This share of a full bin lies within the convex hulls of its pa
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 
-
 # Each surface has a material, as a configuration has it, and a density [kg/m^3]. Reflectances are
 # typical ones of technical surfaces: a start, until the user knows those of the part.
 SURFACES: Mapping[str, tuple[str, int]] = {
@@ -34,20 +34,23 @@ SURFACES: Mapping[str, tuple[str, int]] = {
 }
 
 
-def new_cell(name: str, part: Part, source: str, *, surface: str | None) -> str:
+def new_cell(
+    name: str, part: Part, source: Mapping[str, str], *, surface: str | None, scenes: int = 10
+) -> str:
     """The text of a configuration.
 
     Args:
         name: of the folder, for the commands in its first lines.
         part: as it is read, to know its size.
-        source: the keys of `parts` that say where it comes from, a line each.
+        source: the keys of `parts` that say where it comes from.
         surface: one of `SURFACES`; None keeps the part's own material and density.
     """
     inner_m = bin_for(part)
     rig_name, covers = rig_for(Bin(inner_m=inner_m))
     full = max(1, round(PACKING * float(np.prod(inner_m)) / _hull_m3(part)))
     most = int(np.clip(round(HEAP_SHARE * full), 3, MOST_PARTS))
-    keys = source.splitlines()
+    # Text of JSON is text of YAML, also where a file's name has a colon, a hash or a quote.
+    keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
     if surface is not None:
         material, density_kg_m3 = SURFACES[surface]
         keys.append(f"material: {material}   # {surface}; change it to that of your part")
@@ -66,7 +69,7 @@ parts:
   - {f"{chr(10)}    ".join(keys)}
 
 count: [{max(1, most // 2)}, {most}]   # parts in a scene; about {full} fill the bin
-scenes: 10
+scenes: {scenes}
 bin:
   inner_m: [{room}]   # length, width and height inside
 rig: {rig_name}   # of {", ".join(RIGS)}: {field}

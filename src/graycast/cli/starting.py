@@ -59,7 +59,7 @@ def add_commands(commands) -> None:
 def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentParser]) -> int:
     cell, device = options.out / "cell.yaml", ("--device", options.device)
     if not cell.exists():
-        _write_cell(options.out, builtin=DEMO_PART, changes={"scenes: 10": "scenes: 3"})
+        _write_cell(options.out, builtin=DEMO_PART, scenes=3)
     for command, product in (("generate", "dataset"), ("preview", "preview.png")):
         words = (str(cell), "--out", str(options.out / product), *device)
         chosen = parsers[command].parse_args(words)
@@ -91,7 +91,7 @@ def _write_cell(
     mesh: Path | None = None,
     unit: str | None = None,
     surface: str = "plastic",
-    changes: dict[str, str] | None = None,
+    scenes: int = 10,
 ) -> None:
     """Write the folder of a cell, whole or not at all.
 
@@ -106,17 +106,13 @@ def _write_cell(
         if unit is not None:
             raise GraycastError("--unit belongs to a mesh file: remove it, or give --part")
         assert builtin is not None  # one of the two is given
-        part, source, own = builtin_part(builtin), f"builtin: {builtin}", None
+        part, source, own = builtin_part(builtin), {"builtin": builtin}, None
     else:
         part, notes = load_part(mesh, unit=unit, density_kg_m3=1000.0, friction=0.4)
         for note in notes:
             print(f"note: {mesh}: {note}")
-        source, own = f"mesh: {mesh.name}", surface
-        if unit is not None:
-            source += f"\nunit: {unit}"
-    text = new_cell(folder.as_posix(), part, source, surface=own)
-    for old, changed in (changes or {}).items():
-        text = text.replace(old, changed)
+        source, own = {"mesh": mesh.name} | ({} if unit is None else {"unit": unit}), surface
+    text = new_cell(folder.as_posix(), part, source, surface=own, scenes=scenes)
     with new_folder(folder) as out:
         (out / "cell.yaml").write_text(text, encoding="utf-8")
         if mesh is not None:

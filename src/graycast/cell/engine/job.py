@@ -60,11 +60,11 @@ class Job:
     """A task that can be sent to a worker, which opens it to make its scenes.
 
     `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
-    a cluster it may be 'auto'. `graycast` is the release, and `MAKER` makes one of a job, with the
-    arguments of `open`.
+    a cluster it may be 'auto'. `graycast` is the release. `RUNNER` is called
+    with the job and the arguments of `open`.
     """
 
-    MAKER: ClassVar[Callable[..., TaskRunner]]
+    RUNNER: ClassVar[Callable[..., TaskRunner]]
 
     seed: int
     device: str
@@ -88,4 +88,4 @@ class Job:
             threads: processor threads that it may use; None leaves them as they are.
             progress: hears what is done for each scene.
         """
-        return type(self).MAKER(self, threads=threads, progress=progress)
+        return type(self).RUNNER(self, threads=threads, progress=progress)

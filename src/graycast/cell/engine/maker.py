@@ -78,7 +78,7 @@ class SceneMaker:
 class SceneTask(Job):
     """What a worker needs to know to make any scene of a dataset."""
 
-    MAKER = SceneMaker
+    RUNNER = SceneMaker
 
     cell: Cell
     depth_scale_mm: float

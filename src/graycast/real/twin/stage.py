@@ -20,7 +20,7 @@ from ...world.scene import Scene, bin_of
 from ..realism import DepthScan
 from .restaging import layout_of
 
-_STEEP, _STEP = 0.6, 10.0  # They are about the tangents of the camera's angle of incidence.
+_STEEP, _STEP = 0.6, 10.0  # Both are tangents of the camera's angle of incidence.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

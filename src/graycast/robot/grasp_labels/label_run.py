@@ -61,7 +61,7 @@ class SceneLabeller:
 class LabelTask(Job):
     """What a worker needs to know to label any scene of a dataset; it needs no light."""
 
-    MAKER = SceneLabeller
+    RUNNER = SceneLabeller
 
     dataset: StoredDataset
     stock: Stock

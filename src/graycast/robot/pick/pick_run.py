@@ -55,7 +55,7 @@ class BinEmptier:
 class PickTask(Job):
     """What a worker needs to know to empty any bin of a cell."""
 
-    MAKER = BinEmptier
+    RUNNER = BinEmptier
 
     cell: PickCell
 

@@ -108,7 +108,7 @@ class DesignTask(Job):
     Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
     """
 
-    MAKER = Comparer
+    RUNNER = Comparer
 
     spec: DesignSpec
     lights: tuple[tuple[Placed, ...], ...]

@@ -1,5 +1,6 @@
 """A new cell fits its part: the configuration is read, the bin is in view, the heap has room."""
 
+import shlex
 from typing import get_args
 
 import numpy as np
@@ -21,12 +22,14 @@ def test_the_command_knows_the_surfaces_and_units_that_there_are():
 
 
 @pytest.mark.parametrize("name", ["a: b #1.stl", 'it\'s "big" {v2}.stl', "größe, 5 %.stl"])
-def test_a_file_may_have_any_name(tmp_path, monkeypatch, name):
+def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
     (tmp_path / "block.stl").rename(tmp_path / name)
-    assert main(["new", "cell", "--part", name, "--unit", "m"]) == 0
-    cell = resolve_cell(load_config(tmp_path / "cell/cell.yaml"), tmp_path / "cell")
+    assert main(["new", "a cell", "--part", name, "--unit", "m"]) == 0
+    _, *commands = capsys.readouterr().out.splitlines()
+    assert [shlex.split(line)[2] for line in commands] == 3 * ["a cell/cell.yaml"]
+    cell = resolve_cell(load_config(tmp_path / "a cell/cell.yaml"), tmp_path / "a cell")
     assert cell.scene.parts[0].source == name
 
 

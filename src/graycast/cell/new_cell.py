@@ -1,6 +1,7 @@
 """A commented configuration for one part: bin, number of parts and rig are fitted to its size."""
 
 import json
+import shlex
 from collections.abc import Mapping
 from itertools import product
 
@@ -59,12 +60,15 @@ def new_cell(
             keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
     size = " x ".join(f"{1e3 * side:.0f}" for side in part.mesh.extent_m)
     room = ", ".join(f"{side:.2f}" for side in inner_m)
+    cell, picture, dataset = (
+        shlex.quote(f"{name}/{file}") for file in ("cell.yaml", "preview.png", "dataset")
+    )
     field = "its field holds the bin" if covers else "the bin is larger than its field"
     return f"""\
 # A cell for {part.name} ({size} mm). `graycast schema config` explains every key.
-#   graycast preview {name}/cell.yaml --out {name}/preview.png     draws one scene
-#   graycast live {name}/cell.yaml     shows the cell in a browser
-#   graycast generate {name}/cell.yaml --out {name}/dataset     makes the dataset
+#   graycast preview {cell} --out {picture}     draws one scene
+#   graycast live {cell}     shows the cell in a browser
+#   graycast generate {cell} --out {dataset}     makes the dataset
 parts:
   - {f"{chr(10)}    ".join(keys)}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from small_cell import write_cell
 
@@ -176,13 +177,15 @@ def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
 
 def test_a_symmetry_is_stated_as_turns_or_found_in_the_shape(tmp_path):
     """A box beside the origin: turns are about the middle of its own box unless stated."""
+    beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
+    beside.export(tmp_path / "beside.stl")
     told = {}
     for name, symmetry in {
         "turns": {"turns": [{"axis": "z", "fold": 2}, {"axis": [3, 0, 0], "fold": 2}]},
         "auto": {"auto": True},
         "none": None,
     }.items():
-        part = {"mesh": "box.stl", "unit": "mm", "symmetry": symmetry}
+        part = {"mesh": "beside.stl", "unit": "mm", "symmetry": symmetry}
         (own,), _ = words.resolve_parts(load_config(write_cell(tmp_path, parts=[part])), tmp_path)
         told[name] = own.symmetry.discrete
     assert [len(told[name]) for name in told] == [3, 3, 0]

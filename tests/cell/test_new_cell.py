@@ -1,14 +1,16 @@
 """A new cell fits its part: the configuration is read, the bin is in view, the heap has room."""
 
 import shlex
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
 import trimesh
 
+from graycast.camera.scanner import preset
 from graycast.cell.config import load_config
-from graycast.cell.new_cell import RIGS, SURFACES, bin_for, new_cell, rig_for
+from graycast.cell.new_cell import RIGS, SURFACES, _sees, bin_for, new_cell, rig_for
 from graycast.cell.resolve import resolve_cell
 from graycast.cli import starting
 from graycast.cli.command import main
@@ -55,6 +57,20 @@ def test_the_rig_is_the_smallest_that_sees_the_bin():
     places = [RIGS.index(name) for name, _ in chosen]
     assert places == sorted(places) and places[0] == 0 and places[-1] == len(RIGS) - 1
     assert [covers for _, covers in chosen] == [True, True, True, True, False]
+
+
+def test_a_rig_has_to_light_the_whole_bin_and_to_see_its_rim():
+    """A narrow projector lights its middle alone; a rim nearer to the rig leaves the field."""
+    rig, room = preset("phoxi-m").rig, Bin(inner_m=(0.4, 0.3, 0.15))
+    projector = rig.projector
+    narrow = replace(projector, fx_px=3 * projector.fx_px, fy_px=3 * projector.fy_px)
+    assert _sees(rig, room) and not _sees(replace(rig, projector=narrow), room)
+    floors = [length_m for length_m in np.arange(0.3, 1.0, 0.02) if seen(rig, length_m, 0.02)]
+    assert seen(rig, max(floors), 0.02) and not seen(rig, max(floors), 0.2)
+
+
+def seen(rig, length_m, height_m):
+    return _sees(rig, Bin(inner_m=(length_m, 0.75 * length_m, height_m)))
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from graycast.base.errors import GraycastError
 from graycast.camera.scanner import Scanner
 from graycast.cell.resolve import Cell
-from graycast.render import Quality, Renderer, Rendering
+from graycast.rendering import Quality, Renderer, Rendering
 from graycast.world.scene import Layout
 
 from .cells import dropped, exposed_alike, materials_cell, opened

@@ -8,7 +8,7 @@ from graycast.camera.decode import DecodeSpec
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec, auto_exposure_s
 from graycast.cell.resolve import Cell
-from graycast.render import Radiance, Renderer, open_renderer
+from graycast.rendering import Radiance, Renderer, open_renderer
 from graycast.rig.optics import Optics
 from graycast.rig.pair import preset_rig
 from graycast.rig.pattern import CodeSpec

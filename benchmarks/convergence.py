@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec
 from graycast.cell.resolve import Cell
-from graycast.render import DenoiserName, Quality, Radiance, Renderer
+from graycast.rendering import DenoiserName, Quality, Radiance, Renderer
 from graycast.world.scene import Layout
 
 from .cells import exposed_alike

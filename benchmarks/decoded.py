@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.camera.scanner import Scanner, scan
-from graycast.render import Radiance
+from graycast.rendering import Radiance
 from graycast.rig.pattern import Code
 
 WRONG_COLUMNS = 1.0  # a column that lies further off than this is wrong

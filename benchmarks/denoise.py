@@ -9,7 +9,7 @@ the same rig in the light of one band, where Cycles' denoisers get pictures of p
 
 from graycast.camera.sensor import SensorSpec
 from graycast.cell.resolve import Cell
-from graycast.render import DenoiserName, Renderer
+from graycast.rendering import DenoiserName, Renderer
 from graycast.world.scene import Layout
 
 from .cells import GRAY, bracket_cell, dropped, opened

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
 from graycast.camera.scanner import Scanner, measure, take
 from graycast.cell.resolve import patterns_of
-from graycast.render import Quality, Renderer, open_renderer
+from graycast.rendering import Quality, Renderer, open_renderer
 from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.drop import DropLimits, drop
 from graycast.world.parts import Material

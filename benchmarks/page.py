@@ -21,7 +21,7 @@ from graycast.cell.generate import depth_step_mm
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene
 from graycast.dataset import open_store
-from graycast.render import open_renderer
+from graycast.rendering import open_renderer
 from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
 from graycast.world.drop import DropLimits, drop
 from graycast.world.drop.decomposition import decompose, hull_error, tolerance_m
@@ -64,9 +64,9 @@ def page(
 
 def rendering() -> str:
     open_renderer("mitsuba")  # chooses the device, before these are imported
-    from graycast.render.mitsuba import light
-    from graycast.render.mitsuba_scene import build
-    from graycast.render.mitsuba_truth import truth
+    from graycast.rendering.mitsuba import light
+    from graycast.rendering.mitsuba_scene import build
+    from graycast.rendering.mitsuba_truth import truth
 
     cell = cell_of({})
     layout = drop(cell.scene, (PARTS,), seed=0, limits=DropLimits())

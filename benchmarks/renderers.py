@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from graycast.cell.resolve import Cell
-from graycast.render import Quality, Renderer
-from graycast.render.cycles.job import need_renders
+from graycast.rendering import Quality, Renderer
+from graycast.rendering.cycles.job import need_renders
 from graycast.world.scene import Layout
 
 from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped, opened

@@ -6,7 +6,7 @@ import numpy as np
 
 from graycast.camera.decode import FilterSpec
 from graycast.camera.scanner import Scanner, preset, scan
-from graycast.render import Quality, Radiance, Renderer, Rendering, open_renderer
+from graycast.rendering import Quality, Radiance, Renderer, Rendering, open_renderer
 from graycast.rig.pattern import CodeSpec
 from graycast.rig.pattern.spec import Codec
 from graycast.world.parts import Material

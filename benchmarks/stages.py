@@ -72,7 +72,7 @@ def images(work: Path, number: int) -> Iterator[Job]:
     from graycast.camera.picture import color_picture
     from graycast.camera.scanner import measure, take
     from graycast.cell.config import resolve_quality
-    from graycast.render import open_renderer
+    from graycast.rendering import open_renderer
 
     cell, renderer = cell_of({}), open_renderer("mitsuba")
     layout, patterns = stored_layout(work, cell.scene), cell.patterns()

@@ -17,7 +17,7 @@ import numpy as np
 
 from graycast.camera.decode import DecodeSpec
 from graycast.camera.scanner import Scanner, scan
-from graycast.render import Quality, open_renderer
+from graycast.rendering import Quality, open_renderer
 from graycast.rig.pair import place, preset_rig
 from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.parts import Material, Mesh, Part

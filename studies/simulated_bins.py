@@ -18,7 +18,7 @@ from graycast.cell.config import Config
 from graycast.cell.resolve import Cell, resolve_cell
 from graycast.cell.simulate import make_scene
 from graycast.real.fit_bin import BinView, fit_pose, shape_of
-from graycast.render import Quality, open_renderer
+from graycast.rendering import Quality, open_renderer
 from graycast.world.scene import EMPTY_LAYOUT, bin_of
 
 from .crates import Crate

@@ -28,8 +28,8 @@ from graycast.real.twin.parameters import (
 from graycast.real.twin.rows import compare, figures_of, loss_of
 from graycast.real.twin.searching import Fit, scans_of, search
 from graycast.real.twin.stage import LitScene, in_projector_corner
-from graycast.render import Quality
-from graycast.render.reference import ReferenceRenderer
+from graycast.rendering import Quality
+from graycast.rendering.reference import ReferenceRenderer
 from graycast.rig.pair import grey_levels
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere

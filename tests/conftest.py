@@ -88,7 +88,7 @@ def one_compiler_beside_others(tmp_path_factory):
 @pytest.fixture(scope="session")
 def mitsuba_renderer(request):
     """On the device of the run, the processor by default: a process cannot change it."""
-    from graycast.render import open_renderer
+    from graycast.rendering import open_renderer
 
     return open_renderer("mitsuba", device=request.config.getoption("--device"))
 
@@ -101,8 +101,8 @@ def cpu_device(mitsuba_renderer):
 @pytest.fixture(scope="session")
 def cycles_renderer():
     """Blender's, in a child process that ends with the tests."""
-    from graycast.render import open_renderer
-    from graycast.render.cycles import examine_cycles
+    from graycast.rendering import open_renderer
+    from graycast.rendering.cycles import examine_cycles
 
     state = examine_cycles()
     if not state.usable:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from stage import centred, in_camera, lambert, make_rig, plain_pattern, wall
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 ROWS = 24

@@ -17,7 +17,7 @@ from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.claim import Taker
 from graycast.dataset.sample import Sample
 from graycast.dataset.store import open_store
-from graycast.render.radiance import GroundTruth, Silhouette
+from graycast.rendering.radiance import GroundTruth, Silhouette
 from graycast.rig.optics import Optics, rays
 from graycast.rig.pair import Rig
 from graycast.world.scene import Layout, Scene

@@ -15,8 +15,8 @@ from PIL import Image
 from small_cell import GRAYCAST, write_cell
 
 from graycast.cli import main
-from graycast.render import device
-from graycast.render.device import CudaState, examine_cuda
+from graycast.rendering import device
+from graycast.rendering.device import CudaState, examine_cuda
 
 
 def refusal(capsys, *arguments):

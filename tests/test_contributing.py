@@ -60,7 +60,7 @@ def files_of_texts() -> Mapping[str, set[str]]:
 def test_no_other_file_knows_the_existing_ones_by_name(kind):
     knowing = set().union(*(files_of_texts()[name] for name in NAMES[kind]))
     others = knowing - files_for(kind) - KNOWING
-    assert {name for name in others if "/render/cycles/" not in name} == set()
+    assert {name for name in others if "/rendering/cycles/" not in name} == set()
 
 
 def test_every_file_that_the_page_names_exists():

@@ -57,11 +57,11 @@ def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_n
     with pytest.raises(AttributeError, match="'graycast' has no attribute 'scenes'"):
         _ = graycast.scenes
     assert not hasattr(graycast, "__wrapped__")
-    monkeypatch.delattr(graycast, "render")  # which loads it first
-    monkeypatch.delitem(sys.modules, "graycast.render")
-    monkeypatch.setitem(sys.modules, "graycast.render.radiance", None)  # the room needs it
+    monkeypatch.delattr(graycast, "rendering")  # which loads it first
+    monkeypatch.delitem(sys.modules, "graycast.rendering")
+    monkeypatch.setitem(sys.modules, "graycast.rendering.radiance", None)  # the room needs it
     with pytest.raises(ModuleNotFoundError, match="radiance"):
-        _ = graycast.render
+        _ = graycast.rendering
 
 
 def test_the_door_lists_only_what_stands_in_it():

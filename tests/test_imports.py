@@ -14,7 +14,7 @@ ROOMS = (
     "base",
     "rig",
     "world",
-    "render",
+    "rendering",
     "camera",
     "dataset",
     "cell",
@@ -27,24 +27,24 @@ ROOMS = (
 )
 # What more is not allowed, so that no result depends on what it is not made of.
 FORBIDDEN = {
-    "render": {"world.drop"},
-    "camera.sensor": {"world.drop", "render"},
-    "camera.decode": {"world.drop", "render"},
+    "rendering": {"world.drop"},
+    "camera.sensor": {"world.drop", "rendering"},
+    "camera.decode": {"world.drop", "rendering"},
     "dataset": {"world.drop"},
     "score.metrology": {
         *("world.drop", "dataset", "cell.config", "cell.resolve", "cell.simulate"),
         "cell.generate",
     },
     "score.evaluate": {
-        *("world.drop", "render", "camera.sensor", "camera.decode", "cell.simulate"),
+        *("world.drop", "rendering", "camera.sensor", "camera.decode", "cell.simulate"),
         "cell.generate",
     },
     "learn.detect": {
-        *("world.drop", "render", "camera.sensor", "camera.decode", "cell.simulate"),
+        *("world.drop", "rendering", "camera.sensor", "camera.decode", "cell.simulate"),
         "cell.generate",
     },
     "robot.pose": {
-        *("world.drop", "render", "camera.sensor", "camera.decode", "dataset", "cell.simulate"),
+        *("world.drop", "rendering", "camera.sensor", "camera.decode", "dataset", "cell.simulate"),
         *("cell.generate", "score.evaluate"),
     },
     "cli.doctor": {
@@ -53,11 +53,11 @@ FORBIDDEN = {
     },
 }
 # Rooms of one thing: their docstrings name few files or none.
-UNORDERED = {"render", "dataset", "real", "cli"}
+UNORDERED = {"rendering", "dataset", "real", "cli"}
 WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
-MITSUBA = {"render", "cli.doctor"}
+MITSUBA = {"rendering", "cli.doctor"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
-ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
+ONLY_VALUES = {"dataset": {"rendering": {"rendering", "rendering.radiance"}}}
 
 
 def modules():
@@ -211,7 +211,7 @@ def test_no_room_comes_in_by_the_door():
 
 def test_only_the_modules_named_see_the_whole_line():
     """The products of physics, light and files meet nowhere else."""
-    line = ("world.drop", "render", "dataset")
+    line = ("world.drop", "rendering", "dataset")
     for name, file, is_folder in modules():
         if name and not within(name, WHOLE_LINE):
             targets = set(imports(name, file, is_folder))
@@ -225,9 +225,9 @@ def test_the_table_notices_a_wrong_arrow(tmp_path):
         "from ..world.drop import drop\nimport graycast.cli\nfrom ..world import scene\n"
         "def f():\n    from graycast.camera.decode import decode\n"
     )
-    found = set(imports(("render", "wrong"), file, False))
+    found = set(imports(("rendering", "wrong"), file, False))
     wrong = {"world.drop", "cli", "camera.decode"}
-    assert broken_arrows(("render", "wrong"), found) == wrong
+    assert broken_arrows(("rendering", "wrong"), found) == wrong
     assert broken_arrows(("world", "parts", "wrong"), {("world", "scene")}) == {"world.scene"}
     assert not broken_arrows(("world", "drop", "wrong"), {("world", "scene")})
 

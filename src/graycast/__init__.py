@@ -2,7 +2,7 @@
 
 This module offers every step to Python; `docs/library.md` begins with ten lines that run:
 
-    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
+    cell       = graycast.resolve_cell(graycast.load_config(path), path.parent)
     with graycast.open_cell_renderer(cell) as renderer:
         shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
     codes, depth = graycast.measure(cell.scanner, shot.capture)
@@ -15,19 +15,19 @@ The rooms in order; the docstring of each has a line for each of its modules. A 
 from those above it, which `tests/test_imports.py` checks. CONTRIBUTING.md says where a new code,
 renderer, detector, exporter or gripper goes.
 
-    base      what every room uses: errors, settings, whole files, frames, plots
-    rig       optics, codes, and the pair of camera and projector
-    world     parts, bins, the scene, and the drop: Scene -> Layout
-    render    light: Layout -> Radiance, and the ground truth
-    camera    from light to depth: Radiance -> Capture -> DepthMap; stacks of real scanners
-    dataset   ground truth on disk as BOP and COCO: written, checked, read, exported
-    cell      a configuration with its files, its scenes, and a dataset of them
-    score     scores of detections, poses and depth; certificates; several views; designs
-    real      data of a real scanner: its rig, bin, labels and depth statistics
-    learn     detectors: training, inference and studies
-    robot     poses of parts, grips, and a robot that empties the bin
-    show      pictures of inputs and results, the web page, and a cell in the browser
-    cli       the command `graycast`: files in, files out
+    base       what every room uses: errors, settings, whole files, frames, plots
+    rig        optics, codes, and the pair of camera and projector
+    world      parts, bins, the scene, and the drop: Scene -> Layout
+    rendering  light: Layout -> Radiance, and the ground truth
+    camera     from light to depth: Radiance -> Capture -> DepthMap; stacks of real scanners
+    dataset    ground truth on disk as BOP and COCO: written, checked, read, exported
+    cell       a configuration with its files, its scenes, and a dataset of them
+    score      scores of detections, poses and depth; certificates; several views; designs
+    real       data of a real scanner: its rig, bin, labels and depth statistics
+    learn      detectors: training, inference and studies
+    robot      poses of parts, grips, and a robot that empties the bin
+    show       pictures of inputs and results, the web page, and a cell in the browser
+    cli        the command `graycast`: files in, files out
 """
 
 from importlib import import_module
@@ -69,12 +69,12 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .dataset import validate as validate
     from .dataset.training import Example as Example
     from .dataset.training import open_examples as open_examples
-    from .render import GroundTruth as GroundTruth
-    from .render import Quality as Quality
-    from .render import Radiance as Radiance
-    from .render import Renderer as Renderer
-    from .render import Rendering as Rendering
-    from .render import open_renderer as open_renderer
+    from .rendering import GroundTruth as GroundTruth
+    from .rendering import Quality as Quality
+    from .rendering import Radiance as Radiance
+    from .rendering import Renderer as Renderer
+    from .rendering import Rendering as Rendering
+    from .rendering import open_renderer as open_renderer
     from .rig.pair import Rig as Rig
     from .rig.pair import place as place
     from .rig.pattern import Code as Code
@@ -99,7 +99,7 @@ _MODULE = {
         "rig.pattern": ("Code", "CodeSpec", "Frame"),
         "world.parts": ("Material", "Mesh", "Part", "builtin_part", "load_part"),
         "world.scene": ("Bin", "Environment", "Lamp", "Layout", "Scene"),
-        "render": (
+        "rendering": (
             *("GroundTruth", "Quality", "Radiance", "Renderer", "Rendering"),
             "open_renderer",
         ),

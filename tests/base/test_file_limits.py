@@ -36,9 +36,9 @@ SIDE = 12_000  # of a picture that is too large
 # Lines between our own processes, which no user writes.
 OWN_CHILDREN = {
     "world/drop/decomposition/hull_process.py",
-    "render/cycles/process.py",
-    "render/cycles/worker/frames.py",
-    "render/device.py",
+    "rendering/cycles/process.py",
+    "rendering/cycles/worker/frames.py",
+    "rendering/device.py",
 }
 
 

@@ -10,7 +10,7 @@ from benchmarks import agree, cells, convergence, denoise, renderers
 from graycast.camera.scanner import Scanner
 from graycast.cell.config import Config
 from graycast.cell.resolve import resolve_cell
-from graycast.render import GroundTruth, Radiance, Rendering
+from graycast.rendering import GroundTruth, Radiance, Rendering
 from graycast.world.scene import Layout
 
 SIZE_PX = (48, 20)

@@ -11,7 +11,7 @@ from benchmarks.decoded import (
     one_surface,
 )
 from graycast.camera.decode import CodeMap, DepthMap, Reason
-from graycast.render import Radiance
+from graycast.rendering import Radiance
 from graycast.rig.pattern import gray
 
 CODE = gray(64, 8, axes=("column",))

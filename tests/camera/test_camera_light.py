@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from stage import centred, make_rig
 
 from graycast.camera.light import camera_light, veiled
-from graycast.render import Radiance
+from graycast.rendering import Radiance
 
 RNG = np.random.default_rng(4)
 

@@ -13,7 +13,7 @@ from graycast.base.frames import axis_rotation, inverse, pixel_grid, transform_p
 from graycast.camera.decode import DecodeSpec, Levels, decode
 from graycast.camera.scanner import Scanner, scan
 from graycast.camera.sensor import SensorSpec
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.optics import project, rays
 from graycast.rig.pattern import CodeSpec, level_share
 from graycast.world.scene import EMPTY_LAYOUT, Quad

@@ -9,8 +9,8 @@ from stage import centred, in_camera, lambert, make_rig, wall
 from graycast.camera.line_noise import lines_seen, place_sigma_px, with_line_noise
 from graycast.camera.scanner import ExposureSpec, Scanner, measure, take
 from graycast.camera.sensor import SensorSpec
-from graycast.render import Quality
-from graycast.render.reference import ReferenceRenderer
+from graycast.rendering import Quality
+from graycast.rendering.reference import ReferenceRenderer
 from graycast.rig.pattern import CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT
 

@@ -7,7 +7,7 @@ from stage import centred, make_rig
 from graycast.camera.picture import color_picture, gray_picture
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec, expose, merge_exposures
-from graycast.render import GroundTruth, Radiance, Rendering
+from graycast.rendering import GroundTruth, Radiance, Rendering
 
 SENSOR = SensorSpec(
     full_well_e=1e6, gain_dn_per_e=0.1, offset_dn=50.0, bit_depth=12, dark_current_e_s=0.0

@@ -19,7 +19,7 @@ from graycast.camera.scanner import (
     take,
 )
 from graycast.camera.sensor import Capture, SensorSpec
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pair import preset_rig
 from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT, Sphere
@@ -171,7 +171,7 @@ def test_aperture_and_f_number_must_tell_the_same():
 @pytest.fixture
 def flat_light():
     """Light of a scanner's code on two flat halves, each pixel seeing column 100."""
-    from graycast.render import Radiance
+    from graycast.rendering import Radiance
 
     def made(scanner, *, dim, bright):
         code = scanner.light_code()

@@ -14,7 +14,7 @@ from graycast.base.frames import pixel_grid, transform_points
 from graycast.camera.decode import Reason
 from graycast.camera.scanner import preset, scan
 from graycast.cell.resolve import patterns_of
-from graycast.render import Radiance
+from graycast.rendering import Radiance
 from graycast.rig.optics import project, rays
 
 SHAPE = (96, 128)

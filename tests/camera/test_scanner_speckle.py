@@ -10,8 +10,8 @@ from graycast.camera import scanner as scanner_module
 from graycast.camera.faults import FaultSpec
 from graycast.camera.scanner import ExposureSpec, Scanner, preset, scan, take
 from graycast.camera.speckle import material_contrast
-from graycast.render import Quality, Radiance
-from graycast.render.reference import ReferenceRenderer
+from graycast.rendering import Quality, Radiance
+from graycast.rendering.reference import ReferenceRenderer
 from graycast.rig.optics import Optics
 from graycast.world.scene import EMPTY_LAYOUT
 

@@ -10,7 +10,7 @@ from graycast.camera.rig_file import import_opencv
 from graycast.camera.scanner import Scanner, scan
 from graycast.camera.sensor import SensorSpec
 from graycast.camera.stack.stack_figures import figures_of
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pair import Rig
 from graycast.rig.pattern import CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT, Sphere

@@ -21,7 +21,7 @@ from graycast.cell.config import Config, config_schema, file_digests, load_confi
 from graycast.cell.domain.domain_sections import KINDS
 from graycast.cell.resolve import resolve_cell
 from graycast.learn.study_file import read_study
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pair import PRESETS
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
 from graycast.world.parts import Material

@@ -18,7 +18,7 @@ from graycast.cell import simulate
 from graycast.cell.config import RenderSection, load_config
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene, with_field
-from graycast.render import GroundTruth, Renderer
+from graycast.rendering import GroundTruth, Renderer
 
 
 @pytest.fixture(scope="module")

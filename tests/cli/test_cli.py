@@ -22,7 +22,7 @@ from graycast.camera.stack import stack_schema
 from graycast.cell.config import config_schema
 from graycast.cli import command, doctor, machine, main
 from graycast.real.depth_file import DEPTH_FILES
-from graycast.render.trial import Trial
+from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
 from graycast.show.report import rig_picture as drawing
 from graycast.world.drop import Decomposition

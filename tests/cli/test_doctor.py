@@ -9,8 +9,8 @@ import pytest
 
 from graycast.cli import doctor
 from graycast.cli.doctor import Diagnosis, Finding, describe, examine
-from graycast.render.device import CudaState
-from graycast.render.trial import Trial
+from graycast.rendering.device import CudaState
+from graycast.rendering.trial import Trial
 
 PROGRAM = """
 import json, sys

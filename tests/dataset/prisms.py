@@ -8,7 +8,7 @@ from graycast.base.frames import random_quaternions, rigid, rotation_from_quater
 from graycast.base.streams import image_seeds, scene_seeds
 from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.sample import Sample
-from graycast.render.radiance import GroundTruth, Silhouette
+from graycast.rendering.radiance import GroundTruth, Silhouette
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig
 from graycast.world.parts import Material, Mesh, Part, Symmetry

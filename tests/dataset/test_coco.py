@@ -10,7 +10,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 
 from graycast.dataset.coco import run_lengths
-from graycast.render.radiance import Silhouette
+from graycast.rendering.radiance import Silhouette
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -19,8 +19,8 @@ from graycast.camera.picture import color_picture
 from graycast.camera.scanner import measure, take
 from graycast.cell.config import load_config, resolve_quality
 from graycast.cell.resolve import resolve_cell
-from graycast.render import Rendering, open_renderer
-from graycast.render.device import choose_device, examine_cuda, find_llvm
+from graycast.rendering import Rendering, open_renderer
+from graycast.rendering.device import choose_device, examine_cuda, find_llvm
 from graycast.world.scene import Layout
 
 pytestmark = [

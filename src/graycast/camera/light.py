@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from ..render.radiance import Radiance
+from ..rendering.radiance import Radiance
 from ..rig.pair import Rig
 
 OCTAVES = 6  # The veil has sigmas of 1/64, 1/32 .. 1/2 of the image's width.

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..base.color import srgb
-from ..render import Denoiser, Rendering
-from ..render.denoise import denoise
+from ..rendering import Denoiser, Rendering
+from ..rendering.denoise import denoise
 from ..rig.pair import Rig
 from .scanner import Scanner
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from ..base.settings import Positive, check_fields
-from ..render import PathNoise, Radiance
+from ..rendering import PathNoise, Radiance
 from ..rig.optics import points
 from ..rig.pair import BINNING, PRESETS, Rig, preset_rig
 from ..rig.pattern import AXES, Code, CodeSpec

@@ -23,8 +23,8 @@ from ..base.settings import Level, Settings, read_settings
 from ..camera.decode import triangulation_axis
 from ..camera.rig_file import ScannerSections, named_scanner, with_sections
 from ..camera.scanner import Scanner
-from ..render import Quality
-from ..render.radiance import PathDepth, Samples
+from ..rendering import Quality
+from ..rendering.radiance import PathDepth, Samples
 from ..world.bins import Up, load_bin
 from ..world.drop import DropLimits
 from ..world.parts import Material, Part

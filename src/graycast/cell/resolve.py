@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from ..base.errors import ConfigError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.scanner import Scanner
-from ..render import OnPass, Renderer, open_renderer
+from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
 from ..world.parts import Part, size_notes

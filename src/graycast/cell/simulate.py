@@ -23,7 +23,7 @@ from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
 from ..dataset import Raw, Sample
-from ..render import GroundTruth, Radiance, Renderer, Rendering
+from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..rig.optics import in_picture, points, project
 from ..rig.pair import Rig
 from ..world.drop import drop

@@ -153,7 +153,7 @@ def _parts(options: argparse.Namespace) -> int:
         print(describe_parts(parts))
         _describe_hulls(parts)
     if options.out is not None:
-        from ..render import open_renderer
+        from ..rendering import open_renderer
 
         with open_renderer(device=options.device) as renderer:
             draw_parts(parts, options.out, renderer=renderer)

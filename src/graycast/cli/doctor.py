@@ -9,9 +9,9 @@ from pathlib import Path
 
 from .. import __version__
 from ..base.errors import DeviceError
-from ..render.cycles import examine_cycles
-from ..render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
-from ..render.trial import try_device
+from ..rendering.cycles import examine_cycles
+from ..rendering.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
+from ..rendering.trial import try_device
 
 _OLDEST_PYTHON = (3, 11)
 _PACKAGES = {  # Each distribution has a text on what it gives.

@@ -113,7 +113,7 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _where(backend: str, options: argparse.Namespace) -> str:
-    from ..render import choose_device
+    from ..rendering import choose_device
 
     if options.engine == "ray":
         return ""  # each machine of the cluster chooses its own device

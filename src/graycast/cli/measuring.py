@@ -157,7 +157,7 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _certify(options: argparse.Namespace) -> int:
-    from ..render import open_renderer
+    from ..rendering import open_renderer
     from ..score.metrology import CERTIFICATE, certify, describe, write_certificate
 
     scanner = resolve_rig_option(options)

@@ -26,7 +26,7 @@ from ..base.frames import inverse
 from ..base.mask_box import mask_box
 from ..base.streams import OF_IMAGE
 from ..camera.decode import Reason
-from ..render.radiance import Silhouette
+from ..rendering.radiance import Silhouette
 from ..rig.optics import Optics
 from .coco import run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..render.radiance import Silhouette
+from ..rendering.radiance import Silhouette
 from .records import split_annotation
 
 IGNORED_BELOW = 0.1  # Instances that show less are ignored by bop_toolkit's calc_gt_coco.

@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from ..camera.decode import CodeMap, DepthMap
 from ..camera.scanner import Scanner
 from ..camera.sensor import Capture
-from ..render.radiance import GroundTruth
+from ..rendering.radiance import GroundTruth
 from ..world.scene import Layout, Scene
 
 LEAST_DECODED = 1e-3  # In a smaller share of a picture wrong codes give depths by chance.

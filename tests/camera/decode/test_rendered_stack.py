@@ -8,7 +8,7 @@ from stage import in_camera, lambert, leaning_wall, make_rig, optics, turned
 
 from graycast.camera.decode import DecodeSpec, Reason, decode, levels_of, triangulate
 from graycast.camera.sensor import SensorSpec
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import gray
 from graycast.world.scene import EMPTY_LAYOUT, Sphere
 

@@ -4,7 +4,7 @@ import pytest
 
 from graycast.base.errors import DecodeError, DeviceError, DropError
 from graycast.cell.engine import SceneMaker, SceneTask, maker, worker_renderer
-from graycast.render import Renderer
+from graycast.rendering import Renderer
 
 
 class Opened(Renderer):

@@ -27,7 +27,7 @@ from graycast.real.calibrate import (
     projector_corners,
 )
 from graycast.real.calibrate.corners import px_per_square_of, refine_corners
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pair import Rig
 from graycast.rig.pattern import gray

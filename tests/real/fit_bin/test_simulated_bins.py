@@ -17,7 +17,7 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.cli.fitting import add_commands
 from graycast.real.fit_bin import BinView, fit_look, residual_picture, shape_of
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pair import preset_rig
 from graycast.world.scene import EMPTY_LAYOUT
 from studies.simulated_bins import LOST, study

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from graycast.base.color import linear, srgb
-from graycast.render import Quality
-from graycast.render.wavelength import at_one_wavelength, at_projector_wavelength
+from graycast.rendering import Quality
+from graycast.rendering.wavelength import at_one_wavelength, at_projector_wavelength
 from graycast.rig.pair import preset_rig
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Bin, Environment, Scene, bin_mesh, bin_surfaces

@@ -17,7 +17,7 @@ from graycast.cell.simulate import lay_out
 from graycast.cli import main
 from graycast.real.twin import making, searching
 from graycast.real.twin.parameters import OF_BIN, PARAMETERS
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import CodeSpec
 
 SCANS = 5

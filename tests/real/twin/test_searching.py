@@ -22,8 +22,8 @@ from graycast.real.twin.parameters import (
 from graycast.real.twin.rows import Figures, Row, compare, figures_of, loss_of
 from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import BinLook, LitScene, in_projector_corner, scan_lit
-from graycast.render import Quality
-from graycast.render.reference import ReferenceRenderer
+from graycast.rendering import Quality
+from graycast.rendering.reference import ReferenceRenderer
 from graycast.rig.pair import preset_rig
 from graycast.rig.pattern import CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT, Sphere

@@ -11,7 +11,7 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
 from graycast.real.twin.stage import BinLook, LitScene, light_scenes, missing_places, scan_lit
-from graycast.render import Quality
+from graycast.rendering import Quality
 
 from ..realism.synthetic import K, plane, scan
 

@@ -10,7 +10,7 @@ from test_surface import LENGTH_M, ON_THE_FLOOR, THICK_M, plate, plate_in_bin
 from graycast.base.frames import rigid
 from graycast.camera.decode import DecodeSpec
 from graycast.camera.scanner import Scanner, measure, take
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import CodeSpec
 from graycast.score.design.heap_surface import spread_surface
 from graycast.score.design.point_fates import figures, judge, view_of

@@ -8,7 +8,7 @@ from stage import centred, lambert, make_rig
 
 from graycast.base.frames import look_at, rigid
 from graycast.camera.decode import DepthMap, Reason
-from graycast.render import GroundTruth
+from graycast.rendering import GroundTruth
 from graycast.rig.pair import Rig
 from graycast.score.design.heap_surface import LEAST_PX, HeapSurface, Visibility, spread_surface
 from graycast.score.design.point_fates import (

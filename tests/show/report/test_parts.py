@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from graycast.base.frames import inverse, transform_points
-from graycast.render import open_renderer
+from graycast.rendering import open_renderer
 from graycast.rig.optics import project
 from graycast.show.report.parts import describe_parts, draw_parts, portrait_scene
 from graycast.world.parts import Material, Mesh, Part, Symmetry, builtin_part, mass_kg, size_notes

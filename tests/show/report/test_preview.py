@@ -14,7 +14,7 @@ from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.camera.sensor import Capture, SensorSpec
 from graycast.cell.simulate import Shot
 from graycast.dataset import Sample
-from graycast.render import GroundTruth, Radiance, Rendering, Silhouette
+from graycast.rendering import GroundTruth, Radiance, Rendering, Silhouette
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig
 from graycast.rig.pattern import gray

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import final
 
 from ...base.progress import ProgressMeter
-from ...render import Renderer
+from ...rendering import Renderer
 from ..resolve import Cell, open_cell_renderer
 from .job import is_the_scenes_own, keep_to_threads
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...render import choose_device
+from ...rendering import choose_device
 from ...world.drop import prepare
 from .job import Job, TaskResult
 from .pool import Failed, Pool, make_each

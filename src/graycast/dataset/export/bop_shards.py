@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 
 from ...base.file_limits import parse_json
-from ...render.radiance import Silhouette
+from ...rendering.radiance import Silhouette
 from ..coco import run_lengths
 from ..json_text import json_bytes
 from ..places import camera_file

@@ -26,7 +26,7 @@ from ...base.frames import transform_points
 from ...camera.light import veiled
 from ...camera.picture import idle_share
 from ...cell.resolve import Cell
-from ...render import Quality, Renderer, Rendering
+from ...rendering import Quality, Renderer, Rendering
 from ...rig.pair import Rig
 from ...world.parts import Material
 from ...world.scene import EMPTY_LAYOUT, Scene, bin_of

@@ -24,7 +24,7 @@ from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
 from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
-from ...render.radiance import Silhouette
+from ...rendering.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
 from ..picture_pairs import RealPicture, ShotData, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Annotation, read_annotations

@@ -12,7 +12,7 @@ from ...base.progress import ProgressMeter
 from ...camera.scanner import Scanner
 from ...camera.scanner import scan as shoot
 from ...cell.resolve import Cell
-from ...render import GroundTruth, Quality, Radiance, Renderer
+from ...rendering import GroundTruth, Quality, Radiance, Renderer
 from ...rig.optics import corner_share, points, project
 from ...rig.pair import Rig, grey_levels
 from ...rig.pattern import CodeSpec

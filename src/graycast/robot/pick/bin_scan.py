@@ -13,7 +13,7 @@ from ...camera.sensor import Capture
 from ...cell.config import resolve_quality
 from ...dataset.detections import Detections
 from ...dataset.example import Example
-from ...render import Renderer, Rendering
+from ...rendering import Renderer, Rendering
 from ...world.scene import Layout
 from .aim import Candidate, DepthView, whole_bin
 from .robot_cell import PickCell

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ...base.frames import rigid
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import EMPTIED_BIN
-from ...render import Renderer
+from ...rendering import Renderer
 from ...world.drop import drop
 from .attempt_picture import picture
 from .bin_scan import BinScan, scan, targets

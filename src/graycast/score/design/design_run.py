@@ -13,7 +13,7 @@ from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
 from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
-from ...render import Rendering
+from ...rendering import Rendering
 from ...world.parts import Part
 from .fate_picture import picture_png
 from .heap import Heap, make_heap

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...base.frames import inverse, transform_points
 from ...camera.decode import DepthMap, Reason
-from ...render import GroundTruth
+from ...rendering import GroundTruth
 from ...rig.optics import project
 from ...world.scene import Layout, Scene
 from .heap_surface import HeapSurface, Visibility, obstacles_of, sight

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...camera.scanner import Scanner
-from ...render import Renderer
+from ...rendering import Renderer
 from ...rig.pair import Rig
 from .artefacts import (
     BallBar,

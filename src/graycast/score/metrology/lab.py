@@ -11,7 +11,7 @@ from ...camera.decode import DepthMap, Reason
 from ...camera.light import camera_light
 from ...camera.scanner import Scanner, measure, take
 from ...camera.sensor import auto_exposure_s
-from ...render import Quality, Renderer, Rendering
+from ...rendering import Quality, Renderer, Rendering
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig, grey_levels
 from ...rig.pattern import Code

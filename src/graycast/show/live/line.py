@@ -27,7 +27,7 @@ from ...camera.sensor import Capture
 from ...cell.config import Config, resolve_quality, resolve_scanner
 from ...cell.resolve import Cell, open_cell_renderer, resolve_cell
 from ...cell.simulate import cell_seeds, varied, with_field
-from ...render import Quality, Renderer, Rendering
+from ...rendering import Quality, Renderer, Rendering
 from ...world.drop import DropLimits, drop
 from ...world.scene import Layout, Scene
 from .asking import Answer, Ask

@@ -15,7 +15,7 @@ from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
 from ...camera.sensor import Capture
 from ...cell.generate import depth_step_mm
 from ...cell.resolve import Cell
-from ...render import Rendering
+from ...rendering import Rendering
 from ...rig.optics import Optics
 from ...rig.pair import Rig
 from ...world.parts import Mesh

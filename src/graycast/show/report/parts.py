@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from ...base.color import srgb
 from ...base.frames import inverse, look_at, rigid, transform_points
 from ...base.plotting import save_png
-from ...render import Quality, Renderer
-from ...render.denoise import denoise
+from ...rendering import Quality, Renderer
+from ...rendering.denoise import denoise
 from ...rig.optics import Optics
 from ...rig.pair import Rig
 from ...world.parts import Material, Mesh, Part, Symmetry, mass_kg

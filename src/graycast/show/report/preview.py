@@ -26,7 +26,7 @@ from ...base.plotting import save_png
 from ...camera.decode import Reason, triangulation_axis
 from ...cell.simulate import Shot
 from ...dataset import labelled
-from ...render import GroundTruth
+from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
 from ...rig.pair import depth_per_column_m, depth_per_row_m
 from ...rig.pattern import Axis, Code, Frame

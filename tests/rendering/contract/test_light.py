@@ -17,7 +17,7 @@ from stage import (
 )
 
 from graycast.base.frames import inverse, transform_points
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 
 DIRECT = Quality(samples=64, depth=1)

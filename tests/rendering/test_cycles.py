@@ -30,9 +30,9 @@ from stage import (
 
 from graycast.base.errors import DeviceError, GraycastError
 from graycast.base.frames import rigid
-from graycast.render import Quality, open_renderer
-from graycast.render.cycles.job import is_simple
-from graycast.render.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
+from graycast.rendering import Quality, open_renderer
+from graycast.rendering.cycles.job import is_simple
+from graycast.rendering.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
 from graycast.rig.pattern import gray
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
@@ -143,7 +143,7 @@ import sys
 sys.path.insert(0, {tests!r})
 from stage import *
 from graycast.rig.pattern import gray
-from graycast.render import Quality, open_renderer
+from graycast.rendering import Quality, open_renderer
 from graycast.world.scene import EMPTY_LAYOUT
 rig = askew_rig()
 def tell(done, total):

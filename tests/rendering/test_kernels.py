@@ -15,7 +15,7 @@ from stage import (
 )
 
 from graycast.base.frames import rigid
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.scene import Environment, Lamp
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pyoidn
 import pytest
 
-from graycast.render.denoise import OpenImageDenoise, denoise, open_denoiser
+from graycast.rendering.denoise import OpenImageDenoise, denoise, open_denoiser
 
 
 def noisy_wall(h, w):

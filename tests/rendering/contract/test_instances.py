@@ -19,7 +19,7 @@ from stage import (
 )
 
 from graycast.base.frames import inverse, random_quaternions, rigid, rotation_from_quaternion
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.optics import rays
 from graycast.world.parts import Material, Mesh, Part
 from graycast.world.scene import EMPTY_LAYOUT, Bin, Environment

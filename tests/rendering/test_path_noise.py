@@ -9,8 +9,8 @@ from stage import centred, in_camera, lambert, leaning_wall, make_rig
 from benchmarks.cells import QUIET_SENSOR
 from graycast.camera.decode import triangulate
 from graycast.camera.scanner import Scanner, scan
-from graycast.render import Quality
-from graycast.render.path_noise import path_noise
+from graycast.rendering import Quality
+from graycast.rendering.path_noise import path_noise
 from graycast.rig.pattern import CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT
 

@@ -15,7 +15,7 @@ from stage import (
     wall,
 )
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import gray
 from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 

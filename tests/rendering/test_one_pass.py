@@ -7,7 +7,7 @@ from corner import corner_scene
 from noisy_pictures import agree, blocks
 from stage import askew_rig, in_camera, lambert, leaning_wall, plain_pattern
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import gray
 from graycast.world.scene import EMPTY_LAYOUT
 

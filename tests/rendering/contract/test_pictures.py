@@ -6,7 +6,7 @@ from corner import COAT, METAL, corner_scene
 from noisy_pictures import agree, blocks
 from stage import lambert, plain_pattern
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.pattern import gray
 
 pytestmark = pytest.mark.slow  # each render of Cycles takes a moment

@@ -7,7 +7,7 @@ from stage import centre_rays, centred, in_camera, lambert, make_rig, plain_patt
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, look_at, rigid
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Lamp, Quad, Scene
 

@@ -19,7 +19,7 @@ from stage import (
 )
 
 from graycast.base.frames import inverse, transform_points
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.rig.optics import project
 from graycast.world.scene import EMPTY_LAYOUT
 

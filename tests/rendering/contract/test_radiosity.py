@@ -6,7 +6,7 @@ from backends import slow
 from stage import centred, in_camera, lambert, make_rig, plain_pattern
 
 from graycast.base.frames import look_at, transform_points
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 
 SIDE_M, ALBEDO, INTENSITY = 0.3, 0.8, 10.0

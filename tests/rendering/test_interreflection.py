@@ -10,7 +10,7 @@ from stage import (
     wall,
 )
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Sphere
 

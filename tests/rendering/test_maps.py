@@ -9,13 +9,13 @@ READ_ON_ONE_THREAD = """
 import sys
 from pathlib import Path
 import numpy as np
-from graycast.render import open_renderer
+from graycast.rendering import open_renderer
 renderer = open_renderer("mitsuba", device="cpu", threads=2)
 import drjit, mitsuba
 file = Path(sys.argv[1])
 mitsuba.Bitmap(np.ones((64, 128, 3), dtype=np.float32)).write(str(file))
 drjit.set_thread_count(1)
-from graycast.render.mitsuba_scene import _map_pixels
+from graycast.rendering.mitsuba_scene import _map_pixels
 assert _map_pixels(file).shape == (64, 128, 3)
 assert drjit.thread_count() == 1
 """

@@ -11,7 +11,7 @@ with `E` at the direction that light leaves for (in a path from the camera: wher
 term: white metal returns everything, and colours deepen as they do by reflecting twice.
 
 This is also the metal of Blender's Principled BSDF, to 0.3 % wherever we looked
-(`tests/render/test_materials_in_both.py`).
+(`tests/rendering/test_materials_in_both.py`).
 
 Leaves out: that light reflected many times leaves in directions of its own, wider than the first
 lobe. Since `E` is taken at one of the two directions, light may not run backwards: the two ways

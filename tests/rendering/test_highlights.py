@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, make_rig, plain_pattern, wall
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 from stage import askew_rig, in_camera, lambert, leaning_wall, optics, wall
 
-from graycast.render import Quality, open_renderer
+from graycast.rendering import Quality, open_renderer
 from graycast.world.scene import EMPTY_LAYOUT, Sphere
 
 DIRECT = Quality(samples=64, depth=1)

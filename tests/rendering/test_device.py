@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from graycast.base.errors import DeviceError
-from graycast.render import device, trial
-from graycast.render.device import CudaState, choose_device, find_llvm, list_llvm, open_device
+from graycast.rendering import device, trial
+from graycast.rendering.device import CudaState, choose_device, find_llvm, list_llvm, open_device
 
 HAS_LLVM = find_llvm() is not None
 NEEDS_LLVM = pytest.mark.skipif(not HAS_LLVM, reason="no shared LLVM >= 19 on this machine")
@@ -187,7 +187,7 @@ def test_an_unknown_device_lists_those_there_are():
 KERNEL = """
 import json, os, sys
 from graycast.base.errors import DeviceError
-from graycast.render.device import open_device
+from graycast.rendering.device import open_device
 open_device("llvm", threads=1)
 open_device("llvm", threads=1)
 import drjit as dr, mitsuba as mi
@@ -230,7 +230,7 @@ def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
 def test_opening_after_drjit_came_up_without_llvm_says_so():
     program = (
         "import os; os.environ['DRJIT_LIBLLVM_PATH'] = '/gone.so'\n"
-        "import drjit\nfrom graycast.render.device import open_device\n"
+        "import drjit\nfrom graycast.rendering.device import open_device\n"
         "try:\n    open_device('llvm')\nexcept Exception as e:\n    print(type(e).__name__, e)"
     )
     said = subprocess.check_output([sys.executable, "-c", program], text=True)

@@ -3,7 +3,7 @@
 import pytest
 from backends import CYCLES, MITSUBA, REFERENCE
 
-from graycast.render import open_renderer
+from graycast.rendering import open_renderer
 
 
 @pytest.fixture(params=[REFERENCE, MITSUBA, CYCLES], scope="session")

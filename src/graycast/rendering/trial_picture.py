@@ -1,6 +1,6 @@
 """The child of `trial`: it renders and denoises a small picture, and prints which device denoised.
 
-python -m graycast.render.trial_picture DEVICE
+python -m graycast.rendering.trial_picture DEVICE
 """
 
 import json

@@ -13,7 +13,7 @@ GOLD = (1.0, 0.7, 0.3)
 def metal(roughness, reflectance=GOLD):
     import mitsuba as mi
 
-    import graycast.render.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": list(reflectance)}
     return mi.load_dict({"type": "rough_conductor", "alpha": roughness**2, "reflectance": color})
@@ -216,7 +216,7 @@ def test_a_texture_takes_the_colours_place(cpu_device):
     import drjit as dr
     import mitsuba as mi
 
-    from graycast.render.mitsuba_scene import _bsdf
+    from graycast.rendering.mitsuba_scene import _bsdf
 
     texture = np.array([[[255, 188, 0]], [[100, 30, 255]]], dtype=np.uint8).repeat(8, axis=0)
     material = Material(texture=texture, metallic=1.0, roughness=0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stage import box_part, make_rig, optics
 
-from graycast.render.wavelength import at_one_wavelength, at_projector_wavelength
+from graycast.rendering.wavelength import at_one_wavelength, at_projector_wavelength
 from graycast.world.parts import Material
 from graycast.world.scene import Bin, Quad, Scene
 

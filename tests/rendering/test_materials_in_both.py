@@ -24,7 +24,7 @@ def in_cycles(tmp_path_factory):
     """Renders of a list of (material, view [deg], lamp [deg, deg] or None): (n, 2, 3), mean and
     standard error.
     """
-    from graycast.render.cycles.process import WORKER, find_cycles
+    from graycast.rendering.cycles.process import WORKER, find_cycles
 
     python = find_cycles()
     if python is None:
@@ -57,7 +57,7 @@ def in_mitsuba(material, view_deg, lamp_deg):
     import drjit as dr
     import mitsuba as mi
 
-    from graycast.render.mitsuba_scene import _bsdf
+    from graycast.rendering.mitsuba_scene import _bsdf
 
     bsdf, context = mi.load_dict(_bsdf(material)), mi.BSDFContext()
     si = dr.zeros(mi.SurfaceInteraction3f, 1 if lamp_deg else DRAWN)

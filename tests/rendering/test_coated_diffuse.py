@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, make_rig, plain_pattern, wall
 
-from graycast.render import Quality
+from graycast.rendering import Quality
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Sphere
 
@@ -14,7 +14,7 @@ ALPHAS = [0.01, 0.09, 0.49, 1.0]
 def coated(alpha, base):
     import mitsuba as mi
 
-    import graycast.render.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": base}
     return mi.load_dict(

@@ -63,8 +63,8 @@ def samples(default: int) -> Option:
 
 
 def out(page: str) -> Option:
-    help = f"The file to which the page is written (default: docs/{page})."
-    return file("--out", help, default=ROOT / "docs" / page)
+    help = f"The file to which the page is written (default: docs/measurements/{page})."
+    return file("--out", help, default=ROOT / "docs" / "measurements" / page)
 
 
 def stages(text: str) -> list[str]:
@@ -88,12 +88,18 @@ FOLDER = of("--out", type=Path, metavar="FOLDER", help="A new folder for BOP res
 # Commands that print what the function `measure` of their module returns; the options are its
 # arguments.
 FIGURES: dict[str, tuple[str, list[Option]]] = {
-    "agree": ("Compare Cycles' pictures with Mitsuba's: docs/backends.md.", [samples(64), PLOT]),
-    "denoise": ("Decode denoised pictures: docs/backends.md.", [samples(128), PLOT]),
-    "renderers": ("Time Cycles and Mitsuba's one pass: docs/backends.md.", [samples(16), PLOT]),
-    "engines": ("Time workers and Ray against a plain loop: docs/many-scenes.md.", []),
+    "agree": (
+        "Compare Cycles' pictures with Mitsuba's: docs/explanation/backends.md.",
+        [samples(64), PLOT],
+    ),
+    "denoise": ("Decode denoised pictures: docs/explanation/backends.md.", [samples(128), PLOT]),
+    "renderers": (
+        "Time Cycles and Mitsuba's one pass: docs/explanation/backends.md.",
+        [samples(16), PLOT],
+    ),
+    "engines": ("Time workers and Ray against a plain loop: docs/how-to/many-scenes.md.", []),
     "zoo": (
-        "Drop parts of each family and check whether they are in balance: docs/drop.md.",
+        "Drop parts of each family and check their balance: docs/explanation/drop.md.",
         [
             of(
                 "--families",
@@ -114,14 +120,14 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "live": (
-        "Measure the response times of graycast live: docs/live.md.",
+        "Measure the response times of graycast live: docs/how-to/live.md.",
         [
             of("config", type=Path, help="The YAML file of the configuration."),
             number("--rounds", 20, "The number of times that each kind of change is made"),
         ],
     ),
     "detectors": (
-        "Time a training's reading, and detections: docs/detect.md.",
+        "Time a training's reading, and detections: docs/how-to/detect.md.",
         [
             of("runs", type=Path, nargs="+", metavar="RUN", help="What graycast train wrote."),
             of(
@@ -135,7 +141,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "poses": (
-        "Measure how well and how fast poses are found: docs/pose.md.",
+        "Measure how well and how fast poses are found: docs/how-to/pose.md.",
         [
             of(
                 "datasets",
@@ -198,7 +204,7 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     add(
         "page",
         run_page,
-        "Measure every figure of docs/benchmarks.md, in 8 minutes on two idle processors.",
+        "Measure all figures of docs/measurements/benchmarks.md: 8 minutes on two processors.",
         [
             of("sections", nargs="*", metavar="SECTION", help=sections + "decoding, hulls."),
             out("benchmarks.md"),
@@ -213,7 +219,7 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     add(
         "materials",
         run_materials,
-        "Measure right and wrong depth for docs/materials.md, in half an hour.",
+        "Measure right and wrong depth for docs/measurements/materials.md, in half an hour.",
         [resolution, out("materials.md")],
     )
     add(

@@ -1,4 +1,4 @@
-"""The times of docs/detect.md: of reading in a training, of a detector and of its network."""
+"""The times of docs/how-to/detect.md: reading, a detector and its network."""
 
 import tempfile
 import time

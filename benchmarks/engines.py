@@ -1,4 +1,4 @@
-"""The overhead of docs/many-scenes.md: a plain loop, worker processes, and Ray."""
+"""The overhead of docs/how-to/many-scenes.md: a plain loop, worker processes, and Ray."""
 
 import os
 import time

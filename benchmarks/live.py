@@ -1,4 +1,4 @@
-"""The times of docs/live.md: from a change of a setting to its picture, without the browser."""
+"""The times of docs/how-to/live.md: from a change of a setting to its picture."""
 
 import math
 import time

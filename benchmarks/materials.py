@@ -1,4 +1,4 @@
-"""What a scanner's depth is worth on matt, plastic, dark and metal parts: docs/materials.md.
+"""Depth on matt, plastic, dark and metal parts: docs/measurements/materials.md.
 
 A heap of brackets is rendered once per rig and material, under the patterns of every code that is
 asked for. Each code's pictures are taken and measured, and the depth of the parts' pixels is
@@ -99,7 +99,7 @@ def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth
 
 
 def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
-    """Headings and texts of docs/materials.md."""
+    """Headings and texts of docs/measurements/materials.md."""
     yield "Depth on matt, plastic, dark and metal parts", INTRODUCTION.format(**about)
     for scanner in dict.fromkeys(row.scanner for row in rows):
         codes = list(dict.fromkeys(row.code for row in rows if row.scanner == scanner))

@@ -1,4 +1,4 @@
-"""The page docs/benchmarks.md, every figure of which is measured anew.
+"""The page docs/measurements/benchmarks.md, every figure of which is measured anew.
 
 Each section measures, and returns its text. A figure that no section measures is not on the page.
 """

@@ -1,4 +1,4 @@
-"""The other world of docs/detect.md: another scanner over another cell with the paper's five parts.
+"""The other world of docs/how-to/detect.md: another scanner, another cell, the paper's parts.
 
 python -m studies.draw_other_world     writes configs/paper/other_world/ anew
 

@@ -1,7 +1,7 @@
-"""The pictures of docs/report.md and docs/live.md: pages in Chromium, small.
+"""The pictures of docs/how-to/report.md and docs/how-to/live.md: pages in Chromium, small.
 
-python -m studies.pictures report out/demo_page    the page of the report of docs/report.md
-python -m studies.pictures replay out/picks        the picks of docs/report.md
+python -m studies.pictures report out/demo_page    the page of the report of docs/how-to/report.md
+python -m studies.pictures replay out/picks        the picks of docs/how-to/report.md
 python -m studies.pictures live                    graycast live configs/demo.yaml
 
 Each writes its pictures of docs/images anew. Playwright and Chromium are needed, as for the tests

@@ -1,4 +1,4 @@
-"""The Python on `docs/library.md` runs as it stands there."""
+"""The Python on `docs/how-to/python.md` runs as it stands there."""
 
 import re
 import shutil
@@ -11,7 +11,7 @@ import graycast
 from graycast.cell.generate import generate
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = (ROOT / "docs/library.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
@@ -23,7 +23,7 @@ def test_ten_lines_make_decode_and_save_a_scene(tmp_path, monkeypatch, mitsuba_r
     (tmp_path / "configs").mkdir()
     write_cell(tmp_path / "configs").rename("configs/demo.yaml")
     names = {}
-    exec(compile(BLOCKS[0], "docs/library.md", "exec"), names)
+    exec(compile(BLOCKS[0], "docs/how-to/python.md", "exec"), names)
     decoded = names["depth"].depth_m[names["depth"].reason == graycast.Reason.DECODED]
     truth_m = names["shot"].rendering.truth.depth_m
     assert abs(decoded - truth_m[names["depth"].reason == 0]).mean() < 0.01
@@ -40,7 +40,7 @@ def test_every_block_of_the_page_runs_in_its_order(tmp_path, monkeypatch, capsys
     assert len(BLOCKS) == 5
     names = {}
     for block in BLOCKS:
-        exec(compile(block, "docs/library.md", "exec"), names)
+        exec(compile(block, "docs/how-to/python.md", "exec"), names)
     assert sorted(path.name for path in Path("out/many/train").iterdir()) == ["000000", "000001"]
     assert capsys.readouterr().out.count("missing") == 2
 

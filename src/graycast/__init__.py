@@ -1,8 +1,8 @@
 """Graycast simulates a structured-light camera and makes bin-picking datasets with it.
 
-This module offers every step to Python; `docs/library.md` begins with ten lines that run:
+This module offers every step to Python; `docs/how-to/python.md` begins with ten lines that run:
 
-    cell       = graycast.resolve_cell(graycast.load_config(path), path.parent)
+    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
     with graycast.open_cell_renderer(cell) as renderer:
         shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
     codes, depth = graycast.measure(cell.scanner, shot.capture)

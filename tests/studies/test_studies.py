@@ -19,7 +19,7 @@ def test_a_study_and_its_pages_name_each_other(file):
         return  # a part of studies and of tests
     told = ast.get_docstring(tree)
     assert f"python -m studies.{file.stem}" in told
-    pages = re.findall(r"docs/[\w-]+\.md", told)
+    pages = re.findall(r"docs/[\w/-]+\.md", told)
     named = [page for page in pages if f"studies.{file.stem}" in text(page).replace("/", ".")]
     assert pages and named == pages
 

@@ -282,8 +282,8 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     laser's line is blurred a little, filters its depth, smooths it and has the faults of a real
     device. It knows most light that came by way of another surface: by two periods that disagree,
     by a point off its epipolar line (which takes the code of both axes), and by stripes without
-    contrast; pixels beside edges, which may see two surfaces, have no depth. docs/materials.md
-    has the shares of wrong depth on eight materials, with and without that.
+    contrast; pixels beside edges, which may see two surfaces, have no depth.
+    docs/measurements/materials.md has the shares of wrong depth on eight materials.
 
     Args:
         name: one of `rig.pair.PRESETS`.
@@ -335,10 +335,10 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
 _PHOXI_PITCH_M = 3.45e-6  # Sony's IMX252 and its kin have 2064 x 1544 pixels of this pitch.
 _PHOXI_F_NUMBER = 4.0
-# Five real scans show them (docs/rigs.md) by their noise on black and on white, and on slopes.
+# Five real scans show them by their noise on black, on white and on slopes (docs/how-to/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Over this length it
-# is independent from pixel to pixel, as most noise of those scans is (docs/rigs.md).
+# It gives phoxi-l the temporal noise that its maker states (docs/measurements/measuring.md). Over
+# this length it is independent from pixel to pixel, as most noise of those scans is.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}

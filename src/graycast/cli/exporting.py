@@ -49,7 +49,7 @@ def _add_export(commands) -> None:
         "--format",
         choices=_FORMATS,
         required=True,
-        help="The format to write. The page docs/exports.md describes each format.",
+        help="The format to write. The page docs/how-to/exports.md describes each format.",
     )
     export.add_argument(
         "--out", type=Path, required=True, help="The folder to write, which must be new or empty."

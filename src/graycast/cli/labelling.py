@@ -121,7 +121,8 @@ def _grasps(options: argparse.Namespace) -> int:
             progress=bars,
         )
     _tell(rank(options.dataset, name))
-    print(f"{options.dataset / 'grasps' / name}: the labels; docs/formats.md describes them")
+    labels = options.dataset / "grasps" / name
+    print(f"{labels}: the labels; docs/reference/formats.md describes them")
     return 1 if lost else 0
 
 

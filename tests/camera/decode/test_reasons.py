@@ -519,7 +519,9 @@ def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end
 
 def test_the_page_of_formats_says_of_each_reason_what_the_program_says():
     """One table: numbers, names and meanings stand in `Reason`, and the page may not drift away."""
-    page = (Path(__file__).resolve().parents[3] / "docs/formats.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[3] / "docs/reference/formats.md").read_text(
+        encoding="utf-8"
+    )
     rows = re.findall(r"^\| (\d) \| `([A-Z_]+)` \| (.*) \|$", page, re.MULTILINE)
     assert rows == [(str(int(r)), r.name, r.meaning) for r in Reason]
 

@@ -19,7 +19,7 @@ from .triangulation import triangulation_axis
 BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be noise.
 # A pixel that a step divides at random is off by a root mean square of 0.29 of the step, of which
 # the largest of the bends at it and beside it is 0.75; a fold through it is off by an eighth at
-# most. This share is between the two. docs/materials.md has what it makes of sigma.
+# most. This share is between the two. docs/measurements/materials.md has what it makes of sigma.
 BEND_SHARE = 0.25
 STEP_RATIO = 4.0  # A position that rises this much faster than on a facing surface is a step.
 

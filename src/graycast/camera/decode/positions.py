@@ -46,7 +46,7 @@ def decode(
     A Gray bit is the sign of pattern minus inverse; without inverse it tells whether the pixel is
     above the middle of its own darkest and brightest frame, as in K. Bai et al. 2024. Phases are
     counted by the Gray code or by one another; the place is their mean, weighted by their noise.
-    docs/derivations.md, "Decoding".
+    docs/explanation/derivations.md, "Decoding".
 
     Leaves out: what the projector's square pixels do to a camera that resolves them. A cosine or a
     comb on a grid of pixels is a staircase, of however many pixels a line is made. Its error (peak,

@@ -74,7 +74,7 @@ def report_text(twin: Twin) -> str:
         "",
         f"The misfit is {fit.loss:.2f}: the mean square of the statistics' errors in spreads. "
         "Between `from` and `to`, other parameters can make up for a parameter, as far as the "
-        "statistics change in proportion to the parameters (docs/twin.md).",
+        "statistics change in proportion to the parameters (docs/how-to/twin.md).",
         "",
         "| key | twin | from | to |",
         "|---|---|---|---|",

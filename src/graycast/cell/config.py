@@ -9,12 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import (
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..base.errors import ConfigError
 from ..base.file_limits import refuse_large_picture
@@ -173,7 +168,9 @@ class Config(ScannerSections):
         "kind, and the kinds alternate.",
     )
     count: int | tuple[int, int] = Field(
-        30, description="The number of parts in a scene, or its lowest and its highest value."
+        30,
+        description="The number of parts in a scene, from 1 to 255, or its lowest and its highest "
+        "value.",
     )
     scenes: int = Field(
         3, ge=1, description="The number of scenes. The option --scenes replaces it."

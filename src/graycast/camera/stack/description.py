@@ -125,7 +125,7 @@ DecodeSection = section_of(
     DecodeSpec,
     "DecodeSection",
     module=__name__,
-    about="What a pixel must show to be believed; see DecodeSpec.",
+    about="The conditions under which a pixel is decoded.",
     base=Settings,
     more={
         "max_epipolar_px": (

@@ -137,6 +137,8 @@ class _Keys:
 def _plain(node: Schema) -> str:
     words = {"integer": "whole number", "boolean": "true or false", "string": "text"}
     kind = "path" if node.get("format") == "path" else words.get(node["type"], node["type"])
+    if "minimum" in node and "maximum" in node:
+        return f"{kind} from {node['minimum']:g} to {node['maximum']:g}"
     limits = ("minimum ≥", "exclusiveMinimum >", "maximum ≤", "exclusiveMaximum <")
     pairs = [limit.split() for limit in limits]
     signs = [f"{sign} {node[limit]:g}" for limit, sign in pairs if limit in node]

@@ -321,7 +321,7 @@ def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed,
 def test_the_command_makes_a_scene_again_from_the_dataset_alone(
     config_file, undisturbed, tmp_path, capsys
 ):
-    again = ["rerender", str(undisturbed), "1", "--device", "cpu"]
+    again = ["dataset", "rerender", str(undisturbed), "1", "--device", "cpu"]
     assert main(again) == 1
     assert (
         "was made from files of its own (box.stl, rig.yaml): add --config"

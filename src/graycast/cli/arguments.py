@@ -51,8 +51,8 @@ def add_command(
     """
     command = into.add_parser(name, help=help)
     words = " ".join(f"{help} {more}".split())
-    shown = f"{command.prog} {example}".rstrip()
-    command.description = f"For example:\n  {shown}\n\n{words}"
+    line = f"{command.prog} {example}".rstrip()
+    command.description = f"For example:\n  {line}\n\n{words}"
     rest = command.add_argument_group("about errors")  # it stands below the options
     rest.add_argument("--debug", action="store_true", help=_DEBUG)
     command.set_defaults(run=run, when_stopped=when_stopped)

@@ -195,7 +195,7 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
     out = tmp_path / "run"
 
     def told(*arguments, given=dataset, to=out):
-        return refusal(capsys, "train", given, "--out", to, *said, *arguments)
+        return refusal(capsys, "detector", "train", given, "--out", to, *said, *arguments)
 
     assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
     assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
@@ -345,7 +345,7 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
     with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
         train([dataset], run, SMALL)
     with pytest.raises(
-        GraycastError, match="does not exist: give a folder that graycast train wrote"
+        GraycastError, match="does not exist: give a folder that graycast detector train wrote"
     ):
         load_detector(tmp_path / "nowhere")
 
@@ -376,7 +376,7 @@ def run(dataset, tmp_path_factory) -> Path:
 
 def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
     def told(*arguments, given=dataset, out=tmp_path / "found"):
-        return refusal(capsys, "detect", run, given, "--out", out, *arguments)
+        return refusal(capsys, "detector", "find", run, given, "--out", out, *arguments)
 
     (tmp_path / "empty").mkdir()
     assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
@@ -386,7 +386,9 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
-    assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
+    assert "no pictures are given" in refusal(
+        capsys, "detector", "find", run, "--out", tmp_path / "found"
+    )
     if not torch.cuda.is_available():
         assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
             "--device", "cuda"
@@ -408,7 +410,16 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
 
     def found(scale_m):
         cv2.imwrite(str(shots / "depth" / "a.png"), steps)
-        arguments = ("detect", run, shots, "--scale", scale_m, "--out", tmp_path / "found")
+        arguments = (
+            "detector",
+            "find",
+            run,
+            shots,
+            "--scale",
+            scale_m,
+            "--out",
+            tmp_path / "found",
+        )
         return main([str(word) for word in arguments]), capsys.readouterr()
 
     for factor in (10, 0.1):
@@ -427,7 +438,7 @@ def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
     for name in ("graycast.json", "train_coco.json"):
         text = (other / name).read_text()
         (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
-    told = refusal(capsys, "detect", run, other, "--out", tmp_path / "found")
+    told = refusal(capsys, "detector", "find", run, other, "--out", tmp_path / "found")
     assert "has nut, bolt, and the detector was trained on disc, box" in told
 
 

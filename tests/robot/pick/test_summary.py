@@ -41,8 +41,9 @@ def test_what_never_moved_is_no_grip():
     assert told.rate == (3 / 5, *wilson(3, 5))
     assert (told.filled, told.taken, told.left, told.spilled, told.cleared) == (6, 3, 2, 1, 1)
     assert told.outcomes["picked"] == 3 and sum(told.outcomes.values()) == 7
-    # 7 scans and motions of 4.5 s, and a second of thinking each.
-    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 5.5))
+    # 7 scans and motions of 4.5 s, and a second of this machine's computing each.
+    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
+    assert told.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
 
 
 def test_what_was_not_found_is_counted():

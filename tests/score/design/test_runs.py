@@ -19,7 +19,7 @@ SWEEPS = [{"distance_m": [0.6, 0.9], "code": ["gray", "phase"], "exposure": ["on
 
 
 def run(path, out, *options):
-    return main(["design", str(path), "--out", str(out), *map(str, options)])
+    return main(["rig", "design", str(path), "--out", str(out), *map(str, options)])
 
 
 def content(out):
@@ -88,7 +88,7 @@ def test_two_workers_write_what_one_writes(study, tmp_path):
 
 def test_a_killed_study_goes_on_and_comes_out_the_same(study, tmp_path):
     path, out = study
-    running = start("design", path, "--out", tmp_path / "out")
+    running = start("rig", "design", path, "--out", tmp_path / "out")
     try:
         begun = time.monotonic()
         while not list(tmp_path.glob("out/settings/*/000.json")):

@@ -1,4 +1,4 @@
-"""The command graycast evaluate: its files, and one clear line for what cannot be judged."""
+"""The command graycast detector score: its files, and one clear line for what cannot be judged."""
 
 import csv
 import json
@@ -60,7 +60,7 @@ def written_run(folder, found, **said):
 
 
 def evaluated(*arguments):
-    return main(["evaluate", *map(str, arguments)])
+    return main(["detector", "score", *map(str, arguments)])
 
 
 def judged(results, on, **said):
@@ -239,7 +239,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     (bare / "detect.json").unlink()
     assert "has no detect.json" in told(bare)
     (bare / "detect.json").write_text("{}")
-    assert "lacks 'division': run graycast detect again" in told(bare)
+    assert "lacks 'division': run graycast detector find again" in told(bare)
     (bare / "detect.json").write_text('{"division": null, "scene_ids": ["x"]}')
     assert "is damaged ('x' is not a whole number)" in told(bare)
     elsewhere = written_run(tmp_path / "elsewhere", found, scene_ids=[*SCENES, 50])

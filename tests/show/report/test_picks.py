@@ -237,7 +237,7 @@ def cut_image(name):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (without_bins, "no bin is finished yet: run graycast pick first"),
+        (without_bins, "no bin is finished yet: run graycast robot pick first"),
         (damaged("bins/000000/episode.json", "{"), "000000: cannot be read"),
         (damaged("bins/000000/motion.json", '{"attempts": []}'), "motion.json: cannot be read"),
         (damaged("bins/000000/motion.json", "[1, 2"), "motion.json: cannot be read"),
@@ -260,11 +260,11 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
     ("words", "said"),
     [
         (
-            ["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"],
+            ["robot", "film", "{picks}", "--out", "{out}.gif", "--bin", "1"],
             "bin 1 does not exist: it has 0 to 2",
         ),
-        (["replay", "{picks}", "--out", "{out}.mp4"], "ends with .gif or .webp"),
-        (["replay", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
+        (["robot", "film", "{picks}", "--out", "{out}.mp4"], "ends with .gif or .webp"),
+        (["robot", "film", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
         (
             ["report", "{picks}", "--out", "{out}", "--detections", "x"],
             "--detections applies only to a dataset",
@@ -273,7 +273,7 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
             ["report", "{picks}", "--out", "{picks}"],
             "is the dataset itself: give another folder for the page",
         ),
-        (["replay", "{out}", "--out", "{out}.gif"], "holds no picks"),
+        (["robot", "film", "{out}", "--out", "{out}.gif"], "holds no picks"),
         (["report", "{picks}", "--out", "{out}", "--cell", "/nowhere/c.yaml"], "give the cell's"),
     ],
 )

@@ -77,7 +77,7 @@ def import_opencv(
     the usual spellings of K, D, R and T, with `X_proj = R X_cam + T`. Other keys are left alone.
 
     Args:
-        unit: of T, one of `UNITS_M`; None takes millimetres where `|T| > 10`, metres where `|T| < 2`.
+        unit: of T, one of `UNITS_M`; None takes mm where `|T| > 10`, metres where `|T| < 2`.
         near_m: nearest depth of the working range; OpenCV states none. Left out: where camera and
             projector begin to see a place in common, at least half a baseline away.
         far_m: farthest depth of the working range; left out: where they cease to, at most twenty

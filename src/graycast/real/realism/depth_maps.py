@@ -43,8 +43,8 @@ def read_scans(
         paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
             scene folders, which bring their own intrinsics, scale, pictures and reasons.
         K: intrinsics of all depth files [px]; an organised PLY has its own where this is None.
-        gray: a picture per depth file in the same order, or none, or folders of them. 8- and 16-bit ones are taken as
-            shares of their type's range, colours are averaged.
+        gray: a picture per depth file in the same order, or none, or folders of them. 8- and 16-bit
+            ones are taken as shares of their type's range, colours are averaged.
         reason: an 8-bit image per depth file in the same order, or none, or folders of them.
         reason_names: what its numbers mean.
         scale_m: metres per unit of the depth files; integers need one, floats are metres.

@@ -42,7 +42,7 @@ class PickingSection(Settings):
     )
     detector: str = Field(
         "truth",
-        description="The detector: truth, none, or a folder that graycast train wrote.",
+        description="The detector: truth, none, or a folder that graycast detector train wrote.",
     )
     pose: Literal["found", "truth"] = Field("found", description="The source of a part's pose.")
     depth: Literal["scanner", "perfect", "noisy"] = Field(

@@ -68,7 +68,7 @@ class PickSummary:
 def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
     """Raise GraycastError if no bin is finished."""
     if not episodes:
-        raise GraycastError("no bin is finished yet: run graycast pick first")
+        raise GraycastError("no bin is finished yet: run graycast robot pick first")
     attempts = [attempt for episode in episodes for attempt in episode.attempts]
     work = [stages for episode in episodes for stages in episode.work_s]
     outcomes = Counter(attempt["outcome"] for attempt in attempts)

@@ -122,7 +122,9 @@ def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
-        return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}{_few(spec)}"
+        return (
+            f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}{_few(spec)}"
+        )
     paragraph = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "

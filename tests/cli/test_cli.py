@@ -20,13 +20,23 @@ from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.camera.stack import stack_schema
 from graycast.cell.config import config_schema
-from graycast.cli import arguments, command, doctor, main, start_commands
+from graycast.cli import (
+    arguments,
+    command,
+    doctor,
+    main,
+    robot_commands,
+    scene_commands,
+    start_commands,
+)
 from graycast.real.depth_file import DEPTH_FILES
 from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
 from graycast.robot.grasp_labels.label_options import tool_schema
 from graycast.robot.pick.pick_sections import robot_schema
 from graycast.show.report import rig_picture as drawing
+from graycast.show.report.page import WIDTH_PX
+from graycast.show.report.picks import film
 from graycast.world.drop import Decomposition
 
 OPTIONS = {
@@ -193,6 +203,10 @@ def test_a_flag_has_one_meaning_one_type_and_one_metavar():
             assert len(texts) == 1, f"{flag} has several meanings: {uses}"
     assert {f for f, uses in found.items() if len(uses) > 1} == {"--debug", *SHARED_FLAGS}
     assert {*arguments.SHARED, "--out"} == {*SHARED_FLAGS}
+
+
+def test_the_widths_in_the_help_are_those_of_the_library():
+    assert (scene_commands.WIDTH_PX, robot_commands.FILM_WIDTH_PX) == (WIDTH_PX, film.WIDTH_PX)
 
 
 def test_each_example_is_a_command_that_is_understood():

@@ -21,10 +21,11 @@ from .arguments import (
     workers_of,
 )
 from .bars import open_bars, open_stages
+from .scene_commands import WIDTH_PX
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-FILM_WIDTH_PX, PAGE_WIDTH_PX = 480, 1300  # A test compares them with those of the library.
+FILM_WIDTH_PX = 480  # A test compares it with that of the film.
 PICK = """\
 Each bin is filled by a physics simulation and scanned, and the robot then removes part after part.
 Each attempt is recorded with one outcome of a fixed list and with a picture. If the command is
@@ -76,7 +77,7 @@ def add_commands(commands) -> None:
     add_option(report, "picks", Path, picks)
     add_out(report, "The folder to write.")
     add_shared(report, "--workers", default=1)
-    add_shared(report, "--width", default=PAGE_WIDTH_PX)
+    add_shared(report, "--width", default=WIDTH_PX)
     add_shared(report, "--files", default=Path(), usual="the current folder")
 
     score = add_command(

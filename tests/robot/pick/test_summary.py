@@ -82,13 +82,13 @@ def test_runs_are_set_beside_the_first_in_a_table():
     }
     head, _, first, second = compared(runs).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (first, second)]
-    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 11
+    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 12
     assert (
         cells[0][:3] == ["scanner", "2", "50.0%"]
         and cells[0][4] == "1 of 1"
-        and cells[0][7:] == [""] * 4
+        and cells[0][8:] == [""] * 4
     )
-    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][7:] == ["2", "1", "0", "1"]
+    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][8:] == ["2", "1", "0", "1"]
 
 
 def test_every_failure_has_a_colour_and_is_drawn_as_often_as_it_came(tmp_path):

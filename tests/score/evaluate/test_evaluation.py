@@ -79,7 +79,7 @@ def refusal(capsys, *arguments):
 
 def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_path, capsys):
     out = tmp_path / "out"
-    assert evaluated(results, "--on", master, "--out", out, "--draws", 50) == 0
+    assert evaluated(results, "--on", master, "--out", out, "--resamples", 50) == 0
     assert "box   AP 1.000 (1.000 to 1.000)" in capsys.readouterr().out
     assert {file.name for file in out.iterdir()} == {
         "evaluation.json",
@@ -117,7 +117,7 @@ def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
     path = tmp_path / "results.json"
     path.write_bytes(results_bytes([odd, *rest]))
     out = tmp_path / "out"
-    assert evaluated(path, "--on", master, "--out", out, "--draws", 20) == 0
+    assert evaluated(path, "--on", master, "--out", out, "--resamples", 20) == 0
     assert {"misses_box.png", "false_alarms_box.png"} <= {file.name for file in out.iterdir()}
     held = json.loads((out / "evaluation.json").read_bytes())["kinds"]
     assert list(held) == ["box"]  # no masks were given
@@ -253,10 +253,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     assert "--split-seed applies only with --shares" in told(boxes, "--split-seed", "3")
     assert "min_visibility is 1.0" in told(boxes, "--min-visibility", "1")
     assert not out.exists()
-    assert "no results are given: give detections or poses" in refusal(
-        capsys, "--on", master, "--out", out
-    )
-    assert "results applies only to detections" in told(boxes, "--depth")
+    assert "holds poses: use graycast robot score-poses" in told(tmp_path / "poses.csv")
     assert "not a Graycast dataset" in refusal(capsys, boxes, "--on", tmp_path, "--out", out)
     (out / "mine").mkdir(parents=True)
     assert "holds no earlier result of this command" in told(boxes)

@@ -205,6 +205,16 @@ def test_a_flag_has_one_meaning_one_type_and_one_metavar():
     assert {*arguments.SHARED, "--out"} == {*SHARED_FLAGS}
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("generat", "generate"), ("export", "dataset export"), ("onnx", "detector onnx")],
+)
+def test_a_command_that_does_not_exist_names_the_one_that_was_meant(capsys, word, meant):
+    with pytest.raises(SystemExit):
+        main([word])
+    assert f"{word!r} does not exist: did you mean {meant}?" in capsys.readouterr().err
+
+
 def test_the_widths_in_the_help_are_those_of_the_library():
     assert (scene_commands.WIDTH_PX, robot_commands.FILM_WIDTH_PX) == (WIDTH_PX, film.WIDTH_PX)
 

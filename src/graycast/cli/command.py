@@ -82,11 +82,24 @@ class Parser(argparse.ArgumentParser):
         except argparse.ArgumentError:
             words = [str(choice) for choice in action.choices or ()]
             near = get_close_matches(str(value), words, n=3)
-            if not near and not isinstance(action, argparse._SubParsersAction):
+            if isinstance(action, argparse._SubParsersAction):
+                near = _in_groups(action, str(value)) or near
+            elif not near:
                 raise
             help_for = f"{self.prog} --help lists all"
             meant = f"did you mean {' or '.join(near)}?" if near else help_for
             raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
+
+
+def _in_groups(commands: argparse._SubParsersAction, word: str) -> list[str]:
+    """The commands of this name in groups, such as `dataset export` of `export`."""
+    groups = [
+        (group, action.choices)
+        for group, parser in commands.choices.items()
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+    ]
+    return [f"{group} {name}" for group, inner in groups for name in inner if name == word]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -8,6 +8,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, fields
+from textwrap import dedent
 from typing import Any
 
 from graycast.camera.rig_file.own import RigModel
@@ -158,7 +159,10 @@ def _escaped(text: str) -> str:
 def _commands(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
     """A chapter for each command; those of a group's commands follow it."""
     anchor = name.removeprefix("graycast").strip().replace(" ", "-")
-    yield f"## {name} {{ #{anchor or 'graycast'} }}\n\n{_escaped(parser.description or '')}\n\n"
+    example, _, about = (parser.description or "").rpartition("\n\n")
+    yield f"## {name} {{ #{anchor or 'graycast'} }}\n\n{_escaped(about)}\n\n"
+    if example:
+        yield f"```sh\n{dedent(example.partition(chr(10))[2])}\n```\n\n"
     groups = [action for action in parser._actions if isinstance(action.choices, dict)]
     shown = [a for a in parser._actions if a not in groups and a.dest not in ("help", "debug")]
     if shown:

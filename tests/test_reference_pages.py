@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from graycast.cli.command import _parser
-from graycast.robot.pick.pick_sections import PickConfig
 
 SCRIPT = Path(__file__).resolve().parents[1] / "docs/reference_pages.py"
 
@@ -31,13 +30,12 @@ def parsers(parser):
 
 
 def schemas(capsys):
-    """What `graycast schema` prints, by kind, and the schema of a robot's cell."""
+    """What `graycast schema` prints, by kind."""
     schema = next(parser for parser in parsers(_parser()) if parser.prog == "graycast schema")
     for kind in next(action.choices for action in schema._actions if action.dest == "kind"):
         options = _parser().parse_args(["schema", kind])
         options.run(options)
         yield kind, json.loads(capsys.readouterr().out)
-    yield "robot", PickConfig.model_json_schema()
 
 
 def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference, capsys):

@@ -128,7 +128,7 @@ class PickConfig(Config):
     """A robot's cell: the keys of a dataset's configuration, and these."""
 
     robot: RobotSection = RobotSection()
-    tool: AnyTool = Field(SuctionTool(), description="The tool: a suction cup or jaws.")
+    tool: AnyTool = SuctionTool()
     picking: PickingSection = PickingSection()
 
     @model_validator(mode="after")

@@ -313,7 +313,7 @@ def run_materials(args: argparse.Namespace) -> int:
         rows.append(row)
         show(f"{row.scanner}, {row.material}, {row.code}: {row.words}")
     about = {"commit": git(ROOT, "describe", "--always", "--dirty"), "resolution": args.resolution}
-    return write(materials.page(rows, date=circumstances()["date"], **about), args.out)
+    return write(materials.page(rows, **circumstances(), **about), args.out)
 
 
 def main(words: list[str] | None = None) -> int:

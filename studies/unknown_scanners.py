@@ -1,4 +1,4 @@
-"""Twins of unknown scanners, for docs/how-to/twin.md: each scanner is drawn by a seed and scanned.
+"""Twins of unknown scanners, for docs/measurements/twin.md: each is drawn by a seed and scanned.
 
 python -m studies.unknown_scanners --draws 10 --trials 500
 

@@ -1,4 +1,4 @@
-"""The twin of five real scans for docs/measurements/detection.md and docs/measurements/twin.md.
+"""The cell of five real scans, simulated, for docs/measurements/detection.md and twin.md beside it.
 
 python -m studies.phoxi_twin --out out/phoxi
 graycast generate out/phoxi/twin.yaml --out out/phoxi/twin

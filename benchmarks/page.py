@@ -42,7 +42,7 @@ INTRODUCTION = """\
 written on {date:.10} at commit `{commit}` on a machine with {cores} processors ({cpu}),
 {memory_gib} GiB, Python {python} and no GPU. Ratios can be expected to hold on other machines;
 seconds cannot. `python -m benchmarks compare REV` holds every stage against another commit. Figures
-of a GPU are in [many-scenes.md](many-scenes.md#on-a-gpu), those of Blender Cycles in
+of a GPU are in [many-scenes.md](many-scenes.md), those of Blender Cycles in
 [backends.md](backends.md#measured)."""
 
 

@@ -1,8 +1,8 @@
 """From a stack of pictures to projector positions: all frames in one pass over the pixels.
 
-`tests/camera/decode/plain_decoder.py` says the same in NumPy, frame by frame. Here every loop runs along
-a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it. Each
-step is a kernel of its own, compiled when a code first needs it.
+`tests/camera/decode/plain_decoder.py` says the same in NumPy, frame by frame. Here every loop runs
+along a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it.
+Each step is a kernel of its own, compiled when a code first needs it.
 """
 
 import math

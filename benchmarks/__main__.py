@@ -120,7 +120,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "live": (
-        "Measure the response times of graycast live: docs/how-to/live.md.",
+        "Measure the response times of graycast live: docs/measurements/live.md.",
         [
             of("config", type=Path, help="The YAML file of the configuration."),
             number("--rounds", 20, "The number of times that each kind of change is made"),

@@ -41,7 +41,7 @@ INTRODUCTION = """\
 `python -m benchmarks page` measured every figure and wrote this page on {date:.10} at commit
 `{commit}`, with {cores} processors ({cpu}), {memory_gib} GiB, Python {python} and no GPU. Ratios
 hold on other machines; seconds do not. `python -m benchmarks compare REV` compares every stage with
-another commit. [Many scenes](../how-to/many-scenes.md#on-a-gpu) has figures of a GPU,
+another commit. [Many scenes](many-scenes.md) has figures of a GPU,
 [renderers](renderers.md) those of Blender Cycles."""
 
 

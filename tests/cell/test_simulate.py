@@ -75,7 +75,7 @@ def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
         instance=np.full((48, 64), -1, np.int32),
         amodal=(),
     )
-    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason)
+    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason, camera=rig.camera)
     found = with_field(rig, truth, codes, depth).reason
     beside = ~lit & ~np.isnan(z_m) & ~coded
     assert 0.2 < beside.mean() < 0.7

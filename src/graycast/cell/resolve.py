@@ -19,6 +19,7 @@ from ..world.scene import Scene, bin_of
 from .config import (
     Config,
     file_digests,
+    load_config,
     resolve_bin,
     resolve_environment,
     resolve_parts,
@@ -234,6 +235,29 @@ def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWA
         named=() if config.scanners is None else scanners,
     )
     return replace(cell, scene=replace(scene, T_world_cam=eyes(cell, 0)[0].T_world_cam))
+
+
+def load_cell(
+    source: Config | Path | str,
+    *,
+    folder: Path | str | None = None,
+    progress: ProgressMeter = UNWATCHED,
+) -> Cell:
+    """Read a cell: a configuration with all files that it names.
+
+    Args:
+        source: a configuration, or its YAML file.
+        folder: where relative paths of the configuration start; None is the folder of the file, or
+            the current folder for a configuration that was made in Python.
+        progress: hears of each step that may take seconds.
+
+    Raises:
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
+    """
+    if isinstance(source, Config):
+        return resolve_cell(source, Path(folder or "."), progress=progress)
+    path = Path(source)
+    return resolve_cell(load_config(path), Path(folder or path.parent), progress=progress)
 
 
 def reach_m(cell: Cell) -> float:

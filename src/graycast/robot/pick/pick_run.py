@@ -64,7 +64,7 @@ class PickTask(Job):
         return self.cell.cell.scene.parts
 
 
-def pick_bins(
+def pick(
     cell: PickCell,
     out: Path,
     *,

@@ -81,7 +81,8 @@ def pick(
     Args:
         out: the folder of picks; made, or continued where the same cell began it.
         device: of the renderer.
-        on_result, on_failed: take results, as in `generate`.
+        on_result: takes each result, as in `generate`.
+        on_failed: takes the reason of each try that failed.
 
     Returns:
         The bins that could not be made.

@@ -162,6 +162,13 @@ class Config(ScannerSections):
     count: int | tuple[int, int] = Field(
         30, description="The number of parts in a scene, or its lowest and its highest value."
     )
+    fill: float | None = Field(
+        None,
+        gt=0,
+        le=1,
+        description="The share of the bin that the parts of a scene fill as a loose heap, from 0 "
+        "to 1. It replaces count.",
+    )
     scenes: int = Field(
         3, ge=1, description="The number of scenes. The option --scenes replaces it."
     )
@@ -212,6 +219,12 @@ class Config(ScannerSections):
         if not 1 <= low <= high <= 255:
             raise ValueError("give a number from 1 to 255, or two such numbers [lowest, highest]")
         return count
+
+    @model_validator(mode="after")
+    def _one_way_to_count(self) -> "Config":
+        if self.fill is not None and self.count != Config.model_fields["count"].default:
+            raise ValueError("count and fill both say how many parts lie in a scene: remove one")
+        return self
 
     @model_validator(mode="after")
     def _one_way_to_look(self) -> "Config":

@@ -265,12 +265,13 @@ def config_schema() -> dict[str, Any]:
     return Config.model_json_schema()
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: Path | str) -> Config:
     """Read and check a configuration.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
+    path = Path(path)
     return read_settings(path, Config)
 
 

@@ -84,7 +84,11 @@ class StackResult:
 
 
 def decode_stack(
-    path: Path, rig: Rig | None = None, *, average: bool = False, filters: FilterSpec | None = None
+    path: Path | str,
+    rig: Rig | None = None,
+    *,
+    average: bool = False,
+    filters: FilterSpec | None = None,
 ) -> StackResult:
     """Decode the stack that a YAML file describes.
 
@@ -98,6 +102,7 @@ def decode_stack(
         DecodeError: pictures are missing, damaged or unlike; frames do not make a code; nothing is
             lit; the rig is another camera's; averaging, or depth, lacks an axis.
     """
+    path = Path(path)
     clock = _Clock()
     description = read_description(path)
     code = code_of(description, path)

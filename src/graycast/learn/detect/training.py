@@ -112,8 +112,8 @@ class TrainSpec:
 
 
 def train(
-    datasets: Sequence[Path],
-    out: Path,
+    datasets: Sequence[Path | str],
+    out: Path | str,
     spec: TrainSpec,
     *,
     progress: ProgressMeter = UNWATCHED,
@@ -134,8 +134,9 @@ def train(
         GraycastError: datasets, settings and folder do not fit together, the loss is no number,
             or the disk is full.
     """
+    out = Path(out)
     device = choose_device(spec.device)
-    sets = [_Sets.of(folder, spec.split) for folder in datasets]
+    sets = [_Sets.of(Path(folder), spec.split) for folder in datasets]
     parts = dict.fromkeys(name for each in sets for name in each.train.categories.values())
     names = (ONE_CLASS,) if spec.one_class else tuple(parts)
     about = About(

@@ -66,7 +66,7 @@ class PickTask(Job):
 
 def pick(
     cell: PickCell,
-    out: Path,
+    out: Path | str,
     *,
     bins: int,
     seed: int,
@@ -92,6 +92,7 @@ def pick(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.
     """
+    out = Path(out)
     chosen = workers.device(cell.config.render.backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
 

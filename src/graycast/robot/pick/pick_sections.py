@@ -140,10 +140,11 @@ class PickConfig(Config):
         return self
 
 
-def load_pick_config(path: Path) -> PickConfig:
+def load_pick_config(path: Path | str) -> PickConfig:
     """Read and check a robot's cell.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
+    path = Path(path)
     return read_settings(path, PickConfig)

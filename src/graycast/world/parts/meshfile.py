@@ -30,7 +30,7 @@ UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these i
 
 
 def load_part(
-    path: Path,
+    path: Path | str,
     *,
     name: str | None = None,
     unit: str | None = None,
@@ -52,6 +52,7 @@ def load_part(
     Raises:
         MeshError, ValueError: see `load_mesh`.
     """
+    path = Path(path)
     mesh, material, findings = load_mesh(path, unit=unit, material=material)
     away_m = float(np.linalg.norm(mesh.bounds_m.mean(axis=0)))
     if away_m > mesh.extent_m.max():

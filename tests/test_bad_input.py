@@ -204,7 +204,7 @@ def cut(path):
         ("part.stl", lambda path: not_a_number().export(path), "mm", ["NaN", "export"]),
         ("part.stl", lambda path: box().export(path), "m", ["60 m", "state unit: cm or mm"]),
         ("part.stl", lambda path: box().export(path), None, ["no unit", "state unit: cm or mm"]),
-        ("part.step", written(b"x"), "mm", ["cannot read .step", "export .obj, .ply, .stl, .glb"]),
+        ("part.dwg", written(b"x"), "mm", ["cannot read .dwg", "export .obj, .ply, .stl, .glb"]),
     ],
     ids="missing empty cut open inside-out nan metres unstated step".split(),
 )
@@ -293,7 +293,7 @@ T: [-0.1, 0, 0]
     [
         ("K1", "X1", ["no camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
         ("[0, 0, 1]]\nT", "[0, 0, 2]]\nT", ["R is not a rotation", "det 2", "all digits"]),
-        ("-0.1", "-5.0", ["T has length 5", "m or mm"]),
+        ("-0.1", "-5.0", ["T has length 5", "--unit"]),
         ("cam_size", "other", ["the camera image size is missing", "cam_size: [width, height]"]),
     ],
 )

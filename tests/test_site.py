@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -17,15 +18,15 @@ from graycast.cli.command import _parser
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(*languages):
-    """(page, code) of the fenced blocks in a language."""
+    """(page, code) of the fenced blocks in a language, also of those inside the steps of a list."""
     for page in PAGES:
-        for language, code in FENCE.findall(page.read_text(encoding="utf-8")):
+        for _, language, code in FENCE.findall(page.read_text(encoding="utf-8")):
             if language in languages:
-                yield page.relative_to(ROOT), code
+                yield page.relative_to(ROOT), textwrap.dedent(code)
 
 
 def commands():

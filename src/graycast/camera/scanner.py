@@ -335,9 +335,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
 _PHOXI_PITCH_M = 3.45e-6  # Sony's IMX252 and its kin have 2064 x 1544 pixels of this pitch.
 _PHOXI_F_NUMBER = 4.0
-# Five real scans show them by their noise on black, on white and on slopes (docs/how-to/rigs.md).
+# Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# It gives phoxi-l the temporal noise that its maker states (docs/measurements/measuring.md). Over
+# It gives phoxi-l the temporal noise that its maker states (docs/measurements/accuracy.md). Over
 # this length it is independent from pixel to pixel, as most noise of those scans is.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.

@@ -132,7 +132,7 @@ class StoreSection(Settings):
     """What a scene's folder holds in addition to pictures, depth and labels."""
 
     frames: bool = Field(
-        False, description="Keep every picture as the sensor stored it, for graycast decode."
+        False, description="Keep every picture as the sensor stored it, for graycast rig decode."
     )
     columns: bool = Field(
         False, description="Keep the decoded projector columns and rows with their deviations."

@@ -31,7 +31,9 @@ class TestSection(Settings):
 class ModelSection(Settings):
     """A network to train."""
 
-    model: str = Field(description="The network, with a name as in graycast train --model.")
+    model: str = Field(
+        description="The network, with a name as in graycast detector train --model."
+    )
     backbone: str | None = Field(
         None, description="The backbone. Without this key, it is the model's own."
     )
@@ -62,7 +64,7 @@ class StudySpec(Settings):
     models: tuple[ModelSection, ...] = Field(min_length=1)
     inputs: tuple[str, ...] = Field(
         min_length=1,
-        description="The inputs of the networks, with names as in graycast train --input.",
+        description="The inputs of the networks, with names as in graycast detector train --input.",
     )
     encodings: tuple[EncodingSection, ...] = (EncodingSection(name="default"),)
     training: dict[str, tuple[Path, ...]] = Field(

@@ -127,7 +127,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "detectors": (
-        "Time a training's reading, and detections: docs/how-to/detect.md.",
+        "Time a training's reading, and detections: docs/measurements/detection.md.",
         [
             of(
                 "runs",
@@ -147,7 +147,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "poses": (
-        "Measure how well and how fast poses are found: docs/how-to/pose.md.",
+        "Measure how well and how fast poses are found: docs/measurements/pose.md.",
         [
             of(
                 "datasets",

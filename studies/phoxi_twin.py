@@ -1,4 +1,4 @@
-"""The cell of five real scans, simulated, for docs/how-to/detect.md and docs/measurements/twin.md.
+"""The twin of five real scans for docs/measurements/detection.md and docs/measurements/twin.md.
 
 python -m studies.phoxi_twin --out out/phoxi
 graycast generate out/phoxi/twin.yaml --out out/phoxi/twin

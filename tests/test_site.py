@@ -99,7 +99,7 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
         if path.name != "404.html"  # its paths are those of a server's root
     }
     told = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
-    assert {path.as_posix() for path in told} == set(pages)
+    assert {path.as_posix() for path in told} <= set(pages)
     broken = []
     for name, page in pages.items():
         for link in page.links + page.loads:

@@ -44,15 +44,22 @@ APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureSpec:
-    """How long the sensor looks.
+    """A fixed exposure time, or the one that brings the white frame to a target."""
 
-    A fixed time, or the one that brings a percentile of the white frame to a share `target` of the
-    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
-    """
-
-    exposure_s: Positive | None = None
-    percentile: Annotated[float, Field(gt=0, le=100)] = 99.0
-    target: Annotated[float, Field(gt=0, le=1)] = 0.8
+    exposure_s: Annotated[
+        Positive | None,
+        Field(description="The exposure time in seconds, instead of percentile and target."),
+    ] = None
+    percentile: Annotated[
+        float,
+        Field(gt=0, le=100, description="The percentile of the white frame that reaches target."),
+    ] = 99.0
+    target: Annotated[
+        float,
+        Field(
+            gt=0, le=1, description="The value at the percentile, as a share of the sensor's range."
+        ),
+    ] = 0.8
     factors: Annotated[
         tuple[Positive, ...],
         Field(

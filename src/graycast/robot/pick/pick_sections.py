@@ -24,7 +24,9 @@ class RobotSection(Settings):
         description="The position of the arm's base relative to the "
         "middle of the bin's floor, in metres.",
     )
-    base_yaw_deg: float = 0.0
+    base_yaw_deg: float = Field(
+        0.0, description="The rotation of the arm's base about the vertical, in degrees."
+    )
     home_rad: tuple[float, ...] | None = Field(
         None,
         description="The joint angles at the start in radians. Without this key, they "

@@ -17,9 +17,9 @@ from graycast.base.progress import Stages
 from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.cell import config as words
-from graycast.cell.config import Config, config_schema, file_digests, load_config
+from graycast.cell.config import Config, config_schema, load_config
 from graycast.cell.domain.domain_sections import KINDS
-from graycast.cell.resolve import resolve_cell
+from graycast.cell.resolve import file_digests, resolve_cell
 from graycast.learn.study_file import read_study
 from graycast.rendering import Quality
 from graycast.rig.pair import PRESETS

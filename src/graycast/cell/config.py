@@ -4,7 +4,6 @@ Every key that is not known stops the run and is named with its file and the nea
 Paths in a configuration are relative to its file.
 """
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -32,7 +31,7 @@ from ..world.parts.part_sections import (
 )
 from ..world.parts.wood import wood_texture
 from ..world.scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
-from .domain import DomainSection, domain_files
+from .domain import DomainSection
 from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 
 
@@ -392,19 +391,3 @@ def resolve_quality(config: Config) -> Quality:
         depth=render.depth,
         denoise=render.cycles.denoise if render.backend == "cycles" else "none",
     )
-
-
-def file_digests(config: Config, folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
-    named = [section.mesh for section in config.parts]
-    named.append(config.bin.mesh)
-    surfaces = [section.material for section in config.parts]
-    surfaces += [config.bin.material, config.bin.floor, config.table]
-    named += [material.texture for material in surfaces if material is not None]
-    named.append(config.light.environment.map)
-    named += domain_files(config.domain, folder)
-    digests = {}
-    for path in named:
-        if path is not None:
-            digests[str(path)] = hashlib.sha256((folder / path).read_bytes()).hexdigest()
-    return digests

@@ -134,7 +134,6 @@ def train(
         GraycastError: datasets, settings and folder do not fit together, the loss is no number,
             or the disk is full.
     """
-    out = Path(out)
     device = choose_device(spec.device)
     sets = [_Sets.of(Path(folder), spec.split) for folder in datasets]
     parts = dict.fromkeys(name for each in sets for name in each.train.categories.values())
@@ -153,7 +152,7 @@ def train(
     network = about.open_network()
     if spec.weights is not None:
         load_weights(network, spec.weights)
-    run = RunFolder(out)
+    run = RunFolder(Path(out))
     with run.claimed(about.as_dict()):
         put_on(network, device)
         return _Training(

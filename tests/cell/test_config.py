@@ -75,8 +75,9 @@ def test_every_configuration_in_the_repository_resolves(path):
     assert len(cell.scene.parts) == len(written["parts"])
     assert config.scenes == written["scenes"]
     low, high = config.count_range
-    count = written["count"]
+    count = written.get("count", 30)
     assert [low, high] == (count if isinstance(count, list) else [count, count])
+    assert config.fill == written.get("fill")
     said = written.get("scanners", [written])
     for (_, scanner), one in zip(cell.scanners, said, strict=True):
         if one["rig"] in PRESETS:

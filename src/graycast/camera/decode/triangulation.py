@@ -65,6 +65,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
         depth_m=np.where(known, depth_m, np.nan).astype(np.float32),
         sigma_m=np.where(known, np.abs(slope_m) * sigma_px, np.nan).astype(np.float32),
         reason=reason,
+        camera=camera,
     )
 
 

@@ -40,9 +40,8 @@ ROOT = Path(__file__).resolve().parents[1]
 INTRODUCTION = """\
 `python -m benchmarks page` measured every figure and wrote this page on {date:.10} at commit
 `{commit}`, with {cores} processors ({cpu}), {memory_gib} GiB, Python {python} and no GPU. Ratios
-hold on other machines; seconds do not. `python -m benchmarks compare REV` compares every stage with
-another commit. [Many scenes](many-scenes.md) has figures of a GPU,
-[renderers](renderers.md) those of Blender Cycles."""
+hold on other machines; seconds do not. `python -m benchmarks compare REV` compares another commit.
+[Many scenes](many-scenes.md) has figures of a GPU, [renderers](renderers.md) of Blender Cycles."""
 
 
 def page(
@@ -205,13 +204,13 @@ def hulls() -> str:
         if len(found) == 1:
             continue
         error = hull_error(mesh, found)
-        sizes_mm = (1e3 * m for m in (error.filled_m, error.lost_m, tolerance_m(mesh)))
+        off_m = max(error.filled_m, error.lost_m)
+        sizes_mm = (1e3 * m for m in (off_m, tolerance_m(mesh)))
         rows.append([name, str(len(found)), *(f"{x:.2f}" for x in (*sizes_mm, worked_s))])
     return (
-        "Parts that [collide](../explanation/drop.md#what-collides) by more than one convex hull. "
-        "*Filled* is the largest distance by which hulls extend beyond the part, *lost* that of "
-        "its surface from all hulls; neither may exceed the *bound*.\n\n"
-    ) + table(["part", "hulls", "filled mm", "lost mm", "bound mm", "processor s"], rows)
+        "Parts that [collide](../explanation/drop.md#what-collides) by more than one convex hull: "
+        "the largest distance of hulls from the part's surface, and its bound.\n\n"
+    ) + table(["part", "hulls", "off mm", "bound mm", "processor s"], rows)
 
 
 SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {

@@ -47,7 +47,8 @@ class ExposureSpec:
     """How long the sensor looks.
 
     A fixed time, or the one that brings a percentile of the white frame to a share `target` of the
-    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
+    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR, and
+    the chosen time is then the capture's `reference_s`.
     """
 
     exposure_s: Positive | None = None
@@ -153,6 +154,8 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
             for factor, own in zip(exposure.factors, seeds, strict=True)
         ]
     )
+    if len(exposure.factors) > 1:
+        capture = replace(capture, reference_s=time_s)
     if radiance.path_noise is None:
         return capture
     return replace(capture, place_sigma_px=_place_sigma(scanner.light_code(), radiance.path_noise))
@@ -202,7 +205,7 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
     Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
     """
     factors = scanner.exposure.factors
-    exposed_s = float(np.max(capture.exposure_s)) / max(factors) * sum(factors)
+    exposed_s = capture.reference_s * (sum(factors) if len(factors) > 1 else 1)
     return len(capture.frames) * (exposed_s + len(factors) * readout_s)
 
 

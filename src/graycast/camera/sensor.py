@@ -78,7 +78,10 @@ class SensorSpec:
     def __post_init__(self) -> None:
         check_fields(self)
         if not self.offset_dn < self.max_dn:
-            raise ValueError(f"offset_dn is {self.offset_dn}; it must be below {self.max_dn}")
+            raise ValueError(
+                f"offset_dn is {self.offset_dn:g}; it must be below {self.max_dn}, the largest "
+                f"value of {self.bit_depth} bits: lower offset_dn, or raise bit_depth"
+            )
         if not self.saturation_dn > self.offset_dn:
             raise ValueError(
                 f"full_well_e is {self.full_well_e}; it must exceed {SATURATION_SIGMAS:g} times "
@@ -135,7 +138,8 @@ class SensorSpec:
 class Capture:
     """A stack of pictures as the sensor stored them [DN].
 
-    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`).
+    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
+    light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
     `place_sigma_px` is what the pictures' light is off by, as a standard deviation of the decoded
     column and row [projector px]: simulated light has an error that no real light has. None where
     there is none, or it is not known.
@@ -145,8 +149,11 @@ class Capture:
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
     place_sigma_px: Float[np.ndarray, "2 h w"] | None = None
+    reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
 
     def __post_init__(self) -> None:
+        if math.isnan(self.reference_s):
+            object.__setattr__(self, "reference_s", float(np.min(self.exposure_s)))
         self.frames.flags.writeable = False
         if self.place_sigma_px is not None:
             self.place_sigma_px.flags.writeable = False
@@ -238,7 +245,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
         captures: of one sensor and one scene, frame by frame; in any order.
 
     Returns:
-        A capture whose `exposure_s` is a float32 map; of a single capture, that capture.
+        A capture whose `exposure_s` is a float32 map and whose `reference_s` is the shortest time;
+        of a single capture, that capture.
 
     Raises:
         ValueError: no captures, different sensors or sizes, or one that is merged already.
@@ -264,7 +272,12 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    return Capture(frames=frames, sensor=first.sensor, exposure_s=exposure_s)
+    return Capture(
+        frames=frames,
+        sensor=first.sensor,
+        exposure_s=exposure_s,
+        reference_s=first.reference_s,
+    )
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:

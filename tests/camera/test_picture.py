@@ -37,8 +37,8 @@ def test_the_gray_picture_is_proportional_to_the_light_whatever_the_exposures(ti
 def test_equal_surfaces_are_equally_grey_whatever_exposures_they_are_taken_from():
     """Two halves of one wall; on the left another frame is so bright that it takes a shorter time.
 
-    White fills 20 % of the sensor in a time of factor 1. The mean of 1,536 pixels has a standard
-    error of 0.01 grey levels.
+    White fills 20 % of the sensor in one second. Rounding to a level may cost half of one, where
+    noise does not spread it.
     """
     wall = np.full((2, H, W), 0.2, dtype=np.float32)
     wall[1, :, : W // 2] = 2.0
@@ -53,8 +53,8 @@ def test_equal_surfaces_are_equally_grey_whatever_exposures_they_are_taken_from(
         assert set(np.unique(capture.exposure_s[:, W // 2 :])) == {4.0}
         gray = gray_picture(capture)
         left, right = gray[:, : W // 2].mean(), gray[:, W // 2 :].mean()
-        assert abs(left - right) < 0.1
-        assert right == pytest.approx(255 * 0.2 * reference_s, abs=0.1)
+        assert abs(left - right) < 0.5
+        assert right == pytest.approx(255 * 0.2 * reference_s, abs=0.5)
 
 
 def flat_rendering(ambient_rgb, white_rgb):

@@ -76,7 +76,7 @@ def relative_light(capture: Capture, index: int) -> Float[np.ndarray, "h w"]:
     return share * (np.float32(capture.reference_s) / capture.exposure_s)
 
 
-def shown_frame(capture: Capture, index: int) -> UInt8[np.ndarray, "h w"]:
+def srgb_frame(capture: Capture, index: int) -> UInt8[np.ndarray, "h w"]:
     """A frame for people to look at: its `relative_light` in 8-bit sRGB."""
     share = np.minimum(relative_light(capture, index), 1)
     return _SRGB[np.round(share * (len(_SRGB) - 1)).astype(np.uint16)]

@@ -12,7 +12,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from ...base.frames import inverse, transform_points
 from ...base.robust import robust_sigma
 from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
-from ...camera.picture import shown_frame
+from ...camera.picture import srgb_frame
 from ...camera.sensor import Capture
 from ...cell.generate import depth_step_mm
 from ...cell.resolve import Cell
@@ -63,8 +63,8 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "instance": (truth.instance + 1).astype(np.uint16),
         "place": place.astype(np.float32),
         "place_sigma": spread.astype(np.float32),
-        "white": shown_frame(page.capture, cell.code.brightest),
-        "frame": shown_frame(page.capture, frame),
+        "white": srgb_frame(page.capture, cell.code.brightest),
+        "frame": srgb_frame(page.capture, frame),
     }
     if page.rgb is not None:
         arrays["rgb"] = page.rgb

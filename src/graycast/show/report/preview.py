@@ -23,7 +23,7 @@ from ...base.frames import inverse, transform_points
 from ...base.mask_box import mask_box
 from ...base.plotting import save_png
 from ...camera.decode import Reason, triangulation_axis
-from ...camera.picture import shown_frame
+from ...camera.picture import srgb_frame
 from ...cell.simulate import Shot
 from ...dataset import labelled
 from ...rendering import GroundTruth
@@ -203,7 +203,7 @@ def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
 
 def _frame_picture(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
     """A frame's light as a grey picture in sRGB; all exposures are on one scale."""
-    return np.repeat(shown_frame(shot.capture, index)[..., None], 3, axis=-1)
+    return np.repeat(srgb_frame(shot.capture, index)[..., None], 3, axis=-1)
 
 
 def painted(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from ....base.errors import DatasetError
-from ....camera.picture import shown_frame
+from ....camera.picture import srgb_frame
 from ....dataset import Raw, read_capture, read_code_maps
 from ....dataset.safe_reading import Unreadable
 from ....dataset.stored import StoredScene
@@ -51,13 +51,13 @@ def read_kept(scene: StoredScene) -> Kept:
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
-    """Every captured picture as `shown_frame`: 0 at the sensor's offset, 255 where it saturates."""
+    """Every captured picture as `srgb_frame`: 0 at the sensor's offset, 255 where it saturates."""
     sensor, capture = raw.scanner.sensor, raw.capture
     if capture is None:
         raise ValueError("no picture was captured")
     width_px = -(-capture.frames.shape[2] // stride)
     pictures = [
-        jpeg_url(shrunk(shown_frame(capture, k), width_px), _QUALITY)
+        jpeg_url(shrunk(srgb_frame(capture, k), width_px), _QUALITY)
         for k in range(len(capture.frames))
     ]
     return {

@@ -208,6 +208,22 @@ def test_the_film_leaves_the_points_of_a_carried_part_out_and_no_others(replay, 
     assert not gone[far].any() and far.sum() > 1000
 
 
+def test_what_is_left_at_the_end_is_shown_where_it_truly_lies(replay, picks):
+    """One part is left, and nothing was found: the ghost is at the projection of its middle."""
+    attempt = read_episodes(picks)[0].attempts[-1]
+    rest = film._remaining(attempt, None)
+    assert list(rest) == [1]
+    eye = film._eye(replay, 240)
+    ground = film._ground(replay, eye)
+    drawn = film._with_ghosts(ground, replay, eye, (0, 0), rest)
+    changed = (drawn.color != ground.color).any(axis=-1)
+    middle = transform_points(inverse(eye.T_world_eye), rest[1][None, :3, 3])
+    (u, v) = np.rint(project(eye.camera, middle)[0]).astype(int)
+    assert changed[v, u] and 5 < changed.sum() < 400
+    rows, columns = np.nonzero(changed)
+    assert np.hypot(rows.mean() - v, columns.mean() - u) < 4
+
+
 def test_the_tool_stays_in_the_film_s_picture(replay, motions):
     """Of a motion that leaves the eye's usual picture; every vertex of the tool is looked at."""
     away = replace(motions[0], T_world_limb=motions[0].T_world_limb.copy())

@@ -2,7 +2,8 @@
 
 Drawn by the project's own rasteriser. Leaves out what the page leaves out, too: shadows, and how a
 part that was let go falls; it is shown where it was found next. Of a scan the points of a part that
-is carried away are left out, so that what is left is seen.
+is carried away are left out, so that what is left is seen; at the end the true parts that are left
+shine through it.
 """
 
 import io
@@ -44,6 +45,7 @@ _PALETTE_FRAMES = 12
 _SMOOTH_PX = 5  # The slope of the measured surface is averaged over this, for shading alone.
 
 _OF_PART_M = 5e-3  # A point this near to a true surface is of that part.
+_GHOST = 0.5  # Of the colour, where a true part shines through.
 _FARTHER = (1.0, 1.15, 1.3, 1.5, 1.75, 2.0)  # The eye goes back until the tool stays in sight.
 
 Steps = UInt16[np.ndarray, "h w"]
@@ -186,6 +188,10 @@ def _attempts(
                 if T is not None:
                     layer = layer.over(_part(replay, eye, kinds, motion.part, T))
             frames.append(_picture(layer.over(scene), words, None))
+        if not following:
+            rest = _remaining(attempt, motion)
+            scene = _with_ghosts(scene, replay, eye, kinds, rest)
+            words += f", {len(rest)} left"
         frames += [_picture(layer.over(scene), words, attempt)] * _END_FRAMES
         yield frames
         still = still if motion is None else motion.T_world_limb[-1]
@@ -236,6 +242,31 @@ def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4
     pairs = list(zip(replay.limbs, T_world_limb, strict=True))
     body = _drawn(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
     return body.over(_drawn(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
+
+
+def _remaining(
+    attempt: Mapping[str, Any], motion: Motion | None
+) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """The parts that lie in the bin at the end, and their true places."""
+    carried = motion.part if motion is not None and motion.held_until_s is not None else None
+    places = zip(attempt["present"], attempt["T_world_part"], strict=True)
+    return {number: np.array(T) for number, T in places if number != carried}
+
+
+def _with_ghosts(
+    scene: _Layer,
+    replay: Replay,
+    eye: _Eye,
+    kinds: tuple[int, ...],
+    rest: Mapping[int, Float[np.ndarray, "4 4"]],
+) -> _Layer:
+    """The scene with true parts shining through: those that no scan may have shown."""
+    color = scene.color.copy()
+    for number, T in rest.items():
+        ghost = _part(replay, eye, kinds, number, T)
+        lit = np.isfinite(ghost.z)
+        color[lit] += _GHOST * (ghost.color[lit] - color[lit])
+    return _Layer(color=color, z=scene.z)
 
 
 def _part(

@@ -195,7 +195,7 @@ def test_dark_pictures_can_be_brightened(page, kept, gain):
     page.select_option("#choose-gain", str(gain))
     stored = cv2.imread(str(kept[0] / "train/000000/gray_sl/000000.png"), cv2.IMREAD_UNCHANGED)
     picture = shown(page)[..., 0].astype(float)
-    assert np.median(np.abs(picture - encoded(gain * stored / 255))) < 4  # noise through JPEG
+    assert np.median(np.abs(picture - encoded(gain * (stored / 255)))) < 4  # noise through JPEG
     x, y = place(page, 60, 80)
     page.mouse.move(x, y)
     told = int(readout(page, "white frame").split()[1])

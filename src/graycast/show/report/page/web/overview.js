@@ -47,8 +47,12 @@
       : null;
     return el(
       "details",
-      { class: "figures", open: shut() ? null : true, ontoggle: (event) => keepShut(event.target) },
-      el("summary", {}, "figures"),
+      {
+        class: "figures",
+        open: shut() ? null : true,
+        ontoggle: () => dispatchEvent(new Event("resize")), // there is room, and the grid has moved
+      },
+      el("summary", { onclick: (event) => keepShut(event.target.parentElement.open) }, "figures"),
       el("section", { class: "plots" }),
       said,
     );
@@ -65,13 +69,12 @@
     }
     return chosen ? chosen === "yes" : innerHeight < LOW_PX;
   }
-  function keepShut(details) {
+  function keepShut(isShut) {
     try {
-      localStorage.setItem(SHUT, details.open ? "no" : "yes");
+      localStorage.setItem(SHUT, isShut ? "yes" : "no");
     } catch {
       /* a browser that keeps nothing */
     }
-    dispatchEvent(new Event("resize")); // there is room for plots, and the grid has moved
   }
 
   const TILE_PX = 290,

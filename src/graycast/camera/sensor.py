@@ -13,7 +13,7 @@ by a sensor of its own). The lens's falloff is the optics' business.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, no_type_check
 
 import numba
@@ -43,12 +43,7 @@ class SensorSpec:
         float, Field(gt=0, le=1e-3, description="The side of a pixel in metres.")
     ] = 3.45e-6
     quantum_efficiency: Annotated[
-        float,
-        Field(
-            gt=0,
-            le=1,
-            description="The share of the photons that become electrons, at wavelength_m.",
-        ),
+        float, Field(gt=0, le=1, description="The electrons per photon of wavelength_m.")
     ] = 0.6
     wavelength_m: Annotated[
         float, Field(gt=0, le=1e-4, description="Wavelength of the measured light in metres.")
@@ -294,12 +289,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    return Capture(
-        frames=frames,
-        sensor=first.sensor,
-        exposure_s=exposure_s,
-        reference_s=first.reference_s,
-    )
+    return replace(first, frames=frames, exposure_s=exposure_s)
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:

@@ -253,7 +253,9 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
     values |= {key: _material(section) for key, section in stated.items() if section is not None}
     if config.bin.mesh is None:
         values |= _bin_values(config, config.bin.inner_m)
-    low, high = config.count_range
+    if config.fill is None:
+        low, high = config.count_range
+        values["count"] = low if low == high else [low, high]
     light = config.light.model_dump(mode="json", exclude_none=True)
     view = config.view
     return values | {
@@ -265,7 +267,6 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
         "light.environment.radiance": light["environment"]["radiance"],
         "render.samples": config.render.samples,
         "render.depth": config.render.depth,
-        "count": low if low == high else [low, high],
         "seed": config.seed,
         "code.codec": scanner.code.codec,
     }

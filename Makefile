@@ -9,8 +9,8 @@ demo: setup
 	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
 
 test: setup-test
-	.venv/bin/ruff check src tests examples benchmarks studies
-	.venv/bin/ruff format --check src tests examples benchmarks studies
+	.venv/bin/ruff check src tests examples benchmarks studies docs/*.py
+	.venv/bin/ruff format --check src tests examples benchmarks studies docs/*.py
 	.venv/bin/mypy
 	.venv/bin/pytest $(PYTEST_OPTIONS) -n 2 --dist loadfile
 

@@ -81,8 +81,8 @@ RUN_OPTION = of(
     "--detector",
     type=Path,
     metavar="RUN",
-    help="The folder that graycast train wrote. The instances are then of the scenes that its "
-    "training kept for tests, and its masks and its boxes are two more cases.",
+    help="The folder that graycast detector train wrote. The instances are then of the scenes "
+    "that its training kept for tests, and its masks and its boxes are two more cases.",
 )
 FOLDER = of("--out", type=Path, metavar="FOLDER", help="A new folder for BOP results and pictures.")
 # Commands that print what the function `measure` of their module returns; the options are its
@@ -127,9 +127,15 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "detectors": (
-        "Time a training's reading, and detections: docs/how-to/detect.md.",
+        "Time a training's reading, and detections: docs/measurements/detection.md.",
         [
-            of("runs", type=Path, nargs="+", metavar="RUN", help="What graycast train wrote."),
+            of(
+                "runs",
+                type=Path,
+                nargs="+",
+                metavar="RUN",
+                help="What graycast detector train wrote.",
+            ),
             of(
                 "--on",
                 type=Path,
@@ -141,7 +147,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         ],
     ),
     "poses": (
-        "Measure how well and how fast poses are found: docs/how-to/pose.md.",
+        "Measure how well and how fast poses are found: docs/measurements/pose.md.",
         [
             of(
                 "datasets",
@@ -307,7 +313,7 @@ def run_materials(args: argparse.Namespace) -> int:
         rows.append(row)
         show(f"{row.scanner}, {row.material}, {row.code}: {row.words}")
     about = {"commit": git(ROOT, "describe", "--always", "--dirty"), "resolution": args.resolution}
-    return write(materials.page(rows, date=circumstances()["date"], **about), args.out)
+    return write(materials.page(rows, **circumstances(), **about), args.out)
 
 
 def main(words: list[str] | None = None) -> int:

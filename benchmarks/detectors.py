@@ -1,4 +1,4 @@
-"""The times of docs/how-to/detect.md: reading, a detector and its network."""
+"""The times of docs/measurements/detection.md: reading, a detector and its network."""
 
 import tempfile
 import time

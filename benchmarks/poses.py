@@ -1,4 +1,4 @@
-"""The table of docs/how-to/pose.md: how often and how fast the poses of parts are found."""
+"""The table of docs/measurements/pose.md: how often and how fast the poses of parts are found."""
 
 import math
 import time

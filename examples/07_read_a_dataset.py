@@ -1,6 +1,6 @@
 """Reading a dataset: its pictures, masks and poses as arrays, and the scanner's errors.
 
-`graycast.open_examples` reads datasets and all that `graycast export` makes of them alike.
+`graycast.open_examples` reads datasets and all that `graycast dataset export` makes of them alike.
 
 Run after `make demo`: .venv/bin/python examples/07_read_a_dataset.py out/demo
 """

@@ -1,6 +1,6 @@
 """Pictures that a real camera took of a real projector's patterns, decoded to depth and a cloud.
 
-`graycast patterns --codec gray_phase` wrote the patterns. The pictures lie in one folder, and
+`graycast rig patterns --codec gray_phase` wrote the patterns. The pictures lie in one folder, and
 sorted by name they are in the order of the patterns. The rig file is the calibrated one.
 
 Run: .venv/bin/python examples/08_decode_own_pictures.py pictures/ rig.yaml out/cloud.ply

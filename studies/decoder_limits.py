@@ -1,4 +1,4 @@
-"""The limits of the decoder in docs/how-to/stacks.md: too much light, too little, similar periods.
+"""The limits of the decoder in docs/measurements/stacks.md: light, noise, periods.
 
 python -m studies.decoder_limits saturation    pixels with a frame at the top of the range
 python -m studies.decoder_limits noise         of stacks of phases alone, measured in the stack

@@ -1,4 +1,4 @@
-"""The other world of docs/how-to/detect.md: another scanner, another cell, the paper's parts.
+"""The other world of docs/measurements/detection.md: another scanner and cell, the same parts.
 
 python -m studies.draw_other_world     writes configs/paper/other_world/ anew
 

@@ -1,12 +1,12 @@
-"""The cell of five real scans, simulated, for docs/how-to/detect.md and docs/how-to/twin.md.
+"""The twin of five real scans for docs/measurements/detection.md and docs/measurements/twin.md.
 
 python -m studies.phoxi_twin --out out/phoxi
 graycast generate out/phoxi/twin.yaml --out out/phoxi/twin
-graycast study out/phoxi/study.yaml --out out/phoxi/study
+graycast detector study out/phoxi/study.yaml --out out/phoxi/study
 
 The first command writes the twin's configuration and the scans as a dataset, and `cell.yaml` for
-`graycast twin`; the last one trains in the twin on four inputs and scores on the twin and on the
-scans. Bin, household meshes and scans are in ../shared/data, which is no part of the project.
+`graycast real twin`; the last one trains in the twin on four inputs and scores on the twin and on
+the scans. Bin, household meshes and scans are in ../shared/data, which is no part of the project.
 """
 
 import argparse
@@ -177,7 +177,7 @@ def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
 
 
 def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: list[float]) -> dict:
-    """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet.
+    """The same cell for `graycast real twin`: what is fitted is the preset's, pictures are quiet.
 
     The search simulates the scans' own scenes; the parts are for scenes that are generated later.
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
@@ -299,7 +299,7 @@ def main() -> None:
         choices=range(5),
         default=[0, 1, 2, 3, 4],
         help="The numbers of the scans that the bin of cell.yaml is bent to. Name those that "
-        "`graycast twin` fits, and the other scans stay unseen.",
+        "`graycast real twin` fits, and the other scans stay unseen.",
     )
     arguments = parser.parse_args()
     out = arguments.out

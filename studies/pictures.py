@@ -100,7 +100,7 @@ def replay(folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "graycast", *map(str, words)], check=True)
 
     with tempfile.TemporaryDirectory() as made:
-        graycast("report", folder, "--out", Path(made) / "page")
+        graycast("robot", "report", folder, "--out", Path(made) / "page")
         url = f"{(Path(made) / 'page' / 'index.html').resolve().as_uri()}#/{ATTEMPT}"
         with opened(url, REPORT_PX) as page:
             page.wait_for_selector(f'#main[data-ready="{ATTEMPT}"]')
@@ -115,7 +115,9 @@ def replay(folder: Path) -> None:
             )
             press(page, "m")
             save(page, "replay")
-    graycast("replay", folder, "--bin", "0", "--out", IMAGES / "replay.gif", "--width", "420")
+    graycast(
+        "robot", "film", folder, "--bin", "0", "--out", IMAGES / "replay.gif", "--width", "420"
+    )
 
 
 def live() -> None:

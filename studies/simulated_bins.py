@@ -1,4 +1,4 @@
-"""Bins by the virtual camera, with parts left and walls lost, for docs/how-to/fit-bin.md.
+"""Bins by the virtual camera, with parts left and walls lost, for docs/measurements/fit-bin.md.
 
 python -m studies.simulated_bins --bins 20             boxes
 python -m studies.simulated_bins --bins 20 --crates    crates with leaning walls

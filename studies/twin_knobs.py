@@ -1,4 +1,4 @@
-"""What each part of the fitted scanner buys its twin, for docs/how-to/twin.md.
+"""What each part of the fitted scanner buys its twin, for docs/measurements/twin.md.
 
 python -m studies.phoxi_twin --scans 0 1 2 --out out/phoxi
 python -m studies.twin_knobs out/phoxi/cell.yaml --out out/phoxi/knobs.json

@@ -1,10 +1,11 @@
-"""Twins of unknown scanners, for docs/how-to/twin.md: each scanner is drawn by a seed and scanned.
+"""Twins of unknown scanners, for docs/measurements/twin.md: each is drawn by a seed and scanned.
 
 python -m studies.unknown_scanners --draws 10 --trials 500
 
 A twin of each is made from three scans and compared with it. The twin knows the rig and the scenes,
-as `graycast twin` stages them again, but here without an error of the surfaces. The hidden numbers
-lie anywhere in the middle four fifths of what is fitted, and the code is one of the candidates.
+as `graycast real twin` stages them again, but here without an error of the surfaces. The hidden
+numbers lie anywhere in the middle four fifths of what is fitted, and the code is one of the
+candidates.
 """
 
 import argparse

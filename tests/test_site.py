@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -17,15 +18,15 @@ from graycast.cli.command import _parser
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(*languages):
-    """(page, code) of the fenced blocks in a language."""
+    """(page, code) of the fenced blocks in a language, also of those inside the steps of a list."""
     for page in PAGES:
-        for language, code in FENCE.findall(page.read_text(encoding="utf-8")):
+        for _, language, code in FENCE.findall(page.read_text(encoding="utf-8")):
             if language in languages:
-                yield page.relative_to(ROOT), code
+                yield page.relative_to(ROOT), textwrap.dedent(code)
 
 
 def commands():
@@ -98,7 +99,7 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
         if path.name != "404.html"  # its paths are those of a server's root
     }
     told = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
-    assert {path.as_posix() for path in told} == set(pages)
+    assert {path.as_posix() for path in told} <= set(pages)
     broken = []
     for name, page in pages.items():
         for link in page.links + page.loads:

@@ -88,13 +88,13 @@ def deep(tmp_path_factory):
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("evaluate k.json --on whole --out o", "k.json: is not JSON, or is cut off (nested too"),
+        ("detector score k.json --on whole --out o", "k.json: is not JSON, or is cut off (nested"),
         ("rig import k.json --out r.yaml", "k.json: is not JSON (nested too deeply at line 1"),
-        ("realism depth --intrinsics k.json --out o", "cannot be read (nested too deeply"),
-        ("import-real pictures --annotations k.json --intrinsics 5,5,2,2 --out o", "k.json"),
+        ("real measure depth --intrinsics k.json --out o", "cannot be read (nested too deeply"),
+        ("dataset import pictures --annotations k.json --intrinsics 5,5,2,2 --out o", "k.json"),
         ("validate broken", "graycast.json"),
-        ("stats broken --out o", "graycast.json"),
-        ("export broken --format coco --out o", "graycast.json"),
+        ("dataset stats broken --out o", "graycast.json"),
+        ("dataset export broken --format coco --out o", "graycast.json"),
     ],
 )
 def test_no_command_ends_in_a_traceback_over_deep_json(deep, capsys, monkeypatch, command, words):

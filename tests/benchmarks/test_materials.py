@@ -39,9 +39,11 @@ def test_the_page_has_a_row_for_every_material():
         for material in MATERIALS
         for code, wrong in (("preset", 0.004), ("without guards", 0.3))
     ]
-    about = {"date": "2026-01-02", "commit": "abc", "resolution": "low"}
+    about = {"date": "2026-01-02", "commit": "abc", "resolution": "low", "cores": 2, "cpu": "x"}
     (_, words), (heading, table) = page(rows, **about)
-    assert "2026-01-02 at commit `abc`" in words.replace("\n", " ")
     assert heading == "The preset `phoxi-m`"
     assert len(table.splitlines()) == 2 + len(MATERIALS)
-    assert "| matt | 50 %; 0.4 %; 1.00 | 50 %; 30.0 %; 1.00 |" in table
+    words = words.replace("\n", " ")
+    assert "2026-01-02 at commit `abc`" in words
+    assert "Up to 30.0 % of the depths are wrong without guards, at most 0.4 %" in words
+    assert "| matt | 50; 0.4; 1.00 | 50; 30.0; 1.00 |" in table

@@ -302,7 +302,7 @@ BAD_CALIBRATIONS = {
     "skew": ({"cam_K": SKEWED}, "cam_K has the skew 0.5"),
     "K transposed": ({"cam_K": np.transpose(CALIBRATION["cam_K"]).tolist()}, "not a camera matrix"),
     "no baseline": ({"T": [0.0, 0.0, 0.0]}, "T is zero: .*baseline"),
-    "unit open": ({"T": [5.0, 0.0, 0.0]}, "T has length 5: state whether"),
+    "unit open": ({"T": [5.0, 0.0, 0.0]}, "T has length 5: state its unit"),
     "no size": ({"pro_size": None}, "the projector image size is missing: add pro_size"),
     "broken size": ({"cam_size": [640.5, 480]}, "cam_size is .640.5, 480.*width, height"),
     "NaN": ({"cam_kc": [0.1, float("nan"), 0.0, 0.0]}, "cam_kc has numbers that are not finite"),
@@ -336,7 +336,7 @@ def test_a_bad_calibration_is_refused_by_file_key_and_remedy(tmp_path, case):
     ("changes", "message"),
     [
         ({"unit": "m"}, "baseline is 194 m: give T in metres"),
-        ({"unit": "cm"}, "no unit 'cm': choose m or mm"),
+        ({"unit": "ft"}, "no unit 'ft': choose one of m, cm, mm, inch"),
         ({"near_m": 0.9}, "0 < near_m < far_m"),
         ({"camera_size_px": (0, 480)}, "width_px is 0: it should be greater"),
     ],

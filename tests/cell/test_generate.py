@@ -321,13 +321,12 @@ def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed,
 def test_the_command_makes_a_scene_again_from_the_dataset_alone(
     config_file, undisturbed, tmp_path, capsys
 ):
-    again = ["rerender", str(undisturbed), "1", "--device", "cpu"]
+    again = ["dataset", "rerender", str(undisturbed), "--scene", "1", "--device", "cpu"]
     assert main(again) == 1
-    assert (
-        "was made from files of its own (box.stl, rig.yaml): add --config"
-        in capsys.readouterr().err
-    )
-    assert main([*again, "--config", str(config_file)]) == 0
+    complaint = capsys.readouterr().err
+    assert "the dataset was made from the files box.stl, rig.yaml: give the folder" in complaint
+    assert "with --files" in complaint
+    assert main([*again, "--files", str(config_file.parent)]) == 0
     assert capsys.readouterr().out.endswith("000001: the same\n")
 
 

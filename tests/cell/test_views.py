@@ -243,6 +243,6 @@ def test_a_mistake_is_one_line_that_names_it(tmp_path, name):
 
 def test_what_looks_once_refuses_a_cell_of_several_images(tmp_path):
     one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
-    refuse_several(one, "graycast design")
-    with pytest.raises(ConfigError, match="graycast design takes one image of a scene: remove"):
-        refuse_several(two, "graycast design")
+    refuse_several(one, "graycast rig design")
+    with pytest.raises(ConfigError, match="graycast rig design takes one image of a scene: remove"):
+        refuse_several(two, "graycast rig design")

@@ -20,63 +20,93 @@ from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.camera.stack import stack_schema
 from graycast.cell.config import config_schema
-from graycast.cli import command, doctor, machine, main
+from graycast.cli import (
+    arguments,
+    command,
+    doctor,
+    main,
+    robot_commands,
+    scene_commands,
+    start_commands,
+)
 from graycast.real.depth_file import DEPTH_FILES
 from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
+from graycast.robot.grasp_labels.label_options import tool_schema
+from graycast.robot.pick.pick_sections import robot_schema
 from graycast.show.report import rig_picture as drawing
+from graycast.show.report.page import WIDTH_PX
+from graycast.show.report.picks import film
 from graycast.world.drop import Decomposition
 
 OPTIONS = {
     "demo": "--out --device",
     "new": "folder --part --builtin --unit --surface",
-    "generate": (
-        "config --out --scenes --seed --backend --device --workers --threads --engine --address"
-    ),
-    "rerender": "dataset scene_id --config --device",
     "preview": "config --out --scene --image --seed --backend --device",
+    "generate": "config --out --scenes --seed --backend --device WORKERS",
     "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
+    "report": "dataset --out --workers --detections --width",
     "parts": "config --out --device",
-    "stats": "dataset --workers --out --card --licence",
-    "report": "dataset --workers --out --detections --width --cell",
-    "replay": "folder --bin --out --speed --width --cell",
-    "merge": "source --out",
-    "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
-    "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
-    "train": "datasets --out --model --input --one-class --backbone --weights --size --epochs "
-    "--patience --batch --learning-rate --split --split-seed --min-visibility --holes --no-relief "
-    "--range --no-flips --seed --device --threads --workers",
-    "detect": "detector pictures --out --export --split --as-real --scale --most --least-score "
-    "--drawings --device --threads",
-    "study": "study --out --list --device --threads",
-    "design": "study --out --list --device --workers --threads --engine --address",
-    "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
-    "--min-visibility --most --draws --seed --depth --out",
-    "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "
-    "--engine --address",
-    "picks": "folders --plot",
-    "grasps": "dataset --tool --name --per-instance --simulate --places --seed --files --workers",
-    "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
+    "dataset stats": "dataset --out --workers --card --licence",
+    "dataset export": "dataset --format --out --selection --shares --split-seed --picture "
+    "--depth-files --polygons --labels --cloud --organised --pixel-origin --shard-scenes --link "
+    "--min-visibility",
+    "dataset merge": "source --out",
+    "dataset import": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
-    "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
-    "--azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
-    "--device",
-    "twin": "scans --config --out --intrinsics --scale --size --rgb --kept-aside --trials --seed "
-    "--device",
+    "dataset rerender": "dataset --scene --files --device",
+    "dataset grasps": "dataset --tool --name --per-instance --simulate --places --seed --files "
+    "--workers",
+    "dataset score-depth": "dataset --out",
+    "detector train": "datasets --out --model --input --one-class --backbone --weights "
+    "--longest-side --epochs --patience --batch --learning-rate --shares --split-seed "
+    "--min-visibility --holes --no-relief --range --no-flips --seed --device --threads --readers",
+    "detector find": "detector pictures --out --split --as-real --scale --max-detections "
+    "--min-score --drawings --device --threads",
+    "detector onnx": "detector --out --max-detections --min-score --device --threads",
+    "detector score": "results SCORING --against --kind --one-class --max-per-class",
+    "detector study": "study --out --list --device --threads",
+    "robot pick": "config --out --bins --seed --device --detector --pose --depth WORKERS",
+    "robot summary": "picks --out",
+    "robot film": "picks --out --bin --speed --width --files",
+    "robot report": "picks --out --workers --width --files",
+    "robot score-poses": "results SCORING",
+    "rig list": "",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
     "rig calibrate": "stacks --board --out --near --far --radial-terms",
-    "patterns": "rig --resolution --out --codec --inverses",
-    "decode": "stack --rig --resolution --average --out",
-    "certify": "rig --resolution --out --seed --backend --device",
-    "realism": "depth --intrinsics --scale --size --gray --reason --out --compare --classifier "
-    "--most --seed",
+    "rig patterns": "rig --resolution --out --codec --inverses",
+    "rig decode": "stack --rig --resolution --average --out",
+    "rig certify": "rig --resolution --out --seed --backend --device",
+    "rig design": "study --out --list --device WORKERS",
+    "real measure": "depth --out --intrinsics --scale --size --gray --reason",
+    "real compare": "first second --out --intrinsics --scale --size --classifier --max-maps --seed",
+    "real twin": "scans --config --out --intrinsics --scale --size --rgb --kept-aside --trials "
+    "--seed --device",
+    "real fit-bin": "views --config --out --rgb --intrinsics --distortion --scale --size --inner "
+    "--wall --azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
+    "--device",
     "doctor": "",
     "schema": "kind",
-    "completion": "shell",
 }
+_SEVERAL = {
+    "WORKERS": "--workers --threads --engine --address",
+    "SCORING": "--on --out --split --shares --split-seed --min-visibility --resamples --seed",
+}
+OPTIONS = {
+    name: " ".join(_SEVERAL.get(word, word) for word in words.split())
+    for name, words in OPTIONS.items()
+}
+# Each flag of several commands is declared once, in the table of `cli.arguments`, but for --out.
+SHARED_FLAGS = """
+--address --backend --config --device --distortion --engine --far --files --intrinsics --list
+--max-detections --min-score --min-visibility --near --on --one-class --out --resamples
+--resolution --rgb --scale --scene --seed --shares --size --split --split-seed --threads --unit
+--width --workers
+""".split()
+OUT = re.compile(r"The ((PNG|YAML|ONNX|GIF or WebP) file|folder)( to write| of the )")
 
 
 def run(capsys, *arguments):
@@ -111,10 +141,10 @@ def test_the_commands_are_these_with_these_options():
     assert found == {name: options.split() for name, options in OPTIONS.items()}
 
 
-@pytest.mark.parametrize("name", ["fit-bin", "realism", "twin"])
+@pytest.mark.parametrize("name", ["fit-bin", "measure", "twin"])
 def test_help_names_every_kind_of_depth_file(capsys, name):
     with pytest.raises(SystemExit):
-        main([name, "--help"])
+        main(["real", name, "--help"])
     text = capsys.readouterr().out
     kinds = {suffix.removeprefix(".").upper()[:3] for suffix in DEPTH_FILES}
     assert {kind for kind in kinds if kind not in text} == set()
@@ -145,6 +175,59 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
         assert words, f"{option} is not explained"
 
 
+def test_the_list_of_commands_is_short():
+    assert len({name.split()[0] for name in OPTIONS}) <= 16 and len(OPTIONS) <= 40
+
+
+def flags_of(name_and_parser):
+    """Each option of a command as `(command, flag, what argparse reads, help without default)`."""
+    name, parser = name_and_parser
+    for action in parser._actions:
+        if action.option_strings and action.dest != "help":
+            kind = (action.type, action.metavar, action.nargs, action.choices)
+            text = re.sub(r" \(default: .*\)", "", action.help)
+            yield name, action.option_strings[-1], kind, text
+
+
+def test_a_flag_has_one_meaning_one_type_and_one_metavar():
+    found = {}
+    for item in commands(command._parser()).items():
+        for name, flag, kind, text in flags_of(item):
+            found.setdefault(flag, {})[name] = (kind, text)
+    for flag, uses in found.items():
+        kinds, texts = ({use[i] for use in uses.values()} for i in (0, 1))
+        assert len(kinds) == 1, f"{flag} is read in several ways: {uses}"
+        if flag == "--out":
+            assert {text for text in texts if not OUT.match(text)} == set()
+        else:
+            assert len(texts) == 1, f"{flag} has several meanings: {uses}"
+    assert {f for f, uses in found.items() if len(uses) > 1} == {"--debug", *SHARED_FLAGS}
+    assert {*arguments.SHARED, "--out"} == {*SHARED_FLAGS}
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("generat", "generate"), ("export", "dataset export"), ("onnx", "detector onnx")],
+)
+def test_a_command_that_does_not_exist_names_the_one_that_was_meant(capsys, word, meant):
+    with pytest.raises(SystemExit):
+        main([word])
+    assert f"{word!r} does not exist: did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_the_widths_in_the_help_are_those_of_the_library():
+    assert (scene_commands.WIDTH_PX, robot_commands.FILM_WIDTH_PX) == (WIDTH_PX, film.WIDTH_PX)
+
+
+def test_each_example_is_a_command_that_is_understood():
+    for name, parser in commands(command._parser()).items():
+        first, example, *_ = parser.description.splitlines()
+        assert first == "For example:" and example.startswith(f"  graycast {name}")
+        command._parser().parse_args(example.partition(" > ")[0].split()[1:])
+    for line in command.EXAMPLES.splitlines()[1:-1]:
+        command._parser().parse_args(line.strip().split("  ")[0].split()[1:])
+
+
 def test_help_is_whole_sentences():
     """So that each is understood alone; argparse's own words on --help are not ours."""
     for name, parser in commands(command._parser()).items():
@@ -161,8 +244,13 @@ def test_help_lists_every_command_and_examples(capsys):
     text = capsys.readouterr().out
     for name in OPTIONS:
         assert re.search(rf"\n    {name.split()[0]}\s", text)
-    assert "graycast generate configs/demo.yaml --out out/demo" in text
-    run(capsys, "rig")  # a group alone prints its help, too
+    assert "graycast generate bracket/cell.yaml --out data" in text
+
+
+@pytest.mark.parametrize("group", ["dataset", "detector", "robot", "rig", "real"])
+def test_a_group_alone_prints_its_help(capsys, group):
+    text = run(capsys, group)
+    assert all(f"\n    {name.split()[1]}" in text for name in OPTIONS if f"{group} " in name)
 
 
 def test_the_command_alone_prints_its_help(capsys):
@@ -211,7 +299,7 @@ def test_a_reader_that_goes_away_is_no_error():
     read, write = os.pipe()
     os.close(read)
     ran = subprocess.run(
-        [*GRAYCAST, "completion", "bash"], stdout=write, stderr=subprocess.PIPE, text=True
+        [*GRAYCAST, "--print-completion", "bash"], stdout=write, stderr=subprocess.PIPE, text=True
     )
     os.close(write)
     assert (ran.returncode, ran.stderr) == (1, "")
@@ -334,6 +422,12 @@ def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resoluti
         assert (tmp_path / "rig.png").is_file()
 
 
+def test_the_shelf_has_each_preset_with_its_range_pixels_and_code(capsys):
+    lines = run(capsys, "rig", "list").splitlines()
+    assert [line.split()[0] for line in lines] == list(PRESETS)
+    assert "0.46 to 1.12 m, baseline 350 mm, 2064 x 1544 pixels, code gray_phase" in lines[2]
+
+
 def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):
     calibration, path = tmp_path / "stereo.yaml", tmp_path / "rig.yaml"
     calibration.write_text(
@@ -357,7 +451,9 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
 def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, inverses):
     """Oracle: bits of x ^ (x >> 1), most significant first, in the order of the file names."""
     rig, out = made[0].parent / "rig.yaml", tmp_path / "patterns"
-    listed = run(capsys, "patterns", rig, "--out", out, *(["--inverses"] if inverses else []))
+    listed = run(
+        capsys, "rig", "patterns", rig, "--out", out, *(["--inverses"] if inverses else [])
+    )
     *paths, stack = sorted(out.iterdir())
     assert listed.split() == [str(path) for path in (*paths, stack)]
     assert stack.name == "stack.yaml"
@@ -378,7 +474,14 @@ def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, in
 
 
 @pytest.mark.parametrize(
-    ("kind", "schema"), [("config", config_schema), ("rig", rig_schema), ("stack", stack_schema)]
+    ("kind", "schema"),
+    [
+        ("config", config_schema),
+        ("rig", rig_schema),
+        ("stack", stack_schema),
+        ("robot", robot_schema),
+        ("tool", tool_schema),
+    ],
 )
 def test_schema_prints_json(capsys, kind, schema):
     assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema()))
@@ -395,7 +498,7 @@ def another_doctor(monkeypatch):
     """Lets a command do something else; what was built before holds the one that it has."""
 
     def put(run):
-        monkeypatch.setattr(machine, "_doctor", run)
+        monkeypatch.setattr(start_commands, "_doctor", run)
         monkeypatch.setattr(command, "_parser", command._parser.__wrapped__)
 
     return put
@@ -433,7 +536,7 @@ printf '%s\n' "${COMPREPLY[@]}"
     ("typed", "offered"),
     [
         (["gen"], ["generate"]),
-        (["rig", ""], ["calibrate", "import", "show", "write"]),
+        (["real", ""], ["compare", "fit-bin", "measure", "twin"]),
         (["generate", "--ba"], ["--backend"]),
         (["generate", "--backend", "m"], ["mitsuba"]),
         (["generate", "cell"], ["cell.yaml", "cells"]),
@@ -443,7 +546,7 @@ printf '%s\n' "${COMPREPLY[@]}"
 def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typed, offered):
     if shutil.which("bash") is None:
         pytest.skip("needs bash, which is not here")
-    (tmp_path / "graycast.bash").write_text(run(capsys, "completion", "bash"))
+    (tmp_path / "graycast.bash").write_text(run(capsys, "--print-completion", "bash"))
     (tmp_path / "cell.yaml").touch()
     (tmp_path / "cells").mkdir()
     command = ["bash", "-c", ASK, "bash", "graycast.bash", "graycast", *typed]

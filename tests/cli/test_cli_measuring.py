@@ -1,4 +1,4 @@
-"""`graycast decode`, `realism`, `certify` and `rig calibrate` as a user runs them."""
+"""The commands of rigs and of real scans, as a user runs them."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ from graycast.camera.faults import FaultSpec
 from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.camera.scanner import Scanner
 from graycast.camera.stack import stack_sheet
-from graycast.cli import main, measuring
+from graycast.cli import main, rig_commands
 from graycast.real.realism import depth_curves
 from graycast.rig.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
 
@@ -54,7 +54,7 @@ def decoded(tmp_path_factory):
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     out = folder / "out"
     with drawn_by(stack_sheet) as figures:
-        words = ["decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
+        words = ["rig", "decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
         assert main(words) == 0
     return rig, folder, out, *figures
 
@@ -108,15 +108,15 @@ def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
     assert (np.isfinite(shown) == np.isfinite(depth_m)).all()
 
 
-@pytest.mark.parametrize("command", ["decode", "certify", "realism"])
+@pytest.mark.parametrize("command", ["decode", "certify", "measure"])
 def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path, command):
     """What is asked for does not exist, so a refusal of the folder came first."""
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("mine")
     arguments = {
-        "decode": ["decode", "paper", "--rig", "paper"],
-        "certify": ["certify", "paper"],
-        "realism": ["realism", tmp_path / "gone.npy", "--intrinsics", "1,1,0,0"],
+        "decode": ["rig", "decode", "paper", "--rig", "paper"],
+        "certify": ["rig", "certify", "paper"],
+        "measure": ["real", "measure", tmp_path / "gone.npy", "--intrinsics", "1,1,0,0"],
     }
     told = refused(capsys, *arguments[command], "--out", tmp_path / "letters")
     assert (
@@ -127,7 +127,7 @@ def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path,
 
 def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
     _, folder, out, _ = decoded
-    printed = run(capsys, "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
+    printed = run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
                   "--average", "--out", tmp_path)  # fmt: skip
     assert "epipolar residual" in printed
     averaged = len(trimesh.load(tmp_path / "cloud.ply").vertices)
@@ -141,7 +141,7 @@ def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
     faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0))
     save_scanner(faulty, tmp_path / "rig.yaml")
-    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+    run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
         "--out", tmp_path / "out")  # fmt: skip
     for name in ("depth.npy", "sigma_depth.npy", "cloud.ply"):
         assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
@@ -152,20 +152,24 @@ def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
     filtered = Scanner(rig=rig, filters=FilterSpec(smoothing_px=0.8))
     save_scanner(filtered, tmp_path / "rig.yaml")
-    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+    run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
         "--out", tmp_path / "out")  # fmt: skip
     rough, smooth = (np.load(f / "sigma_depth.npy") for f in (out, tmp_path / "out"))
     # Where the surface bends, as at the edges of cells, smoothing leaves sigma as wide.
     assert np.nanquantile(smooth / rough, 0.1) < 0.6
 
 
-def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_path):
+def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
+    decoded, capsys, tmp_path
+):
     rig, _, out, _ = decoded
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
     made = tmp_path / "measured"
     with drawn_by(depth_curves) as figures:
-        printed = run(capsys, "realism", out / "depth.npy", "--intrinsics", K, "--out", made)
+        printed = run(
+            capsys, "real", "measure", out / "depth.npy", "--intrinsics", K, "--out", made
+        )
     assert "missing pixels" in printed
     share = float(np.isnan(np.load(out / "depth.npy")).mean())
     record = json.loads((made / "realism.json").read_text())
@@ -174,12 +178,12 @@ def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_pat
     ((sigma_mm, _),) = lines_of(axes_of(figure)["noise about planes"])
     assert sigma_mm == pytest.approx(1e3 * np.array(record["noise"]["percentiles_m"]))
     assert (made / "plots.png").is_file()
-    both = run(capsys, "realism", "--compare", made, made)
+    both = run(capsys, "real", "compare", made, made)
     assert both.count("measured") >= 2
     maps = tmp_path / "maps"
     maps.mkdir()
     shutil.copy(out / "depth.npy", maps)
-    fresh = run(capsys, "realism", "--compare", made, maps, "--intrinsics", K)
+    fresh = run(capsys, "real", "compare", made, maps, "--intrinsics", K)
     row = next(line for line in fresh.splitlines() if line.strip().startswith("median depth"))
     assert len(set(row.split()[2:])) == 2  # a value and its unit: both sets have the same
 
@@ -187,11 +191,8 @@ def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["realism"], "give depth maps to measure, or --compare"),
-        (["realism", "x.npy"], "--out is missing"),
-        (["realism", "--compare", "a", "b", "--gray", "g.png"], "--gray and --reason"),
-        (["realism", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
-        (["decode", "gone.yaml", "--out", "o"], "gone.yaml"),
+        (["real", "measure", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
+        (["rig", "decode", "gone.yaml", "--out", "o"], "gone.yaml"),
         (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),
     ],
 )
@@ -225,7 +226,9 @@ K_TEXT = "190,190,79.5,59.5"
 def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, said):
     np.save(tmp_path / "z.npy", array)
     out = tmp_path / "deep" / "out"
-    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT, "--out", out)
+    text = refused(
+        capsys, "real", "measure", tmp_path / "z.npy", "--intrinsics", K_TEXT, "--out", out
+    )
     assert said in text
     assert [path.name for path in tmp_path.iterdir()] == ["z.npy"]
 
@@ -233,7 +236,7 @@ def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, 
 @pytest.mark.parametrize("scale", ["0", "-0.001", "nan", "inf", "mm"])
 def test_a_scale_that_is_no_length_is_refused(capsys, scale):
     with pytest.raises(SystemExit):
-        main(["realism", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
+        main(["real", "measure", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
     assert "is not a number greater than 0" in capsys.readouterr().err
 
 
@@ -241,8 +244,8 @@ def test_a_scale_that_is_no_length_is_refused(capsys, scale):
 def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
     np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
     (tmp_path / "K.json").write_text(content)
-    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", tmp_path / "K.json",
-                   "--out", tmp_path / "o")  # fmt: skip
+    told = ("--intrinsics", tmp_path / "K.json", "--out", tmp_path / "o")
+    text = refused(capsys, "real", "measure", tmp_path / "z.npy", *told)
     assert "K.json" in text
     assert "give fx,fy,cx,cy" in text
 
@@ -256,20 +259,20 @@ def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
 )
 def test_a_damaged_ply_header_is_told_in_one_line(capsys, tmp_path, lines):
     (tmp_path / "p.ply").write_text(f"ply\nformat ascii 1.0\n{lines}\nend_header\n")
-    text = refused(capsys, "realism", tmp_path / "p.ply", "--out", tmp_path / "o")
+    text = refused(capsys, "real", "measure", tmp_path / "p.ply", "--out", tmp_path / "o")
     assert "p.ply: its header is damaged" in text
 
 
 def test_comparing_does_not_write_over_a_measured_set(capsys, tmp_path):
     (tmp_path / "realism.json").write_text("{}")
-    text = refused(capsys, "realism", "--compare", "a", "b", "--out", tmp_path)
+    text = refused(capsys, "real", "compare", "a", "b", "--out", tmp_path)
     assert "is itself one of the measured sets" in text
 
 
 def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
     np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
     (tmp_path / "gray").mkdir()
-    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT,
+    text = refused(capsys, "real", "measure", tmp_path / "z.npy", "--intrinsics", K_TEXT,
                    "--gray", tmp_path / "gray", "--out", tmp_path / "o")  # fmt: skip
     assert "is an empty folder" in text
 
@@ -298,7 +301,9 @@ def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatc
     monkeypatch.setattr(
         "graycast.score.metrology.certify", lambda *_, **__: pytest.fail("it worked")
     )
-    assert "file: is a file" in refused(capsys, "certify", "paper", "--out", tmp_path / "file")
+    assert "file: is a file" in refused(
+        capsys, "rig", "certify", "paper", "--out", tmp_path / "file"
+    )
 
 
 def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
@@ -306,21 +311,21 @@ def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("graycast.camera.stack.decode_stack", stop)
-    monkeypatch.setattr(measuring, "resolve_rig_option", stop)
-    assert main(["decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
+    monkeypatch.setattr(rig_commands, "resolve_rig_option", stop)
+    assert main(["rig", "decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
 def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
     """phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
-    run(capsys, "patterns", "phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
+    run(capsys, "rig", "patterns", "phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
     assert list(tmp_path.glob("*_phase_48px_step00.png"))
 
 
 def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
-    run(capsys, "patterns", "phoxi-s", "--out", tmp_path)
+    run(capsys, "rig", "patterns", "phoxi-s", "--out", tmp_path)
     before = sorted(tmp_path.iterdir())
-    text = refused(capsys, "patterns", "phoxi-s", "--codec", "xor_gray", "--out", tmp_path)
+    text = refused(capsys, "rig", "patterns", "phoxi-s", "--codec", "xor_gray", "--out", tmp_path)
     assert "holds pictures of another code" in text
     assert sorted(tmp_path.iterdir()) == before
 
@@ -356,7 +361,7 @@ def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_
     content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
     path = folder / "exchanged.yaml"
     path.write_text(yaml.safe_dump(content))
-    text = refused(capsys, "decode", path, "--out", tmp_path / "o")
+    text = refused(capsys, "rig", "decode", path, "--out", tmp_path / "o")
     assert f"{path}: levels.offset_dn is 300" in text
     assert not (tmp_path / "o").exists()
 
@@ -368,12 +373,12 @@ def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
     rig = replace(simulated.small_rig(), name="small")
     scanner = Scanner(rig=rig, code=CodeSpec(codec=codec, axes=AXES))
     save_scanner(scanner, tmp_path / "rig.yaml")
-    run(capsys, "patterns", tmp_path / "rig.yaml", "--out", tmp_path / "shown")
+    run(capsys, "rig", "patterns", tmp_path / "rig.yaml", "--out", tmp_path / "shown")
     for path in (tmp_path / "shown").glob("*.png"):
         with Image.open(path) as image:
             level = np.array(image)
         Image.fromarray(np.rint(0.8 * level + 10).astype(np.uint8)).save(path)
-    run(capsys, "decode", tmp_path / "shown" / "stack.yaml", "--out", tmp_path / "read")
+    run(capsys, "rig", "decode", tmp_path / "shown" / "stack.yaml", "--out", tmp_path / "read")
     codes = np.load(tmp_path / "read" / "code.npz")
     row, column = np.mgrid[0:96, 0:128]
     known = codes["reason"] == Reason.DECODED
@@ -413,7 +418,7 @@ def test_calibrate_gives_the_rig_back_from_pictures(capsys, tmp_path, camera_ray
 @pytest.mark.slow
 def test_certify_writes_a_sheet(capsys, tmp_path, cpu_device):
     save_scanner(small_scanner(), tmp_path / "rig.yaml")
-    printed = run(capsys, "certify", tmp_path / "rig.yaml", "--out", tmp_path / "sheet")
+    printed = run(capsys, "rig", "certify", tmp_path / "rig.yaml", "--out", tmp_path / "sheet")
     assert "temporal noise" in printed.lower()
     assert (tmp_path / "sheet" / "certificate.html").read_text().startswith("<!doctype html>")
     assert json.loads((tmp_path / "sheet" / "certificate.json").read_text())

@@ -312,7 +312,7 @@ def test_damage_to_frames_and_maps_is_found(kept, tmp_path, damage):
 
 
 def decoded(capsys, *arguments):
-    assert main(["decode", *map(str, arguments)]) == 0
+    assert main(["rig", "decode", *map(str, arguments)]) == 0
     capsys.readouterr()
 
 
@@ -327,7 +327,7 @@ def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(kept, capsys, 
 def test_a_rig_file_that_is_gone_is_named(kept, tmp_path, capsys):
     folder = shutil.copytree(kept("as the paper's")[0] / "train/000000/frames", tmp_path / "frames")
     (folder / "rig.yaml").unlink()
-    assert main(["decode", str(folder), "--out", str(tmp_path / "o")]) != 0
+    assert main(["rig", "decode", str(folder), "--out", str(tmp_path / "o")]) != 0
     assert "rig.yaml" in capsys.readouterr().err
 
 

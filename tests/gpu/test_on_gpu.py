@@ -174,7 +174,7 @@ def test_a_dataset_made_on_the_gpu_is_valid(on_gpu):
 
 
 def test_a_scene_of_the_gpu_comes_out_the_same_again(on_gpu):
-    assert "the same" in graycast("rerender", on_gpu, 0, "--device", "cuda")
+    assert "the same" in graycast("dataset", "rerender", on_gpu, "--device", "cuda")
 
 
 def test_live_shows_a_cell_on_the_gpu(tmp_path):
@@ -186,7 +186,7 @@ def test_a_design_is_scanned_on_the_gpu(tmp_path):
     study = tmp_path / "study.yaml"
     cell = write_cell(tmp_path)
     study.write_text(f"cell: {cell.name}\nlayouts: 1\nsweeps: [{{distance_m: [0.6]}}]\n")
-    graycast("design", study, "--out", tmp_path / "design", "--device", "cuda")
+    graycast("rig", "design", study, "--out", tmp_path / "design", "--device", "cuda")
     assert list((tmp_path / "design").rglob("*.csv"))
 
 
@@ -196,8 +196,31 @@ def test_a_detector_is_trained_and_used_on_the_gpu(tmp_path):
         pytest.skip("this torch has no CUDA")
     out, run = tmp_path / "data", tmp_path / "run"
     graycast("generate", write_cell(tmp_path), "--out", out, "--scenes", 10, "--device", "cuda")
-    graycast("train", out, "--out", run, "--epochs", 2, "--size", 128, "--device", "cuda")
-    graycast("detect", run, out, "--split", "test", "--out", tmp_path / "found", "--device", "cuda")
+    graycast(
+        "detector",
+        "train",
+        out,
+        "--out",
+        run,
+        "--epochs",
+        2,
+        "--longest-side",
+        128,
+        "--device",
+        "cuda",
+    )
+    graycast(
+        "detector",
+        "find",
+        run,
+        out,
+        "--split",
+        "test",
+        "--out",
+        tmp_path / "found",
+        "--device",
+        "cuda",
+    )
     assert (tmp_path / "found").is_dir()
 
 
@@ -205,4 +228,4 @@ def test_a_robot_picks_before_the_gpu_s_scanner(tmp_path):
     for package in ("pinocchio", "ompl", "toppra"):
         pytest.importorskip(package, reason="needs make extras")
     cell = Path(DEMO).parent / "cells" / "ur5e_suction.yaml"
-    graycast("pick", cell, "--bins", 1, "--out", tmp_path / "picks", "--device", "cuda")
+    graycast("robot", "pick", cell, "--bins", 1, "--out", tmp_path / "picks", "--device", "cuda")

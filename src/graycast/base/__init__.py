@@ -12,7 +12,7 @@ Each imports only from those above it:
     streams          independent streams of random numbers, by the seed that they are of
     robust           standard deviations that outliers do not spoil
     color            the colour encoding of all pictures on disk
-    frames           rigid transforms, rotations and the pixel grid
+    frames           rigid transforms, rotations, the pixel grid and units of length
     mask_box         the box about a mask's pixels
     ply              point clouds and meshes as PLY files
     progress         what a long task tells whoever waits for it

@@ -1,4 +1,4 @@
-"""Rigid transforms, rotations and the pixel grid.
+"""Rigid transforms, rotations, the pixel grid and units of length.
 
 `T_a_b` maps coordinates of frame b to frame a, so neighbours cancel:
 `T_world_cam @ T_cam_part` is `T_world_part`. Transforms are float64 `(4, 4)` arrays.
@@ -8,6 +8,8 @@ World z is up. A camera or projector looks along its z; x is right, y is down.
 import numpy as np
 
 from .array_types import Float
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}  # in metres
 
 
 def rigid(

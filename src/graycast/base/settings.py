@@ -20,6 +20,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     TypeAdapter,
     ValidationError,
     create_model,
@@ -52,6 +53,19 @@ class Settings(BaseModel):
     """What a user writes: unknown keys, NaN and infinity are refused, and nothing changes later."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core: Any, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe a key that holds a section by the first paragraph of that section."""
+        schema = handler(core)
+        for node in handler.resolve_ref_schema(schema).get("properties", {}).values():
+            for option in (node, *node.get("anyOf", ())):
+                if "$ref" in option and "description" not in node:
+                    about = handler.resolve_ref_schema(option)["description"]
+                    node["description"] = " ".join(about.split("\n\n")[0].split())
+        return schema
 
 
 # --- dataclasses and their sections ------------------------------------------------------------

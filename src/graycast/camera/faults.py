@@ -3,7 +3,7 @@
 A scanner that outputs a smaller or rectified map selects one of several measured points for each
 pixel. The point is right, but on a sloping surface its depth differs from the depth at the centre
 of the pixel. On a steep surface such a scanner leaves out points whose depth is too different, so
-the error ends at a limit: in five real scans of a Photoneo PhoXi it does (docs/how-to/twin.md).
+the error ends at a limit: in five real scans of a PhoXi it does (docs/measurements/twin.md).
 
 The positions are fixed, because they belong to the raster and not to a shot.
 

@@ -3,7 +3,7 @@
 In scans of a real bin and its parts, the amplitude of the depth noise differs between patches of
 about 10 mm. It belongs to the surface: it is the same in every scan of a surface, and neither the
 same pixel nor the same ray of the projector has it on another surface. Brightness does not explain
-it (docs/how-to/twin.md).
+it (docs/measurements/twin.md).
 
 Leaves out: patches that move with their surface, since a capture has patches of its own. Their size
 in the picture is the same everywhere.

@@ -44,15 +44,22 @@ APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureSpec:
-    """How long the sensor looks.
+    """A fixed exposure time, or the one that brings the white frame to a target."""
 
-    A fixed time, or the one that brings a percentile of the white frame to a share `target` of the
-    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
-    """
-
-    exposure_s: Positive | None = None
-    percentile: Annotated[float, Field(gt=0, le=100)] = 99.0
-    target: Annotated[float, Field(gt=0, le=1)] = 0.8
+    exposure_s: Annotated[
+        Positive | None,
+        Field(description="The exposure time in seconds, instead of percentile and target."),
+    ] = None
+    percentile: Annotated[
+        float,
+        Field(gt=0, le=100, description="The percentile of the white frame that reaches target."),
+    ] = 99.0
+    target: Annotated[
+        float,
+        Field(
+            gt=0, le=1, description="The value at the percentile, as a share of the sensor's range."
+        ),
+    ] = 0.8
     factors: Annotated[
         tuple[Positive, ...],
         Field(
@@ -335,9 +342,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
 _PHOXI_PITCH_M = 3.45e-6  # Sony's IMX252 and its kin have 2064 x 1544 pixels of this pitch.
 _PHOXI_F_NUMBER = 4.0
-# Five real scans show them by their noise on black, on white and on slopes (docs/how-to/rigs.md).
+# Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# It gives phoxi-l the temporal noise that its maker states (docs/measurements/measuring.md). Over
+# It gives phoxi-l the temporal noise that its maker states (docs/measurements/accuracy.md). Over
 # this length it is independent from pixel to pixel, as most noise of those scans is.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.

@@ -35,24 +35,46 @@ SATURATION_SIGMAS = 4.0
 class SensorSpec:
     """A linear sensor and the stop of the lens before it; the default is a 5-megapixel CMOS chip.
 
-    `wavelength_m` is that of the light, at which `quantum_efficiency` holds. `dsnu_e` is the
-    standard deviation of the pixels' offsets, `prnu` that of their relative gains; both patterns
-    are white and follow from `fpn_seed` alone, so they are the same in every capture.
+    The fixed patterns (`dsnu_e`, `prnu`) are white and follow from `fpn_seed` alone, so they are
+    the same in every capture.
     """
 
-    pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] = 3.45e-6
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.6
+    pixel_pitch_m: Annotated[
+        float, Field(gt=0, le=1e-3, description="The side of a pixel in metres.")
+    ] = 3.45e-6
+    quantum_efficiency: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=1,
+            description="The share of the photons that become electrons, at wavelength_m.",
+        ),
+    ] = 0.6
     wavelength_m: Annotated[
         float, Field(gt=0, le=1e-4, description="Wavelength of the measured light in metres.")
     ] = 525e-9
-    f_number: Positive = 8.0
-    lens_transmission: Annotated[float, Field(gt=0, le=1)] = 1.0
-    full_well_e: Positive = 10_000.0
-    read_noise_e: Level = 3.0
-    dark_current_e_s: Level = 1.0
-    gain_dn_per_e: Positive = 0.39
-    offset_dn: Level = 64.0
-    bit_depth: Annotated[int, Field(ge=1, le=16)] = 12
+    f_number: Annotated[Positive, Field(description="The f-number of the lens.")] = 8.0
+    lens_transmission: Annotated[
+        float, Field(gt=0, le=1, description="The share of the light that passes the lens.")
+    ] = 1.0
+    full_well_e: Annotated[Positive, Field(description="The electrons that a pixel can hold.")] = (
+        10_000.0
+    )
+    read_noise_e: Annotated[
+        Level, Field(description="The standard deviation of the read noise in electrons.")
+    ] = 3.0
+    dark_current_e_s: Annotated[
+        Level, Field(description="The dark current in electrons per second.")
+    ] = 1.0
+    gain_dn_per_e: Annotated[Positive, Field(description="The digital numbers per electron.")] = (
+        0.39
+    )
+    offset_dn: Annotated[
+        Level, Field(description="The mean stored value without light, in digital numbers.")
+    ] = 64.0
+    bit_depth: Annotated[
+        int, Field(ge=1, le=16, description="The number of bits of a stored value.")
+    ] = 12
     dsnu_e: Annotated[
         float,
         Field(ge=0, description="Standard deviation of the pixels' offsets in electrons (DSNU)."),

@@ -9,12 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import (
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..base.errors import ConfigError
 from ..base.file_limits import refuse_large_picture
@@ -44,8 +39,11 @@ from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 class BinSection(Settings):
     """A bin: a box of stated inner sizes, or a mesh file."""
 
-    inner_m: tuple[Inner, Inner, Inner] = (0.40, 0.30, 0.15)
-    wall_m: Wall = 0.012
+    inner_m: tuple[Inner, Inner, Inner] = Field(
+        (0.40, 0.30, 0.15),
+        description="The inner length, width and height of the box, in metres.",
+    )
+    wall_m: Wall = Field(0.012, description="The thickness of the walls in metres.")
     mesh: Path | None = Field(
         None,
         description="An OBJ, PLY, STL or GLB file of the bin, which replaces inner_m and wall_m.",
@@ -69,7 +67,9 @@ class BinSection(Settings):
         description="The material of the inner floor. Without this key, it is the material "
         "of the walls.",
     )
-    friction: Level = 0.5
+    friction: Level = Field(
+        0.5, description="The coefficient of friction between the bin and the parts."
+    )
 
     @model_validator(mode="after")
     def _one_shape(self) -> "BinSection":
@@ -94,8 +94,12 @@ class EnvironmentSection(Settings):
 
 
 class LightSection(Settings):
+    """The light of the cell: its environment and its lamps."""
+
     environment: EnvironmentSection = EnvironmentSection()
-    lamps: tuple[Lamp, ...] = (Lamp(center_m=(0.7, -0.5, 1.6)),)
+    lamps: tuple[Lamp, ...] = Field(
+        (Lamp(center_m=(0.7, -0.5, 1.6)),), description="The lamps of the cell."
+    )
 
 
 class CyclesSection(Settings):
@@ -113,6 +117,8 @@ class CyclesSection(Settings):
 
 
 class RenderSection(Settings):
+    """How pictures are rendered."""
+
     backend: Literal["mitsuba", "cycles"] = Field(
         "mitsuba",
         description="The renderer. mitsuba renders all patterns in one pass; "
@@ -132,7 +138,7 @@ class StoreSection(Settings):
     """What a scene's folder holds in addition to pictures, depth and labels."""
 
     frames: bool = Field(
-        False, description="Keep every picture as the sensor stored it, for graycast decode."
+        False, description="Keep every picture as the sensor stored it, for graycast rig decode."
     )
     columns: bool = Field(
         False, description="Keep the decoded projector columns and rows with their deviations."
@@ -153,14 +159,18 @@ class Config(ScannerSections):
     The sections code, exposure, sensor, decode and filters replace settings of the rig.
     """
 
-    parts: tuple[PartSection, ...] = Field(min_length=1)
+    parts: tuple[PartSection, ...] = Field(
+        min_length=1, description="The kinds of parts that fall into the bin."
+    )
     mix: bool = Field(
         False,
         description="Whether each scene has parts of all kinds. Otherwise each scene has one "
         "kind, and the kinds alternate.",
     )
     count: int | tuple[int, int] = Field(
-        30, description="The number of parts in a scene, or its lowest and its highest value."
+        30,
+        description="The number of parts in a scene, from 1 to 255, or its lowest and its highest "
+        "value.",
     )
     scenes: int = Field(
         3, ge=1, description="The number of scenes. The option --scenes replaces it."
@@ -197,9 +207,7 @@ class Config(ScannerSections):
     )
     render: RenderSection = RenderSection()
     drop: DropLimits = DropLimits()
-    store: StoreSection = Field(
-        StoreSection(),
-    )
+    store: StoreSection = StoreSection()
 
     @field_validator("count", mode="wrap")
     @classmethod

@@ -225,9 +225,7 @@ def read_origin(out: Path) -> Origin:
         return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rigs))
     except (Unreadable, ValidationError, KeyError) as error:
         why = " ".join(str(error).split())
-        raise DatasetError(
-            f"{out} holds no dataset that this Graycast made ({why}): give its --config"
-        ) from error
+        raise DatasetError(f"{out} holds no dataset that this Graycast made ({why})") from error
 
 
 def rerender(

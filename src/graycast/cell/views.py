@@ -39,8 +39,15 @@ class ViewSection(Settings):
         "Without this key, the lines of sight of camera and projector meet at the "
         "target.",
     )
-    tilt_deg: float = Field(0.0, ge=0, le=80)
-    azimuth_deg: float = 0.0
+    tilt_deg: float = Field(
+        0.0,
+        ge=0,
+        le=80,
+        description="The angle between the viewing axis and the vertical, in degrees.",
+    )
+    azimuth_deg: float = Field(
+        0.0, description="The rotation of the rig about the vertical, in degrees."
+    )
     target_m: Vector | None = Field(
         None,
         description="The point in the world that the rig looks at, in metres. Without this "
@@ -75,7 +82,7 @@ def _refuse_no_pose(pose: tuple[float, ...], name: str) -> None:
 class DomeSection(Settings):
     """Camera poses on a dome above the target, drawn for each scene, uniform over solid angle."""
 
-    kind: Literal["dome"]
+    kind: Literal["dome"] = Field(description="The kind of the poses: dome.")
     count: Count = Field(description="The number of images of a scene.")
     distance_m: PositiveSpan | None = Field(
         None,
@@ -85,13 +92,15 @@ class DomeSection(Settings):
     tilt_deg: Tilt = Field(
         (0.0, 40.0), description="The angle between the viewing axis and the vertical, in degrees."
     )
-    azimuth_deg: Angle = (-180.0, 180.0)
+    azimuth_deg: Angle = Field(
+        (-180.0, 180.0), description="The rotation of the rig about the vertical, in degrees."
+    )
 
 
 class PathSection(Settings):
     """Camera poses along a path, as of a camera in a robot's hand, the same in all scenes."""
 
-    kind: Literal["path"]
+    kind: Literal["path"] = Field(description="The kind of the poses: path.")
     count: Annotated[int, Field(ge=2, le=MOST_VIEWS)] = Field(
         description="The number of images. The first one is at the first waypoint, the last one "
         "at the last waypoint."
@@ -106,7 +115,7 @@ class PathSection(Settings):
 class JitterSection(Settings):
     """Camera poses near the view, drawn for each scene; beyond 3 sigma they are drawn again."""
 
-    kind: Literal["jitter"]
+    kind: Literal["jitter"] = Field(description="The kind of the poses: jitter.")
     count: Count = Field(description="The number of images of a scene.")
     position_m: Level = Field(
         0.01, description="The sigma along each of the world's axes, in metres."

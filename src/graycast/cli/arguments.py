@@ -1,15 +1,16 @@
-"""Arguments that several commands share."""
+"""Arguments of commands: the table of the flags that several share, and what reads them."""
 
 import argparse
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ..base.errors import GraycastError
+from ..base.frames import UNITS_M
 from ..rig.pair import PRESETS, RESOLUTIONS
 from .bars import open_stages
 
@@ -17,74 +18,290 @@ if TYPE_CHECKING:
     from ..cell.engine import Workers
 
 Run = Callable[[argparse.Namespace], int | None]
+Kind = Callable[[str], Any] | tuple[str, ...] | None
+_DEBUG = "Print the Python traceback of an error, not only its message."
+CONTINUE = "run the same command again to continue"
 
 
-def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
-    """Add a command and return its parser."""
-    command = into.add_parser(name, help=help, description=help)
-    command.add_argument(
-        "--debug",
-        action="store_true",
-        help="Print the Python traceback of an error, not only its message.",
-    )
-    command.set_defaults(run=run, when_stopped="nothing was written")
+def add_group(commands, name: str, help: str):
+    """Add a group; return what its commands are added to. The group alone prints its help."""
+    group = commands.add_parser(name, help=help, description=help)
+    group.set_defaults(run=lambda _: group.print_help())
+    group._positionals.title = "commands"
+    return group.add_subparsers(metavar="COMMAND", required=False)
+
+
+def add_command(
+    into,
+    name: str,
+    run: Run,
+    help: str,
+    *,
+    example: str,
+    more: str = "",
+    when_stopped: str = "nothing was written",
+) -> argparse.ArgumentParser:
+    """Add a command and return its parser.
+
+    Args:
+        help: what the list of commands says of it.
+        example: the arguments that one gives most, with which its own help begins.
+        more: sentences that its own help adds.
+        when_stopped: what Ctrl-C leaves.
+    """
+    command = into.add_parser(name, help=help)
+    words = " ".join(f"{help} {more}".split())
+    line = f"{command.prog} {example}".rstrip()
+    command.description = f"For example:\n  {line}\n\n{words}"
+    rest = command.add_argument_group("about errors")  # it stands below the options
+    rest.add_argument("--debug", action="store_true", help=_DEBUG)
+    command.set_defaults(run=run, when_stopped=when_stopped)
     return command
 
 
+# --- what a text may be ------------------------------------------------------------------------
+
+
+def whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+    return int(text)
+
+
+def positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def above_zero(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number greater than 0")
+    return value
+
+
+def share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 1")
+    return value
+
+
+def size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
+    return int(width), int(height)
+
+
+def distortion(text: str) -> tuple[float, float, float, float, float]:
+    try:
+        k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not five numbers k1,k2,p1,p2,k3, separated by commas"
+        ) from None
+    return k1, k2, p1, p2, k3
+
+
+# --- the shared flags: each has one meaning ----------------------------------------------------
+
+_METAVARS: Mapping[object, str] = {
+    whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", Path: "PATH",
+    distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES", "--on": "DATASET",
+    "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--intrinsics": "K",
+    "--scale": "METRES", "--near": "METRES", "--far": "METRES",
+}  # fmt: skip
+
+SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
+    "--seed": (whole, "The seed of all random numbers. The same seed gives the same result."),
+    "--device": (("auto", "cpu", "cuda", "optix"),
+        "The device that renders or runs the network. auto uses the GPU if it works and the CPU "
+        "otherwise; optix is for Cycles only."),
+    "--backend": (("mitsuba", "cycles"),
+        "The renderer. mitsuba renders all patterns in one pass; cycles renders them one after "
+        "the other."),
+    "--resolution": (RESOLUTIONS,
+        "The resolution of a preset's pictures. A rig file states its own resolution, so this "
+        "option is refused with one."),
+    "--workers": (positive, "How many processes work at the same time."),
+    "--threads": (positive, "The number of processor threads of each process."),
+    "--engine": (("local", "ray"),
+        "Where the workers run: local starts processes on this machine; ray uses a Ray cluster "
+        "and needs pip install 'graycast[ray]'."),
+    "--address": (str, "The address of the Ray cluster. It needs --engine ray."),
+    "--scene": (whole, "The number of the scene, counted from 0."),
+    "--split": (("train", "val", "test"), "The set of scenes that is used."),
+    "--shares": (str,
+        "The shares of scenes in the train, val and test sets, such as 0.8,0.1,0.1."),
+    "--split-seed": (whole, "The seed of the division by --shares."),
+    "--min-visibility": (share,
+        "The smallest visible share of an instance, from 0 to 1. Instances below it are left "
+        "out."),
+    "--one-class": (None, "Treat all parts as one class, whatever their kind."),
+    "--on": (Path, "The dataset to which the results belong, or an export of it."),
+    "--resamples": (positive,
+        "The number of bootstrap resamples of the scenes for the confidence intervals."),
+    "--max-detections": (positive, "The largest number of detections in a picture."),
+    "--min-score": (share, "The lowest score of a detection that is kept, from 0 to 1."),
+    "--files": (Path,
+        "The folder in which the relative paths of the stored configuration begin. It is needed "
+        "only if the configuration names files by relative paths."),
+    "--config": (Path, "The configuration of the cell, with its bin, rig and light."),
+    "--width": (positive, "The largest width of a picture in pixels."),
+    "--list": (None, "Only list the combinations, without running them."),
+    "--intrinsics": (str,
+        "The camera's intrinsics in pixels: the four numbers fx,fy,cx,cy, or a file that holds "
+        "the camera matrix K."),
+    "--distortion": (distortion,
+        "The distortion coefficients of the lens in OpenCV's order: k1,k2,p1,p2,k3."),
+    "--scale": (above_zero,
+        "The length of one unit of depth in metres, such as 0.001 for millimetres. Files of "
+        "integers need it. Files of floating-point numbers are taken to be in metres without "
+        "it."),
+    "--size": (size,
+        "The width and height of the depth map in pixels, such as 1032x772. It is needed for "
+        "PLY point clouds that do not state it."),
+    "--rgb": (Path, "The colour pictures, one for each depth map in the same order."),
+    "--unit": (tuple(UNITS_M),
+        "The unit of the lengths in the file. It is needed only if the file does not make it "
+        "clear."),
+    "--near": (above_zero, "The nearest working distance in metres."),
+    "--far": (above_zero, "The farthest working distance in metres."),
+}  # fmt: skip
+
+
+def add_option(
+    parser: argparse.ArgumentParser,
+    name: str,
+    kind: Kind,
+    help: str,
+    default: object = None,
+    *,
+    usual: str | None = None,
+    **more: Any,
+) -> None:
+    """Add an option, or an argument without dashes.
+
+    Args:
+        kind: a function that reads the text, a tuple of choices, or None for a switch.
+        usual: the words for the default, where the value itself would tell nothing.
+        more: as of `add_argument`.
+    """
+    usual = str(default) if usual is None and default is not None else usual
+    if usual is not None:
+        help = f"{help.removesuffix('.')} (default: {usual})."
+    if kind is None:
+        parser.add_argument(name, action="store_true", help=help)
+    elif isinstance(kind, tuple):
+        parser.add_argument(name, choices=kind, default=default, help=help, **more)
+    else:
+        if name.startswith("-"):
+            more.setdefault("metavar", _METAVARS.get(name) or _METAVARS.get(kind))
+        parser.add_argument(name, type=kind, default=default, help=help, **more)
+
+
+def add_shared(
+    parser: argparse.ArgumentParser,
+    *names: str,
+    default: object = None,
+    usual: str | None = None,
+    **more: Any,
+) -> None:
+    """Add options of the table of shared flags."""
+    for name in names:
+        kind, help = SHARED[name]
+        add_option(parser, name, kind, help, default, usual=usual, **more)
+
+
+def add_out(parser: argparse.ArgumentParser, help: str, *, required: bool = True) -> None:
+    """Add `--out`, the folder or the file that a command writes."""
+    add_option(parser, "--out", Path, help, required=required)
+
+
 def add_config(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "config",
-        type=Path,
-        help="The YAML file of the configuration. The folder configs/ has examples.",
-    )
-
-
-def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
-    default_text = "as configured" if default is None else default
-    parser.add_argument(
-        "--seed",
-        type=seed,
-        default=default,
-        help="The seed of all random numbers. The same seed gives the same result (default: "
-        f"{default_text}).",
-    )
+    help = "The YAML file of the configuration. The folder configs/ has examples."
+    add_option(parser, "config", Path, help)
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--device",
-        choices=("auto", "cpu", "cuda", "optix"),
-        default="auto",
-        help="The device that renders. auto uses the GPU if it works and the CPU otherwise; "
-        "optix is for Cycles only (default: auto).",
-    )
-
-
-def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    default_text = "as configured" if default is None else default
-    parser.add_argument(
-        "--backend",
-        choices=("mitsuba", "cycles"),
-        default=default,
-        help="The renderer. mitsuba renders all patterns in one pass; cycles renders them "
-        f"one after the other (default: {default_text}).",
-    )
+    add_shared(parser, "--device", default="auto")
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "rig", help=f"The rig: a path to a rig file, or the name of a preset: {', '.join(PRESETS)}."
-    )
-    add_resolution(parser)
+    presets = f"a path to a rig file, or the name of a preset: {', '.join(PRESETS)}"
+    add_option(parser, "rig", str, f"The rig: {presets}.")
+    add_shared(parser, "--resolution", usual="low")
 
 
-def add_resolution(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--resolution",
-        choices=RESOLUTIONS,
-        help="The resolution of a preset's pictures. A rig file states its own resolution, "
-        "so this option is refused with one (default: low).",
+def add_division(parser: argparse.ArgumentParser, *, shares: str | None, usual: str = "") -> None:
+    """Add the options that divide a dataset; `usual` tells what None as `shares` means."""
+    add_shared(parser, "--shares", default=shares, usual=usual or None)
+    add_shared(parser, "--split-seed", default=0)
+
+
+def add_scoring(parser: argparse.ArgumentParser, *, split: str) -> None:
+    """Add the options of scores against a dataset; `split` is the default set in words."""
+    add_shared(parser, "--on", required=True)
+    add_out(parser, "The folder to write.")
+    add_shared(parser, "--split", usual=split)
+    add_division(parser, shares=None, usual="the division with which the results were made")
+    add_shared(parser, "--min-visibility", default=0.1)
+    add_shared(parser, "--resamples", default=1000)
+    add_shared(parser, "--seed", default=0)
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add the options for workers of scenes, which `workers_of` reads."""
+    many = "1; with --engine ray, as many as the cluster has room for"
+    add_shared(parser, "--workers", usual=many)
+    threads = "those of this machine, divided equally; with --engine ray, 1"
+    add_shared(parser, "--threads", usual=threads)
+    add_shared(parser, "--engine", default="local")
+    add_shared(parser, "--address", usual="a Ray instance on this machine")
+
+
+# --- what options mean -------------------------------------------------------------------------
+
+
+def workers_of(options: argparse.Namespace) -> "Workers":
+    """Read the options that `add_workers` added.
+
+    Raises:
+        GraycastError: `--address` is given without `--engine ray`.
+    """
+    from ..cell.engine import Workers
+
+    if options.address is not None and options.engine != "ray":
+        raise GraycastError(
+            "--address applies only to a Ray cluster: add --engine ray, or remove --address"
+        )
+    return Workers(
+        engine=options.engine,
+        count=options.workers or (1 if options.engine == "local" else 0),
+        threads=options.threads,
+        address=options.address,
     )
+
+
+def division_of(options: argparse.Namespace):
+    """The division of the dataset by `--shares`; None without that option."""
+    from ..dataset.export import Split, parse_shares
+
+    if options.shares is None and options.split_seed:
+        raise GraycastError(
+            "--split-seed applies only with --shares: add --shares, or remove --split-seed"
+        )
+    if options.shares is None:
+        return None
+    return Split(shares=parse_shares(options.shares), seed=options.split_seed)
 
 
 def resolve_rig_option(options: argparse.Namespace):
@@ -108,102 +325,25 @@ def load_cell(options: argparse.Namespace):
             f"{options.config}: no such file: check the path, or write a configuration with "
             "'graycast new'; 'graycast demo' needs none"
         )
-    return resolve_cell_option(load_config(options.config), options)
-
-
-def resolve_cell_option(config, options: argparse.Namespace):
-    """Build a cell; relative paths start in the folder of `options.config`."""
-    from ..cell.resolve import resolve_cell
-
+    config = load_config(options.config)
     if getattr(options, "backend", None) is not None:
         render = config.render.model_copy(update={"backend": options.backend})
         config = config.model_copy(update={"render": render})
+    return resolve_config(config, options.config, options.config.parent)
+
+
+def resolve_config(config, name: Path, folder: Path):
+    """Build a cell of which relative paths start in `folder`; errors begin with `name`."""
+    from ..cell.resolve import resolve_cell
+
     try:
         with open_stages() as progress:
-            cell = resolve_cell(config, options.config.parent, progress=progress)
+            cell = resolve_cell(config, folder, progress=progress)
     except (GraycastError, ValueError, OSError) as error:
-        raise GraycastError(f"{options.config}: {error}") from error
+        raise GraycastError(f"{name}: {error}") from error
     for note in cell.notes:
         print(f"note: {note}")
     return cell
-
-
-def positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
-    return int(text)
-
-
-def above_zero(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number greater than 0")
-    return value
-
-
-def seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
-    return int(text)
-
-
-def share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 1")
-    return value
-
-
-def size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
-    return int(width), int(height)
-
-
-def add_scanner_files(
-    parser: argparse.ArgumentParser, *, intrinsics: str = "", distortion: str | None = None
-) -> None:
-    """Add the options for what a scanner's depth files do not state themselves.
-
-    Args:
-        intrinsics: the words that the help of `--intrinsics` adds about its default.
-        distortion: the same for `--distortion`; None for a command without that option.
-    """
-    parser.add_argument(
-        "--intrinsics",
-        metavar="K",
-        help="The camera's intrinsics in pixels: the four numbers fx,fy,cx,cy, or a file "
-        f"that holds the camera matrix K{intrinsics}.",
-    )
-    if distortion is not None:
-        parser.add_argument(
-            "--distortion",
-            metavar="D",
-            help="The distortion coefficients of the lens in OpenCV's order: "
-            f"k1,k2,p1,p2,k3{distortion}.",
-        )
-    parser.add_argument(
-        "--scale",
-        type=above_zero,
-        metavar="METRES",
-        help="The length of one unit of depth in metres, such as 0.001 for millimetres. "
-        "Files of integers need it. Files of floating-point numbers are taken to be in "
-        "metres without it.",
-    )
-    parser.add_argument(
-        "--size",
-        type=size,
-        metavar="WxH",
-        help="The width and height of the depth map in pixels, such as 1032x772. It is "
-        "needed for PLY point clouds that do not state it.",
-    )
 
 
 def intrinsics_of(options: argparse.Namespace) -> Float[np.ndarray, "3 3"] | None:
@@ -211,71 +351,6 @@ def intrinsics_of(options: argparse.Namespace) -> Float[np.ndarray, "3 3"] | Non
     from ..real.depth_file import read_intrinsics
 
     return None if options.intrinsics is None else read_intrinsics(options.intrinsics)
-
-
-def distortion_of(options: argparse.Namespace) -> tuple[float, float, float, float, float] | None:
-    """The five coefficients of `--distortion`; None without that option."""
-    text = options.distortion
-    if text is None:
-        return None
-    try:
-        k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
-    except ValueError as error:
-        raise GraycastError(
-            f"--distortion is {text!r}: give the five numbers k1,k2,p1,p2,k3, separated by commas"
-        ) from error
-    return k1, k2, p1, p2, k3
-
-
-def add_workers(parser: argparse.ArgumentParser, done: str) -> None:
-    """Add the options for workers; `done` completes the sentence "How many ... at the same time".
-
-    `workers_of` reads them.
-    """
-    parser.add_argument(
-        "--workers",
-        type=positive,
-        help=f"How many {done} at the same time (default: 1; with --engine ray, as many as "
-        "the cluster has room for).",
-    )
-    parser.add_argument(
-        "--threads",
-        type=positive,
-        help="The number of processor threads of each worker (default: the threads of this "
-        "machine, divided equally among the workers; with --engine ray, 1).",
-    )
-    parser.add_argument(
-        "--engine",
-        choices=("local", "ray"),
-        default="local",
-        help="Where the workers run: local starts processes on this machine; ray uses a Ray "
-        "cluster and needs pip install 'graycast[ray]' (default: local).",
-    )
-    parser.add_argument(
-        "--address",
-        help="The address of the Ray cluster as host:port. It needs --engine "
-        "ray (default: a Ray instance on this machine).",
-    )
-
-
-def workers_of(options: argparse.Namespace) -> "Workers":
-    """Read the options that `add_workers` added.
-
-    Raises:
-        GraycastError: `--address` is given without `--engine ray`.
-    """
-    from ..cell.engine import Workers
-
-    if options.address is not None and options.engine != "ray":
-        raise GraycastError(
-            "--address applies only to a Ray cluster: add --engine ray, or remove --address"
-        )
-    return Workers(
-        engine=options.engine,
-        count=options.workers or (1 if options.engine == "local" else 0),
-        threads=options.threads,
-        address=options.address,
-    )
 
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:

@@ -1,63 +1,105 @@
-"""The command line: the list of commands, and how their errors are reported."""
+"""The command line: the groups of commands, and how their errors are reported."""
 
 import argparse
 import os
 import select
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from .. import __version__
 from ..base.errors import GraycastError, error_line
 from . import (
-    completing,
-    datasets,
-    designing,
-    detecting,
-    evaluating,
-    exporting,
-    fitting,
-    generating,
-    labelling,
-    living,
-    looking,
-    machine,
-    measuring,
-    merging,
-    picking,
-    rigs,
-    starting,
-    twinning,
+    dataset_commands,
+    detector_commands,
+    real_commands,
+    rig_commands,
+    robot_commands,
+    scene_commands,
+    start_commands,
 )
 
-COMMAND = "COMMAND"
+COMPLETION = """\
+Print a script with which a shell completes commands, options and names of files. For
+bash, write it to ~/.local/share/bash-completion/completions/graycast; for zsh, to a file _graycast
+in a folder that $fpath names. A new shell reads it."""
+
+
 EXAMPLES = """\
 examples:
-  graycast demo                                          make a small dataset and its picture
-  graycast new bracket --part bracket.stl --unit mm      write a cell for your own part
-  graycast generate configs/demo.yaml --out out/demo     make three scenes of brackets in a box
-  graycast preview configs/own_part.yaml --out p.png     draw one scene of your own part
-  graycast live configs/demo.yaml                        show a cell in the browser
-  graycast validate out/demo                             check the files of a dataset
-  graycast report out/demo --out out/page                make a web page of a dataset
-  graycast train out/demo --out out/detector             train a detector on a dataset
-  graycast detect out/detector out/demo --out out/found  find parts in pictures
-  graycast merge out/demo --out out/clouds               make one cloud of each scene's views
-  graycast export out/demo --format coco --out out/coco  write a dataset in another format
-  graycast evaluate run --on out/demo --out out/scores   score detections
-  graycast pick configs/cells/ur5e_suction.yaml --out p  let a simulated robot empty bins
-  graycast grasps out/demo --tool tool.yaml              label where a gripper can hold parts
-  graycast design configs/design/brackets.yaml --out d   compare scanners and their poses
-  graycast decode stack.yaml --rig rig.yaml --out cloud  decode a real scanner's pictures
-  graycast certify phoxi-l --out sheet                   measure the accuracy of a virtual scanner
-  graycast realism real/ --intrinsics K.json --out r     measure the statistics of depth maps
-  graycast twin real/ --config cell.yaml --out twin.yaml fit a simulated scanner to real scans
-  graycast rig show phoxi-m --out rig.png                draw a rig and its working range
-  graycast doctor                                        check what this machine has installed
+  graycast demo                                      make a small dataset and its picture
+  graycast new bracket --part bracket.stl --unit mm  write a cell for your own part
+  graycast preview bracket/cell.yaml --out p.png     draw one scene of it
+  graycast generate bracket/cell.yaml --out data     make its dataset
+  graycast report data --out page                    make a web page of the dataset
+  graycast detector train data --out detector        train a detector on it
+  graycast robot --help                              list the commands of a group
 """
+
+
+class Help(argparse.HelpFormatter):
+    """Help of which the usage has only what must be given, and which keeps indented lines."""
+
+    def _format_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[argparse._MutuallyExclusiveGroup],
+        prefix: str | None,
+    ) -> str:
+        needed = [group for group in groups if group.required]
+        either = [action for group in needed for action in group._group_actions]
+        every = list(actions)
+        words = [action for action in every if not action.option_strings]
+        options = [a for a in every if a.option_strings and (a.required or a in either)]
+        text = super()._format_usage(usage, words, [], prefix).rstrip()
+        if options:
+            more = super()._format_usage(None, options, needed, "").strip()
+            text += more.removeprefix(self._prog)
+        return text + (" [options]" if len(words) + len(options) < len(every) else "") + "\n\n"
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        fill = super()._fill_text
+        return "\n".join(
+            line if line.startswith("  ") or not line else fill(line, width, indent)
+            for line in text.split("\n")
+        )
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose error names the word that was probably meant, and not thirty others."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**({"formatter_class": Help} | settings))
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError:
+            words = [str(choice) for choice in action.choices or ()]
+            near = get_close_matches(str(value), words, n=3)
+            if isinstance(action, argparse._SubParsersAction):
+                near = _in_groups(action, str(value)) or near
+            elif not near:
+                raise
+            help_for = f"{self.prog} --help lists all"
+            meant = f"did you mean {' or '.join(near)}?" if near else help_for
+            raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
+
+
+def _in_groups(commands: argparse._SubParsersAction, word: str) -> list[str]:
+    """The commands of this name in groups, such as `dataset export` of `export`."""
+    groups = [
+        (group, action.choices)
+        for group, parser in commands.choices.items()
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+    ]
+    return [f"{group} {name}" for group, inner in groups for name in inner if name == word]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -95,50 +137,48 @@ def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose error names the word that was probably meant, and not thirty others."""
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        try:
-            super()._check_value(action, value)
-        except argparse.ArgumentError:
-            words = [str(choice) for choice in action.choices or ()]
-            near = get_close_matches(str(value), words, n=3)
-            if not near and action.metavar != COMMAND:
-                raise
-            help_for = f"{self.prog} --help lists all"
-            meant = f"did you mean {' or '.join(near)}?" if near else help_for
-            raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
-
-
 @cache  # a process that runs several commands, as the tests do, builds it once
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="graycast",
         description="Graycast simulates a structured-light camera and makes bin-picking "
         "datasets with it.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
-    parser.set_defaults(run=lambda _: parser.print_help(), debug=False, when_stopped="")
-    commands = parser.add_subparsers(metavar=COMMAND)
-    starting.add_commands(commands)
-    generating.add_commands(commands)
-    datasets.add_commands(commands)
-    looking.add_commands(commands)
-    living.add_commands(commands)
-    merging.add_commands(commands)
-    exporting.add_commands(commands)
-    detecting.add_commands(commands)
-    evaluating.add_commands(commands)
-    designing.add_commands(commands)
-    picking.add_commands(commands)
-    labelling.add_commands(commands)
-    fitting.add_commands(commands)
-    twinning.add_commands(commands)
-    rigs.add_commands(commands)
-    measuring.add_commands(commands)
-    machine.add_commands(commands)
-    completing.add_commands(commands, parser)
+    parser.add_argument("--print-completion", choices=("bash", "zsh"), help=COMPLETION)
+    parser.set_defaults(run=partial(_alone, parser), debug=False, when_stopped="")
+    commands = parser.add_subparsers(metavar="COMMAND")
+    parser._positionals.title = "commands, the first ones of a new dataset first"
+    start_commands.add_first(commands)
+    scene_commands.add_commands(commands)
+    dataset_commands.add_commands(commands)
+    detector_commands.add_commands(commands)
+    robot_commands.add_commands(commands)
+    rig_commands.add_commands(commands)
+    real_commands.add_commands(commands)
+    start_commands.add_last(commands)
     return parser
+
+
+def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """The program without a command: its help, or the script of `--print-completion`."""
+    if options.print_completion is None:
+        parser.print_help()
+        return
+    import shtab
+
+    _complete_files(parser)
+    print(shtab.complete(parser, shell=options.print_completion))
+
+
+def _complete_files(parser: argparse.ArgumentParser) -> None:
+    """Tell shtab which arguments are files."""
+    import shtab
+
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for inner in action.choices.values():
+                _complete_files(inner)
+        elif action.type is Path:
+            action.complete = shtab.FILE  # type: ignore[attr-defined]

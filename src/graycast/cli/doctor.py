@@ -24,14 +24,18 @@ _PACKAGES = {  # Each distribution has a text on what it gives.
     "pyoidn": "denoised colour pictures on a processor",
 }
 _OPTIONAL = {  # Each distribution has the command that installs it, and what it gives.
-    "torch": ("make extras", "detectors: train, detect and study"),
+    "torch": ("pip install 'graycast[detect]'", "detectors: detector train, find and study"),
+    "torchvision": ("pip install 'graycast[detect]'", "detectors: --model mask-rcnn"),
+    "onnx": ("pip install 'graycast[detect]'", "detectors: detector onnx"),
+    "onnxruntime": ("pip install 'graycast[detect]'", "detectors: the check of detector onnx"),
     "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
+    "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),
     "pin": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),
     "ompl": ("pip install 'graycast[pick]'", "robots: planning"),
     "toppra": ("pip install 'graycast[pick]'", "robots: timing of paths"),
-    "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),
-    "ray": ("pip install 'graycast[ray]'", "scenes from a cluster: generate --engine ray"),
-    "pyarrow": ("pip install 'graycast[parquet]'", "datasets as tables: export --format parquet"),
+    "scikit-learn": ("pip install 'graycast[twin]'", "real compare --classifier, and real twin"),
+    "ray": ("pip install 'graycast[ray]'", "workers on a cluster: --engine ray"),
+    "pyarrow": ("pip install 'graycast[parquet]'", "dataset export --format parquet"),
 }
 
 

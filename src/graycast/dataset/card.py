@@ -244,7 +244,7 @@ def _sample_text(s: Statistics, census: Census, of: int) -> str:
     return (
         f"The numbers of scenes and instances are of the whole dataset. All other figures and the "
         f"plots are of {s.pictures} {what}, drawn at random of {pictures:,}. "
-        "`graycast stats --card` reads all."
+        "`graycast dataset stats --card` reads all."
     )
 
 

@@ -15,7 +15,7 @@ from ..base.errors import GraycastError
 from ..base.file_limits import check_runs, parse_json
 
 RESULTS, DETECT_JSON = "results.json", "detect.json"
-WEIGHTS = "detector.pt"  # The command `graycast train` leaves it in a folder.
+WEIGHTS = "detector.pt"  # The command `graycast detector train` leaves it in a folder.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

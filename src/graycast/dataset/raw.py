@@ -1,10 +1,10 @@
 """What lies between light and depth, where a dataset keeps it: captured pictures, code maps.
 
-The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast decode` wants
-to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the scanner. The
-way from there to `depth_sl` is the scanner's own, so it gives the same numbers, except where a test
-asks for sigma: of speckle, for which `graycast decode` would need the exposure, and of the
-renderer's light paths, whose share in sigma is not kept beside the pictures.
+The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast rig decode`
+wants to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the
+scanner. The way from there to `depth_sl` is the scanner's own, so it gives the same numbers, except
+where a test asks for sigma: of speckle, for which `graycast rig decode` would need the exposure,
+and of the renderer's light paths, whose share in sigma is not kept beside the pictures.
 """
 
 import io

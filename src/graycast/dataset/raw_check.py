@@ -33,7 +33,7 @@ def raw_problems(
 ) -> Iterator[str]:
     """All that is wrong with an image's `frames/` and code maps; nothing where it keeps none.
 
-    Leaves out: whether the pictures decode to the stored depth; `graycast decode` tells.
+    Leaves out: whether the pictures decode to the stored depth; `graycast rig decode` tells.
     """
     folder, sensor = files.path, files.sensor
     try:

@@ -440,7 +440,7 @@ class StoredDataset:
 
 
 def open_dataset(folder: Path) -> StoredDataset:
-    """A dataset that `graycast generate` or `graycast import-real` made.
+    """A dataset that `graycast generate` or `graycast dataset import` made.
 
     Raises:
         DatasetError: the folder holds none, or none with a scene.

@@ -31,7 +31,9 @@ class TestSection(Settings):
 class ModelSection(Settings):
     """A network to train."""
 
-    model: str = Field(description="The network, with a name as in graycast train --model.")
+    model: str = Field(
+        description="The network, with a name as in graycast detector train --model."
+    )
     backbone: str | None = Field(
         None, description="The backbone. Without this key, it is the model's own."
     )
@@ -48,8 +50,13 @@ class EncodingSection(Settings):
     """How depth is encoded for a network. Several encodings make an ablation study."""
 
     name: str = Field(description="The name of the encoding in the table.")
-    holes: Literal["channel", "zero", "far"] = "channel"
-    relief: bool = True
+    holes: Literal["channel", "zero", "far"] = Field(
+        "channel",
+        description="How missing depth is encoded: as a channel of its own, as zero, or as far.",
+    )
+    relief: bool = Field(
+        True, description="Whether a channel holds the height over the mean of the neighbourhood."
+    )
 
 
 class StudySpec(Settings):
@@ -59,12 +66,14 @@ class StudySpec(Settings):
     """
 
     title: str = Field("Study", description="The title of the table.")
-    models: tuple[ModelSection, ...] = Field(min_length=1)
+    models: tuple[ModelSection, ...] = Field(min_length=1, description="The networks to train.")
     inputs: tuple[str, ...] = Field(
         min_length=1,
-        description="The inputs of the networks, with names as in graycast train --input.",
+        description="The inputs of the networks, with names as in graycast detector train --input.",
     )
-    encodings: tuple[EncodingSection, ...] = (EncodingSection(name="default"),)
+    encodings: tuple[EncodingSection, ...] = Field(
+        (EncodingSection(name="default"),), description="The encodings of depth to compare."
+    )
     training: dict[str, tuple[Path, ...]] = Field(
         min_length=1,
         description="The training sets by name; each is a list of folders of datasets.",
@@ -76,7 +85,7 @@ class StudySpec(Settings):
         "the score in the first minus the "
         "score in the second.",
     )
-    seeds: tuple[int, ...] = (0,)
+    seeds: tuple[int, ...] = Field((0,), description="The seeds; each one is a training.")
     split: tuple[Share, Share, Share] = Field(
         (0.8, 0.1, 0.1),
         description="The shares of train, val and test scenes in the training sets.",
@@ -84,12 +93,18 @@ class StudySpec(Settings):
     one_class: bool = Field(
         False, description="Whether all parts are one class, so that the kind of a part is ignored."
     )
-    epochs: int = Field(20, ge=1)
+    epochs: int = Field(20, ge=1, description="The number of passes over the training set.")
     longest_px: int = Field(
         320, ge=32, description="The longer side of the network's input picture in pixels."
     )
-    batch: int | None = Field(None, ge=1)
-    min_visibility: Share = 0.1
+    batch: int | None = Field(
+        None,
+        ge=1,
+        description="The number of pictures in a step. Without this key, it is the model's own.",
+    )
+    min_visibility: Share = Field(
+        0.1, description="The visible share of an instance from which it counts."
+    )
 
     @model_validator(mode="after")
     def _known_worlds(self) -> "StudySpec":

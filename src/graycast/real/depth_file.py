@@ -112,7 +112,7 @@ def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
 
 
 def depth_files(folder: Path) -> list[Path]:
-    """`depth.npy` alone where `graycast decode` wrote it, else all that may be depth."""
+    """`depth.npy` alone where `graycast rig decode` wrote it, else all that may be depth."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
     found = sorted(f for f in folder.iterdir() if f.suffix.lower() in DEPTH_FILES)

@@ -116,15 +116,18 @@ class Environment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
-    """A square area lamp that looks at `target_m`.
+    """A square area lamp, which shines in all directions in front of it; its back is black."""
 
-    Its front emits `radiance` [W sr^-1 m^-2 per band] in all directions; its back is black.
-    """
-
-    center_m: Vector
-    target_m: Vector = (0.0, 0.0, 0.0)
-    size_m: Positive = 0.3
-    radiance: BandRadiance = (15.0, 15.0, 15.0)
+    center_m: Annotated[
+        Vector, Field(description="The position of the lamp's middle in the world, in metres.")
+    ]
+    target_m: Annotated[
+        Vector, Field(description="The point at which the lamp looks, in metres.")
+    ] = (0.0, 0.0, 0.0)
+    size_m: Annotated[Positive, Field(description="The edge length of the lamp in metres.")] = 0.3
+    radiance: Annotated[
+        BandRadiance, Field(description="The radiance of each band, in W/(sr m^2).")
+    ] = (15.0, 15.0, 15.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

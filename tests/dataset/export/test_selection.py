@@ -28,7 +28,7 @@ def test_only_the_file_s_scenes_are_exported_each_in_its_own_set(master, samples
     chosen = write_selection(
         tmp_path / "s.json", master, {"train-000005": ["odd"], "train-000003": []}
     )
-    command = ["export", str(master), "--format", "coco", "--scenes", str(chosen)]
+    command = ["dataset", "export", str(master), "--format", "coco", "--selection", str(chosen)]
     assert main([*command, "--out", str(tmp_path / "coco")]) == 0
     assert read_record(tmp_path / "coco").splits == {"train": [3, 5]}
     pictures = sorted(path.stem for path in (tmp_path / "coco/images/train").iterdir())

@@ -207,7 +207,7 @@ def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
     own.rename(tmp_path / "own")
     other.rename(tmp_path / "other")
     path, out = written(tmp_path), tmp_path / "out"
-    assert main(["study", str(path), "--out", str(out), "--threads", "1"]) == 0
+    assert main(["detector", "study", str(path), "--out", str(out), "--threads", "1"]) == 0
     table = (out / "table.csv").read_text()
     row = first_row(out)
     division = Split(shares=(0.5, 0.2, 0.3))
@@ -219,11 +219,11 @@ def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
     labels = [labels_of(example, min_visibility=0.1) for example in examples]
     assert float(row["own"]) == pytest.approx(score(labels, found, kind="box").ap50)
     checkpoints = {path: path.stat().st_mtime_ns for path in out.rglob("detector.pt")}
-    assert main(["study", str(path), "--out", str(out), "--threads", "1"]) == 0
+    assert main(["detector", "study", str(path), "--out", str(out), "--threads", "1"]) == 0
     assert (out / "table.csv").read_text() == table
     assert checkpoints == {path: path.stat().st_mtime_ns for path in out.rglob("detector.pt")}
     tests = STUDY["tests"] | {"other": {"datasets": ["other"], "split": "test"}}
-    assert main(["study", str(written(tmp_path, tests=tests)), "--out", str(out)]) == 0
+    assert main(["detector", "study", str(written(tmp_path, tests=tests)), "--out", str(out)]) == 0
     held = json.loads(next(out.glob("runs/*_rgb_*/found_other_0/detect.json")).read_text())
     assert 0 < len(held["scene_ids"]) < 14  # not those of before
     told = capsys.readouterr().out.splitlines()

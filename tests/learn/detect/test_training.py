@@ -139,11 +139,12 @@ def test_it_learns_what_is_drawn(tmp_path, model, epochs):
         assert score(labels, found, kind=kind).ap50 >= 0.7, kind
 
 
-COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast", "train"]
+SMALL_NETWORK = "--model yolov3 --backbone mobilenet-v3-small --longest-side 128"
+COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast", "detector", "train"]
 
 
 def command(dataset, out, *, epochs=6):
-    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --batch 2 --split 0.7,0.3,0"
+    said = f"{SMALL_NETWORK} --batch 2 --shares 0.7,0.3,0"
     return [
         *COMMAND, str(dataset), "--out", str(out), *said.split(), "--epochs", str(epochs),
         "--device", "cpu", "--threads", "1",
@@ -191,15 +192,15 @@ def refusal(capsys, *arguments) -> str:
 
 def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
     """Each mistake names the thing and the remedy."""
-    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --epochs 1 --batch 2".split()
+    said = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
     out = tmp_path / "run"
 
     def told(*arguments, given=dataset, to=out):
-        return refusal(capsys, "train", given, "--out", to, *said, *arguments)
+        return refusal(capsys, "detector", "train", given, "--out", to, *said, *arguments)
 
     assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
     assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
-    assert "split: val gets none" in told("--split", "0.99,0.01,0", to=tmp_path / "s")
+    assert "split: val gets none" in told("--shares", "0.99,0.01,0", to=tmp_path / "s")
     assert "does not exist: give a file of weights" in told(
         "--weights", tmp_path / "no.pth", to=tmp_path / "w"
     )
@@ -345,7 +346,7 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
     with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
         train([dataset], run, SMALL)
     with pytest.raises(
-        GraycastError, match="does not exist: give a folder that graycast train wrote"
+        GraycastError, match="does not exist: give a folder that graycast detector train wrote"
     ):
         load_detector(tmp_path / "nowhere")
 
@@ -376,17 +377,16 @@ def run(dataset, tmp_path_factory) -> Path:
 
 def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
     def told(*arguments, given=dataset, out=tmp_path / "found"):
-        return refusal(capsys, "detect", run, given, "--out", out, *arguments)
+        return refusal(capsys, "detector", "find", run, given, "--out", out, *arguments)
 
     (tmp_path / "empty").mkdir()
     assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
     assert "is not a dataset, so it has no set test" in told("--split", "test", given=tmp_path)
     assert "has no set 'test'" in told("--split", "test")
-    assert "needs no pictures: remove the argument pictures" in told("--export", "onnx")
+    assert "--device optix applies only to Cycles" in told("--device", "optix")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
-    assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
     if not torch.cuda.is_available():
         assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
             "--device", "cuda"
@@ -408,7 +408,16 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
 
     def found(scale_m):
         cv2.imwrite(str(shots / "depth" / "a.png"), steps)
-        arguments = ("detect", run, shots, "--scale", scale_m, "--out", tmp_path / "found")
+        arguments = (
+            "detector",
+            "find",
+            run,
+            shots,
+            "--scale",
+            scale_m,
+            "--out",
+            tmp_path / "found",
+        )
         return main([str(word) for word in arguments]), capsys.readouterr()
 
     for factor in (10, 0.1):
@@ -427,7 +436,7 @@ def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
     for name in ("graycast.json", "train_coco.json"):
         text = (other / name).read_text()
         (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
-    told = refusal(capsys, "detect", run, other, "--out", tmp_path / "found")
+    told = refusal(capsys, "detector", "find", run, other, "--out", tmp_path / "found")
     assert "has nut, bolt, and the detector was trained on disc, box" in told
 
 
@@ -435,9 +444,9 @@ def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
     broken = write_drawn(tmp_path, 6, seed=9)
     picture = next((broken / "train").glob("000003/depth_sl/*.png"))
     picture.write_bytes(picture.read_bytes()[:200])
-    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --split 0.7,0.3,0".split()
-    for arguments in (("detect", run, broken), ("train", broken, *said)):
-        told = refusal(capsys, *arguments, "--out", tmp_path / f"out_{arguments[0]}")
+    said = f"{SMALL_NETWORK} --shares 0.7,0.3,0".split()
+    for arguments in (("find", run, broken), ("train", broken, *said)):
+        told = refusal(capsys, "detector", *arguments, "--out", tmp_path / f"out_{arguments[0]}")
         assert "000003" in told and "depth_sl" in told
 
 

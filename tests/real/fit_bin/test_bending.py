@@ -1,6 +1,5 @@
 """A bin that is not as drawn: its mesh is bent to scans of a bin whose true shape is known."""
 
-import argparse
 import json
 from dataclasses import replace
 from functools import cache
@@ -18,7 +17,7 @@ from graycast.camera.rig_file import save_scanner
 from graycast.camera.scanner import Scanner
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
-from graycast.cli.fitting import add_commands
+from graycast.cli import main
 from graycast.real.fit_bin import bend_bin, fitting
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics
@@ -142,10 +141,7 @@ def test_a_bin_elsewhere_is_refused():
 
 
 def run(*arguments):
-    parser = argparse.ArgumentParser()
-    add_commands(parser.add_subparsers())
-    options = parser.parse_args(["fit-bin", *map(str, arguments)])
-    return options.run(options)
+    return main(["real", "fit-bin", *map(str, arguments), "--debug"])
 
 
 SMALL = shrunk(CAMERA, 200, 150)

@@ -1,6 +1,5 @@
 """Empty bins through the whole virtual camera: poses, and pictures that come out alike."""
 
-import argparse
 import json
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from graycast.camera.rig_file import save_scanner
 from graycast.camera.scanner import Scanner, measure, take
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
-from graycast.cli.fitting import add_commands
+from graycast.cli import main
 from graycast.real.fit_bin import BinView, fit_look, residual_picture, shape_of
 from graycast.rendering import Quality
 from graycast.rig.pair import preset_rig
@@ -102,10 +101,7 @@ def write_shot(folder, depth_m, rgb, capture):
 
 
 def run(*arguments):
-    parser = argparse.ArgumentParser()
-    add_commands(parser.add_subparsers())
-    options = parser.parse_args(["fit-bin", *map(str, arguments)])
-    return options.run(options)
+    return main(["real", "fit-bin", *map(str, arguments), "--debug"])
 
 
 def surface_colors(cell, made, rgb):

@@ -1,6 +1,5 @@
 """Real pictures come in as they are: what was exported from a simulation is imported again."""
 
-import argparse
 import json
 import re
 import shutil
@@ -12,7 +11,7 @@ from PIL import Image
 from simulated_dataset import SCALE_MM, visible, write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.cli.exporting import add_commands
+from graycast.cli import main
 from graycast.dataset import validate
 from graycast.dataset.export import FORMATS, Options, export
 from graycast.dataset.real import absent
@@ -389,33 +388,33 @@ def test_labelme_files_that_cannot_be_used_are_told(real, samples):
 
 def run(*words):
     """A command as the command line has it."""
-    parser = argparse.ArgumentParser()
-    add_commands(parser.add_subparsers())
-    options = parser.parse_args([str(word) for word in words])
-    return options.run(options)
+    return main([*map(str, words), "--debug"])
 
 
 def test_the_commands_say_what_they_made_and_what_is_not_known(real, samples, capsys):
     out, coco = real.parent / "out", real.parent / "coco"
     said = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]
-    assert run("import-real", real, "--out", out, *said) == 0
+    assert run("dataset", "import", real, "--out", out, *said) == 0
     told = capsys.readouterr().out
     assert "2 pictures" in told and "1 box, 2 wedge" in told
     assert "not known: poses, models" in told
     np.testing.assert_array_equal(open_examples(out)[0].K, K_of(samples))
-    assert run("export", out, "--format", "coco", "--out", coco, "--split", "0.5,0.5") == 0
+    assert (
+        run("dataset", "export", out, "--format", "coco", "--out", coco, "--shares", "0.5,0.5") == 0
+    )
     assert "coco, scenes: train 1, val 1" in capsys.readouterr().out
     with pytest.raises(DatasetError, match="choose one of train, val"):
         open_examples(coco, split="test")
 
 
-def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples):
+def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples, capsys):
     distortion = (-0.1, 0.02, 1e-3, -1e-3, 0.0)
     out, _ = imported(real, samples, distortion=distortion)
     assert validate(out) == ()
     assert open_examples(out)[0].distortion == distortion
-    with pytest.raises(GraycastError, match="give the five numbers k1,k2,p1,p2,k3"):
-        run("import-real", real, "--out", out, "--distortion", "0.1,0.2")
+    with pytest.raises(SystemExit):
+        run("dataset", "import", real, "--out", out, "--distortion", "0.1,0.2")
+    assert "'0.1,0.2' is not five numbers k1,k2,p1,p2,k3" in capsys.readouterr().err
 
 
 def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
@@ -434,9 +433,9 @@ def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(made, real, sam
     said = ["--intrinsics", "212,214,78.3,61.7", "--like", like, "--out", out]
     for factor in (10, 0.1):
         with pytest.raises(GraycastError, match=r"of --like measures .*: probably .* another unit"):
-            run("import-real", real, "--scale", factor * SCALE_M, *said)
+            run("dataset", "import", real, "--scale", factor * SCALE_M, *said)
     assert not out.exists()
-    assert run("import-real", real, "--scale", SCALE_M, *said) == 0
+    assert run("dataset", "import", real, "--scale", SCALE_M, *said) == 0
     assert "note:" not in capsys.readouterr().out
 
 

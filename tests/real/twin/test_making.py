@@ -47,7 +47,17 @@ def scanned(tmp_path_factory, mitsuba_renderer):
 def twin(folder, path, out, *options):
     depth = [str(folder / f"depth_{k}.npy") for k in range(SCANS)]
     rgb = [str(folder / f"rgb_{k}.png") for k in range(SCANS)]
-    words = ["twin", *depth, "--rgb", *rgb, "--config", str(path), "--out", str(folder / out)]
+    words = [
+        "real",
+        "twin",
+        *depth,
+        "--rgb",
+        *rgb,
+        "--config",
+        str(path),
+        "--out",
+        str(folder / out),
+    ]
     return main([*words, "--trials", "2", *options])
 
 

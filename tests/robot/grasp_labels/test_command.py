@@ -36,7 +36,9 @@ def write_tool(folder, section):
 
 def label(folder, *more):
     options = ["--files", str(folder), "--per-instance", "6", "--simulate", "4", *more]
-    return main(["grasps", str(folder / "ds"), "--tool", str(folder / "tool.yaml"), *options])
+    return main(
+        ["dataset", "grasps", str(folder / "ds"), "--tool", str(folder / "tool.yaml"), *options]
+    )
 
 
 def labels(folder, name="suction"):

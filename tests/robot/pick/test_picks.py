@@ -39,7 +39,7 @@ def cell_of(folder, **picking):
 
 
 def run(path, out, *options):
-    return main(["pick", str(path), "--out", str(out), *map(str, options)])
+    return main(["robot", "pick", str(path), "--out", str(out), *map(str, options)])
 
 
 def content(out):
@@ -129,7 +129,7 @@ def test_two_workers_make_the_same_bins(picks, tmp_path):
 def test_a_run_that_was_killed_goes_on_to_the_same_bins(picks, tmp_path):
     path, out = picks
     for _ in range(2):
-        running = start("pick", path, "--out", tmp_path / "out", "--bins", 2)
+        running = start("robot", "pick", path, "--out", tmp_path / "out", "--bins", 2)
         time.sleep(14)
         os.killpg(running.pid, signal.SIGKILL)
         running.communicate()

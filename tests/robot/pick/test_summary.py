@@ -41,8 +41,9 @@ def test_what_never_moved_is_no_grip():
     assert told.rate == (3 / 5, *wilson(3, 5))
     assert (told.filled, told.taken, told.left, told.spilled, told.cleared) == (6, 3, 2, 1, 1)
     assert told.outcomes["picked"] == 3 and sum(told.outcomes.values()) == 7
-    # 7 scans and motions of 4.5 s, and a second of thinking each.
-    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 5.5))
+    # 7 scans and motions of 4.5 s, and a second of this machine's computing each.
+    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
+    assert told.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
 
 
 def test_what_was_not_found_is_counted():
@@ -81,13 +82,13 @@ def test_runs_are_set_beside_the_first_in_a_table():
     }
     head, _, first, second = compared(runs).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (first, second)]
-    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 11
+    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 12
     assert (
         cells[0][:3] == ["scanner", "2", "50.0%"]
         and cells[0][4] == "1 of 1"
-        and cells[0][7:] == [""] * 4
+        and cells[0][8:] == [""] * 4
     )
-    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][7:] == ["2", "1", "0", "1"]
+    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][8:] == ["2", "1", "0", "1"]
 
 
 def test_every_failure_has_a_colour_and_is_drawn_as_often_as_it_came(tmp_path):

@@ -1,4 +1,4 @@
-"""How often poses are found in simulated scans, as README and docs/how-to/pose.md state it."""
+"""How often poses are found in simulated scans, as docs/measurements/pose.md states it."""
 
 from pathlib import Path
 

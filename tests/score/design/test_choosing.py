@@ -138,7 +138,10 @@ def test_the_sentence_says_when_nothing_meets_the_needs():
     said = sentences(spec(needs=NeedsSection(sigma_m=0.0001), layouts=1), rows)
     assert said == (
         "None of the 2 settings has a sigma of at most 0.1 mm. The least sigma is 0.4 mm, of a."
+        " Warning: One heap gives no interval. Give at least 4 as layouts before you decide."
     )
+    assert "3 heaps are few" in sentences(spec(layouts=3), rows)
+    assert "Warning" not in sentences(spec(layouts=4), rows)
 
 
 def test_what_is_missing_comes_with_the_largest_share_first():

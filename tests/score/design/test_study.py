@@ -174,7 +174,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
 
 
 def assert_refused(capsys, path, out, words, *, untouched=True):
-    assert main(["design", str(path), "--out", str(out)]) == 1
+    assert main(["rig", "design", str(path), "--out", str(out)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("graycast: error: ") and said.count("\n") == 1, said
     assert all(word in said for word in words), said
@@ -183,7 +183,7 @@ def assert_refused(capsys, path, out, words, *, untouched=True):
 
 def test_the_list_tells_the_settings_and_scans_nothing(tmp_path, capsys):
     path = write_study(tmp_path)
-    assert main(["design", str(path), "--out", str(tmp_path / "out"), "--list"]) == 0
+    assert main(["rig", "design", str(path), "--out", str(tmp_path / "out"), "--list"]) == 0
     assert capsys.readouterr().out.split() == [
         "0.6m_tilt0", "0.6m_tilt20", "0.9m_tilt0", "0.9m_tilt20",
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The command graycast evaluate: its files, and one clear line for what cannot be judged."""
+"""The command graycast detector score: its files, and one clear line for what cannot be judged."""
 
 import csv
 import json
@@ -60,7 +60,7 @@ def written_run(folder, found, **said):
 
 
 def evaluated(*arguments):
-    return main(["evaluate", *map(str, arguments)])
+    return main(["detector", "score", *map(str, arguments)])
 
 
 def judged(results, on, **said):
@@ -79,7 +79,7 @@ def refusal(capsys, *arguments):
 
 def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_path, capsys):
     out = tmp_path / "out"
-    assert evaluated(results, "--on", master, "--out", out, "--draws", 50) == 0
+    assert evaluated(results, "--on", master, "--out", out, "--resamples", 50) == 0
     assert "box   AP 1.000 (1.000 to 1.000)" in capsys.readouterr().out
     assert {file.name for file in out.iterdir()} == {
         "evaluation.json",
@@ -117,7 +117,7 @@ def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
     path = tmp_path / "results.json"
     path.write_bytes(results_bytes([odd, *rest]))
     out = tmp_path / "out"
-    assert evaluated(path, "--on", master, "--out", out, "--draws", 20) == 0
+    assert evaluated(path, "--on", master, "--out", out, "--resamples", 20) == 0
     assert {"misses_box.png", "false_alarms_box.png"} <= {file.name for file in out.iterdir()}
     held = json.loads((out / "evaluation.json").read_bytes())["kinds"]
     assert list(held) == ["box"]  # no masks were given
@@ -239,7 +239,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     (bare / "detect.json").unlink()
     assert "has no detect.json" in told(bare)
     (bare / "detect.json").write_text("{}")
-    assert "lacks 'division': run graycast detect again" in told(bare)
+    assert "lacks 'division': run graycast detector find again" in told(bare)
     (bare / "detect.json").write_text('{"division": null, "scene_ids": ["x"]}')
     assert "is damaged ('x' is not a whole number)" in told(bare)
     elsewhere = written_run(tmp_path / "elsewhere", found, scene_ids=[*SCENES, 50])
@@ -253,10 +253,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     assert "--split-seed applies only with --shares" in told(boxes, "--split-seed", "3")
     assert "min_visibility is 1.0" in told(boxes, "--min-visibility", "1")
     assert not out.exists()
-    assert "no results are given: give detections or poses" in refusal(
-        capsys, "--on", master, "--out", out
-    )
-    assert "results applies only to detections" in told(boxes, "--depth")
+    assert "holds poses: use graycast robot score-poses" in told(tmp_path / "poses.csv")
     assert "not a Graycast dataset" in refusal(capsys, boxes, "--on", tmp_path, "--out", out)
     (out / "mine").mkdir(parents=True)
     assert "holds no earlier result of this command" in told(boxes)

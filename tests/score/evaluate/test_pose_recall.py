@@ -1,4 +1,4 @@
-"""How BOP counts poses, and the command graycast evaluate on files of them."""
+"""How BOP counts poses, and the command graycast robot score-poses."""
 
 import csv
 import json
@@ -154,7 +154,7 @@ def whole(dataset, shift_m=(0.0, 0.0, 0.0)):
 def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, capsys):
     results, out = tmp_path / "poses.csv", tmp_path / "scores"
     results.write_text(pose_results_text(whole(master)))
-    assert main(["evaluate", str(results), "--on", str(master), "--out", str(out)]) == 0
+    assert main(["robot", "score-poses", str(results), "--on", str(master), "--out", str(out)]) == 0
     content = json.loads((out / "poses.json").read_text())
     names = [row["name"] for row in content["rows"]]
     assert names[0] == "all" and len(names) == 3
@@ -211,9 +211,7 @@ def test_poses_of_another_unit_are_refused_with_the_right_one(master, tmp_path, 
         evaluate_poses(results, master, protocol=Protocol(draws=50))
 
 
-def test_options_of_detections_are_refused(master, tmp_path, capsys):
-    results = tmp_path / "poses.csv"
-    results.write_text(pose_results_text(whole(master)))
-    told = ["evaluate", str(results), "--on", str(master), "--out", str(tmp_path / "out")]
-    assert main([*told, "--one-class"]) == 1
-    assert "--one-class applies only to detections" in capsys.readouterr().err
+def test_detections_are_sent_to_the_command_that_scores_them(master, tmp_path, capsys):
+    told = ["robot", "score-poses", str(tmp_path), "--on", str(master), "--out", str(tmp_path)]
+    assert main(told) == 1
+    assert "score detections with graycast detector score" in capsys.readouterr().err

@@ -52,7 +52,10 @@ def test_its_surface_is_measured_where_the_depth_is(merged):
 
 
 def test_one_scene_can_be_merged_alone(master, merged, tmp_path, capsys):  # noqa: F811
-    assert main(["merge", str(master / "train" / "000004"), "--out", str(tmp_path / "one")]) == 0
+    assert (
+        main(["dataset", "merge", str(master / "train" / "000004"), "--out", str(tmp_path / "one")])
+        == 0
+    )
     assert "clouds of 1 scene" in capsys.readouterr().out
     for ending in ("ply", "json"):
         name = f"train-000004.{ending}"
@@ -61,7 +64,7 @@ def test_one_scene_can_be_merged_alone(master, merged, tmp_path, capsys):  # noq
 
 def test_bad_places_are_refused(master, tmp_path, capsys):  # noqa: F811
     def refused(*arguments):
-        assert main(["merge", *map(str, arguments)]) == 1
+        assert main(["dataset", "merge", *map(str, arguments)]) == 1
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line

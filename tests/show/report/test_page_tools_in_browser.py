@@ -154,7 +154,7 @@ def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, ma
     download.value.save_as(saved)
     assert saved.name == "bins-scenes.json"
     assert chosen_pictures(saved, open_dataset(dataset)) == [4]
-    command = ["export", str(dataset), "--format", "yolo", "--scenes", str(saved)]
+    command = ["dataset", "export", str(dataset), "--format", "yolo", "--selection", str(saved)]
     assert main([*command, "--out", str(tmp_path / "yolo")]) == 0
     assert [p.stem for p in (tmp_path / "yolo/images/train").iterdir()] == ["000004"]
 

@@ -237,7 +237,7 @@ def cut_image(name):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (without_bins, "no bin is finished yet: run graycast pick first"),
+        (without_bins, "no bin is finished yet: run graycast robot pick first"),
         (damaged("bins/000000/episode.json", "{"), "000000: cannot be read"),
         (damaged("bins/000000/motion.json", '{"attempts": []}'), "motion.json: cannot be read"),
         (damaged("bins/000000/motion.json", "[1, 2"), "motion.json: cannot be read"),
@@ -250,8 +250,8 @@ def cut_image(name):
 )
 def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, said):
     damage(copied)
-    options = ["--out", str(tmp_path / "page"), "--cell", str(copied.parent / "cell.yaml")]
-    assert main(["report", str(copied), *options]) == 1
+    options = ["--out", str(tmp_path / "page"), "--files", str(copied.parent)]
+    assert main(["robot", "report", str(copied), *options]) == 1
     told = capfd.readouterr().err.strip()
     assert said in told and len(told.splitlines()) == 1, told
 
@@ -260,27 +260,27 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
     ("words", "said"),
     [
         (
-            ["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"],
+            ["robot", "film", "{picks}", "--out", "{out}.gif", "--bin", "1"],
             "bin 1 does not exist: it has 0 to 2",
         ),
-        (["replay", "{picks}", "--out", "{out}.mp4"], "ends with .gif or .webp"),
-        (["replay", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
+        (["robot", "film", "{picks}", "--out", "{out}.mp4"], "ends with .gif or .webp"),
+        (["robot", "film", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
+        (["report", "{picks}", "--out", "{out}"], "holds picks: use graycast robot report"),
         (
-            ["report", "{picks}", "--out", "{out}", "--detections", "x"],
-            "--detections applies only to a dataset",
-        ),
-        (
-            ["report", "{picks}", "--out", "{picks}"],
+            ["robot", "report", "{picks}", "--out", "{picks}"],
             "is the dataset itself: give another folder for the page",
         ),
-        (["replay", "{out}", "--out", "{out}.gif"], "holds no picks"),
-        (["report", "{picks}", "--out", "{out}", "--cell", "/nowhere/c.yaml"], "give the cell's"),
+        (["robot", "film", "{out}", "--out", "{out}.gif"], "holds no picks"),
+        (
+            ["robot", "report", "{picks}", "--out", "{out}", "--files", "/nowhere"],
+            "give the folder in which their paths begin with --files",
+        ),
     ],
 )
 def test_a_wrong_wish_is_told_in_one_line(picks, tmp_path, capfd, words, said):
     given = [word.format(picks=picks, out=tmp_path / "out") for word in words]
-    if "--cell" not in given:
-        given += ["--cell", str(picks.parent / "cell.yaml")]
+    if given[0] == "robot" and "--files" not in given:
+        given += ["--files", str(picks.parent)]
     assert main(given) == 1
     told = capfd.readouterr().err.strip()
     assert said in told and len(told.splitlines()) == 1, told

@@ -33,19 +33,9 @@ NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel ends at this share of its middl
 class FilterSpec:
     """The settings of the filters; None or 0 switches a filter off, and all are off by default.
 
-    `flying_angle_deg`: pixels within a depth step go, where the way from one surface to the other
-    is seen at more than this angle of incidence (90 is grazing).
-    `outlier_sigmas`: pixels go that lie further from the local median than so many standard
-    deviations, propagated or seen around them, and further than `outlier_share` of their depth;
-    with `outlier_repair` those within a whole surface get its depth instead.
-    `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
-    out of order by more than so many standard deviations (`visibility`).
-    `edge_px`: pixels go that lie as near as this, centre to centre, to a pixel without depth or to
-    one beyond a depth step: they may see two surfaces. 1 takes the four sides, 1.5 the corners too.
-    `island_px`: connected surfaces of fewer pixels than this are removed.
-    `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
-    correlates neighbours by 0.36.
-    `step_angle_deg`: neighbours are connected up to this angle of incidence.
+    `edge_px` of 1 takes the four sides of a pixel, 1.5 its corners too. `smoothing_px` of 0.55 lets
+    0.56 of white noise pass and correlates neighbours by 0.36. `without_hidden` uses
+    `hidden_sigmas`; an outlier is judged by the deviations that its neighbours have or show.
     """
 
     flying_angle_deg: Annotated[

@@ -152,7 +152,15 @@ class DecodeSpec:
     three standard deviations is an outlier; 0 lets all pass.
     """
 
-    min_contrast: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    min_contrast: Annotated[
+        float,
+        Field(
+            gt=0,
+            lt=1,
+            description="Lowest contrast of a decoded pixel, as a share of the sensor's range: the "
+            "brightest minus the darkest frame, or twice the amplitude of a phase code.",
+        ),
+    ] = 0.02
     min_sigmas: Annotated[
         float,
         Field(
@@ -161,8 +169,22 @@ class DecodeSpec:
             "noise of the darkest frame.",
         ),
     ] = 0.0
-    doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
-    fine_bits: Annotated[int, Field(ge=0)] = 3
+    doubt: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="A bit whose signal is below this share of the contrast is doubtful.",
+        ),
+    ] = 0.15
+    fine_bits: Annotated[
+        int,
+        Field(
+            ge=0,
+            description="The number of the finest bits of a Gray code whose doubt only widens "
+            "sigma. A phase code does not use it.",
+        ),
+    ] = 3
     settling_votes: Annotated[
         int,
         Field(

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ...base.errors import ConfigError
 from ...base.file_limits import parse_json
-from ...base.frames import inverse, rigid
+from ...base.frames import UNITS_M, inverse, rigid
 from ...base.settings import parse_yaml, read_text
 from ...rig.optics import Optics
 from ...rig.pair import Rig, common_depths_m
@@ -77,7 +77,7 @@ def import_opencv(
     the usual spellings of K, D, R and T, with `X_proj = R X_cam + T`. Other keys are left alone.
 
     Args:
-        unit: of T, 'm' or 'mm'; None takes millimetres where `|T| > 10`, metres where `|T| < 2`.
+        unit: of T, one of `UNITS_M`; None takes mm where `|T| > 10`, metres where `|T| < 2`.
         near_m: nearest depth of the working range; OpenCV states none. Left out: where camera and
             projector begin to see a place in common, at least half a baseline away.
         far_m: farthest depth of the working range; left out: where they cease to, at most twenty
@@ -211,11 +211,11 @@ def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) ->
         raise ConfigError(f"{where} is zero: camera and projector need a baseline to triangulate")
     if unit is None:
         if 2 <= length <= 10:
-            raise ConfigError(f"{where} has length {length:.4g}: state whether its unit is m or mm")
+            raise ConfigError(f"{where} has length {length:.4g}: state its unit with --unit")
         unit = "mm" if length > 10 else "m"
-    if unit not in ("m", "mm"):
-        raise ConfigError(f"{where}: no unit {unit!r}: choose m or mm")
-    scale = {"m": 1.0, "mm": 1e-3}[unit]
+    if unit not in UNITS_M:
+        raise ConfigError(f"{where}: no unit {unit!r}: choose one of {', '.join(UNITS_M)}")
+    scale = UNITS_M[unit]
     if length * scale < MIN_BASELINE_M:
         baseline = f"a baseline of {1e3 * length * scale:.3g} mm"
         raise ConfigError(f"{where} in {unit} gives {baseline}: state its unit")

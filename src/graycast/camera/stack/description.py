@@ -28,7 +28,9 @@ class FrameSection(Settings):
     """One picture of the stack."""
 
     file: Path = Field(description="The picture, relative to this file.")
-    kind: Literal["white", "black", "gray", "complementary", "phase", "line"]
+    kind: Literal["white", "black", "gray", "complementary", "phase", "line"] = Field(
+        description="The pattern that the projector shows."
+    )
     axis: Axis | None = Field(None, description="What the frame codes: column or row.")
     bit: int | None = Field(
         None, ge=0, le=23, description="The number of the bit of a Gray code; 0 is the finest bit."
@@ -80,15 +82,15 @@ def _whole(number: float) -> int | float:
 class ProjectorSection(Settings):
     """The projector's picture."""
 
-    width_px: int = Field(ge=2, le=65535)
-    height_px: int = Field(ge=2, le=65535)
+    width_px: int = Field(ge=2, le=65535, description="The width in pixels.")
+    height_px: int = Field(ge=2, le=65535, description="The height in pixels.")
 
 
 class OffsetSection(Settings):
     """Where code 0 lies on the projector."""
 
-    column: float = 0.0
-    row: float = 0.0
+    column: float = Field(0.0, description="The projector column of code 0, in pixels.")
+    row: float = Field(0.0, description="The projector row of code 0, in pixels.")
 
 
 class StrideSection(Settings):
@@ -123,7 +125,7 @@ DecodeSection = section_of(
     DecodeSpec,
     "DecodeSection",
     module=__name__,
-    about="What a pixel must show to be believed; see DecodeSpec.",
+    about="The conditions under which a pixel is decoded.",
     base=Settings,
     more={
         "max_epipolar_px": (
@@ -143,7 +145,7 @@ class StackDescription(Settings):
     """A stack: the frame that each picture shows."""
 
     projector: ProjectorSection
-    frames: tuple[FrameSection, ...] = Field(min_length=1)
+    frames: tuple[FrameSection, ...] = Field(min_length=1, description="The pictures in order.")
     offset_px: OffsetSection = OffsetSection()
     stride_px: StrideSection = StrideSection()
     levels: LevelsSection = LevelsSection()

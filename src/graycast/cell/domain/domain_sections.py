@@ -83,7 +83,7 @@ class PartTolerance(Settings):
 class AdaptedSection(Settings):
     """The real cell. A value deviates uniformly by at most its tolerance in either direction."""
 
-    kind: Literal["adapted"]
+    kind: Literal["adapted"] = Field(description="The kind of the domain: adapted.")
     camera: CameraTolerance = CameraTolerance()
     bin: BinTolerance = BinTolerance()
     lamps: LampTolerance = LampTolerance()
@@ -256,7 +256,7 @@ class DistractorRanges(Settings):
 class RandomizedSection(Settings):
     """A different look in each scene. A section that is null keeps what the cell has."""
 
-    kind: Literal["randomized"]
+    kind: Literal["randomized"] = Field(description="The kind of the domain: randomized.")
     camera: CameraRanges | None = CameraRanges()
     environment: EnvironmentRanges | None = EnvironmentRanges()
     lamps: LampRanges | None = LampRanges()

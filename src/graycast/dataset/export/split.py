@@ -87,6 +87,6 @@ def parse_shares(text: str) -> tuple[float, float, float]:
     except ValueError:
         shares = []
     if not 1 <= len(shares) <= 3:
-        raise GraycastError(f"split is {text!r}: give one to three shares such as 0.8,0.1,0.1")
+        raise GraycastError(f"shares are {text!r}: give one to three, such as 0.8,0.1,0.1")
     train, val, test = shares + [0.0] * (3 - len(shares))
     return train, val, test

@@ -66,7 +66,7 @@ class Examples(Sequence):
 
 
 def open_examples(folder: Path, *, split: str = "train", division: Split | None = None) -> Examples:
-    """The examples of a dataset, of what `graycast export` made from it, or of others' datasets.
+    """The examples of a dataset, of an export of it, or of others' datasets.
 
     Args:
         folder: a dataset's or an export's; of others a file of COCO annotations, or the folder of
@@ -83,7 +83,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
     if not (folder / RECORD).is_file():
         return _from_dataset(open_dataset(folder), split, division or Split())
     if division is not None:
-        raise DatasetError(f"{folder}: was divided when it was exported: remove --split")
+        raise DatasetError(f"{folder}: was divided when it was exported: remove --shares")
     record = read_record(folder)
     scene_ids = _of_set(folder, record.splits, split)
     return Examples(

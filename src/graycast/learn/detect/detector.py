@@ -244,7 +244,9 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
     """
     file = path / WEIGHTS if path.is_dir() else path
     if not file.is_file():
-        raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
+        raise GraycastError(
+            f"{file}: does not exist: give a folder that graycast detector train wrote"
+        )
     try:
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
         record = parse_json(checkpoint["about"])

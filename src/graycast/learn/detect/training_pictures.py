@@ -160,7 +160,7 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
         raise GraycastError(
             f"{file.parent}: has {free / 1e9:.1f} GB free and the encoded pictures take "
             f"{needed / 1e9:.1f} GB: free disk space, choose another --out, or choose a smaller "
-            "--size"
+            "--longest-side"
         )
     try:
         data = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))

@@ -18,7 +18,7 @@ POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m
 REWEIGHTINGS = 4
 MOST_STEPS = 100  # Good views take some ten steps in one fit.
 NO_FIT = (
-    "no camera and projector fit these views: decode each stack with graycast decode to see "
+    "no camera and projector fit these views: decode each stack with graycast rig decode to see "
     "whether its code is right, and show the board in more different directions"
 )
 OUTLIER = 6.0  # A residual above so many medians means a wrong corner, not an inexact one.

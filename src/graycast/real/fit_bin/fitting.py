@@ -251,7 +251,7 @@ def _scaled_light(config: Config, scale: float) -> dict[str, Any]:
 def _comments(fit: BinFit, base: Path) -> dict[str, str]:
     pose = fit.pose
     text = (
-        f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from "
+        f"Fitted by graycast real fit-bin to {len(fit.views)} view(s) of the empty bin, from "
         f"{base.name}:\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the "
         "points in the bin belong to it."
     )
@@ -265,7 +265,7 @@ def _comments(fit: BinFit, base: Path) -> dict[str, str]:
         comments["table"] = f"What the bin stands on: {color}."
         comments["light"] = "Levels from the white and black frames, scaled by one factor."
     if fit.bent is not None:
-        shape = "Shape bent by graycast fit-bin to where the views measured it"
+        shape = "Shape bent by graycast real fit-bin to where the views measured it"
         comments["bin"] = comments["bin"].replace("Shape as given", shape)
         comments["view"] += "\nThe origin is in the middle of the bent floor."
     return comments

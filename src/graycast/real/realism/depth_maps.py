@@ -43,9 +43,9 @@ def read_scans(
         paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
             scene folders, which bring their own intrinsics, scale, pictures and reasons.
         K: intrinsics of all depth files [px]; an organised PLY has its own where this is None.
-        gray: a picture per depth file in the same order, or none. 8- and 16-bit ones are taken as
-            shares of their type's range, colours are averaged.
-        reason: an 8-bit image per depth file in the same order, or none.
+        gray: a picture per depth file in the same order, or none, or folders of them. 8- and 16-bit
+            ones are taken as shares of their type's range, colours are averaged.
+        reason: an 8-bit image per depth file in the same order, or none, or folders of them.
         reason_names: what its numbers mean.
         scale_m: metres per unit of the depth files; integers need one, floats are metres.
         size_px: width and height of PLYs that do not say it.
@@ -62,6 +62,7 @@ def read_scans(
             files += depth_files(path)
         else:
             files.append(path)
+    gray, reason = _pictures(gray), _pictures(reason)
     for name, pictures in (("gray", gray), ("reason", reason)):
         if pictures and len(pictures) != len(files):
             counts = f"{len(pictures)} {name} images for {len(files)} depth files"
@@ -76,6 +77,17 @@ def read_scans(
             reason=None if reason_file is None else _read_reason(reason_file),
             reason_names=reason_names or {},
         )
+
+
+def _pictures(paths: Sequence[Path]) -> list[Path]:
+    """The given files, and the files in the given folders sorted by name."""
+    files = []
+    for path in paths:
+        inside = sorted(path.iterdir()) if path.is_dir() else [path]
+        if not inside:
+            raise DatasetError(f"{path}: is an empty folder: give a folder with pictures")
+        files += inside
+    return files
 
 
 def read_perfect(path: Path) -> Iterator[DepthScan]:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...base.errors import DatasetError, GraycastError
 
-RECORD_FILE = "realism.json"  # It is in the folder that `graycast realism` writes.
+RECORD_FILE = "realism.json"  # It is in the folder that `graycast real measure` writes.
 FORMAT_VERSION = 4
 
 
@@ -191,7 +191,7 @@ def write_record(record: Realism, path: Path) -> None:
 
 
 def read_record(path: Path) -> Realism:
-    """Read a record, from its file or from the folder that `graycast realism` wrote.
+    """Read a record, from its file or from the folder that `graycast real measure` wrote.
 
     Raises:
         DatasetError: it is not there, of another form or version.
@@ -204,7 +204,7 @@ def read_record(path: Path) -> Realism:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(key) for key in first["loc"]) or "the file"
-        remedy = "measure the depth maps again with graycast realism"
+        remedy = "measure the depth maps again with graycast real measure"
         raise DatasetError(f"{file}: {where}: {first['msg']}: {remedy}") from error
     if record.format_version != FORMAT_VERSION:
         raise DatasetError(

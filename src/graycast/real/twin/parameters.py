@@ -80,7 +80,7 @@ PARAMETERS: tuple[Parameter, ...] = (
 
 # A search found this of one laser scanner (a PhoXi) over one bin of plastic. It is a place to begin
 # at for scanners of that kind, whose noise is the surface's and hardly the light's: see
-# docs/how-to/twin.md.
+# docs/measurements/twin.md.
 LASER_OVER_PLASTIC: Mapping[str, float] = {
     "exposure.target": 0.9,
     "exposure.factors[1]": 15.0,

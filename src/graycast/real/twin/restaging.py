@@ -107,8 +107,8 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
         raise GraycastError(
             f"fewer than {_LEAST_BIN:.0%} of the pixels with depth are within "
             f"{1e3 * _THIN_M:.1f} mm of the bin: check the bin and the camera's pose over it "
-            "(graycast fit-bin finds the pose, and --bend bends the bin to its scans). A scanner "
-            "whose noise is higher than that has no twin"
+            "(graycast real fit-bin finds the pose, and --bend bends the bin to its scans). A "
+            "scanner whose noise is higher than that has no twin"
         )
 
 

@@ -41,7 +41,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         read_text(base),
         base,
         {"rig": rig.name} | _bin(twin.fit, cell),
-        {"rig": f"Fitted by graycast twin to {twin.scans} real scans, from {base.name}."},
+        {"rig": f"Fitted by graycast real twin to {twin.scans} real scans, from {base.name}."},
         dropped=tuple(ScannerSections.model_fields),
     )
     refuse_there(rig, report, picture, out)

@@ -1,11 +1,12 @@
 """Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import inverse, rigid, transform_points
@@ -26,16 +27,30 @@ PROBES = 3000  # No finger may have any of these points of the part's surface wi
 class Jaws:
     """Two parallel fingers that close along the tool's x; z points from the tips to the palm.
 
-    A grip's origin is the middle between both pads. `finger_m` is a finger's thickness along x,
-    width along y, and length from tip to palm along z. `pad_radius_m` is the radius of the disc in
-    which a pad touches; its middle lies that far from the finger's tip.
+    A grip's origin is the middle between both pads.
     """
 
-    opening_m: float = 0.085
-    force_n: float = 60.0
-    friction: float = 0.4
-    finger_m: tuple[float, float, float] = (0.010, 0.020, 0.045)
-    pad_radius_m: float = 0.004
+    opening_m: Annotated[
+        float, Field(description="The largest distance between the pads in metres.")
+    ] = 0.085
+    force_n: Annotated[float, Field(description="The force of each pad in newtons.")] = 60.0
+    friction: Annotated[
+        float, Field(description="The coefficient of friction between pad and part.")
+    ] = 0.4
+    finger_m: Annotated[
+        tuple[float, float, float],
+        Field(
+            description="A finger's thickness along x, its width along y, and its length from tip "
+            "to palm along z, in metres."
+        ),
+    ] = (0.010, 0.020, 0.045)
+    pad_radius_m: Annotated[
+        float,
+        Field(
+            description="The radius of the disc in which a pad touches, in metres. Its middle lies "
+            "that far from the finger's tip."
+        ),
+    ] = 0.004
 
     def __post_init__(self) -> None:
         for name in ("opening_m", "force_n", "pad_radius_m"):

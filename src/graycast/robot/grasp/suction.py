@@ -9,11 +9,12 @@ uneven spread.
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field
 
 from .patch import Patch
 
@@ -23,16 +24,18 @@ MOST_STRAIN = 0.10  # A cup seals if no spring has more strain. Source: Dex-Net 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cup:
-    """A round suction cup.
+    """A round suction cup."""
 
-    `height_m` is from the lip to where the bellows are held. `vacuum_pa` is how far the pressure
-    inside lies below the air's. `friction` is between lip and part.
-    """
-
-    radius_m: float = 0.010
-    height_m: float = 0.010
-    vacuum_pa: float = 60e3
-    friction: float = 0.5
+    radius_m: Annotated[float, Field(description="The radius of the lip in metres.")] = 0.010
+    height_m: Annotated[
+        float, Field(description="The height from the lip to the holder of the bellows, in metres.")
+    ] = 0.010
+    vacuum_pa: Annotated[
+        float, Field(description="The pressure of the air minus the pressure in the cup, in Pa.")
+    ] = 60e3
+    friction: Annotated[
+        float, Field(description="The coefficient of friction between lip and part.")
+    ] = 0.5
 
     def __post_init__(self) -> None:
         for name in ("radius_m", "height_m", "vacuum_pa"):

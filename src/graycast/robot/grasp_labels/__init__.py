@@ -2,6 +2,6 @@
 
 from .label_options import Labelling, read_tool
 from .label_run import label_dataset
-from .label_success import Ranking, rank
+from .label_success import Ranking, describe_ranking, rank
 
-__all__ = ["Labelling", "Ranking", "label_dataset", "rank", "read_tool"]
+__all__ = ["Labelling", "Ranking", "describe_ranking", "label_dataset", "rank", "read_tool"]

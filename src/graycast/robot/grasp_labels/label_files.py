@@ -167,4 +167,6 @@ def read_scene_labels(path: Path) -> SceneGrasps:
     try:
         return read_json(path, SceneGrasps)
     except Unreadable as error:
-        raise DatasetError(f"{path}: {error}: remove it and run graycast grasps again") from error
+        raise DatasetError(
+            f"{path}: {error}: remove it and run graycast dataset grasps again"
+        ) from error

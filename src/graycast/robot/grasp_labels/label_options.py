@@ -15,6 +15,11 @@ class _ToolFile(Settings):
     tool: AnyTool
 
 
+def tool_schema() -> dict[str, Any]:
+    """The JSON Schema of a file of a tool, for editors."""
+    return _ToolFile.model_json_schema()
+
+
 class Labelling(Settings):
     """Which labels a dataset gets; another one is another set of labels."""
 

@@ -1,5 +1,6 @@
 """What labels say of their score: how often physics holds what it promises."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -93,3 +94,34 @@ def rank(dataset: Path, name: str, *, seed: int = 0) -> Ranking:
 def _band(score: np.ndarray, success: np.ndarray, low: float, high: float) -> Band:
     inside = (score > low) & (score <= high) if high > 0 else score == 0
     return Band(low=low, high=high, grips=int(inside.sum()), held=int(success[inside].sum()))
+
+
+def describe_ranking(ranking: Ranking) -> str:
+    """The success of the labels by their score, as lines of text."""
+    reach = ", ".join(f"{count} {name}" for name, count in ranking.reach.items())
+    lines = [f"{ranking.labels} labels in {ranking.scenes} scenes: {reach}"]
+    if not ranking.simulated:
+        return lines[0]
+    ended = ", ".join(f"{count} {name}" for name, count in ranking.ended.items())
+    rate, low, high = ranking.rate
+    lines.append(
+        f"{ranking.simulated} carried out: {rate:.1%} held (95 % interval {low:.1%} to "
+        f"{high:.1%}); {ended}"
+    )
+    for band in ranking.bands:
+        if band.grips:
+            span = "0" if band.high == 0 else f"above {band.low:g} to {band.high:g}"
+            rate, low, high = band.rate
+            lines.append(
+                f"  score {span:18} {band.held:4d} of {band.grips:4d} held, {rate:6.1%} "
+                f"({low:.1%} to {high:.1%})"
+            )
+    lines.append(f"the score ranks success with ROC AUC {_interval(ranking.auc)}")
+    lines.append(f"  among scores above 0               {_interval(ranking.auc_above_0)}")
+    return "\n".join(lines)
+
+
+def _interval(figure: Interval) -> str:
+    if math.isnan(figure.value):
+        return "unknown: all were held, or none"
+    return f"{figure.value:.3f} (95 % interval {figure.low:.3f} to {figure.high:.3f})"

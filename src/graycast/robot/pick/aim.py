@@ -183,7 +183,7 @@ def aims_by_pose(
 
 def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndarray, "4 4"] | None:
     # A detector's masks are coarse, and a pose leans on the outline of its mask: more poses are
-    # right from its boxes (docs/how-to/pose.md). Truth has masks alone.
+    # right from its boxes (docs/measurements/pose.md). Truth has masks alone.
     if target.box_px is not None:
         box_px = np.asarray(target.box_px)
         found = find_pose_in_box(model, view.depth_m, view.camera, box_px)

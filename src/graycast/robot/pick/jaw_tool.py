@@ -22,7 +22,7 @@ from .robot import Mounted
 class JawTool(Settings):
     """Two parallel fingers below a palm."""
 
-    kind: Literal["jaws"]
+    kind: Literal["jaws"] = Field(description="The kind of the tool: jaws.")
     jaws: Jaws = Jaws()
     length_m: Positive = Field(
         0.16, description="The distance from the flange to the middle between the pads, in metres."

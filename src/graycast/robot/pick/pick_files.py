@@ -163,7 +163,7 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
         GraycastError: the folder holds no picks, or a file is damaged.
     """
     if not (out / CLAIM).is_file():
-        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast robot pick wrote")
     return tuple(
         _read(folder) for folder in sorted((out / BINS).iterdir()) if folder.name.isdecimal()
     )
@@ -181,5 +181,6 @@ def _read(folder: Path) -> StoredEpisode:
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GraycastError(
-            f"{folder}: cannot be read ({error}): remove this folder and run graycast pick again"
+            f"{folder}: cannot be read ({error}): remove this folder and run graycast robot "
+            "pick again"
         ) from error

@@ -1,7 +1,7 @@
 """What a user writes of a robot's cell: all of a dataset's cell, and robot, tool and picking."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -24,7 +24,9 @@ class RobotSection(Settings):
         description="The position of the arm's base relative to the "
         "middle of the bin's floor, in metres.",
     )
-    base_yaw_deg: float = 0.0
+    base_yaw_deg: float = Field(
+        0.0, description="The rotation of the arm's base about the vertical, in degrees."
+    )
     home_rad: tuple[float, ...] | None = Field(
         None,
         description="The joint angles at the start in radians. Without this key, they "
@@ -42,7 +44,7 @@ class PickingSection(Settings):
     )
     detector: str = Field(
         "truth",
-        description="The detector: truth, none, or a folder that graycast train wrote.",
+        description="The detector: truth, none, or a folder that graycast detector train wrote.",
     )
     pose: Literal["found", "truth"] = Field("found", description="The source of a part's pose.")
     depth: Literal["scanner", "perfect", "noisy"] = Field(
@@ -138,6 +140,11 @@ class PickConfig(Config):
                 f"{self.tool.kind} need a known model: give picking.knows: part, or a suction tool"
             )
         return self
+
+
+def robot_schema() -> dict[str, Any]:
+    """The JSON Schema of a robot's cell, for editors."""
+    return PickConfig.model_json_schema()
 
 
 def load_pick_config(path: Path) -> PickConfig:

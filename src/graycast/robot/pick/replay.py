@@ -98,7 +98,7 @@ class Replay:
             return (0,) * episode.filled
         raise GraycastError(
             f"{self.folder / BINS / f'{episode.bin_id:06d}'}: does not state the kind of each "
-            "part: remove this folder and run graycast pick again"
+            "part: remove this folder and run graycast robot pick again"
         )
 
 
@@ -114,7 +114,7 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
             missing or changed.
     """
     if not (out / CLAIM).is_file():
-        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast robot pick wrote")
     try:
         claim = parse_json((out / CLAIM).read_bytes())
         content = dict(claim["config"])
@@ -133,14 +133,14 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
         robot = open_robot(config.robot.arm, folder=folder, home=config.robot.home_rad)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(
-            f"{out}: its cell names files that were not found ({error}): give the cell's file "
-            "with --cell"
+            f"{out}: its cell names files that were not found ({error}): give the folder in "
+            "which their paths begin with --files"
         ) from error
     changed = [name for name, digest in digests.items() if cell.file_digests.get(name) != digest]
     if changed:
         raise GraycastError(
-            f"{out}: {changed[0]} has changed since these picks were made: give the original "
-            "cell's file with --cell"
+            f"{out}: {changed[0]} has changed since these picks were made: give the folder "
+            "of the original with --files"
         )
     limbs = (*_arm_limbs(robot), *_tool_limbs(config.tool))
     return Replay(folder=out, claim=claim, cell=cell, robot=robot, limbs=limbs)
@@ -161,7 +161,8 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GraycastError(
-            f"{path}: cannot be read ({error}): remove the bin's folder and run graycast pick again"
+            f"{path}: cannot be read ({error}): remove the bin's folder and run graycast "
+            "robot pick again"
         ) from error
 
 

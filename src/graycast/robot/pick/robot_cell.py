@@ -73,11 +73,11 @@ def resolve_pick_cell(
     cell = PickCell(
         cell=resolve_cell(config, folder, progress=progress), config=config, folder=folder
     )
-    refuse_several(cell.cell, "graycast pick")
+    refuse_several(cell.cell, "graycast robot pick")
     if cell.detector is not None and not cell.detector.exists():
         raise ConfigError(
-            f"picking.detector: no folder {cell.detector}: give a folder that graycast train "
-            "wrote, or truth or none"
+            f"picking.detector: no folder {cell.detector}: give a folder that graycast detector "
+            "train wrote, or truth or none"
         )
     place_m = np.array(config.picking.place_m)
     half = cell.box.bounds_m

@@ -36,7 +36,7 @@ STEP_M = 0.5e-3  # The nodes of the surface under a cup lie this far apart.
 class SuctionTool(Settings):
     """A suction cup at the end of a tube."""
 
-    kind: Literal["suction"] = "suction"
+    kind: Literal["suction"] = Field("suction", description="The kind of the tool: suction.")
     cup: Cup = Cup()
     length_m: Positive = Field(
         0.20, description="The distance from the flange to the lip of the cup, in metres."

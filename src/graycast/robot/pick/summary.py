@@ -52,16 +52,23 @@ class PickSummary:
 
     @property
     def picks_per_hour(self) -> float:
-        """Of robot and scanner, with this machine's median time to think."""
-        attempts = sum(self.outcomes.values())
-        total_s = sum(self.seconds.values()) + attempts * self.thinking_s
+        """Of robot and scanner alone, as if computing took no time."""
+        return self._per_hour(0.0)
+
+    @property
+    def picks_per_hour_here(self) -> float:
+        """With the median time that this machine computes for an attempt."""
+        return self._per_hour(self.thinking_s)
+
+    def _per_hour(self, computing_s: float) -> float:
+        total_s = sum(self.seconds.values()) + sum(self.outcomes.values()) * computing_s
         return 3600 * self.picked / total_s if total_s else 0.0
 
 
 def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
     """Raise GraycastError if no bin is finished."""
     if not episodes:
-        raise GraycastError("no bin is finished yet: run graycast pick first")
+        raise GraycastError("no bin is finished yet: run graycast robot pick first")
     attempts = [attempt for episode in episodes for attempt in episode.attempts]
     work = [stages for episode in episodes for stages in episode.work_s]
     outcomes = Counter(attempt["outcome"] for attempt in attempts)
@@ -143,9 +150,9 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
         GraycastError: one has no bin, or no common bin with the first.
     """
     lines = [
-        "| run | grips | success | 95 % | parts taken | cleared | picks an hour "
+        "| run | grips | success | 95 % | parts taken | cleared | picks an hour | with computing "
         "| pairs | only here | only first | p |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     first = next(iter(runs.values()))
     for name, episodes in runs.items():
@@ -160,6 +167,6 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
         lines.append(
             f"| {name} | {summary.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
             f"{summary.taken} of {summary.filled} | {summary.cleared} of {summary.bins} | "
-            f"{summary.picks_per_hour:.0f} {beside}"
+            f"{summary.picks_per_hour:.0f} | {summary.picks_per_hour_here:.0f} {beside}"
         )
     return "\n".join(lines)

@@ -21,7 +21,10 @@ from .outcome import Outcome
 from .robot import Mounted
 from .suction_tool import SuctionTool
 
-AnyTool = Annotated[SuctionTool | JawTool, Field(discriminator="kind")]
+AnyTool = Annotated[
+    SuctionTool | JawTool,
+    Field(discriminator="kind", description="The tool: a suction cup or jaws."),
+]
 
 
 @runtime_checkable

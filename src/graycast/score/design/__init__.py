@@ -2,7 +2,7 @@
 
 from .choosing import SettingFigures, choose, sentences
 from .design_run import run_design
-from .design_tables import rows_of, write_design
+from .design_tables import describe_design, rows_of, write_design
 from .point_fates import Fate
 from .setting import Setting, settings_of
 from .study import DesignSpec, design_schema, read_design
@@ -13,6 +13,7 @@ __all__ = [
     "Setting",
     "SettingFigures",
     "choose",
+    "describe_design",
     "design_schema",
     "read_design",
     "rows_of",

@@ -15,6 +15,7 @@ from .point_fates import FATES, Fate
 from .setting import Placed
 from .study import DesignSpec
 
+FEWEST_HEAPS = 4  # With fewer, Student's t makes an interval of more than 4 standard errors.
 FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 
 
@@ -121,7 +122,9 @@ def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
-        return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}"
+        return (
+            f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}{_few(spec)}"
+        )
     paragraph = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
@@ -139,7 +142,15 @@ def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
         paragraph += (
             f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
         )
-    return paragraph
+    return paragraph + _few(spec)
+
+
+def _few(spec: DesignSpec) -> str:
+    """A warning where the heaps are so few that their intervals hardly tell settings apart."""
+    if spec.layouts >= FEWEST_HEAPS:
+        return ""
+    heaps = "One heap gives no interval" if spec.layouts == 1 else f"{spec.layouts} heaps are few"
+    return f" Warning: {heaps}. Give at least {FEWEST_HEAPS} as layouts before you decide."
 
 
 def where(row: SettingFigures) -> str:

@@ -80,16 +80,33 @@ def _csv(rows: Sequence[SettingFigures]) -> str:
     return text.getvalue()
 
 
+def describe_design(spec: DesignSpec, out: Path) -> str:
+    """The table in columns of plain text, and the recommendation."""
+    rows = rows_of(spec, out)
+    lines = [_heads(), *([row.name, *_cells(row)] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
+    return "\n".join([*text, "", sentences(spec, rows)])
+
+
+def _heads() -> list[str]:
+    return ["setting", "measured %", *(head for head, _, _ in _HEADS.values()), "front"]
+
+
+def _cells(row: SettingFigures) -> list[str]:
+    figures = [
+        _number(factor * row.figure[name], digits) for name, (_, factor, digits) in _HEADS.items()
+    ]
+    return [_share(row.measured), *figures, "x" if row.front else ""]
+
+
 def _markdown(spec: DesignSpec, rows: Sequence[SettingFigures], conclusion: str) -> str:
-    heads = ["setting", "measured %", *(head for head, _, _ in _HEADS.values()), "front"]
-    lines = [f"# {spec.title}", "", conclusion, "", _head(heads)]
+    lines = [f"# {spec.title}", "", conclusion, "", _head(_heads())]
     for row in rows:
-        cells = [f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", _share(row.measured)]
-        cells += [
-            _number(factor * row.figure[name], digits)
-            for name, (_, factor, digits) in _HEADS.items()
-        ]
-        lines.append(_line([*cells, "x" if row.front else ""]))
+        lines.append(_line([f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", *_cells(row)]))
     lines += ["", _EXPLAINED.format(cone=spec.cone_deg, wrong=1e3 * spec.wrong_m), ""]
     lost = [fate for fate in FATES if any(row.share[fate] > 0 for row in rows)]
     lost = [fate for fate in lost if fate is not Fate.MEASURED]

@@ -122,7 +122,7 @@ def place_settings(
         )
     try:
         base = resolve_cell(config, spec.cell.parent, progress=progress)
-        refuse_several(base, "graycast design")
+        refuse_several(base, "graycast rig design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error
     found = []

@@ -61,9 +61,13 @@ class SweepSection(Settings):
 class NeedsSection(Settings):
     """The most that a setting may have to be chosen."""
 
-    sigma_m: Positive | None = None
-    feature_m: Positive | None = None
-    seconds: Positive | None = None
+    sigma_m: Positive | None = Field(
+        None, description="The largest standard deviation of depth, in metres."
+    )
+    feature_m: Positive | None = Field(
+        None, description="The side, in metres, that the smallest visible cube may have at most."
+    )
+    seconds: Positive | None = Field(None, description="The longest time of a scan, in seconds.")
 
 
 class DesignSpec(Settings):

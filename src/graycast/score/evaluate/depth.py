@@ -1,9 +1,10 @@
 """The scanner's depth against perfect depth by angle of incidence: bias, noise, spikes, holes.
 
-`graycast stats` has the same figures over all angles and over the parts. The angle is between the
-camera's ray and the normal of the perfect surface, from central differences of its points: exact
-for planes. Where a pixel's neighbours do not lie on one surface (a step, a crease, the border of
-the picture or of perfect depth) there is no such angle: these pixels are a row of their own.
+`graycast dataset stats` has the same figures over all angles and over the parts. The angle is
+between the camera's ray and the normal of the perfect surface, from central differences of its
+points: exact for planes. Where a pixel's neighbours do not lie on one surface (a step, a crease,
+the border of the picture or of perfect depth) there is no such angle: these pixels are a row of
+their own.
 """
 
 from collections import Counter

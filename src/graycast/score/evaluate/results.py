@@ -1,4 +1,4 @@
-"""Results to judge: a file of COCO results, or a folder that `graycast detect` wrote."""
+"""Results to judge: a file of COCO results, or a folder that `graycast detector find` wrote."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class DetectionRun:
 
     @property
     def name(self) -> str:
-        """Of the folder that `graycast detect` wrote, or of the file."""
+        """Of the folder that `graycast detector find` wrote, or of the file."""
         path = self.path.resolve()
         return path.parent.name if self.scene_ids is not None else path.name
 
@@ -53,8 +53,8 @@ def open_run(path: Path) -> DetectionRun:
         return DetectionRun(path=path)
     if not (path / RESULTS).is_file():
         raise GraycastError(
-            f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
-            "COCO results"
+            f"{path}: has no {RESULTS}: give a folder that graycast detector find wrote, or a "
+            "file of COCO results"
         )
     if not (path / DETECT_JSON).is_file():
         raise GraycastError(
@@ -75,8 +75,8 @@ def read_found(
     scene_ids_of_run = scene_ids if run.scene_ids is None else run.scene_ids
     if odd := set(scene_ids) - set(scene_ids_of_run):
         raise GraycastError(
-            f"{run.path}: scene {min(odd)} was not used by graycast detect: score the set of "
-            "scenes that it used"
+            f"{run.path}: scene {min(odd)} was not used by graycast detector find: score the set "
+            "of scenes that it used"
         )
     found = read_results(run.path, scene_ids_of_run, obj_ids=set(categories))
     wanted = set(scene_ids)
@@ -101,9 +101,11 @@ def _run(results: Path, path: Path) -> DetectionRun:
     except OSError as error:
         raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
     except KeyError as error:
-        raise GraycastError(f"{path}: lacks {error}: run graycast detect again") from error
+        raise GraycastError(f"{path}: lacks {error}: run graycast detector find again") from error
     except (ValueError, TypeError) as error:
-        raise GraycastError(f"{path}: is damaged ({error}): run graycast detect again") from error
+        raise GraycastError(
+            f"{path}: is damaged ({error}): run graycast detector find again"
+        ) from error
 
 
 def _whole(value: Any) -> int:

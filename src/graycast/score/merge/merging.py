@@ -1,4 +1,4 @@
-"""`graycast merge`: the clouds of a dataset's scenes, and what their views add, as files."""
+"""The clouds of a dataset's scenes, and what their views add, as files."""
 
 from itertools import groupby
 from pathlib import Path

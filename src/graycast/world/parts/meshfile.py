@@ -17,12 +17,12 @@ from jaxtyping import Float, UInt8
 
 from ...base.errors import MeshError
 from ...base.file_limits import refuse_large_size
+from ...base.frames import UNITS_M
 from .builtin import CREASE_RAD
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, welded
 
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
 MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third of it; there may be textures.
 SIZE_M = (0.002, 1.5)  # A stated unit may give a longest side between these.

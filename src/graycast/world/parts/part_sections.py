@@ -110,7 +110,9 @@ class SymmetrySection(Settings):
         description="The discrete symmetries as 4x4 transforms: 16 numbers row by row, "
         "lengths in metres.",
     )
-    continuous: tuple[ContinuousSymmetry, ...] = ()
+    continuous: tuple[ContinuousSymmetry, ...] = Field(
+        (), description="The axes about which any turn leaves the part the same."
+    )
 
     @model_validator(mode="after")
     def _sixteen(self) -> "SymmetrySection":
@@ -139,14 +141,22 @@ class PartSection(Settings):
         description="The factor on the size of the file or of the built-in part; 1.005 "
         "makes parts 0.5 % larger.",
     )
-    name: str | None = None
+    name: str | None = Field(
+        None, description="The name of the part. Without this key, it is the name of the file."
+    )
     material: MaterialSection | None = Field(
         None, description="The material, which replaces the part's own."
     )
     density_kg_m3: Positive | None = Field(
-        None, description="The density of a solid mesh in kg/m^3; steel has 7800."
+        None,
+        description="The density in kg/m^3; steel has 7800. Without this key, it is 1000 for a "
+        "mesh.",
     )
-    friction: float | None = Field(None, ge=0)
+    friction: float | None = Field(
+        None,
+        ge=0,
+        description="The coefficient of friction. Without this key, it is 0.4 for a mesh.",
+    )
     symmetry: SymmetrySection | None = Field(
         None, description="The motions that leave the part looking the same."
     )

@@ -97,7 +97,7 @@ def write_report(
         workers: processes that make scenes' pages.
         width_px: maps wider than this are thinned; see `scene_page_files`.
         detections: results to show over the scenes: a file of COCO results, or a folder that
-            `graycast detect` wrote. Without them those of an earlier build are taken away.
+            `graycast detector find` wrote. Without them those of an earlier build are taken away.
         progress: counts scenes.
 
     Raises:

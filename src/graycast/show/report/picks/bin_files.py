@@ -88,7 +88,7 @@ def read_image(path: Path) -> np.ndarray:
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise GraycastError(
-            f"{path}: cannot be read: remove the bin's folder and run graycast pick again"
+            f"{path}: cannot be read: remove the bin's folder and run graycast robot pick again"
         )
     return image
 

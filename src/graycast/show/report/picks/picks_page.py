@@ -68,6 +68,7 @@ def write_pick_report(
                 **asdict(summary),
                 "thinking_s": summary.thinking_s,
                 "picks_per_hour": summary.picks_per_hour,
+                "picks_per_hour_here": summary.picks_per_hour_here,
             },
             **_cell(replay),
             "bins": _bins(episodes),

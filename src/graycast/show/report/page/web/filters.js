@@ -159,7 +159,7 @@
       saving.textContent = `save ${Graycast.count(n)} ${Graycast.tags.ticked.size ? "ticked" : "shown"}`;
       saving.disabled = n === 0;
       saving.title =
-        "Save these scenes and their tags as a file. Use the file with graycast export --scenes FILE.";
+        "Save these scenes and their tags as a file. Use the file with graycast dataset export --selection FILE.";
       chips.replaceChildren(
         ...narrowing().map(([text, names]) =>
           el(

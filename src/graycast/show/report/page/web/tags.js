@@ -1,6 +1,6 @@
 "use strict";
 // Tags and ticks that a user gives to scenes. The browser keeps tags for this dataset; a file that
-// can be saved and loaded carries them elsewhere, and `graycast export --scenes` reads it.
+// can be saved and loaded carries them elsewhere, and `graycast dataset export --selection` reads it.
 
 {
   const KIND = "graycast-scenes",

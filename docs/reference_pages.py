@@ -1,0 +1,187 @@
+"""The pages of the reference that are made while the site is built.
+
+Keys come from the models that read the files, and commands from the parser. Every key and every
+flag is an anchor: `configuration.md#bin.inner_m`, `commands.md#dataset-stats--out`.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from textwrap import dedent
+from typing import Any
+
+from graycast.camera.rig_file.own import RigModel
+from graycast.camera.scanner import Scanner
+from graycast.camera.stack.description import StackDescription
+from graycast.cell.config import Config
+from graycast.cli.command import _parser
+from graycast.learn.study_file import StudySpec
+from graycast.robot.pick.pick_sections import PickConfig
+from graycast.score.design.study import DesignSpec
+
+Schema = dict[str, Any]
+
+_FILES = (
+    ("rig", "# Keys of a rig file", RigModel, ""),
+    (
+        "configuration",
+        "# Keys of a configuration\n\nWithout a key of code, exposure, sensor, decode, filters or "
+        "faults, the rig's own value is used.",
+        Config,
+        "",
+    ),
+    (
+        "robot",
+        "# Keys of a robot's cell and of a tool\n\nA robot's cell has all [keys of a "
+        "configuration](configuration.md) but `domain`, and these. The file of a tool has the keys "
+        "of `tool`.",
+        PickConfig,
+        "",
+    ),
+    ("stack", "# Keys of a stack file", StackDescription, ""),
+    ("study", "# Keys of studies\n\n## Detector study", StudySpec, "detector."),
+    ("study", "## Design study", DesignSpec, "design."),
+)
+_TABLE = "| key | value | default | meaning |\n|---|---|---|---|\n"
+_ESCAPED = str.maketrans({c: f"&#{ord(c)};" for c in "|<>*[]{}"})
+
+
+def pages() -> dict[str, str]:
+    """Each page's Markdown by its path in docs."""
+    keys = _Keys()
+    commands = "".join(_commands(_parser(), "graycast"))
+    texts = {"commands": f"# Commands\n\nEvery command takes `--help` and `--debug`.\n\n{commands}"}
+    for page, head, model, prefix in _FILES:
+        schema = model.model_json_schema()
+        if model is RigModel:
+            _state_defaults(schema)
+        elif model is PickConfig:
+            for key in Config.model_fields:
+                del schema["properties"][key]
+        texts[page] = f"{texts.get(page, '')}{head}\n\n{keys.text(page, schema, prefix)}"
+    return {f"reference/{name}.md": text for name, text in texts.items()}
+
+
+def _state_defaults(schema: Schema) -> None:
+    """A rig file without a key of these sections has the scanner's default."""
+    for field in fields(Scanner):
+        if callable(field.default_factory):
+            section = schema["properties"][field.name]["$ref"].rsplit("/", 1)[1]
+            for key, value in asdict(field.default_factory()).items():
+                schema["$defs"][section]["properties"][key]["default"] = value
+
+
+class _Keys:
+    """Tables of keys, one a section; a section that several pages share stands on the first."""
+
+    def __init__(self) -> None:
+        self._place: dict[str, str] = {}
+
+    def text(self, page: str, schema: Schema, prefix: str) -> str:
+        """The table of a file, and then those of its sections."""
+        self._page, self._defs = page, schema.get("$defs", {})
+        self._todo: list[tuple[str, Schema]] = []
+        text = self._table(schema, prefix)
+        while self._todo:
+            anchor, section = self._todo.pop(0)
+            about = _escaped(section["description"])
+            text += f"## `{anchor}` {{ #{anchor} }}\n\n{about}\n\n"
+            text += self._table(section, f"{anchor}.")
+        return text
+
+    def _table(self, section: Schema, prefix: str) -> str:
+        text = _TABLE
+        for key, node in section["properties"].items():
+            name = prefix + key
+            kind = self._kind(node, name)
+            is_section = f"{self._page}.md#{name}" in self._place.values()
+            own = f"[`{key}`](#{name})" if is_section else f"`{key}`{{ #{name} }}"
+            default = "must be given" if key in section.get("required", ()) else _default(node)
+            text += f"| {own} | {kind} | {default} | {_escaped(node['description'])} |\n"
+        return text + "\n"
+
+    def _kind(self, node: Schema, name: str) -> str:
+        """What a value may be, in words, with a link to a section's own table."""
+        if "$ref" in node:
+            section = self._defs[node["$ref"].rsplit("/", 1)[1]]
+            return self._link(section, name)
+        for several in ("anyOf", "oneOf"):
+            if several in node:
+                chosen = [option for option in node[several] if option != {"type": "null"}]
+                kinds = [self._kind(option, name) for option in chosen]
+                empty = len(chosen) < len(node[several]) and node.get("default") is not None
+                return " or ".join(dict.fromkeys(kinds + ["null"] * empty))
+        if "enum" in node or "const" in node:
+            return ", ".join(f"`{word}`" for word in node.get("enum", [node.get("const")]))
+        if "prefixItems" in node:
+            kinds = [self._kind(item, name) for item in node["prefixItems"]]
+            alike = len(set(kinds)) == 1
+            return f"{len(kinds)} x {kinds[0]}" if alike else f"[{', '.join(kinds)}]"
+        if "items" in node:
+            return f"list of {self._kind(node['items'], name)}"
+        if "additionalProperties" in node:
+            return f"names, each with {self._kind(node['additionalProperties'], name)}"
+        return _plain(node)
+
+    def _link(self, section: Schema, name: str) -> str:
+        keys = section["properties"]
+        kind = keys.get("kind", {}).get("const")
+        content = json.dumps({key: node | {"default": None} for key, node in keys.items()})
+        if content not in self._place:
+            anchor = f"{name}.{kind}" if kind else name
+            self._place[content] = f"{self._page}.md#{anchor}"
+            self._todo.append((anchor, section))
+        return f"[{kind or 'section'}]({self._place[content]})"
+
+
+def _plain(node: Schema) -> str:
+    words = {"integer": "whole number", "boolean": "true or false", "string": "text"}
+    kind = "path" if node.get("format") == "path" else words.get(node["type"], node["type"])
+    if "minimum" in node and "maximum" in node:
+        return f"{kind} from {node['minimum']:g} to {node['maximum']:g}"
+    limits = ("minimum ≥", "exclusiveMinimum >", "maximum ≤", "exclusiveMaximum <")
+    pairs = [limit.split() for limit in limits]
+    signs = [f"{sign} {node[limit]:g}" for limit, sign in pairs if limit in node]
+    return " ".join([kind, _escaped(", ".join(signs))]).strip()
+
+
+def _default(node: Schema) -> str:
+    value = node.get("default")
+    inner = value[0] if isinstance(value, list | tuple) and value else value
+    return "" if value is None or isinstance(inner, dict) else f"`{json.dumps(value)}`"
+
+
+def _escaped(text: str) -> str:
+    return " ".join(text.split()).translate(_ESCAPED)
+
+
+def _commands(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+    """A chapter for each command; those of a group's commands follow it."""
+    anchor = name.removeprefix("graycast").strip().replace(" ", "-")
+    example, _, about = (parser.description or "").rpartition("\n\n")
+    yield f"## {name} {{ #{anchor or 'graycast'} }}\n\n{_escaped(about)}\n\n"
+    if example:
+        yield f"```sh\n{dedent(example.partition(chr(10))[2])}\n```\n\n"
+    groups = [action for action in parser._actions if isinstance(action.choices, dict)]
+    shown = [a for a in parser._actions if a not in groups and a.dest not in ("help", "debug")]
+    if shown:
+        yield "| argument | meaning |\n|---|---|\n"
+        yield "".join(_argument(parser, action, anchor) for action in shown) + "\n"
+    for group in groups:
+        for word, command in group.choices.items():
+            yield from _commands(command, f"{name} {word}")
+
+
+def _argument(parser: argparse.ArgumentParser, action: argparse.Action, anchor: str) -> str:
+    formatter = parser._get_formatter()
+    flag = (action.option_strings or [""])[-1]
+    value = formatter._format_args(action, action.dest.upper() if flag else action.dest)
+    place = f"{anchor}{flag or '-' + action.dest}"
+    return (
+        f"| `{f'{flag} {value}'.strip()}`{{ #{place} }} | {_escaped(_help(formatter, action))} |\n"
+    )
+
+
+def _help(formatter: argparse.HelpFormatter, action: argparse.Action) -> str:
+    return formatter._expand_help(action) if action.help else ""

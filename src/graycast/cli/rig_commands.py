@@ -1,0 +1,364 @@
+"""Commands of rigs: rig list, show, write, import, calibrate, patterns, decode, certify, design."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..base.errors import GraycastError, one_line
+from ..base.folder import refuse_foreign, whole_folder
+from ..rig.pair import PRESETS
+from ..rig.pattern import CODECS
+from .arguments import (
+    CONTINUE,
+    add_command,
+    add_device,
+    add_group,
+    add_option,
+    add_out,
+    add_rig,
+    add_shared,
+    add_workers,
+    resolve_rig_option,
+    size,
+    workers_of,
+)
+from .bars import open_bars
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+DESIGN = """\
+The command scans the same heaps of parts with each setting of the study: scanners, their poses,
+codes, exposures and bins. For each setting it reports the share of the parts' surface that is
+measured, the depth error, the share and the reasons of missing depth, the smallest feature that is
+resolved, and the duration of a scan in seconds. It writes tables, a plot of the best settings and a
+picture of each setting to the folder. If the command is stopped, the same command continues the
+study; settings and heaps may be added."""
+
+
+def add_commands(commands) -> None:
+    group = add_group(
+        commands, "rig", "List, draw, write, calibrate, certify, compare and decode scanners."
+    )
+    add_command(group, "list", _list, "List the presets, one line each.", example="")
+    show = add_command(
+        group, "show", _show, "Print the properties of a rig, and draw it.",
+        example="phoxi-m --out rig.png",
+    )  # fmt: skip
+    add_rig(show)
+    add_out(show, "The PNG file to write.", required=False)
+    write = add_command(
+        group, "write", _write, "Write a preset as a rig file, which can then be edited.",
+        example="phoxi-m --out rig.yaml",
+    )  # fmt: skip
+    add_rig(write)
+    add_out(write, "The YAML file to write.")
+    _add_files(group)
+    _add_pictures(group)
+    certify = add_command(
+        group, "certify", _certify, "Measure the accuracy of a virtual scanner.",
+        example="phoxi-l --out out/sheet",
+        more="The scanner measures virtual artefacts: planes, spheres and ball bars.",
+    )  # fmt: skip
+    add_rig(certify)
+    add_out(certify, "The folder to write.")
+    add_shared(certify, "--seed", default=0)
+    add_shared(certify, "--backend", default="mitsuba")
+    add_device(certify)
+
+    design = add_command(
+        group, "design", _design, "Compare scanners and their poses, and recommend one.",
+        example="configs/design/brackets.yaml --out out/design", more=DESIGN,
+        when_stopped=f"the finished scans are kept; {CONTINUE}",
+    )  # fmt: skip
+    file = "The YAML file of the study, such as configs/design/brackets.yaml."
+    add_option(design, "study", Path, file)
+    add_out(design, "The folder to write.")
+    add_shared(design, "--list")
+    add_device(design)
+    add_workers(design)
+
+
+def _add_files(group) -> None:
+    """The commands that make a rig file from what a real scanner gives."""
+    load = add_command(
+        group, "import", _import, "Make a rig file from a stereo calibration of OpenCV.",
+        example="stereo.yml --out rig.yaml",
+    )  # fmt: skip
+    file = "The calibration file: YAML, XML, JSON or NPZ with the matrices K, D, R and T."
+    add_option(load, "calibration", Path, file)
+    add_out(load, "The YAML file to write.")
+    add_shared(load, "--unit")
+    overlap = "where the overlap of the fields of view of camera and projector"
+    add_shared(load, "--near", usual=f"{overlap} begins")
+    add_shared(load, "--far", usual=f"{overlap} ends")
+    for device in ("camera", "projector"):
+        pixels = f"The width and height of the {device} in pixels."
+        needed = "It is needed only if the file does not state them."
+        add_option(load, f"--{device}-size", size, f"{pixels} {needed}")
+
+    calibrate = add_command(
+        group, "calibrate", _calibrate, "Calibrate a rig from stacks of one flat board.",
+        example="pose*/stack.yaml --board chessboard:9x6:0.025 --out rig.yaml",
+        more="The board is in three or more poses.",
+    )  # fmt: skip
+    add_option(
+        calibrate,
+        "stacks",
+        Path,
+        "The stack files, one for each pose of the board. Each stack must code columns and rows.",
+        nargs="+",
+    )
+    add_option(
+        calibrate,
+        "--board",
+        str,
+        "The board: chessboard:9x6:0.025 states the numbers of squares and their side in metres; "
+        "charuco:8x5:0.03:0.022:DICT_5X5_100 adds the side of the markers and their dictionary. "
+        "Add :legacy at the end for a ChArUco board in the layout of OpenCV before 4.6.",
+        required=True,
+        metavar="BOARD",
+    )
+    add_out(calibrate, "The YAML file to write.")
+    add_shared(calibrate, "--near", usual="10 %% less than the distance of the nearest corner")
+    add_shared(calibrate, "--far", usual="10 %% more than the distance of the farthest corner")
+    calibrate.add_argument(
+        "--radial-terms",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="The largest number of radial distortion coefficients of each lens. "
+        "Coefficients that the corners do not determine are set to 0 (default: 3).",
+    )
+
+
+def _add_pictures(group) -> None:
+    """The commands of a projector's patterns and of a camera's pictures of them."""
+    patterns = add_command(
+        group, "patterns", _patterns, "Write the patterns of a rig for a projector.",
+        example="rig.yaml --out out/patterns",
+        more="The patterns are PNG files, beside the stack file for graycast rig decode.",
+    )  # fmt: skip
+    add_rig(patterns)
+    add_out(patterns, "The folder to write.")
+    code = "The code of the patterns."
+    add_option(patterns, "--codec", tuple(CODECS), code, usual="the rig's own")
+    add_option(patterns, "--inverses", None, "Also write the inverse of each pattern.")
+
+    decode = add_command(
+        group, "decode", _decode, "Decode a scanner's pictures to depth.",
+        example="stack.yaml --rig rig.yaml --out out/cloud",
+        more="Without a rig, the command writes projector coordinates alone.",
+    )  # fmt: skip
+    stack = "The stack file, which describes each picture, or a folder that holds a stack.yaml."
+    add_option(decode, "stack", Path, stack)
+    add_option(
+        decode,
+        "--rig",
+        str,
+        "A rig file or the name of a preset. With a rig, depth and a point cloud are also written.",
+        usual="the rig that the stack file names, if any",
+        metavar="RIG",
+    )
+    add_shared(decode, "--resolution", usual="low")
+    average = "Write one 3D point for each projector pixel instead of each camera pixel."
+    add_option(decode, "--average", None, average)
+    add_out(decode, "The folder to write.")
+
+
+def _list(options: argparse.Namespace) -> int:
+    from ..camera.scanner import preset
+
+    for name in PRESETS:
+        scanner = preset(name, "full")
+        rig, code = scanner.rig, scanner.code
+        print(
+            f"{name:8}  {rig.near_m:.2f} to {rig.far_m:.2f} m, baseline {1e3 * rig.baseline_m:.0f} "
+            f"mm, {rig.camera.width_px} x {rig.camera.height_px} pixels, code {code.codec}"
+        )
+    return 0
+
+
+def _show(options: argparse.Namespace) -> int:
+    from ..show.report import describe_rig, draw_rig
+
+    rig = resolve_rig_option(options).rig
+    print(describe_rig(rig))
+    if options.out is not None:
+        draw_rig(rig, options.out)
+        print(options.out)
+    return 0
+
+
+def _write(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import save_scanner
+
+    save_scanner(resolve_rig_option(options), options.out)
+    print(options.out)
+    return 0
+
+
+def _import(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import import_opencv, missing_distortions, save_scanner
+    from ..camera.scanner import Scanner
+    from ..show.report import describe_rig
+
+    rig = import_opencv(
+        options.calibration,
+        unit=options.unit,
+        near_m=options.near,
+        far_m=options.far,
+        camera_size_px=options.camera_size,
+        projector_size_px=options.projector_size,
+    )
+    save_scanner(Scanner(rig=rig), options.out)
+    print(describe_rig(rig))
+    for missing in missing_distortions(options.calibration):
+        print(f"graycast: warning: {missing}", file=sys.stderr)
+    print(options.out)
+    return 0
+
+
+def _patterns(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from ..camera.stack import describe_code
+    from ..rig.pair import grey_levels
+    from ..rig.pattern import CodeSpec, write_pngs
+
+    scanner = resolve_rig_option(options)
+    spec = scanner.code
+    # the settings of the rig's own code apply only to that code
+    if options.codec not in (None, spec.codec):
+        spec = CodeSpec(codec=options.codec, axes=spec.axes)
+    if options.inverses:
+        spec = replace(spec, inverses=True)
+    projector = scanner.rig.projector
+    code = spec.code(projector.width_px, projector.height_px)
+    with whole_folder(options.out) as folder:
+        written = [
+            path.name
+            for path in write_pngs(
+                code, folder, grey_levels=lambda share: grey_levels(scanner.rig, share)
+            )
+        ]
+        others = {path.name for path in options.out.glob("*.png")}.difference(written)
+        if others:
+            raise GraycastError(
+                f"{options.out}: holds pictures of another code, such as {min(others)}, which a "
+                "projector would show too: choose an empty folder"
+            )
+        (folder / "stack.yaml").write_text(describe_code(code, written), encoding="utf-8")
+        written.append("stack.yaml")
+    for name in written:
+        print(options.out / name)
+    return 0
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import save_scanner
+    from ..camera.scanner import Scanner
+    from ..real.calibrate import calibrate_rig, describe_calibration, parse_board, read_view
+
+    board = parse_board(options.board)
+    views, sizes_px = [], set()
+    for path in options.stacks:
+        print(path)
+        view, size_px = read_view(path)
+        views.append(view)
+        sizes_px.add(size_px)
+    if len(sizes_px) > 1:
+        sizes = ", ".join(f"{w} x {h}" for w, h in sorted(sizes_px))
+        raise GraycastError(
+            f"the stacks were made with projectors of different sizes ({sizes} px): give stacks of "
+            "one projector"
+        )
+    calibration = calibrate_rig(
+        views,
+        board,
+        projector_size_px=sizes_px.pop(),
+        name=options.out.stem,
+        near_m=options.near,
+        far_m=options.far,
+        radial_terms=options.radial_terms,
+    )
+    save_scanner(Scanner(rig=calibration.rig), options.out)
+    print(describe_calibration(calibration))
+    for warning in calibration.warnings:
+        print(f"graycast: warning: {warning}", file=sys.stderr)
+    print(options.out)
+    return 0
+
+
+def _decode(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import load_scanner
+    from ..camera.stack import CODE, decode_stack, describe_result, read_description, write_result
+
+    refuse_foreign(options.out, CODE)
+    stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
+    if options.rig is not None:
+        scanner = resolve_rig_option(options)
+    else:
+        own = read_description(stack).rig
+        scanner = None if own is None else load_scanner(stack.parent / own)
+    if scanner is None:
+        result = decode_stack(stack, average=options.average)
+    else:
+        result = decode_stack(stack, scanner.rig, average=options.average, filters=scanner.filters)
+    written = write_result(result, options.out)
+    print(describe_result(result))
+    for path in written:
+        print(path)
+    return 0
+
+
+def _certify(options: argparse.Namespace) -> int:
+    from ..rendering import open_renderer
+    from ..score.metrology import CERTIFICATE, certify, describe, write_certificate
+
+    scanner = resolve_rig_option(options)
+    refuse_foreign(options.out, CERTIFICATE)
+    with (
+        whole_folder(options.out) as folder,
+        open_renderer(options.backend, device=options.device) as renderer,
+        open_bars() as bars,
+    ):
+        certificate = certify(scanner, renderer=renderer, seed=options.seed, progress=bars)
+        page = write_certificate(certificate, folder)
+    print(describe(certificate))
+    print(options.out / page.name)
+    return 0
+
+
+def _design(options: argparse.Namespace) -> int:
+    from ..score.design import describe_design, read_design, run_design, settings_of, write_design
+
+    workers = workers_of(options)
+    spec = read_design(options.study)
+    settings = settings_of(spec)
+    if options.list:
+        print("\n".join(setting.name for setting in settings))
+        return 0
+    print(f"{len(settings)} settings, {spec.layouts} heaps of parts, seed {spec.seed}")
+    with open_bars() as bars:
+
+        def report(name, layout, outcome) -> None:
+            shares = ", ".join(f"{share:.1%}" for share in outcome.reasons.values())
+            bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
+
+        def failed(name, layout, outcome) -> None:
+            bars.line(f"{name}  heap {layout:03d}  failed: {one_line(outcome.error)}")
+
+        lost = run_design(
+            spec,
+            options.out,
+            device=options.device,
+            workers=workers,
+            on_result=report,
+            on_failed=failed,
+            progress=bars,
+        )
+    write_design(spec, options.out)
+    print(describe_design(spec, options.out))
+    for name in lost:
+        print(f"  {name} is missing; run the same command again to retry it")
+    return 1 if lost else 0

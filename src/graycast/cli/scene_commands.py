@@ -1,0 +1,353 @@
+"""Commands of scenes and datasets: preview, generate, live, validate, report, parts."""
+
+import argparse
+from pathlib import Path
+
+from ..base.errors import GraycastError, one_line
+from .arguments import (
+    CONTINUE,
+    add_command,
+    add_config,
+    add_device,
+    add_option,
+    add_out,
+    add_shared,
+    add_workers,
+    load_cell,
+    positive,
+    print_shares,
+    whole,
+    workers_of,
+)
+from .bars import open_bars, open_stages
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+PORT = 8337
+WIDTH_PX = 1300  # A test compares it with that of the page.
+GENERATE = """\
+If the command is stopped or killed, the same command continues the dataset, because a scene depends
+only on the configuration, the seed and the number of the scene. If a worker dies, it is replaced
+and its scene is made again. If a scene fails three times, it is set aside, set_aside.json states
+the reason, the other scenes are made, and the exit code is 1. The file README.md in the folder
+describes the dataset."""
+LIVE = """\
+A change of exposure, noise, thresholds or filters takes effect at once, because the rendered light
+is kept. A change of the light or the rig renders the scene again, first with few samples. A change
+of the parts also simulates their fall again. The button Save writes a YAML file from which graycast
+preview makes the same picture. The page can be opened only on this machine. Ctrl-C ends the
+command."""
+
+
+def add_commands(commands) -> None:
+    preview = add_command(
+        commands, "preview", _preview, "Make one scene, and draw its pictures and its depth.",
+        example="configs/demo.yaml --out preview.png",
+    )  # fmt: skip
+    add_config(preview)
+    add_out(preview, "The PNG file to write.")
+    add_shared(preview, "--scene", default=0)
+    add_option(
+        preview,
+        "--image",
+        whole,
+        "Which of the scene's images to make, of a cell that takes several: all images of its "
+        "first scanner, then those of the next.",
+        0,
+    )
+    add_shared(preview, "--seed", "--backend", usual="as configured")
+    add_device(preview)
+
+    generate = add_command(
+        commands, "generate", _generate, "Make a dataset, or continue one.",
+        example="configs/demo.yaml --out out/demo", more=GENERATE,
+        when_stopped=f"the finished scenes are kept; {CONTINUE}",
+    )  # fmt: skip
+    add_config(generate)
+    add_out(generate, "The folder of the dataset.")
+    scenes = "The number of scenes in the complete dataset."
+    add_option(generate, "--scenes", positive, scenes, usual="as configured")
+    add_shared(generate, "--seed", "--backend", usual="as configured")
+    add_device(generate)
+    add_workers(generate)
+
+    live = add_command(
+        commands, "live", _live, "Show a cell in the browser, and change its settings there.",
+        example="configs/demo.yaml --open", more=LIVE,
+        when_stopped="the files that the page saved are kept",
+    )  # fmt: skip
+    add_config(live)
+    add_option(live, "--port", positive, "The TCP port of the page on this machine.", PORT)
+    add_shared(live, "--scene", default=0)
+    add_option(live, "--open", None, "Open the page in a browser.")
+    add_device(live)
+    _add_reading(commands)
+
+
+def _add_reading(commands) -> None:
+    """The commands that read what is there."""
+    validate = add_command(
+        commands, "validate", _validate, "Check that the files of a dataset are sound.",
+        example="out/demo", more="They are complete and consistent with each other.",
+    )  # fmt: skip
+    add_option(validate, "dataset", Path, "The folder of the dataset.")
+    add_option(
+        validate,
+        "--fast",
+        None,
+        "Check only the SHA-256 digest of every file, not whether the contents of the files are "
+        "consistent.",
+    )
+
+    report = add_command(
+        commands, "report", _report, "Write a web page of a dataset.",
+        example="out/demo --out out/page", more="A browser opens the page from the disk.",
+        when_stopped=f"the finished scenes are kept; {CONTINUE}",
+    )  # fmt: skip
+    add_option(report, "dataset", Path, "The folder of the dataset.")
+    add_out(report, "The folder to write.")
+    add_shared(report, "--workers", default=1)
+    add_option(
+        report,
+        "--detections",
+        Path,
+        "Detections that the page also shows: a folder that graycast detector find wrote, or a "
+        "file of COCO results.",
+    )
+    add_shared(report, "--width", default=WIDTH_PX)
+
+    parts = add_command(
+        commands, "parts", _parts, "List the built-in parts or the parts of a configuration.",
+        example="--out parts.png", more="With --out, the command also draws them.",
+    )  # fmt: skip
+    own = "A configuration whose parts are listed instead of the built-in ones."
+    add_option(parts, "config", Path, own, nargs="?")
+    add_out(parts, "The PNG file to write.", required=False)
+    add_device(parts)
+
+
+def _preview(options: argparse.Namespace) -> int:
+    from ..cell.resolve import open_cell_renderer
+    from ..cell.simulate import make_images
+    from ..show.report import draw_preview
+
+    cell = load_cell(options)
+    if options.image >= len(cell.images):
+        raise GraycastError(
+            f"--image is {options.image}: a scene of this cell has {len(cell.images)}, from 0 on"
+        )
+    seed = cell.config.seed if options.seed is None else options.seed
+    with open_bars() as bars:
+        with open_cell_renderer(cell, device=options.device, progress=bars) as renderer:
+            which = _which(cell, options.image)
+            bars.line(f"scene {options.scene}{which} by {renderer.name} on {renderer.device}")
+            images = make_images(
+                cell,
+                options.scene,
+                seed=seed,
+                renderer=renderer,
+                progress=bars,
+                only=options.image,
+            )
+            shot = next(images)
+    scanner = dict(cell.scanners)[cell.images[options.image][0]]
+    draw_preview(shot, scanner.light_code(), options.out)
+    _tell_coarse(shot)
+    print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
+    print(options.out)
+    return 0
+
+
+def _which(cell, number: int) -> str:
+    """Which of a scene's images is shown, where there are several."""
+    if len(cell.images) == 1:
+        return ""
+    sensor, image = cell.images[number]
+    scanner = f" of scanner {sensor}" if sensor else ""
+    return f", image {image}{scanner} ({number + 1} of {len(cell.images)})"
+
+
+def _tell_coarse(shot) -> None:
+    """Print which of the dropped parts have coarse collision hulls."""
+    from ..world.drop import hull_notes, prepare
+
+    sample = shot.sample
+    parts = [sample.scene.parts[kind] for kind in sorted({*sample.layout.part_index})]
+    for note in hull_notes(parts, prepare(parts)):
+        print(f"note: {note}")
+
+
+def _generate(options: argparse.Namespace) -> int:
+    from ..base.usage import GpuWatch
+    from ..cell.generate import generate
+    from ..dataset.card import CARD, write_card
+
+    workers = workers_of(options)
+    cell = load_cell(options)
+    config = cell.config
+    scenes = options.scenes or config.scenes
+    chosen_seed = config.seed if options.seed is None else options.seed
+    backend = config.render.backend
+    print(
+        f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
+        f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
+    )
+    with open_bars() as bars, GpuWatch() as gpu:
+
+        def report(scene) -> None:
+            decoded = f"{scene.reasons['decoded']:.1%} of all pixels decoded"
+            if scene.part_reasons:
+                decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
+            busy = "" if gpu.share is None else f", GPU busy {gpu.share:.0%} of the time"
+            bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
+
+        def failed(scene) -> None:
+            then = "set aside" if scene.final else "will be made again"
+            bars.line(f"scene {scene.scene_id:06d}  {then}: {one_line(scene.error)}")
+
+        summary = generate(
+            cell,
+            options.out,
+            scenes=scenes,
+            seed=chosen_seed,
+            device=options.device,
+            workers=workers,
+            progress=bars,
+            on_result=report,
+            on_failed=failed,
+        )
+    if summary.written or not (options.out / CARD).exists():
+        write_card(options.out)  # an existing card may have a licence or the figures of all scenes
+    _tell(summary, options.out)
+    if summary.written and gpu.share is not None:
+        print(f"  the GPU was busy {gpu.share:.0%} of the time")
+    return 1 if summary.set_aside else 0
+
+
+def _where(backend: str, options: argparse.Namespace) -> str:
+    from ..rendering import choose_device
+
+    if options.engine == "ray":
+        return ""  # each machine of the cluster chooses its own device
+    return f" on {choose_device(backend, options.device)}"
+
+
+def _rigs(cell) -> str:
+    if len(cell.images) == 1:
+        return f"rig {cell.scene.rig.name}"
+    rigs = ", ".join(" ".join(filter(None, (s.rig.name, name))) for name, s in cell.scanners)
+    return f"{len(cell.images)} images a scene by rig {rigs}"
+
+
+def _who(workers) -> str:
+    count = f"{workers.count} worker(s)" if workers.count else "workers"
+    return count if workers.engine == "local" else f"{count} on Ray"
+
+
+def _tell(summary, out: Path) -> None:
+    print(f"{out}: {summary.written} scenes made, {summary.found} were there", end="")
+    print(f", {summary.seconds:.1f} s")
+    print_shares(summary.part_reasons, summary.reasons)
+    for scene in summary.set_aside:
+        print(f"  scene {scene.scene_id:06d} is missing after {scene.tries} tries: {scene.reason}")
+    if summary.set_aside:
+        print(
+            f"  run the same command again to retry the missing scenes; {out / 'set_aside.json'} "
+            "lists them"
+        )
+
+
+def _live(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    from ..show.live import Server
+
+    server = Server(
+        options.config, port=options.port, scene_id=options.scene, device=options.device
+    )
+    print(f"{options.config} is shown at {server.url} (press Ctrl-C to end)", flush=True)
+    if options.open:
+        webbrowser.open(server.url)
+    try:
+        server.run()
+    finally:
+        server.release()
+    return 0
+
+
+def _validate(options: argparse.Namespace) -> int:
+    from ..dataset import validate
+    from ..dataset.real import absent
+
+    problems = validate(options.dataset, fast=options.fast)
+    for problem in problems:
+        print(problem)
+    sound = "every file has the digest with which it was written" if options.fast else "valid"
+    print(f"{options.dataset}: {f'{len(problems)} problem(s)' if problems else sound}")
+    if not problems:
+        for lacking in absent(options.dataset):
+            print(f"  not known: {lacking}")
+    return 1 if problems else 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ..show.report.page import write_report
+
+    if (options.dataset / "picks.json").exists():
+        raise GraycastError(f"{options.dataset} holds picks: use graycast robot report")
+    with open_bars() as bars:
+        summary = write_report(
+            options.dataset,
+            options.out,
+            workers=options.workers,
+            width_px=options.width,
+            detections=options.detections,
+            progress=bars,
+        )
+    print(f"{summary.built} scenes made, {summary.kept} were there; open {summary.page.resolve()}")
+    return 0
+
+
+def _parts(options: argparse.Namespace) -> int:
+    from ..show.report import describe_parts, draw_parts
+    from ..world.parts import BUILTIN, builtin_part
+
+    if options.config is None:
+        parts = tuple(builtin_part(name) for name in BUILTIN)
+        print(describe_parts(parts))
+    else:
+        parts = load_cell(options).scene.parts
+        print(describe_parts(parts))
+        _describe_hulls(parts)
+    if options.out is not None:
+        from ..rendering import open_renderer
+
+        with open_renderer(device=options.device) as renderer:
+            draw_parts(parts, options.out, renderer=renderer)
+        print(options.out)
+    return 0
+
+
+def _describe_hulls(parts) -> None:
+    """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
+    from ..world.drop import hull_notes, prepare
+    from ..world.parts import Symmetry
+    from ..world.parts.symmetry import shape_symmetry
+
+    with open_stages() as progress:
+        prepared = prepare(parts, progress=progress)
+    print(
+        "the number of collision hulls of each part, and their largest distance from its surface:"
+    )
+    for part, hulls in zip(parts, prepared, strict=True):
+        worst, bound = (f"{1e3 * hulls.error.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
+        print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
+    for note in hull_notes(parts, prepared):
+        print(f"note: {note}")
+    for part in parts:
+        if part.symmetry == Symmetry() and shape_symmetry(part.mesh) != Symmetry():
+            print(
+                f"note: {part.name} states no symmetry, and its shape looks the same after some "
+                "turns: if neither print nor colour tells its sides apart, add "
+                "`symmetry: {auto: true}`"
+            )

@@ -1,0 +1,151 @@
+"""Commands of the first minute: demo, new; and about this machine: doctor, schema."""
+
+import argparse
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..base.errors import GraycastError
+from .arguments import CONTINUE, add_command, add_device, add_option, add_shared
+
+DEMO_PART = "metal_workpiece_1"
+# A test compares these names with those of `cell.new_cell`.
+SURFACES = ("plastic", "dark-plastic", "steel", "aluminium", "card")
+DEMO = """\
+It writes the configuration of a cell with machined brackets in a bin, a dataset of three scenes,
+and a picture of one of them. If the command is stopped, the same command continues."""
+NEW = """\
+The command prints the commands that use the configuration. The size of the bin, the number of parts
+and the rig are fitted to the size of the part. Give a mesh file of your own with --part, or a
+built-in part with --builtin."""
+KINDS = ("config", "rig", "stack", "study", "design", "robot", "tool")
+
+
+def add_first(commands) -> None:
+    def run_demo(options: argparse.Namespace) -> int:
+        return _demo(options, commands.choices)
+
+    demo = add_command(
+        commands, "demo", run_demo, "Make a small dataset and a picture of it.",
+        example="", more=DEMO, when_stopped=CONTINUE,
+    )  # fmt: skip
+    add_option(demo, "--out", Path, "The folder of the demonstration.", Path("graycast-demo"))
+    add_device(demo)
+
+    new = add_command(
+        commands, "new", _new, "Write a configuration for a part of your own.",
+        example="bracket --part bracket.stl --unit mm", more=NEW,
+    )  # fmt: skip
+    add_option(new, "folder", Path, "The folder that is made.")
+    what = new.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--part", type=Path, metavar="PATH", help="An OBJ, PLY, STL or GLB file of the part."
+    )
+    what.add_argument(
+        "--builtin", metavar="NAME", help="The name of a built-in part: see graycast parts."
+    )
+    add_shared(new, "--unit")
+    add_option(
+        new, "--surface", SURFACES, "The material of the mesh, which the configuration states.",
+        "plastic",
+    )  # fmt: skip
+
+
+def add_last(commands) -> None:
+    add_command(
+        commands, "doctor", _doctor, "List what Graycast can use on this machine.", example="",
+        more="It lists also what is missing, and what each missing piece is for.",
+    )  # fmt: skip
+    schema = add_command(
+        commands, "schema", _schema, "Print the JSON Schema of a kind of file.",
+        example="config > cell.schema.json", more="Editors complete and check files with it.",
+    )  # fmt: skip
+    add_option(schema, "kind", KINDS, "The kind of file.")
+
+
+def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentParser]) -> int:
+    cell, device = options.out / "cell.yaml", ("--device", options.device)
+    if not cell.exists():
+        _write_cell(options.out, builtin=DEMO_PART, scenes=3)
+    for command, product in (("generate", "dataset"), ("preview", "preview.png")):
+        words = (str(cell), "--out", str(options.out / product), *device)
+        chosen = parsers[command].parse_args(words)
+        if code := chosen.run(chosen):
+            return code
+    print(f"\nOpen {options.out / 'preview.png'}, and look at the commands in {cell}.")
+    return 0
+
+
+def _new(options: argparse.Namespace) -> int:
+    _write_cell(
+        options.folder,
+        builtin=options.builtin,
+        mesh=options.part,
+        unit=options.unit,
+        surface=options.surface,
+    )
+    path = options.folder / "cell.yaml"
+    print(path)
+    for line in path.read_text(encoding="utf-8").splitlines()[1:4]:
+        print(line.removeprefix("#"))
+    return 0
+
+
+def _write_cell(
+    folder: Path,
+    *,
+    builtin: str | None = None,
+    mesh: Path | None = None,
+    unit: str | None = None,
+    surface: str = "plastic",
+    scenes: int = 10,
+) -> None:
+    """Write the folder of a cell, whole or not at all.
+
+    Raises:
+        GraycastError: the folder is in use, or the part cannot be read.
+    """
+    from ..base.folder import new_folder
+    from ..cell.new_cell import new_cell
+    from ..world.parts import builtin_part, load_part
+
+    if mesh is None:
+        if unit is not None:
+            raise GraycastError("--unit belongs to a mesh file: remove it, or give --part")
+        assert builtin is not None  # one of the two is given
+        part, source, own = builtin_part(builtin), {"builtin": builtin}, None
+    else:
+        part, notes = load_part(mesh, unit=unit, density_kg_m3=1000.0, friction=0.4)
+        for note in notes:
+            print(f"note: {mesh}: {note}")
+        source, own = {"mesh": mesh.name} | ({} if unit is None else {"unit": unit}), surface
+    text = new_cell(folder.as_posix(), part, source, surface=own, scenes=scenes)
+    with new_folder(folder) as out:
+        (out / "cell.yaml").write_text(text, encoding="utf-8")
+        if mesh is not None:
+            shutil.copyfile(mesh, out / mesh.name)
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from .doctor import describe, examine
+
+    print(describe(examine()))
+    return 0
+
+
+def _schema(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import rig_schema
+    from ..camera.stack import stack_schema
+    from ..cell.config import config_schema
+    from ..learn.study_file import study_schema
+    from ..robot.grasp_labels.label_options import tool_schema
+    from ..robot.pick.pick_sections import robot_schema
+    from ..score.design import design_schema
+
+    every = (
+        config_schema, rig_schema, stack_schema, study_schema, design_schema, robot_schema,
+        tool_schema,
+    )  # fmt: skip
+    print(json.dumps(every[KINDS.index(options.kind)](), indent=2))
+    return 0

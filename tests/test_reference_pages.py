@@ -1,0 +1,67 @@
+"""The pages of the reference that are made from the models and from the parser."""
+
+import importlib.util
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from graycast.cli.command import _parser
+
+SCRIPT = Path(__file__).resolve().parents[1] / "docs/reference_pages.py"
+
+
+@pytest.fixture(scope="module")
+def reference():
+    spec = importlib.util.spec_from_file_location("reference_pages", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def parsers(parser):
+    """Every command's words and parser."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action.choices, dict):
+            for command in action.choices.values():
+                yield from parsers(command)
+
+
+def schemas(capsys):
+    """What `graycast schema` prints, by kind."""
+    schema = next(parser for parser in parsers(_parser()) if parser.prog == "graycast schema")
+    for kind in next(action.choices for action in schema._actions if action.dest == "kind"):
+        options = _parser().parse_args(["schema", kind])
+        options.run(options)
+        yield kind, json.loads(capsys.readouterr().out)
+
+
+def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference, capsys):
+    row = re.compile(r"^\| \[?`(\w+)`(?:\{ #|\]\().* \| (.+) \|$", re.MULTILINE)
+    rows = {found for page in reference.pages().values() for found in row.findall(page)}
+    for kind, schema in schemas(capsys):
+        for section in (schema, *schema.get("$defs", {}).values()):
+            for key, node in section.get("properties", {}).items():
+                assert node.get("description"), f"{kind}: {section['title']}.{key}"
+                assert (key, reference._escaped(node["description"])) in rows, f"{kind}: {key}"
+
+
+def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
+    page = reference.pages()["reference/commands.md"]
+    found = list(parsers(_parser()))
+    assert len(found) > 30
+    for parser in found:
+        anchor = "-".join(parser.prog.split()[1:])
+        assert f"\n## {parser.prog} {{ #{anchor or 'graycast'} }}\n" in page
+        for action in parser._actions:
+            for flag in action.option_strings:
+                if flag.startswith("--") and flag not in ("--help", "--debug"):
+                    assert f"{{ #{anchor}{flag} }}" in page, f"{parser.prog} {flag}"
+
+
+def test_no_anchor_of_a_page_is_given_twice(reference):
+    for name, page in reference.pages().items():
+        anchors = re.findall(r"\{ #(\S+) \}", page)
+        assert len(anchors) == len(set(anchors)), name

@@ -1,4 +1,4 @@
-"""The times of docs/how-to/live.md: from a change of a setting to its picture."""
+"""The times of docs/measurements/live.md: from a change of a setting to its picture."""
 
 import math
 import time

@@ -28,7 +28,6 @@ IMAGES = ROOT / "docs" / "images"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT_MS = 180_000
 REPORT_PX, LIVE_PX = (1320, 830), (1440, 900)
-DETECTIONS_CARD = 1  # among the scenes with something missed or false
 ATTEMPT, AFTER_GRIP_S = "bin-000000/3", 0.45
 FILM_PX, FRAME_MS = 760, 900
 
@@ -62,7 +61,6 @@ def press(page: Page, *keys: str) -> None:
 def report(folder: Path) -> None:
     with opened((folder / "index.html").resolve().as_uri(), REPORT_PX) as page:
         page.wait_for_selector('#main[data-ready="overview"]')
-        save(page, "report_overview")
         press(page, "ArrowRight", "x", "ArrowRight", "ArrowRight", "x", "ArrowDown", "x", "g")
         page.keyboard.type("dark")
         press(page, "Enter", "/")
@@ -70,29 +68,10 @@ def report(folder: Path) -> None:
         press(page, "Escape")
         page.evaluate("scrollTo(0, document.getElementById('grid').offsetTop - 40)")
         save(page, "report_grid")
-        press(page, "ArrowRight", "Enter", "1", "m", "b")
-        save(page, "report_scene")
-        press(page, "m", "b", "5", "Shift+Digit6")
+        press(page, "ArrowRight", "Enter", "5", "Shift+Digit6")
         save(page, "report_compare")
-        press(page, "c", "3")
-        save(page, "report_frames")
-        press(page, "9")
+        press(page, "c", "9")
         save(page, "report_3d")
-        if page.evaluate("Graycast.report.detections !== null"):
-            detections(page)
-
-
-def detections(page: Page) -> None:
-    page.keyboard.press("Escape")
-    page.select_option("#pick-found", "wrong")
-    page.locator(".card a").nth(DETECTIONS_CARD).click()
-    page.wait_for_selector(".scene")
-    press(page, "1")
-    page.select_option("#choose-foundKind", "all")
-    for name in ("masks", "boxes"):
-        if page.get_attribute(f"#toggle-{name}", "aria-pressed") == "true":
-            page.click(f"#toggle-{name}")
-    save(page, "report_detections")
 
 
 def replay(folder: Path) -> None:

@@ -46,7 +46,7 @@ MANY_ARGUMENTS = {
     "robot/grasp/unknown.py suction_in_depth": 11,
     "robot/grasp_labels/label_run.py label_dataset": 9,
     "robot/pick/aim.py aims_in_depth": 9,
-    "robot/pick/pick_run.py pick_bins": 9,
+    "robot/pick/pick_run.py pick": 9,
     "robot/pose/agreement.py score": 14,
     "robot/pose/aligning.py _measured_end": 10,
     "robot/pose/aligning.py _outline_rows": 11,

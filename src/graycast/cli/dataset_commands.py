@@ -107,7 +107,7 @@ def _add_export(group) -> None:
         example="out/demo --format coco --out out/coco",
     )  # fmt: skip
     _add_dataset(export)
-    page = "The page docs/how-to/exports.md describes each format."
+    page = "The page docs/reference/exports.md describes each format."
     add_option(export, "--format", _FORMATS, f"The format to write. {page}", required=True)
     add_out(export, NEW_FOLDER)
     add_option(

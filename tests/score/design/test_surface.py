@@ -193,6 +193,7 @@ def judged_plate(
         depth_m=depth_m if reason is Reason.DECODED else nan,
         sigma_m=nan.copy(),
         reason=np.full(shape, int(reason), dtype=np.uint8),
+        camera=scene.rig.camera,
     )
     truth = GroundTruth(
         depth_m=true_m,
@@ -273,7 +274,7 @@ def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reas
     )  # fmt: skip
     depth = DepthMap(
         depth_m=np.where(decoded, 1.0, np.full((1, 1), np.nan)), sigma_m=np.ones((1, 1)),
-        reason=np.array([[int(reason)]], np.uint8),
+        reason=np.array([[int(reason)]], np.uint8), camera=centred(1, 1, 1.0),
     )  # fmt: skip
     judged = judge(view, surface, truth, depth, wrong_m=0.005)
     assert FATES[judged.fate[0]] is fate

@@ -89,7 +89,10 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
         rgb=quarters(),
         gray=np.zeros((HEIGHT, WIDTH), dtype=np.uint8),
         scanner_depth=DepthMap(
-            depth_m=scanned, sigma_m=np.where(reason == 0, 1e-4, np.nan), reason=reason
+            depth_m=scanned,
+            sigma_m=np.where(reason == 0, 1e-4, np.nan),
+            reason=reason,
+            camera=rig().camera,
         ),
         modulation=np.ones((HEIGHT, WIDTH), dtype=np.float32),
         manifest={

@@ -3,7 +3,7 @@
 Each file alone may be whole and still wrong. Pictures show the edges of what lies there, light and
 reasons obey the decoder's rules, the scanner errs to both sides, parts stand on a floor, and a
 manifest tells of its own files. Thresholds lie between what sound datasets show
-(docs/reference/formats.md has the figures) and what a fault makes of them;
+(docs/reference/validate.md has them) and what a fault makes of them;
 where physics does not tell, nothing is said.
 """
 

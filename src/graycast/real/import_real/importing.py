@@ -177,7 +177,7 @@ def _survey(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Writer:
-    """The files of a dataset of real pictures; see docs/how-to/exports.md."""
+    """The files of a dataset of real pictures; see docs/reference/exports.md."""
 
     names: Sequence[str]
     step_mm: float

@@ -4,7 +4,7 @@ A point is looked up in every other view: at the pixel where it would be seen, t
 the same surface (and agrees), something before it (which hides the point), something behind it (so
 that it saw through the point), or nothing. What agrees is averaged along the surface's normal, each
 weighed by its inverse variance: of N equal views sigma falls to sigma / sqrt(N).
-docs/how-to/merge.md has the equations.
+docs/explanation/merging.md has the equations.
 
 Leaves out: errors that views share (of a calibration, of light between parts) do not average out,
 so the stated sigma is that of noise alone; poses of the views are taken as exact, and only checked.

@@ -240,7 +240,9 @@ def _values(cell: Cell, ask: Ask) -> dict[str, Any]:
         values["bin.material"] = _material(box.material)
         values["bin.inner_m"] = list(box.inner_m)
         values["bin.friction"] = box.friction
-    low, high = config.count_range
+    if config.fill is None:
+        low, high = config.count_range
+        values["count"] = low if low == high else [low, high]
     light = ask.unturned.light.model_dump(mode="json", exclude_none=True)
     return values | {
         "table": _material(scene.table),
@@ -248,7 +250,6 @@ def _values(cell: Cell, ask: Ask) -> dict[str, Any]:
         "light.environment.radiance": light["environment"]["radiance"],
         "render.samples": config.render.samples,
         "render.depth": config.render.depth,
-        "count": low if low == high else [low, high],
         "seed": config.seed,
         "code.codec": scanner.code.codec,
     }

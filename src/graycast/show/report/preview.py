@@ -18,6 +18,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from PIL import Image
 
 from ...base.color import srgb
 from ...base.frames import inverse, transform_points
@@ -52,16 +53,30 @@ _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if no
 
 
 def draw_preview(shot: Shot, code: Code, path: Path) -> None:
-    """Write the contact sheet of one scene as a PNG.
-
-    Args:
-        code: that of the capture's frames.
-        path: of the PNG file; it appears complete or not at all.
+    """Write the contact sheet of one scene as a PNG; it appears complete or not at all.
 
     Raises:
         GraycastError: the file cannot be written.
+        ValueError: as of `preview`.
+    """
+    save_png(_sheet_of(shot, code), path, dpi=DPI)
+
+
+def preview(shot: Shot, code: Code) -> Image.Image:
+    """The contact sheet of one scene.
+
+    Args:
+        code: that of the capture's frames.
+
+    Raises:
         ValueError: the capture has another number of frames than the code.
     """
+    canvas = FigureCanvasAgg(_sheet_of(shot, code))
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def _sheet_of(shot: Shot, code: Code) -> Figure:
     if len(shot.capture.frames) != len(code.frames):
         frames = f"{len(shot.capture.frames)} frames, and the code has {len(code.frames)}"
         raise ValueError(f"the capture has {frames}: give the code of the capture")
@@ -74,7 +89,7 @@ def draw_preview(shot: Shot, code: Code, path: Path) -> None:
     _draw_error(sheet, shot)
     _draw_reasons(sheet, shot)
     _draw_instances(sheet, shot)
-    save_png(sheet.figure, path, dpi=DPI)
+    return sheet.figure
 
 
 # --- the sheet ---------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
@@ -71,8 +72,8 @@ def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | as
     kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
     return [
         (name, node)
-        for name, text in sources().items()
-        for node in ast.walk(ast.parse(text))
+        for name in sources()
+        for node in nodes_of(SOURCE / name)
         if isinstance(node, kinds)
     ]
 

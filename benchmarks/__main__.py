@@ -89,17 +89,17 @@ FOLDER = of("--out", type=Path, metavar="FOLDER", help="A new folder for BOP res
 # arguments.
 FIGURES: dict[str, tuple[str, list[Option]]] = {
     "agree": (
-        "Compare Cycles' pictures with Mitsuba's: docs/explanation/backends.md.",
+        "Compare Cycles' pictures with Mitsuba's: docs/measurements/renderers.md.",
         [samples(64), PLOT],
     ),
-    "denoise": ("Decode denoised pictures: docs/explanation/backends.md.", [samples(128), PLOT]),
+    "denoise": ("Decode denoised pictures: docs/measurements/renderers.md.", [samples(128), PLOT]),
     "renderers": (
-        "Time Cycles and Mitsuba's one pass: docs/explanation/backends.md.",
+        "Time Cycles and Mitsuba's one pass: docs/measurements/renderers.md.",
         [samples(16), PLOT],
     ),
     "engines": ("Time workers and Ray against a plain loop: docs/how-to/many-scenes.md.", []),
     "zoo": (
-        "Drop parts of each family and check their balance: docs/explanation/drop.md.",
+        "Drop parts of each family and check their balance: docs/measurements/drop.md.",
         [
             of(
                 "--families",

@@ -1,4 +1,4 @@
-"""The agreement of docs/explanation/backends.md: the same scenes by two renderers.
+"""The agreement of docs/measurements/renderers.md: the same scenes by two renderers.
 
 Both get the same layouts, patterns, path depth and, for decoding, one exposure of a sensor without
 noise; Mitsuba renders without its footprint filter, whose bias is not Cycles'. The renderers

@@ -1,4 +1,4 @@
-"""The denoisers of docs/explanation/backends.md: what denoising does to decoded depth.
+"""The denoisers of docs/measurements/renderers.md: what denoising does to decoded depth.
 
 For Cycles, whose frames have noise of their own as in K. Bai et al. 2024, and for Mitsuba's one
 pass, whose frames share one noise. Each is held against its own converged pictures, so a

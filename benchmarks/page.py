@@ -38,12 +38,11 @@ DENSE_FACES = (80_000, 330_000, 500_000)
 ROOT = Path(__file__).resolve().parents[1]
 
 INTRODUCTION = """\
-`python -m benchmarks page` measures every figure of this page anew and writes the page. It was
-written on {date:.10} at commit `{commit}` on a machine with {cores} processors ({cpu}),
-{memory_gib} GiB, Python {python} and no GPU. Ratios can be expected to hold on other machines;
-seconds cannot. `python -m benchmarks compare REV` holds every stage against another commit. Figures
-of a GPU are in [many-scenes.md](many-scenes.md), those of Blender Cycles in
-[backends.md](backends.md#measured)."""
+`python -m benchmarks page` measured every figure and wrote this page on {date:.10} at commit
+`{commit}`, with {cores} processors ({cpu}), {memory_gib} GiB, Python {python} and no GPU. Ratios
+hold on other machines; seconds do not. `python -m benchmarks compare REV` compares every stage with
+another commit. [Many scenes](many-scenes.md) has figures of a GPU,
+[renderers](renderers.md) those of Blender Cycles."""
 
 
 def page(
@@ -86,11 +85,10 @@ def rendering() -> str:
     stack, frame, build_time, ground_truth = (f"{s:.2f} s" for s in seconds)
     camera = cell.scene.rig.camera
     return (
-        f"{PARTS} brackets in a wooden box, {camera.width_px} x {camera.height_px} pixels, "
-        f"{quality.samples} samples, path depth {quality.depth}, a lamp and an environment. The "
-        f"stack has {len(patterns)} patterns, white, and ambient light in RGB. The frame is one "
-        "white picture with the renderer's fastest settings (no footprint filter). Both are "
-        "rendered in turn, five times; the ratio is the median of the pairs' ratios.\n\n"
+        f"A stack of {len(patterns)} patterns, white and ambient light against one white frame "
+        f"without the footprint filter: {PARTS} brackets in a wooden box, {camera.width_px} x "
+        f"{camera.height_px} pixels, {quality.samples} samples, path depth {quality.depth}, a lamp "
+        "and an environment. The ratio is the median of five pairs.\n\n"
     ) + table(
         ["stack", "one white frame", "ratio", "build", "ground truth"],
         [[stack, frame, f"{ratio:.2f}", build_time, ground_truth]],
@@ -109,12 +107,12 @@ def dropping() -> str:
             worked.append(time.process_time() - start)
             simulated.append(layout.simulated_s)
             attempts.append(layout.attempt + 1)
-        figures = f"{sum(worked):.1f} s", f"{median(worked):.2f} s", f"{max(worked):.2f} s"
-        rows.append([str(count), *figures, f"{median(simulated):.2f} s", str(max(attempts))])
-    head = ["brackets", "processor time of five seeds", "median", "most", "simulated, median"]
+        figures = (f"{s:.2f}" for s in (median(worked), max(worked), median(simulated)))
+        rows.append([str(count), *figures, str(max(attempts))])
+    head = ["brackets", "median", "most", "simulated, median", "attempts at most"]
     return (
-        "`metal_workpiece_1` in a bin of 0.5 x 0.4 x 0.2 m, seeds 1 to 5, one thread.\n\n"
-        + table([*head, "attempts at most"], rows)
+        "Processor seconds of `metal_workpiece_1` in a bin of 0.5 x 0.4 x 0.2 m, seeds 1 to 5, one "
+        "thread.\n\n" + table(head, rows)
     )
 
 
@@ -137,9 +135,9 @@ def one_scene() -> str:
     rows = [[stage, f"{median(seconds[1:]):.2f}"] for stage, seconds in found.items()]
     peak = peak_rss_bytes() / 1e9
     return (
-        "The scene of *Rendering*, from the drop to the written files, after one scene that "
-        "compiles the kernels.\n\n" + table(["stage", "seconds"], rows) + "\n\n"
-        f"The process has had {peak:.2f} GB of memory at most."
+        f"The scene of *Rendering*, from the drop to the files, median of {SCENES} after one that "
+        "compiles the kernels; the process had "
+        f"{peak:.2f} GB of memory at most.\n\n" + table(["stage", "seconds"], rows)
     )
 
 
@@ -157,8 +155,8 @@ def paper_scenes() -> str:
         whole = median(sum(own.values()) for own in seconds[1:])
         rows.append([name, *(f"{s:.2f}" for s in stages.values()), f"{3600 / whole:.0f}"])
     return (
-        f"Median seconds of {PAPER_SCENES} scenes in one process with all processors, without "
-        "writing: `configs/paper/`, 100 to 255 brackets or 5 to 10 cartons, 20 samples.\n\n"
+        f"Median seconds of {PAPER_SCENES} scenes of `configs/paper/` in one process, without "
+        "writing: 100 to 255 brackets or 5 to 10 cartons, 20 samples.\n\n"
     ) + table(["", *stages, "scenes an hour"], rows)
 
 
@@ -174,13 +172,13 @@ def decoding() -> str:
             frames = camera_frames(code, rng, width_px, height_px)
             job = partial(decode, frames, code, DecodeSpec(), levels)
             decode_s, copy_s, _ = in_turn(job, frames.copy)
-            size = f"{len(frames)} frames of {width_px} x {height_px} pixels"
+            size = f"{len(frames)} frames of {width_px} x {height_px}"
             times[f"{name}, {size}"] = decode_s
             times.setdefault("one copy of that stack", copy_s)
     return (
-        "Pictures of 8 bit become positions, standard deviations and reasons. Gray code has both "
-        "axes with inverses; codes with phases have one axis of 1280 columns.\n\n"
-    ) + table(["", "time"], [[what, f"{1e3 * s:.0f} ms"] for what, s in times.items()])
+        "Pictures of 8 bit become positions, standard deviations and reasons: Gray code of both "
+        "axes with inverses, codes with phases of 1280 columns.\n\n"
+    ) + table(["", "ms"], [[what, f"{1e3 * s:.0f}"] for what, s in times.items()])
 
 
 def camera_frames(
@@ -204,18 +202,16 @@ def hulls() -> str:
         start = time.process_time()
         found = decompose(mesh)
         worked_s = time.process_time() - start
+        if len(found) == 1:
+            continue
         error = hull_error(mesh, found)
         sizes_mm = (1e3 * m for m in (error.filled_m, error.lost_m, tolerance_m(mesh)))
-        counts = len(found), sum(len(vertices) for vertices, _ in found)
-        rows.append([name, *map(str, counts), *(f"{x:.2f}" for x in (*sizes_mm, worked_s))])
+        rows.append([name, str(len(found)), *(f"{x:.2f}" for x in (*sizes_mm, worked_s))])
     return (
-        "The convex hulls with which the physics engine computes collisions. *Filled* is the "
-        "largest distance by which the hulls extend beyond the part, *lost* the largest distance "
-        "by which the part's surface lies outside all hulls; the *bound* is the tolerance that "
-        "neither may exceed ([drop.md](drop.md#what-collides)). Hulls are made once and kept.\n\n"
-    ) + table(
-        ["part", "hulls", "vertices", "filled mm", "lost mm", "bound mm", "processor s"], rows
-    )
+        "Parts that [collide](../explanation/drop.md#what-collides) by more than one convex hull. "
+        "*Filled* is the largest distance by which hulls extend beyond the part, *lost* that of "
+        "its surface from all hulls; neither may exceed the *bound*.\n\n"
+    ) + table(["part", "hulls", "filled mm", "lost mm", "bound mm", "processor s"], rows)
 
 
 SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {

@@ -1,4 +1,4 @@
-"""The plots of docs/explanation/backends.md from the figures of agree, denoise, renderers."""
+"""The plots of docs/measurements/renderers.md from the figures of agree, denoise, renderers."""
 
 from pathlib import Path
 from typing import Any

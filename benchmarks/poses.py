@@ -23,7 +23,7 @@ from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import Example, Examples, open_examples
 from graycast.rig.meshdepth import rasterize
 from graycast.robot.pose import PoseFound, PoseModel, find_pose, find_pose_in_box, pose_model
-from graycast.score.evaluate import camera_of, rotation_translation, wilson
+from graycast.score.evaluate import rotation_translation, wilson
 from graycast.world.parts import Mesh
 from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
@@ -195,7 +195,7 @@ def _trials(
 ) -> Iterator[_Trial]:
     depth_m = _needed(example.scanner_depth_m if case[0] == "scanner" else example.depth_m, example)
     T_cam_part = _needed(example.T_cam_part, example)
-    camera = camera_of(example)
+    camera = example.camera
     for place in places:
         obj_id = _obj_id(example, place)
         model = subject.model[obj_id]
@@ -342,7 +342,7 @@ def _outline(
     zoom: float,
 ) -> None:
     """Outer outline and steps of depth of the drawn part, at the tile's resolution."""
-    camera = camera_of(trial.example)
+    camera = trial.example.camera
     fine = replace(
         camera,
         width_px=TILE_PX,

@@ -1,4 +1,4 @@
-"""The times of docs/explanation/backends.md: Cycles by one and by three patterns, and Mitsuba.
+"""The times of docs/measurements/renderers.md: Cycles by one and by three patterns, and Mitsuba.
 
 One scene on one machine, in turn, each from scene to radiance and ground truth. Cycles renders
 a few patterns and what comes with them (white, ambient, quantities); the others are counted at the

@@ -1,4 +1,4 @@
-"""The table of docs/explanation/drop.md: whether parts come to rest and are in balance.
+"""The table of docs/measurements/drop.md: whether parts come to rest and are in balance.
 
 Each family of `ZOO` is dropped into one bin, as many parts as asked for or as many as it holds
 loosely. A layout counts as made where `drop` returns it with the limits that a configuration has

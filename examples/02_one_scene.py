@@ -4,36 +4,26 @@ Run: .venv/bin/python examples/02_one_scene.py
 """
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
-from graycast.camera.decode import Reason
-from graycast.cell.config import Config
-from graycast.cell.resolve import open_cell_renderer, resolve_cell
-from graycast.cell.simulate import make_scene
+import graycast as gc
 
 
 def main(samples: int) -> None:
-    config = Config.model_validate(
-        {
-            "parts": [{"builtin": "toothpaste"}],
-            "count": 5,
-            "rig": "phoxi-m",
-            "render": {"samples": samples},
-        }
+    config = gc.Config(
+        parts=(gc.PartSection(builtin="toothpaste"),),
+        count=5,
+        rig="phoxi-m",
+        render=gc.RenderSection(samples=samples),
     )
-    cell = resolve_cell(config, Path())
-    with open_cell_renderer(cell) as renderer:
-        shot = make_scene(cell, 0, seed=1, renderer=renderer)
-
-    scanner, truth = shot.sample.scanner_depth, shot.sample.truth
-    error_mm = 1000 * (scanner.depth_m - truth.depth_m)
-    longest_ms = 1000 * np.max(shot.capture.exposure_s)
-    print(f"{shot.capture.frames.shape[0]} frames, exposed for up to {longest_ms:.2f} ms")
-    print(f"median error {np.nanmedian(np.abs(error_mm)):.2f} mm")
-    for reason in Reason:
-        print(f"{reason.name.lower():18} {np.mean(scanner.reason == reason):6.1%}")
+    for scene in gc.scenes(gc.load_cell(config), 1, seed=1):
+        error_mm = 1000 * (scene.depth.depth_m - scene.truth.depth_m)
+        longest_ms = 1000 * np.max(scene.capture.exposure_s)
+        print(f"{len(scene.capture.frames)} frames, exposed for up to {longest_ms:.2f} ms")
+        print(f"median error {np.nanmedian(np.abs(error_mm)):.2f} mm")
+        for reason in gc.Reason:
+            print(f"{reason.name.lower():18} {np.mean(scene.depth.reason == reason):6.1%}")
 
 
 if __name__ == "__main__":

@@ -7,15 +7,13 @@ Run: .venv/bin/python examples/04_own_code.py
 """
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
 import graycast
-from graycast.camera.decode import decode, levels_of
+from graycast.camera.decode import levels_of
 from graycast.camera.light import camera_light
 from graycast.camera.sensor import auto_exposure_s, expose
-from graycast.world.drop import DropLimits, drop
 
 PERIOD_PX, STEPS = 60.0, 3
 
@@ -37,22 +35,19 @@ def own_code(width_px: int, height_px: int) -> graycast.Code:
 
 
 def main(samples: int) -> None:
-    config = graycast.Config.model_validate(
-        {"parts": [{"builtin": "toothpaste"}], "rig": "phoxi-m", "resolution": "small"}
-    )
-    cell = graycast.resolve_cell(config, Path())
+    parts = (graycast.PartSection(builtin="toothpaste"),)
+    cell = graycast.load_cell(graycast.Config(parts=parts, rig="phoxi-m", resolution="small"))
     scene, sensor = cell.scene, cell.scanner.sensor
     code = own_code(scene.rig.projector.width_px, scene.rig.projector.height_px)
 
-    layout = drop(scene, (5,), seed=1, limits=DropLimits())
-    with graycast.open_renderer() as renderer:
-        quality = graycast.Quality(samples=samples)
-        rendering = renderer.render(scene, layout, code.render(), quality=quality, seed=2)
+    layout = graycast.drop(scene, (5,), seed=1, limits=graycast.DropLimits())
+    quality = graycast.Quality(samples=samples)
+    rendering = graycast.render(scene, layout, code.render(), quality=quality, seed=2)
     light, background = camera_light(rendering.radiance, scene.rig)
     brightest = light[code.brightest] + background
     exposure_s = auto_exposure_s(brightest, sensor, percentile=99.0, target=0.8)
     capture = expose(light, background, sensor, exposure_s=exposure_s, seed=3)
-    codes = decode(capture.frames, code, cell.scanner.decode, levels_of(sensor))
+    codes = graycast.decode(capture.frames, code, cell.scanner.decode, levels_of(sensor))
     depth = graycast.triangulate(codes, scene.rig)
 
     error_mm = 1000 * np.abs(depth.depth_m - rendering.truth.depth_m)

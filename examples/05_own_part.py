@@ -11,7 +11,7 @@ from pathlib import Path
 import trimesh
 from manifold3d import CrossSection, Manifold
 
-import graycast
+import graycast as gc
 
 ACROSS_FLATS_MM, HOLE_MM, HEIGHT_MM = 46.0, 30.0, 24.0  # an M30 nut without its thread
 
@@ -27,22 +27,19 @@ def nut() -> trimesh.Trimesh:
 def main(out: Path, samples: int) -> None:
     out.mkdir(parents=True, exist_ok=True)
     nut().export(out / "nut.stl")
-    steel = {"metallic": 1, "base_color": [0.56, 0.54, 0.52], "roughness": 0.45}
-    config = graycast.Config.model_validate(
-        {
-            "parts": [{"mesh": "nut.stl", "unit": "mm", "material": steel}],
-            "count": 12,
-            "rig": "phoxi-m",
-            "resolution": "small",
-            "render": {"samples": samples},
-        }
+    steel = gc.MaterialSection(metallic=1, base_color=(0.56, 0.54, 0.52), roughness=0.45)
+    config = gc.Config(
+        parts=(gc.PartSection(mesh=Path("nut.stl"), unit="mm", material=steel),),
+        count=12,
+        rig="phoxi-m",
+        resolution="small",
+        render=gc.RenderSection(samples=samples),
     )
-    cell = graycast.resolve_cell(config, out)
+    cell = gc.load_cell(config, folder=out)
     print("\n".join(cell.notes) or "the mesh is closed, and there are no notes on it")
-    with graycast.open_cell_renderer(cell) as renderer:
-        shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
-    saved = graycast.save_scene(cell, shot, out / "dataset")
-    print(f"{saved}: {len(shot.sample.layout.part_index)} nuts")
+    for scene in gc.scenes(cell, 1, seed=1):
+        saved = scene.save(out / "dataset")
+        print(f"{saved}: {len(scene.layout.part_index)} nuts")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ Run: .venv/bin/python examples/06_own_renderer.py
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -53,16 +52,14 @@ class FoggyRenderer(graycast.Renderer):
 
 
 def main(samples: int) -> None:
-    config = graycast.Config.model_validate(
-        {
-            "parts": [{"builtin": "toothpaste"}],
-            "count": 5,
-            "rig": "phoxi-m",
-            "resolution": "small",
-            "render": {"samples": samples},
-        }
+    config = graycast.Config(
+        parts=(graycast.PartSection(builtin="toothpaste"),),
+        count=5,
+        rig="phoxi-m",
+        resolution="small",
+        render=graycast.RenderSection(samples=samples),
     )
-    cell = graycast.resolve_cell(config, Path())
+    cell = graycast.load_cell(config)
     with graycast.open_cell_renderer(cell) as clear:
         for density_per_m in (0.0, 0.5, 1.0):
             foggy = FoggyRenderer(clear, density_per_m)

@@ -92,6 +92,7 @@ def sample_of(scene_id, place):
             depth_m=np.where(reason == 0, measured, np.nan),
             sigma_m=np.where(reason == 0, SIGMA_M, np.nan),
             reason=reason,
+            camera=camera,
         ),
         modulation=modulation,
         manifest={

@@ -67,6 +67,7 @@ def assert_untouched(out: Path):
         ({"count": 0}, ["count is 0", "give a number from 1 to 255"]),
         ({"count": 256}, ["count is 256", "give a number from 1 to 255"]),
         ({"count": [5, 2]}, ["count is [5, 2]", "[lowest, highest]"]),
+        ({"fill": 0.4, "count": 5}, ["count and fill", "remove one"]),
         ({"render": {"samples": 0}}, ["render.samples is 0", "greater than or equal to 1"]),
         ({"view": {"tilt_deg": 85}}, ["view.tilt_deg is 85", "less than or equal to 80"]),
         ({"view": {"distance_m": float("nan")}}, ["view.distance_m is nan", "finite number"]),
@@ -203,7 +204,7 @@ def cut(path):
         ("part.stl", lambda path: not_a_number().export(path), "mm", ["NaN", "export"]),
         ("part.stl", lambda path: box().export(path), "m", ["60 m", "state unit: cm or mm"]),
         ("part.stl", lambda path: box().export(path), None, ["no unit", "state unit: cm or mm"]),
-        ("part.step", written(b"x"), "mm", ["cannot read .step", "export .obj, .ply, .stl, .glb"]),
+        ("part.dwg", written(b"x"), "mm", ["cannot read .dwg", "export .obj, .ply, .stl, .glb"]),
     ],
     ids="missing empty cut open inside-out nan metres unstated step".split(),
 )

@@ -54,8 +54,8 @@ def test_no_name_of_the_door_is_a_room_too():
 
 
 def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_not(monkeypatch):
-    with pytest.raises(AttributeError, match="'graycast' has no attribute 'scenes'"):
-        _ = graycast.scenes
+    with pytest.raises(AttributeError, match="'graycast' has no attribute 'scene'"):
+        _ = graycast.scene
     assert not hasattr(graycast, "__wrapped__")
     monkeypatch.delattr(graycast, "rendering")  # which loads it first
     monkeypatch.delitem(sys.modules, "graycast.rendering")
@@ -82,7 +82,7 @@ def test_python_runs_the_package():
 def made(tmp_path_factory, mitsuba_renderer):
     """A small cell, and one scene of it made by hand."""
     path = write_cell(tmp_path_factory.mktemp("cell"))
-    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
+    cell = graycast.load_cell(path)
     return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
 
 
@@ -107,7 +107,7 @@ def test_a_scene_is_saved_once_and_with_its_own_cell(made, tmp_path):
     with pytest.raises(DatasetError, match=r"000000 exists already, and its rgb/000000.png "):
         graycast.save_scene(cell, darker, tmp_path / "out")
     other = write_cell(tmp_path, count=4)
-    other = graycast.resolve_cell(graycast.load_config(other), tmp_path)
+    other = graycast.load_cell(other)
     with pytest.raises(ValueError, match="another configuration than this cell's"):
         graycast.save_scene(other, shot, tmp_path / "other")
     assert content(tmp_path / "out") == before and not (tmp_path / "other").exists()

@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from pictured import write_dataset
 from small_cell import content, write_cell
 
 import graycast
@@ -15,18 +16,17 @@ PAGE = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
-def test_ten_lines_make_decode_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
+def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
     """On a small cell in the place of the demo: the scene that `generate` makes."""
-    lines = [line for line in BLOCKS[0].splitlines() if line.strip()]
-    assert len(lines) == 10
+    assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) < 10
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").mkdir()
     write_cell(tmp_path / "configs").rename("configs/demo.yaml")
     names = {}
     exec(compile(BLOCKS[0], "docs/how-to/python.md", "exec"), names)
-    decoded = names["depth"].depth_m[names["depth"].reason == graycast.Reason.DECODED]
-    truth_m = names["shot"].rendering.truth.depth_m
-    assert abs(decoded - truth_m[names["depth"].reason == 0]).mean() < 0.01
+    scene = names["scene"]
+    decoded = scene.depth.reason == graycast.Reason.DECODED
+    assert abs(names["cloud"][:, 2] - scene.truth.depth_m[decoded]).mean() < 0.01
     generate(names["cell"], Path("run"), scenes=1, seed=1, device="cpu")
     assert content(Path("out/library")) == content(Path("run"))
 
@@ -52,3 +52,28 @@ def test_the_page_names_every_example_and_each_name_is_there():
         value = graycast
         for word in name.split("."):
             value = getattr(value, word)
+
+
+ELSEWHERE = (ROOT / "docs/how-to/elsewhere.md").read_text(encoding="utf-8")
+OTHERS = re.findall(r"^```python\n(.*?)^```$", ELSEWHERE, re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Those of the other libraries are not ours.
+@pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision", "rerun"])
+def test_another_library_takes_the_values(tmp_path, monkeypatch, library):
+    """Each block of the page runs where its library is installed."""
+    pytest.importorskip(
+        library, reason=f"needs {library}: run pip install {library}", exc_type=ImportError
+    )
+    monkeypatch.chdir(tmp_path)
+    write_dataset(tmp_path / "out/demo")
+    first, block = OTHERS[0], next(code for code in OTHERS if f"import {library}" in code)
+    assert len(block.splitlines()) <= 10
+    names = {}
+    exec(compile(first + block, "docs/how-to/elsewhere.md", "exec"), names)
+    assert len(names["cloud"]) > 1000
+    if library == "supervision":
+        assert (names["picture"] != names["example"].rgb).any()
+    if library == "torch":
+        assert len(names["targets"]) == len(names["batch"]) == len(names["images"])

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
@@ -45,7 +46,7 @@ MANY_ARGUMENTS = {
     "robot/grasp/unknown.py suction_in_depth": 11,
     "robot/grasp_labels/label_run.py label_dataset": 9,
     "robot/pick/aim.py aims_in_depth": 9,
-    "robot/pick/pick_run.py pick_bins": 9,
+    "robot/pick/pick_run.py pick": 9,
     "robot/pose/agreement.py score": 14,
     "robot/pose/aligning.py _measured_end": 10,
     "robot/pose/aligning.py _outline_rows": 11,
@@ -71,8 +72,8 @@ def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | as
     kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
     return [
         (name, node)
-        for name, text in sources().items()
-        for node in ast.walk(ast.parse(text))
+        for name in sources()
+        for node in nodes_of(SOURCE / name)
         if isinstance(node, kinds)
     ]
 

@@ -1,12 +1,13 @@
 """Graycast simulates a structured-light camera and makes bin-picking datasets with it.
 
-This module offers every step to Python; `docs/how-to/python.md` begins with ten lines that run:
+This module offers every step to Python; `docs/how-to/python.md` begins with these lines:
 
-    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
-    with graycast.open_cell_renderer(cell) as renderer:
-        shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
-    codes, depth = graycast.measure(cell.scanner, shot.capture)
-    graycast.save_scene(cell, shot, out)
+    import graycast as gc
+
+    cell = gc.load_cell("configs/demo.yaml")
+    for scene in gc.scenes(cell, 3, seed=1):
+        cloud = scene.depth.points()
+        scene.save("out/library")
 
 `import graycast` loads nothing else. A name, and the module that it comes from, is loaded when it
 is first asked for.
@@ -26,7 +27,7 @@ renderer, detector, exporter or gripper goes.
     real       data of a real scanner: its rig, bin, labels and depth statistics
     learn      detectors: training, inference and studies
     robot      poses of parts, grips, and a robot that empties the bin
-    show       pictures of inputs and results, the web page, and a cell in the browser
+    show       pictures, scenes for scripts, the web page, and a cell in the browser
     cli        the command `graycast`: files in, files out
 """
 
@@ -43,48 +44,80 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .camera.decode import FilterSpec as FilterSpec
     from .camera.decode import Levels as Levels
     from .camera.decode import Reason as Reason
+    from .camera.decode import decode as decode
     from .camera.decode import triangulate as triangulate
     from .camera.faults import FaultSpec as FaultSpec
     from .camera.rig_file import load_scanner as load_scanner
     from .camera.rig_file import save_scanner as save_scanner
-    from .camera.scanner import Scan as Scan
+    from .camera.rig_file.scanner_sections import CodeSection as CodeSection
+    from .camera.rig_file.scanner_sections import DecodeSection as DecodeSection
+    from .camera.rig_file.scanner_sections import ExposureSection as ExposureSection
+    from .camera.rig_file.scanner_sections import FaultSection as FaultSection
+    from .camera.rig_file.scanner_sections import FilterSection as FilterSection
+    from .camera.rig_file.scanner_sections import SensorSection as SensorSection
     from .camera.scanner import Scanner as Scanner
     from .camera.scanner import measure as measure
     from .camera.scanner import preset as preset
-    from .camera.scanner import scan as scan
     from .camera.scanner import take as take
     from .camera.sensor import Capture as Capture
     from .camera.sensor import SensorSpec as SensorSpec
     from .camera.stack import decode_stack as decode_stack
+    from .cell.config import BinSection as BinSection
     from .cell.config import Config as Config
+    from .cell.config import LightSection as LightSection
+    from .cell.config import RenderSection as RenderSection
     from .cell.config import load_config as load_config
     from .cell.engine import Workers as Workers
+    from .cell.generate import generate as generate
     from .cell.generate import save_scene as save_scene
     from .cell.resolve import Cell as Cell
+    from .cell.resolve import load_cell as load_cell
     from .cell.resolve import open_cell_renderer as open_cell_renderer
-    from .cell.resolve import resolve_cell as resolve_cell
     from .cell.simulate import Shot as Shot
     from .cell.simulate import make_images as make_images
     from .cell.simulate import make_scene as make_scene
+    from .cell.views import ViewSection as ViewSection
     from .dataset import validate as validate
+    from .dataset.detections import Detections as Detections
     from .dataset.training import Example as Example
     from .dataset.training import open_examples as open_examples
+    from .learn.detect import TrainSpec as TrainSpec
+    from .learn.detect import detect as detect
+    from .learn.detect import load_detector as load_detector
+    from .learn.detect import pictures_of as pictures_of
+    from .learn.detect import train as train
     from .rendering import GroundTruth as GroundTruth
     from .rendering import Quality as Quality
     from .rendering import Radiance as Radiance
     from .rendering import Renderer as Renderer
     from .rendering import Rendering as Rendering
     from .rendering import open_renderer as open_renderer
+    from .rendering import render as render
     from .rig.pair import Rig as Rig
     from .rig.pair import place as place
     from .rig.pattern import Code as Code
     from .rig.pattern import CodeSpec as CodeSpec
     from .rig.pattern import Frame as Frame
+    from .robot.pick import load_pick_config as load_pick_config
+    from .robot.pick import pick as pick
+    from .robot.pick import resolve_pick_cell as resolve_pick_cell
+    from .robot.pose import find_pose as find_pose
+    from .robot.pose import find_poses as find_poses
+    from .robot.pose import pose_model as pose_model
+    from .score.evaluate import Protocol as Protocol
+    from .score.evaluate import Task as Task
+    from .score.evaluate import evaluate as evaluate
+    from .show.scenes import SceneResult as SceneResult
+    from .show.scenes import scenes as scenes
+    from .world.drop import DropLimits as DropLimits
+    from .world.drop import drop as drop
     from .world.parts import Material as Material
     from .world.parts import Mesh as Mesh
     from .world.parts import Part as Part
     from .world.parts import builtin_part as builtin_part
     from .world.parts import load_part as load_part
+    from .world.parts.part_sections import MaterialSection as MaterialSection
+    from .world.parts.part_sections import PartSection as PartSection
     from .world.scene import Bin as Bin
     from .world.scene import Environment as Environment
     from .world.scene import Lamp as Lamp
@@ -94,33 +127,38 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
 _MODULE = {
     name: module
     for module, names in {
-        "base.errors": ("GraycastError",),
-        "rig.pair": ("Rig", "place"),
-        "rig.pattern": ("Code", "CodeSpec", "Frame"),
-        "world.parts": ("Material", "Mesh", "Part", "builtin_part", "load_part"),
-        "world.scene": ("Bin", "Environment", "Lamp", "Layout", "Scene"),
-        "rendering": (
-            *("GroundTruth", "Quality", "Radiance", "Renderer", "Rendering"),
-            "open_renderer",
-        ),
-        "camera.decode": (
-            *("CodeMap", "DecodeSpec", "DepthMap", "FilterSpec", "Levels", "Reason"),
-            "triangulate",
-        ),
-        "camera.faults": ("FaultSpec",),
-        "camera.rig_file": ("load_scanner", "save_scanner"),
-        "camera.scanner": ("Scan", "Scanner", "measure", "preset", "scan", "take"),
-        "camera.sensor": ("Capture", "SensorSpec"),
-        "camera.stack": ("decode_stack",),
-        "dataset": ("validate",),
-        "dataset.training": ("Example", "open_examples"),
-        "cell.config": ("Config", "load_config"),
-        "cell.engine": ("Workers",),
-        "cell.generate": ("save_scene",),
-        "cell.resolve": ("Cell", "open_cell_renderer", "resolve_cell"),
-        "cell.simulate": ("Shot", "make_images", "make_scene"),
+        "base.errors": "GraycastError",
+        "rig.pair": "Rig place",
+        "rig.pattern": "Code CodeSpec Frame",
+        "world.drop": "DropLimits drop",
+        "world.parts": "Material Mesh Part builtin_part load_part",
+        "world.parts.part_sections": "MaterialSection PartSection",
+        "world.scene": "Bin Environment Lamp Layout Scene",
+        "rendering": "GroundTruth Quality Radiance Renderer Rendering open_renderer render",
+        "camera.decode": "CodeMap DecodeSpec DepthMap FilterSpec Levels Reason decode triangulate",
+        "camera.faults": "FaultSpec",
+        "camera.rig_file": "load_scanner save_scanner",
+        "camera.rig_file.scanner_sections": "CodeSection DecodeSection ExposureSection "
+        "FaultSection FilterSection SensorSection",
+        "camera.scanner": "Scanner measure preset take",
+        "camera.sensor": "Capture SensorSpec",
+        "camera.stack": "decode_stack",
+        "dataset": "validate",
+        "dataset.detections": "Detections",
+        "dataset.training": "Example open_examples",
+        "cell.config": "BinSection Config LightSection RenderSection load_config",
+        "cell.engine": "Workers",
+        "cell.generate": "generate save_scene",
+        "cell.resolve": "Cell load_cell open_cell_renderer",
+        "cell.simulate": "Shot make_images make_scene",
+        "cell.views": "ViewSection",
+        "score.evaluate": "Protocol Task evaluate",
+        "learn.detect": "TrainSpec detect load_detector pictures_of train",
+        "robot.pick": "load_pick_config pick resolve_pick_cell",
+        "robot.pose": "find_pose find_poses pose_model",
+        "show.scenes": "SceneResult scenes",
     }.items()
-    for name in names
+    for name in names.split()
 }
 __all__ = ["__version__", *_MODULE]
 

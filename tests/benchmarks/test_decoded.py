@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from stage import centred
 
 from benchmarks.decoded import (
     Decoded,
@@ -29,7 +30,9 @@ def result(column, depth_m, valid):
         column=where(column), row=none, sigma_column=none, sigma_row=none, modulation=none,
         reason=reason,
     )  # fmt: skip
-    return Decoded(codes=codes, depth=DepthMap(depth_m=where(depth_m), sigma_m=none, reason=reason))
+    camera = centred(*column.shape[::-1], 100.0)
+    depth = DepthMap(depth_m=where(depth_m), sigma_m=none, reason=reason, camera=camera)
+    return Decoded(codes=codes, depth=depth)
 
 
 def test_each_kind_of_error_is_counted_in_shares_of_the_reference():

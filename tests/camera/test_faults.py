@@ -6,6 +6,7 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
+from stage import centred
 
 from graycast.camera.decode import DepthMap, FilterSpec, Reason
 from graycast.camera.faults import FaultSpec, line_amplitude, on_raster, with_faults
@@ -27,6 +28,7 @@ def depth_map(z_m, sigma_m=1e-7):
         depth_m=z_m.astype(np.float32),
         sigma_m=np.full(SHAPE, sigma_m, dtype=np.float32),
         reason=np.full(SHAPE, int(Reason.DECODED), dtype=np.uint8),
+        camera=centred(SHAPE[1], SHAPE[0], F_PX),
     )
 
 

@@ -217,6 +217,7 @@ def test_sigma_of_a_displaced_plane_is_that_of_its_errors():
             depth_m=depth.astype(np.float32),
             sigma_m=(codes.sigma_column / du_dz).astype(np.float32),
             reason=np.full(column.shape, int(Reason.DECODED), dtype=np.uint8),
+            camera=rig.camera,
         )
         told = with_displacement(plain, codes, rig, spread + np.float32(off_px))
         error = depth - 0.9 / (1 - slope * x)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from small_cell import write_cell
 from stage import centred, make_rig
@@ -16,8 +17,8 @@ from graycast.camera.picture import color_picture
 from graycast.camera.scanner import take
 from graycast.cell import simulate
 from graycast.cell.config import RenderSection, load_config
-from graycast.cell.resolve import open_cell_renderer, resolve_cell
-from graycast.cell.simulate import make_scene, with_field
+from graycast.cell.resolve import load_cell, open_cell_renderer, resolve_cell
+from graycast.cell.simulate import counts_of, make_scene, with_field
 from graycast.rendering import GroundTruth, Renderer
 
 
@@ -27,17 +28,18 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, render={"samples": 4, "denoise": False})
     rig = yaml.safe_load((folder / "rig.yaml").read_text())
-    rig["exposure"] = {"exposure_s": 0.02, "factors": [0.1, 1.0, 0.4]}
+    rig["exposure"] = {"exposure_s": 0.02, "factors": [0.1, 2.0, 0.4]}
     (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
     cell = resolve_cell(load_config(path), folder)
     with open_cell_renderer(cell, device="cpu") as renderer:
         return cell, make_scene(cell, 3, seed=5, renderer=renderer)
 
 
-def test_the_manifest_s_exposure_is_the_longest_of_those_taken(made):
+def test_the_manifest_s_exposure_is_the_one_that_the_gray_picture_is_of(made):
     _, shot = made
     assert shot.sample.manifest["exposure_s"] == pytest.approx(0.02, rel=1e-6)
-    assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.02]))
+    assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.04]))
+    assert shot.capture.exposure_s.max() > 0.03
 
 
 def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(made):
@@ -49,6 +51,22 @@ def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(made
     assert np.array_equal(again.frames, shot.capture.frames)
     picture = color_picture(cell.scanner, shot.rendering, denoiser=None, seed=seeds["picture"])
     assert np.array_equal(picture, shot.sample.rgb)
+
+
+@pytest.mark.parametrize(("fill", "count"), [(0.5, 17), (1.0, 35), (0.001, 1)])
+def test_so_many_parts_fill_a_share_of_the_bin(tmp_path, fill, count):
+    """Boxes of 60 x 40 x 30 mm in a bin of 250 x 200 x 100 mm, which is full by half its volume."""
+    cell = load_cell(write_cell(tmp_path, "count", fill=fill))
+    assert counts_of(cell, 0, np.random.default_rng(0)) == (count,)
+    assert count == max(1, round(fill * 0.5 * (0.25 * 0.2 * 0.1) / (0.06 * 0.04 * 0.03)))
+
+
+def test_of_mixed_kinds_each_fills_its_part_of_the_share(tmp_path):
+    """A box and one twice as high are, in the mean, one and a half times the box."""
+    trimesh.creation.box((60, 40, 60)).export(tmp_path / "high.stl")
+    parts = [{"mesh": name, "unit": "mm"} for name in ("box.stl", "high.stl")]
+    cell = load_cell(write_cell(tmp_path, "count", fill=1.0, mix=True, parts=parts))
+    assert sum(counts_of(cell, 0, np.random.default_rng(0))) == round(34.72 / 1.5)
 
 
 def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
@@ -75,7 +93,7 @@ def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
         instance=np.full((48, 64), -1, np.int32),
         amodal=(),
     )
-    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason)
+    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason, camera=rig.camera)
     found = with_field(rig, truth, codes, depth).reason
     beside = ~lit & ~np.isnan(z_m) & ~coded
     assert 0.2 < beside.mean() < 0.7

@@ -158,6 +158,7 @@ def build_sample(seed, *, parts, rig, sensor="", image=0, station=0, T_first_cam
             depth_m=np.where(reason == 0, measured, np.nan),
             sigma_m=np.where(reason == 0, 2e-4, np.nan),
             reason=reason,
+            camera=rig.camera,
         ),
         modulation=modulation,
         manifest={

@@ -8,8 +8,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from graycast.base.errors import MeshError
-from graycast.cell.config import Config, file_digests
-from graycast.cell.resolve import resolve_cell
+from graycast.cell.config import Config
+from graycast.cell.resolve import file_digests, resolve_cell
 from graycast.world.bins import load_bin
 from graycast.world.parts import Material
 from graycast.world.scene import Bin, bin_mesh, bin_surfaces, table_quad

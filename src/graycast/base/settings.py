@@ -137,7 +137,7 @@ def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[S
 class ReadAs:
     """In an annotation: pydantic reads the field by a section that was made at run time."""
 
-    def __init__(self, section: type[Settings]) -> None:
+    def __init__(self, section: type[Any]) -> None:
         self._section = section
 
     def __get_pydantic_core_schema__(

@@ -4,7 +4,6 @@ Every key that is not known stops the run and is named with its file and the nea
 Paths in a configuration are relative to its file.
 """
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -32,7 +31,7 @@ from ..world.parts.part_sections import (
 )
 from ..world.parts.wood import wood_texture
 from ..world.scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
-from .domain import DomainSection, domain_files
+from .domain import DomainSection
 from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 
 
@@ -172,6 +171,13 @@ class Config(ScannerSections):
         description="The number of parts in a scene, from 1 to 255, or its lowest and its highest "
         "value.",
     )
+    fill: float | None = Field(
+        None,
+        gt=0,
+        le=1,
+        description="The share of the bin that the parts of a scene fill as a loose heap, from 0 "
+        "to 1. It replaces count.",
+    )
     scenes: int = Field(
         3, ge=1, description="The number of scenes. The option --scenes replaces it."
     )
@@ -222,6 +228,12 @@ class Config(ScannerSections):
         return count
 
     @model_validator(mode="after")
+    def _one_way_to_count(self) -> "Config":
+        if self.fill is not None and self.count != Config.model_fields["count"].default:
+            raise ValueError("count and fill both say how many parts lie in a scene: remove one")
+        return self
+
+    @model_validator(mode="after")
     def _one_way_to_look(self) -> "Config":
         # By value: what is read back from a manifest gives every key.
         used = {"distance_m", "target_m"} if isinstance(self.views, DomeSection) else set()
@@ -260,12 +272,13 @@ def config_schema() -> dict[str, Any]:
     return Config.model_json_schema()
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: Path | str) -> Config:
     """Read and check a configuration.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
+    path = Path(path)
     return read_settings(path, Config)
 
 
@@ -378,19 +391,3 @@ def resolve_quality(config: Config) -> Quality:
         depth=render.depth,
         denoise=render.cycles.denoise if render.backend == "cycles" else "none",
     )
-
-
-def file_digests(config: Config, folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
-    named = [section.mesh for section in config.parts]
-    named.append(config.bin.mesh)
-    surfaces = [section.material for section in config.parts]
-    surfaces += [config.bin.material, config.bin.floor, config.table]
-    named += [material.texture for material in surfaces if material is not None]
-    named.append(config.light.environment.map)
-    named += domain_files(config.domain, folder)
-    digests = {}
-    for path in named:
-        if path is not None:
-            digests[str(path)] = hashlib.sha256((folder / path).read_bytes()).hexdigest()
-    return digests

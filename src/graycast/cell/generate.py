@@ -54,7 +54,7 @@ class Summary:
 
 def generate(
     cell: Cell,
-    out: Path,
+    out: Path | str,
     *,
     scenes: int,
     seed: int,
@@ -82,6 +82,7 @@ def generate(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason; or Ray does not answer.
     """
+    out = Path(out)
     start = time.perf_counter()
     task = SceneTask(
         cell=cell,
@@ -127,7 +128,7 @@ def generate(
     )
 
 
-def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
+def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Path:
     """Write a scene that `make_scene` made into a dataset's folder, which it may begin.
 
     Of a cell that takes several images of a scene, give all that `make_images` makes.
@@ -145,6 +146,7 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
         DatasetError: the scene is there already with other files; the folder is another dataset's
             or in use; the disk refuses.
     """
+    out = Path(out)
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
     manifest = samples[0].manifest
     scene_id = manifest["scene_id"]

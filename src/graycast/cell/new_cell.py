@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from ..base.frames import inverse, transform_points
 from ..camera.scanner import preset
 from ..rig.optics import Optics, project
 from ..rig.pair import Rig
-from ..world.parts import Part, Symmetry
+from ..world.parts import Part, Symmetry, full_count
 from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .views import ViewSection, hang
@@ -20,7 +19,6 @@ from .views import ViewSection, hang
 RIGS = ("phoxi-s", "phoxi-m", "phoxi-l")  # They go from the smallest field to the largest.
 BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
 BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
-PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 
@@ -48,7 +46,7 @@ def new_cell(
     """
     inner_m = bin_for(part)
     rig_name, covers = rig_for(Bin(inner_m=inner_m))
-    full = max(1, round(PACKING * float(np.prod(inner_m)) / _hull_m3(part)))
+    full = max(1, round(full_count(part, inner_m)))
     most = int(np.clip(round(HEAP_SHARE * full), 3, MOST_PARTS))
     # Text of JSON is text of YAML, also where a file's name has a colon, a hash or a quote.
     keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
@@ -119,7 +117,3 @@ def _sees(rig: Rig, room: Bin) -> bool:
 def _inside(optics: Optics, point_m: np.ndarray) -> bool:
     x, y = project(optics, point_m).T
     return bool(((x > 0) & (x < optics.width_px) & (y > 0) & (y < optics.height_px)).all())
-
-
-def _hull_m3(part: Part) -> float:
-    return float(ConvexHull(part.mesh.vertices_m).volume)

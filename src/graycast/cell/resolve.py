@@ -1,5 +1,6 @@
 """A cell: a configuration with its files read, which all scenes of a dataset share."""
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +19,13 @@ from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
     Config,
-    file_digests,
+    load_config,
     resolve_bin,
     resolve_environment,
     resolve_parts,
     resolve_scanners,
 )
-from .domain import Domain, deepest_m, resolve_domain
+from .domain import Domain, deepest_m, domain_files, resolve_domain
 from .views import (
     Pose,
     Sampler,
@@ -236,6 +237,29 @@ def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWA
     return replace(cell, scene=replace(scene, T_world_cam=eyes(cell, 0)[0].T_world_cam))
 
 
+def load_cell(
+    source: Config | Path | str,
+    *,
+    folder: Path | str | None = None,
+    progress: ProgressMeter = UNWATCHED,
+) -> Cell:
+    """Read a cell: a configuration with all files that it names.
+
+    Args:
+        source: a configuration, or its YAML file.
+        folder: where relative paths of the configuration start; None is the folder of the file, or
+            the current folder for a configuration that was made in Python.
+        progress: hears of each step that may take seconds.
+
+    Raises:
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
+    """
+    if isinstance(source, Config):
+        return resolve_cell(source, Path(folder or "."), progress=progress)
+    path = Path(source)
+    return resolve_cell(load_config(path), Path(folder or path.parent), progress=progress)
+
+
 def reach_m(cell: Cell) -> float:
     """The largest depth that a cell's depth pictures must hold [m], along the camera's z.
 
@@ -285,3 +309,19 @@ def open_cell_renderer(
         on_frame=lambda done, total: progress.count("renders of a scene", done, total),
         on_pass=on_pass,
     )
+
+
+def file_digests(config: Config, folder: Path) -> dict[str, str]:
+    """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
+    named = [section.mesh for section in config.parts]
+    named.append(config.bin.mesh)
+    surfaces = [section.material for section in config.parts]
+    surfaces += [config.bin.material, config.bin.floor, config.table]
+    named += [material.texture for material in surfaces if material is not None]
+    named.append(config.light.environment.map)
+    named += domain_files(config.domain, folder)
+    digests = {}
+    for path in named:
+        if path is not None:
+            digests[str(path)] = hashlib.sha256((folder / path).read_bytes()).hexdigest()
+    return digests

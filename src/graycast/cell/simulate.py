@@ -5,7 +5,7 @@ A scene depends on (configuration, dataset seed, scene id) alone.
 
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -26,7 +26,8 @@ from ..dataset import Raw, Sample
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..rig.optics import in_picture, points, project
 from ..rig.pair import Rig
-from ..world.drop import drop
+from ..world.drop import PARTS_MAX, drop
+from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
 from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
@@ -153,7 +154,7 @@ def _taken(
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
-        "exposure_s": float(np.max(capture.exposure_s)),
+        "exposure_s": capture.reference_s,
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[_on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
@@ -286,12 +287,29 @@ def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple
 
 def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
     """How many of each kind: one kind in turn, or all kinds drawn at random."""
-    low, high = cell.config.count_range
-    total = int(rng.integers(low, high + 1))
     kinds = len(cell.scene.parts)
     if cell.config.mix:
-        return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
-    return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
+        return mixed_counts(cell, rng)
+    lying = scene_id % kinds
+    total = _total(cell, cell.scene.parts[lying : lying + 1], rng)
+    return tuple(total if kind == lying else 0 for kind in range(kinds))
+
+
+def mixed_counts(cell: Cell, rng: np.random.Generator) -> tuple[int, ...]:
+    """How many of each kind, if all kinds are drawn at random."""
+    kinds = len(cell.scene.parts)
+    total = _total(cell, cell.scene.parts, rng)
+    return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
+
+
+def _total(cell: Cell, parts: Sequence[Part], rng: np.random.Generator) -> int:
+    """As many parts as the configuration has, or as fill its share of the bin."""
+    if cell.config.fill is None:
+        low, high = cell.config.count_range
+        return int(rng.integers(low, high + 1))
+    inner_m = bin_of(cell.scene).inner_m
+    filled = sum(1 / full_count(part, inner_m) for part in parts) / len(parts)
+    return int(np.clip(round(cell.config.fill / filled), 1, PARTS_MAX))
 
 
 @contextmanager

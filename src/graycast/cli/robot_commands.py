@@ -131,7 +131,7 @@ def _pick(options: argparse.Namespace) -> int:
     _need_robot()
     from ..robot.pick import (
         load_pick_config,
-        pick_bins,
+        pick,
         read_episodes,
         resolve_pick_cell,
         summarize,
@@ -159,7 +159,7 @@ def _pick(options: argparse.Namespace) -> int:
         def failed(outcome) -> None:
             bars.line(f"bin {outcome.scene_id:06d}  failed: {one_line(outcome.error)}")
 
-        lost = pick_bins(
+        lost = pick(
             cell,
             options.out,
             bins=options.bins,

@@ -40,7 +40,7 @@ def add_first(commands) -> None:
     add_option(new, "folder", Path, "The folder that is made.")
     what = new.add_mutually_exclusive_group(required=True)
     what.add_argument(
-        "--part", type=Path, metavar="PATH", help="An OBJ, PLY, STL or GLB file of the part."
+        "--part", type=Path, metavar="PATH", help="An OBJ, PLY, STL, GLB or STEP file of the part."
     )
     what.add_argument(
         "--builtin", metavar="NAME", help="The name of a built-in part: see graycast parts."

@@ -38,7 +38,7 @@ class Problem:
         return f"scene {self.scene:06d}: {self.what}" if self.scene is not None else self.what
 
 
-def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
+def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
     """All problems of a dataset folder; an empty tuple if it is sound.
 
     Each file must have the SHA-256 that it was written with. `fast` ends there: it tells of all
@@ -58,6 +58,7 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     Raises:
         DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
     """
+    out = Path(out)
     claim, finished = read_claim(out), sorted(finished_scenes(out))
     if isinstance(claim, RealClaim):
         found = () if fast else real_problems(out)

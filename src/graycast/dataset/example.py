@@ -9,6 +9,7 @@ from pycocotools import mask as coco_mask
 from ..base.array_types import Bool, Float, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from ..base.frames import rigid
+from ..rig.optics import Optics, optics_of, points
 from .records import MM_PER_M
 
 
@@ -49,6 +50,32 @@ class Example:
     T_cam_part: Float[np.ndarray, "n 4 4"] | None = None
     visib_fract: Float[np.ndarray, " n"] | None = None
     ignored: Bool[np.ndarray, " n"] | None = None
+
+    @property
+    def camera(self) -> Optics:
+        """The camera that took the picture.
+
+        Raises:
+            DatasetError: the example has no depth or no intrinsics.
+        """
+        depth = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m
+        if self.K is None or depth is None:
+            raise DatasetError(
+                f"scene {self.scene_id} has no depth or no intrinsics: give a dataset that "
+                "graycast generate made"
+            )
+        return optics_of(self.K, depth.shape, self.distortion or (0.0,) * 5)
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The cloud that the scanner measured [m], in the camera frame; else that of true depth.
+
+        Raises:
+            DatasetError: as of `camera`.
+        """
+        camera = self.camera
+        depth_m = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m
+        assert depth_m is not None, "the camera refuses an example without depth"
+        return points(camera, depth_m)[np.isfinite(depth_m)]
 
     def hidden(self, min_visibility: float) -> Bool[np.ndarray, " n"]:
         """The instances that do not count: ignored, or visible for less than that share.

@@ -1,5 +1,9 @@
 """Light transport: one file or folder per back end, and a small exact reference."""
 
+import numpy as np
+from jaxtyping import UInt8
+
+from ..world.scene import Layout, Scene
 from .radiance import (
     Denoiser,
     DenoiserName,
@@ -28,6 +32,7 @@ __all__ = [
     "Silhouette",
     "choose_device",
     "open_renderer",
+    "render",
 ]
 
 
@@ -82,6 +87,26 @@ def open_renderer(
     raise ValueError(
         f"the renderer {name!r} does not exist: choose 'mitsuba', 'cycles' or 'reference'"
     )
+
+
+def render(
+    scene: Scene,
+    layout: Layout,
+    patterns: UInt8[np.ndarray, "n ph pw"],
+    *,
+    quality: Quality | None = None,
+    seed: int,
+    device: str = "auto",
+) -> Rendering:
+    """Render one scene under a stack of patterns, with Mitsuba; see `Renderer.render`.
+
+    For more than one scene, keep a renderer open with `open_renderer`.
+
+    Raises:
+        DeviceError, ValueError: as of `open_renderer` and `Renderer.render`.
+    """
+    with open_renderer(device=device) as renderer:
+        return renderer.render(scene, layout, patterns, quality=quality or Quality(), seed=seed)
 
 
 def choose_device(backend: str, name: str) -> str:

@@ -6,7 +6,7 @@ not reflect: with `E` the coat's directional albedo, the sum is `E + base (1 - E
 base. Light passes the coat on its way in and on its way out, so both angles count, and it may run
 backwards (Helmholtz). Blender's Principled BSDF counts the way out only: at roughness below 0.3 it
 is 5 % darker than this where light comes in steeply, and brighter where it grazes
-(docs/explanation/derivations.md, "Materials").
+(docs/explanation/light.md, "Materials").
 
 Leaves out: interreflection between coat and base that would saturate deep colours, and light
 scattered twice among the coat's facets, which goes to the base instead.

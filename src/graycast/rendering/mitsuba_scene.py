@@ -72,7 +72,7 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
 
 
 def _bsdf(material: Material) -> dict[str, object]:
-    """A material as Mitsuba BSDFs; docs/explanation/derivations.md, "Materials"."""
+    """A material as Mitsuba BSDFs; docs/explanation/light.md, "Materials"."""
     if material.metallic == 0:
         return _dielectric(material)
     if material.metallic == 1:

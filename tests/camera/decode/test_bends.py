@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from stage import centred
 
 from graycast.camera.decode import DepthMap, Reason, with_bends
 
@@ -12,7 +13,7 @@ def map_of(inverse):
     depth_m = (1 / np.asarray(inverse)).astype(np.float32)
     reason = np.where(np.isnan(depth_m), Reason.SHADOW, Reason.DECODED).astype(np.uint8)
     sigma_m = np.where(np.isnan(depth_m), np.nan, SIGMA_M).astype(np.float32)
-    return DepthMap(depth_m=depth_m, sigma_m=sigma_m, reason=reason)
+    return DepthMap(depth_m=depth_m, sigma_m=sigma_m, reason=reason, camera=centred(40, 30, 100.0))
 
 
 def grid():

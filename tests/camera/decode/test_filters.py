@@ -38,7 +38,7 @@ def depth_map(z_m, *, sigma_m=SIGMA_M, seed=None):
     known = np.isfinite(z_m)
     reason = np.where(known, Reason.DECODED, Reason.SHADOW).astype(np.uint8)
     sigma = np.where(known, sigma_m, np.nan).astype(np.float32)
-    return DepthMap(depth_m=z_m.astype(np.float32), sigma_m=sigma, reason=reason)
+    return DepthMap(depth_m=z_m.astype(np.float32), sigma_m=sigma, reason=reason, camera=CAMERA)
 
 
 def removed(z_m, spec, **noise):

@@ -36,6 +36,7 @@ def hidden(z_m, side, sigmas=3.0, sigma_m=1e-4):
         depth_m=z_m,
         sigma_m=np.where(known, np.float32(sigma_m), np.float32(np.nan)),
         reason=np.where(known, Reason.DECODED, Reason.SHADOW).astype(np.uint8),
+        camera=rig_of(side).camera,
     )
     seen = without_hidden(depth, rig_of(side), sigmas=sigmas)
     gone = seen.reason == Reason.OUTLIER
@@ -83,5 +84,6 @@ def test_a_turned_projector_knows_its_order_too():
         depth_m=z_m,
         sigma_m=np.where(np.isfinite(z_m), np.float32(1e-4), np.float32(np.nan)),
         reason=np.where(np.isfinite(z_m), 0, 1).astype(np.uint8),
+        camera=toed.camera,
     )
     assert not (without_hidden(depth, toed, sigmas=3.0).reason == Reason.OUTLIER).any()

@@ -6,8 +6,9 @@ import yaml
 from small_cell import write_cell
 
 from graycast.base.errors import ConfigError
-from graycast.cell.config import Config, file_digests, load_config
+from graycast.cell.config import Config, load_config
 from graycast.cell.domain import AdaptedSection, RandomizedSection
+from graycast.cell.resolve import file_digests
 
 
 def config(domain):

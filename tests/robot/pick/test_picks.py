@@ -17,7 +17,7 @@ from graycast.rig.pair import preset_rig
 from graycast.robot.pick import (
     Outcome,
     load_pick_config,
-    pick_bins,
+    pick,
     read_episodes,
     resolve_pick_cell,
     summarize,
@@ -114,7 +114,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "out" / "mine.txt").write_text("x")
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)
     with pytest.raises(DatasetError, match=r"mine\.txt"):
-        pick_bins(cell, tmp_path / "out", bins=1, seed=0)
+        pick(cell, tmp_path / "out", bins=1, seed=0)
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["mine.txt"]
 
 

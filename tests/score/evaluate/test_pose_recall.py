@@ -14,7 +14,7 @@ from graycast.dataset.models_read import read_models
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import open_examples
 from graycast.rig.meshdepth import rasterize
-from graycast.score.evaluate import Protocol, camera_of, evaluate_poses
+from graycast.score.evaluate import Protocol, evaluate_poses
 from graycast.score.evaluate.pose_recall import PictureTruth, count_picture, matched, solid_of
 from graycast.world.parts import Mesh, Symmetry
 
@@ -38,7 +38,7 @@ def scene(master):
     solids = {k: solid_of(m.mesh, m.symmetry, m.diameter_m) for k, m in models.items()}
     truth = PictureTruth(
         scene_id=example.scene_id,
-        camera=camera_of(example),
+        camera=example.camera,
         measured_m=example.scanner_depth_m.astype(np.float64),
         obj_id=example.obj_id,
         T_cam_part=example.T_cam_part,

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from step_file import step_box
 
 from benchmarks.zoo_parts import wavy_ring
 from graycast.base.errors import MeshError
-from graycast.world.parts import Material, Symmetry, load_part, surface
+from graycast.world.parts import Material, Symmetry, load_part, mass_kg, surface
 
 MESHES = Path(__file__).resolve().parents[3] / "../shared/data/meshes"
 needs_meshes = pytest.mark.skipif(not MESHES.is_dir(), reason="../shared/data/meshes is absent")
@@ -214,8 +215,8 @@ def missing(folder):
 
 
 def unsupported(folder):
-    (folder / "part.step").write_text("ISO-10303-21;")
-    return folder / "part.step"
+    (folder / "part.dwg").write_text("AC1032")
+    return folder / "part.dwg"
 
 
 def empty_file(folder):
@@ -290,7 +291,7 @@ def flat_sheet(folder):
 
 REFUSALS = [
     (missing, {}, ["no such file", "check the path"]),
-    (unsupported, {}, [".step", "export .obj, .ply, .stl, .glb"]),
+    (unsupported, {}, [".dwg", "export .obj, .ply, .stl, .glb"]),
     (empty_file, {}, ["file is empty", "export"]),
     (not_a_mesh, {}, ["no triangles", "so export it again as a mesh"]),
     (only_points, {}, ["no triangles", "points"]),
@@ -527,3 +528,26 @@ def test_real_meshes_load_with_the_volume_that_trimesh_finds(file, unit, longest
 def test_a_mesh_in_inches_is_not_mistaken_for_metres():
     with pytest.raises(MeshError, match=r"idler_riser.STL: no unit .* 75.01 mm if in inch"):
         load(MESHES / "cad/idler_riser.STL")
+
+
+# --- STEP ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("prefix", "metres"), [(".MILLI.", 1e-3), (".CENTI.", 1e-2)])
+def test_a_step_file_is_read_in_its_own_unit(tmp_path, prefix, metres):
+    """A box of 6 x 4 x 3 lengths as a CAD program writes it: planes, edges and a unit."""
+    pytest.importorskip("cascadio", reason="needs cascadio: make extras")
+    (tmp_path / "box.step").write_text(step_box(6, 4, 3, prefix))
+    part, findings = load(tmp_path / "box.step")
+    np.testing.assert_allclose(part.mesh.extent_m, np.array([6, 4, 3]) * metres, rtol=1e-5)
+    assert mass_kg(part) == pytest.approx(part.density_kg_m3 * 72 * metres**3, rel=1e-5)
+    assert not any("unit" in finding for finding in findings)
+    with pytest.raises(MeshError, match="states its own unit; remove unit"):
+        load(tmp_path / "box.step", unit="mm")
+
+
+def test_a_step_file_without_its_reader_names_the_extra(tmp_path, monkeypatch):
+    (tmp_path / "box.stp").write_text(step_box(6, 4, 3, ".MILLI."))
+    monkeypatch.setitem(sys.modules, "cascadio", None)
+    with pytest.raises(MeshError, match=r"pip install 'graycast\[cad\]', or export \.obj"):
+        load(tmp_path / "box.stp")

@@ -8,7 +8,7 @@ Leaves out: lens distortion, whose share in the angle between neighbouring rays 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, no_type_check
 
 import numba
@@ -185,7 +185,7 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
     else:
         filtered_sigma_m[removed] = np.nan
     reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
-    return DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
+    return replace(depth, depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 from pydantic import Field
 
 from ...base.settings import check_fields
+from ...rig.optics import Optics, points
 from ..sensor import SensorSpec, stored_saturation_dn
 
 
@@ -246,13 +247,18 @@ class CodeMap:
 class DepthMap:
     """What the scanner measured: z of the camera frame and its standard deviation [m].
 
-    Both are NaN where `reason` is not DECODED.
+    Both are NaN where `reason` is not DECODED. `camera` is the one whose picture this is.
     """
 
     depth_m: Float[np.ndarray, "h w"]
     sigma_m: Float[np.ndarray, "h w"]
     reason: UInt8[np.ndarray, "h w"]
+    camera: Optics
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            getattr(self, name).flags.writeable = False
+        for map_of_pixels in (self.depth_m, self.sigma_m, self.reason):
+            map_of_pixels.flags.writeable = False
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The measured points [m] in the camera frame, row by row of the picture."""
+        return points(self.camera, self.depth_m)[np.isfinite(self.depth_m)]

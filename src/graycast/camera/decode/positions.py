@@ -1,8 +1,8 @@
 """From a stack of pictures to projector positions: all frames in one pass over the pixels.
 
-`plain.py` says the same in NumPy, frame by frame; tests compare the two. Here every loop runs along
-a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it. Each
-step is a kernel of its own, compiled when a code first needs it.
+`tests/camera/decode/plain_decoder.py` says the same in NumPy, frame by frame. Here every loop runs
+along a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it.
+Each step is a kernel of its own, compiled when a code first needs it.
 """
 
 import math
@@ -46,7 +46,7 @@ def decode(
     A Gray bit is the sign of pattern minus inverse; without inverse it tells whether the pixel is
     above the middle of its own darkest and brightest frame, as in K. Bai et al. 2024. Phases are
     counted by the Gray code or by one another; the place is their mean, weighted by their noise.
-    docs/explanation/derivations.md, "Decoding".
+    docs/explanation/decoding.md, "Bits" and "Phases".
 
     Leaves out: what the projector's square pixels do to a camera that resolves them. A cosine or a
     comb on a grid of pixels is a staircase, of however many pixels a line is made. Its error (peak,

@@ -24,7 +24,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
 
     The three linear equations of design: two say that the point is on the pixel's ray,
     `X = x Z`, `Y = y Z`; with them the third, the projector's `(P1 - u P3) (X, Y, Z, 1) = 0`, has
-    the one unknown Z (docs/explanation/derivations.md, "Triangulation"). Distortion is taken off
+    the one unknown Z (docs/explanation/depth.md, "Triangulation"). Distortion is taken off
     first: the camera's from its rays, the projector's from (u, v), v decoded or else iterated.
     The standard deviation is that of the code, carried through dZ/du; the rig is taken as exact.
 
@@ -65,6 +65,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
         depth_m=np.where(known, depth_m, np.nan).astype(np.float32),
         sigma_m=np.where(known, np.abs(slope_m) * sigma_px, np.nan).astype(np.float32),
         reason=reason,
+        camera=camera,
     )
 
 

@@ -57,12 +57,13 @@ def rig_schema() -> dict[str, Any]:
     return RigModel.model_json_schema()
 
 
-def save_scanner(scanner: Scanner, path: Path) -> None:
+def save_scanner(scanner: Scanner, path: Path | str) -> None:
     """Write a rig file; `load_scanner` gives the same numbers back to the last bit.
 
     Raises:
         ConfigError: the file cannot be written; a file that was there is left as it was.
     """
+    path = Path(path)
     try:
         write_whole(path, scanner_text(scanner).encode())
     except GraycastError as error:
@@ -86,12 +87,13 @@ def scanner_text(scanner: Scanner) -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
 
 
-def load_scanner(path: Path) -> Scanner:
+def load_scanner(path: Path | str) -> Scanner:
     """Read a rig file.
 
     Raises:
         ConfigError: the file is missing or not a rig; the text names the file, the key, the remedy.
     """
+    path = Path(path)
     text = read_text(path)
     if is_file_storage(text) or path.suffix.lower() in (".xml", ".npz"):
         raise ConfigError(

@@ -4,7 +4,7 @@ An absent key has the default in a rig file, and the rig's own value in a config
 """
 
 from dataclasses import MISSING, fields, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ...base.errors import ConfigError
 from ...base.settings import ReadAs, Settings, changes_of
@@ -15,50 +15,36 @@ from ..faults import FaultSpec
 from ..scanner import ExposureSpec, Scanner
 from ..sensor import SensorSpec
 
-CodeSection = changes_of(CodeSpec, "CodeSection", module=__name__, about="The coded light.")
-ExposureSection = changes_of(
-    ExposureSpec,
-    "ExposureSection",
-    module=__name__,
-    about="A fixed exposure time, or the time that brings a percentile of the white frame to "
-    "a target.",
-)
-SensorSection = changes_of(
-    SensorSpec,
-    "SensorSection",
-    module=__name__,
-    about="The sensor in EMVA 1288 terms, and the f-number of its lens.",
-)
-DecodeSection = changes_of(
-    DecodeSpec,
-    "DecodeSection",
-    module=__name__,
-    about="The conditions under which a pixel is decoded.",
-)
-FilterSection = changes_of(
-    FilterSpec,
-    "FilterSection",
-    module=__name__,
-    about="The filters of the decoded depth; 0 switches a filter off.",
-)
-FaultSection = changes_of(
-    FaultSpec,
-    "FaultSection",
-    module=__name__,
-    about="Faults of the device that are added to the depth of simulated scans and never to that "
-    "of real pictures; 0 switches a fault off.",
-)
+_ABOUT = {
+    CodeSpec: "The coded light.",
+    ExposureSpec: "A fixed exposure time, or the time that brings a percentile of the white frame "
+    "to a target.",
+    SensorSpec: "The sensor in EMVA 1288 terms, and the f-number of its lens.",
+    DecodeSpec: "The conditions under which a pixel is decoded.",
+    FilterSpec: "The filters of the decoded depth; 0 switches a filter off.",
+    FaultSpec: "Faults of the device that are added to the depth of simulated scans and never to "
+    "that of real pictures; 0 switches a fault off.",
+}
+
+if TYPE_CHECKING:  # An editor completes a section by the fields of its dataclass.
+    CodeSection, ExposureSection, SensorSection = CodeSpec, ExposureSpec, SensorSpec
+    DecodeSection, FilterSection, FaultSection = DecodeSpec, FilterSpec, FaultSpec
+else:
+    CodeSection, ExposureSection, SensorSection, DecodeSection, FilterSection, FaultSection = (
+        changes_of(spec, spec.__name__.replace("Spec", "Section"), module=__name__, about=about)
+        for spec, about in _ABOUT.items()
+    )
 
 
 class ScannerSections(Settings):
     """The sections that a rig file and a configuration share."""
 
-    code: Annotated[Settings, ReadAs(CodeSection)] = CodeSection()
-    exposure: Annotated[Settings, ReadAs(ExposureSection)] = ExposureSection()
-    sensor: Annotated[Settings, ReadAs(SensorSection)] = SensorSection()
-    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
-    filters: Annotated[Settings, ReadAs(FilterSection)] = FilterSection()
-    faults: Annotated[Settings, ReadAs(FaultSection)] = FaultSection()
+    code: Annotated[Any, ReadAs(CodeSection)] = CodeSection()
+    exposure: Annotated[Any, ReadAs(ExposureSection)] = ExposureSection()
+    sensor: Annotated[Any, ReadAs(SensorSection)] = SensorSection()
+    decode: Annotated[Any, ReadAs(DecodeSection)] = DecodeSection()
+    filters: Annotated[Any, ReadAs(FilterSection)] = FilterSection()
+    faults: Annotated[Any, ReadAs(FaultSection)] = FaultSection()
 
 
 def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:

@@ -84,28 +84,28 @@ class StackResult:
 
 
 def decode_stack(
-    path: Path, rig: Rig | None = None, *, average: bool = False, filters: FilterSpec | None = None
+    path: Path | str,
+    rig: Rig | None = None,
+    *,
+    average: bool = False,
+    filters: FilterSpec | None = None,
 ) -> StackResult:
     """Decode the stack that a YAML file describes.
 
-    With a rig, depth per camera pixel: where its ray meets the plane of its column (or row, by the
-    baseline), the other axis checking it. `average` joins the camera pixels of each projector pixel
-    into one point of the cloud, by both coordinates; the depth map is the same with and without.
-    `filters` are what the scanner does to its depth afterwards; an averaged cloud has none of it.
+    With a rig, each camera pixel's ray meets the plane of its column (or row, by the baseline); the
+    other axis checks it. `average` joins the camera pixels of each projector pixel into one point
+    of the cloud; the depth map stays. `filters` change the depth, and no averaged cloud.
 
     Raises:
         ConfigError: the file says something that cannot be used.
         DecodeError: pictures are missing, damaged or unlike; frames do not make a code; nothing is
             lit; the rig is another camera's; averaging, or depth, lacks an axis.
     """
+    path = Path(path)
     clock = _Clock()
     description = read_description(path)
-    code = code_of(description, path)
     spec, stated_px = description.decode_spec()
-    try:
-        plan_axes(code, spec.fine_bits)
-    except DecodeError as error:
-        raise DecodeError(f"{path}: {error}") from error
+    code = _planned(code_of(description, path), spec, path)
     _check_axes(code, rig, average, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
@@ -146,9 +146,8 @@ def decode_stack(
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
-    if depth is not None:  # out of range and outliers are known only now
-        shares = reason_shares(depth.reason)
-        figures = replace(figures, reasons=shares)
+    if depth is not None:  # Only now it is known what is out of range or an outlier.
+        figures = replace(figures, reasons=reason_shares(depth.reason))
     light = _separated(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -163,6 +162,15 @@ def decode_stack(
         cloud=cloud,
         light=light,
     )
+
+
+def _planned(code: Code, spec: DecodeSpec, path: Path) -> Code:
+    """The code, which can be decoded."""
+    try:
+        plan_axes(code, spec.fine_bits)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from error
+    return code
 
 
 def _by_noise(

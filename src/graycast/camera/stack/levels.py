@@ -45,7 +45,7 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
       period leave beside mean, cosine and low harmonics, if they are four or more; or by what the
       means of two periods differ. Else what a 3 x 3 mask blind to planes finds in the white frame,
       or in the mean of a period's steps (Immerkaer), in the smoother half of it; else a stated
-      default. docs/explanation/derivations.md, "Real stacks".
+      default. docs/explanation/depth.md, "Real stacks".
 
     Values in the stack file take precedence.
 

@@ -10,6 +10,7 @@ from ... import __version__
 from ...base.errors import DeviceError, GraycastError, WorkerDied
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...world.parts import Part
+from ..simulate import Shot
 
 J = TypeVar("J", bound="Job")
 
@@ -20,7 +21,7 @@ class TaskResult:
 
     `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
     a robot emptied `reasons` are attempts per outcome. `rss_bytes` is the memory of the process
-    that made it, afterwards.
+    that made it, afterwards. `shots` are there instead of files where the job keeps them.
     """
 
     scene_id: int
@@ -29,6 +30,7 @@ class TaskResult:
     reasons: dict[str, float]
     rss_bytes: int
     part_reasons: dict[str, float] = field(default_factory=dict)
+    shots: tuple[Shot, ...] = ()
 
 
 def keep_to_threads(threads: int | None) -> None:

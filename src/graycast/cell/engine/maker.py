@@ -45,11 +45,17 @@ class SceneMaker:
         start = time.perf_counter()
         task = self.task
         manifests: list[Mapping[str, Any]] = []
+        kept: tuple[Shot, ...] = ()
+        files: tuple[tuple[str, bytes], ...] = ()
         with self._kept.of(task.cell) as renderer:
             shots = make_images(
                 task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )
-            files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
+            if task.keep_shots:
+                kept = tuple(shots)
+                manifests = [shot.sample.manifest for shot in kept]
+            else:
+                files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
         return TaskResult(
             scene_id=scene_id,
             files=files,
@@ -57,6 +63,7 @@ class SceneMaker:
             reasons=mean_shares([manifest["reasons"] for manifest in manifests]),
             part_reasons=mean_shares([manifest["part_reasons"] for manifest in manifests]),
             rss_bytes=rss_bytes(),
+            shots=kept,
         )
 
     def close(self) -> None:
@@ -76,12 +83,16 @@ class SceneMaker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneTask(Job):
-    """What a worker needs to know to make any scene of a dataset."""
+    """What a worker needs to know to make any scene of a dataset.
+
+    With `keep_shots` it hands over the images themselves, not their files.
+    """
 
     RUNNER = SceneMaker
 
     cell: Cell
     depth_scale_mm: float
+    keep_shots: bool = False
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -65,7 +65,9 @@ class Examples(Sequence):
         return self.read(chosen)
 
 
-def open_examples(folder: Path, *, split: str = "train", division: Split | None = None) -> Examples:
+def open_examples(
+    folder: Path | str, *, split: str = "train", division: Split | None = None
+) -> Examples:
     """The examples of a dataset, of an export of it, or of others' datasets.
 
     Args:
@@ -78,6 +80,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
     Raises:
         DatasetError: the folder is none of these, or has no such set.
     """
+    folder = Path(folder)
     if not (folder / CLAIM).is_file() and not (folder / RECORD).is_file() and is_foreign(folder):
         return _from_others(folder, open_foreign(folder), split, division or Split())
     if not (folder / RECORD).is_file():

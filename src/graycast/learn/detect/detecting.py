@@ -62,7 +62,7 @@ class PictureSelection:
 def detect(
     detector: Detector,
     pictures: PictureSelection,
-    out: Path,
+    out: Path | str,
     *,
     most: int = 300,
     least_score: float = 0.05,
@@ -79,6 +79,7 @@ def detect(
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
             something else or cannot be written.
     """
+    out = Path(out)
     refuse_foreign(out, DETECT_JSON)
     found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
@@ -179,7 +180,7 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def pictures_of(
-    folder: Path, about: About, *, split: str, scale_m: float | None, as_real: bool = False
+    folder: Path | str, about: About, *, split: str, scale_m: float | None, as_real: bool = False
 ) -> PictureSelection:
     """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
 
@@ -192,6 +193,7 @@ def pictures_of(
     Raises:
         GraycastError: the folder holds none of these, or knows none of the detector's parts.
     """
+    folder = Path(folder)
     if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
         if split != "all":
             raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")

@@ -236,12 +236,13 @@ def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -
     fill_whole(path, lambda file: torch.save(checkpoint, file))
 
 
-def load_detector(path: Path, *, device: str = "auto") -> Detector:
+def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
     """A detector from its file, or from the folder of its run.
 
     Raises:
         GraycastError: the file is missing, damaged, or no detector of Graycast.
     """
+    path = Path(path)
     file = path / WEIGHTS if path.is_dir() else path
     if not file.is_file():
         raise GraycastError(

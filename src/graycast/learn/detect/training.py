@@ -112,8 +112,8 @@ class TrainSpec:
 
 
 def train(
-    datasets: Sequence[Path],
-    out: Path,
+    datasets: Sequence[Path | str],
+    out: Path | str,
     spec: TrainSpec,
     *,
     progress: ProgressMeter = UNWATCHED,
@@ -135,7 +135,7 @@ def train(
             or the disk is full.
     """
     device = choose_device(spec.device)
-    sets = [_Sets.of(folder, spec.split) for folder in datasets]
+    sets = [_Sets.of(Path(folder), spec.split) for folder in datasets]
     parts = dict.fromkeys(name for each in sets for name in each.train.categories.values())
     names = (ONE_CLASS,) if spec.one_class else tuple(parts)
     about = About(
@@ -152,7 +152,7 @@ def train(
     network = about.open_network()
     if spec.weights is not None:
         load_weights(network, spec.weights)
-    run = RunFolder(out)
+    run = RunFolder(Path(out))
     with run.claimed(about.as_dict()):
         put_on(network, device)
         return _Training(

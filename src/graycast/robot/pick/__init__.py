@@ -11,7 +11,7 @@ summary, success_plots, attempt_picture, replay, solids   results for people
 
 from .outcome import Attempt, Outcome
 from .pick_files import StoredEpisode, read_episodes
-from .pick_run import pick_bins
+from .pick_run import pick
 from .pick_sections import PickConfig, load_pick_config
 from .robot_cell import PickCell, resolve_pick_cell
 from .success_plots import plot_runs
@@ -28,7 +28,7 @@ __all__ = [
     "compared",
     "load_pick_config",
     "pair",
-    "pick_bins",
+    "pick",
     "plot_runs",
     "read_episodes",
     "resolve_pick_cell",

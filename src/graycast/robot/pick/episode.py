@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ...base.frames import rigid
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import EMPTIED_BIN
+from ...cell.simulate import mixed_counts
 from ...rendering import Renderer
 from ...world.drop import drop
 from .attempt_picture import picture
@@ -69,7 +70,7 @@ def empty_bin(
     config = ready.cell.config
     own = np.random.SeedSequence(seed, spawn_key=(bin_id,)).spawn(len(EMPTIED_BIN))
     streams = dict(zip(EMPTIED_BIN, own, strict=True))
-    counts = _counts(ready, np.random.default_rng(streams["counts"]))
+    counts = mixed_counts(ready.cell.cell, np.random.default_rng(streams["counts"]))
     layout = drop(
         ready.cell.cell.scene,
         counts,
@@ -110,13 +111,6 @@ def empty_bin(
         taken=taken,
         left=len(world.numbers),
     )
-
-
-def _counts(ready: Ready, rng: np.random.Generator) -> tuple[int, ...]:
-    """How many of each kind, drawn at random."""
-    low, high = ready.cell.config.count_range
-    total, kinds = int(rng.integers(low, high + 1)), len(ready.kinds)
-    return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
 
 
 def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:

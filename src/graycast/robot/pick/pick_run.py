@@ -64,9 +64,9 @@ class PickTask(Job):
         return self.cell.cell.scene.parts
 
 
-def pick_bins(
+def pick(
     cell: PickCell,
-    out: Path,
+    out: Path | str,
     *,
     bins: int,
     seed: int,
@@ -81,7 +81,8 @@ def pick_bins(
     Args:
         out: the folder of picks; made, or continued where the same cell began it.
         device: of the renderer.
-        on_result, on_failed: take results, as in `generate`.
+        on_result: takes each result, as in `generate`.
+        on_failed: takes the reason of each try that failed.
 
     Returns:
         The bins that could not be made.
@@ -91,6 +92,7 @@ def pick_bins(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.
     """
+    out = Path(out)
     chosen = workers.device(cell.config.render.backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
 

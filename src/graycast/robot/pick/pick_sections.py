@@ -147,10 +147,11 @@ def robot_schema() -> dict[str, Any]:
     return PickConfig.model_json_schema()
 
 
-def load_pick_config(path: Path) -> PickConfig:
+def load_pick_config(path: Path | str) -> PickConfig:
     """Read and check a robot's cell.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
+    path = Path(path)
     return read_settings(path, PickConfig)

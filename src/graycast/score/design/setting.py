@@ -13,9 +13,9 @@ from jaxtyping import Float
 from ...base.errors import ConfigError, GraycastError
 from ...base.frames import inverse, transform_points
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...cell.config import Config, file_digests, load_config, resolve_bin, resolve_scanner
+from ...cell.config import Config, load_config, resolve_bin, resolve_scanner
 from ...cell.generate import described_scanner
-from ...cell.resolve import Cell, refuse_several, resolve_cell
+from ...cell.resolve import Cell, file_digests, refuse_several, resolve_cell
 from ...cell.views import hang
 from ...dataset import described_values
 from ...rig.pair import PRESETS, Rig, aimed, standoff_m

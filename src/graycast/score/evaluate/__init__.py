@@ -6,7 +6,7 @@ from .judging import GroupRow, Judgement, Protocol, judge
 from .labels import Labels, labels_of
 from .mistakes import AT_HALF, false_alarms
 from .pose_errors import mspd, mssd, rotation_translation, vsd
-from .pose_files import POSES, camera_of, evaluate_poses, poses_markdown, write_poses
+from .pose_files import POSES, evaluate_poses, poses_markdown, write_poses
 from .scores import Scores, score
 from .shares import mcnemar, wilson
 from .task import Task, evaluate
@@ -23,7 +23,6 @@ __all__ = [
     "Protocol",
     "Scores",
     "Task",
-    "camera_of",
     "evaluate",
     "evaluate_depth",
     "evaluate_poses",

@@ -18,7 +18,6 @@ from ...dataset.json_text import plain
 from ...dataset.models_read import read_models
 from ...dataset.pose_results import PoseEstimate, read_pose_results
 from ...dataset.training import Examples, open_examples
-from ...rig.optics import Optics, optics_of
 from .intervals import Interval, draw_scenes, interval_of
 from .judging import Protocol
 from .pose_recall import Counts, PictureTruth, count_picture, solid_of
@@ -232,27 +231,12 @@ def _truth(dataset: Path, example: Example, min_visibility: float) -> PictureTru
         )
     return PictureTruth(
         scene_id=example.scene_id,
-        camera=camera_of(example),
+        camera=example.camera,
         measured_m=measured.astype(np.float64),
         obj_id=example.obj_id,
         T_cam_part=example.T_cam_part,
         to_find=~example.hidden(min_visibility),
     )
-
-
-def camera_of(example: Example) -> Optics:
-    """The camera that an example's depth is of.
-
-    Raises:
-        GraycastError: the example has no depth or no intrinsics.
-    """
-    depth = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
-    if example.K is None or depth is None:
-        raise GraycastError(
-            f"scene {example.scene_id} has no depth or no intrinsics: give a dataset that graycast "
-            "generate made"
-        )
-    return optics_of(example.K, depth.shape, example.distortion or (0.0,) * 5)
 
 
 # --- files ----------------------------------------------------------------------------------------

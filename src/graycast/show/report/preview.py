@@ -18,12 +18,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from PIL import Image
 
-from ...base.color import srgb
 from ...base.frames import inverse, transform_points
 from ...base.mask_box import mask_box
 from ...base.plotting import save_png
 from ...camera.decode import Reason, triangulation_axis
+from ...camera.picture import srgb_frame
 from ...cell.simulate import Shot
 from ...dataset import labelled
 from ...rendering import GroundTruth
@@ -52,16 +53,30 @@ _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if no
 
 
 def draw_preview(shot: Shot, code: Code, path: Path) -> None:
-    """Write the contact sheet of one scene as a PNG.
-
-    Args:
-        code: that of the capture's frames.
-        path: of the PNG file; it appears complete or not at all.
+    """Write the contact sheet of one scene as a PNG; it appears complete or not at all.
 
     Raises:
         GraycastError: the file cannot be written.
+        ValueError: as of `preview`.
+    """
+    save_png(_sheet_of(shot, code), path, dpi=DPI)
+
+
+def preview(shot: Shot, code: Code) -> Image.Image:
+    """The contact sheet of one scene.
+
+    Args:
+        code: that of the capture's frames.
+
+    Raises:
         ValueError: the capture has another number of frames than the code.
     """
+    canvas = FigureCanvasAgg(_sheet_of(shot, code))
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def _sheet_of(shot: Shot, code: Code) -> Figure:
     if len(shot.capture.frames) != len(code.frames):
         frames = f"{len(shot.capture.frames)} frames, and the code has {len(code.frames)}"
         raise ValueError(f"the capture has {frames}: give the code of the capture")
@@ -74,7 +89,7 @@ def draw_preview(shot: Shot, code: Code, path: Path) -> None:
     _draw_error(sheet, shot)
     _draw_reasons(sheet, shot)
     _draw_instances(sheet, shot)
-    save_png(sheet.figure, path, dpi=DPI)
+    return sheet.figure
 
 
 # --- the sheet ---------------------------------------------------------------------------------
@@ -148,7 +163,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
         f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
         f"{render['samples']} samples, depth {render['depth']}",
-        f"exposure {1e3 * float(np.max(shot.capture.exposure_s)):.3g} ms",
+        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in np.unique(shot.capture.exposure_s))} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
         f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
@@ -202,11 +217,8 @@ def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
 
 
 def _frame_picture(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
-    """A frame over the sensor's range, dark level to saturation, as a grey picture."""
-    sensor = shot.capture.sensor
-    signal = shot.capture.frames[index].astype(np.float32) - np.float32(sensor.offset_dn)
-    share = signal / np.float32(sensor.saturation_dn - sensor.offset_dn)
-    return np.repeat(srgb(share)[..., None], 3, axis=-1)
+    """A frame's light as a grey picture in sRGB; all exposures are on one scale."""
+    return np.repeat(srgb_frame(shot.capture, index)[..., None], 3, axis=-1)
 
 
 def painted(

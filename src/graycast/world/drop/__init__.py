@@ -4,9 +4,10 @@ from .body import Body, parts_outside
 from .decomposition import Decomposition, cache_folder, convex_hulls
 from .lift import Hold, Lift, lift
 from .rest import simulate
-from .settle import DropLimits, drop, flaws, hull_notes, make_bodies, prepare
+from .settle import PARTS_MAX, DropLimits, drop, flaws, hull_notes, make_bodies, prepare
 
 __all__ = [
+    "PARTS_MAX",
     "Body",
     "Decomposition",
     "DropLimits",

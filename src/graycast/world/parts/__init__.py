@@ -3,7 +3,7 @@
 from .builtin import BUILTIN, builtin_part
 from .meshfile import load_mesh, load_part
 from .part import Material, Mesh, Part, Symmetry
-from .size import mass_kg, size_notes
+from .size import full_count, mass_kg, size_notes
 
 __all__ = [
     "BUILTIN",
@@ -12,6 +12,7 @@ __all__ = [
     "Part",
     "Symmetry",
     "builtin_part",
+    "full_count",
     "load_mesh",
     "load_part",
     "mass_kg",

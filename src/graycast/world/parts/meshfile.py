@@ -5,7 +5,7 @@ repeated faces) are reported. The mesh keeps the file's coordinate frame; its sh
 are computed again.
 """
 
-import importlib
+import importlib.util
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
@@ -24,13 +24,14 @@ from .part import Material, Mesh, Part, Symmetry
 from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, welded
 
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
+STEP = (".step", ".stp")  # cascadio, which is optional, makes triangles of their surfaces.
 MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third of it; there may be textures.
 SIZE_M = (0.002, 1.5)  # A stated unit may give a longest side between these.
 UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these is taken as metres.
 
 
 def load_part(
-    path: Path,
+    path: Path | str,
     *,
     name: str | None = None,
     unit: str | None = None,
@@ -39,7 +40,7 @@ def load_part(
     friction: float,
     symmetry: Symmetry | None = None,
 ) -> tuple[Part, tuple[str, ...]]:
-    """A part from an OBJ, PLY, STL or GLB file.
+    """A part from an OBJ, PLY, STL, GLB or STEP file.
 
     Args:
         path: as in `load_mesh`, and so are `unit` and `material`.
@@ -52,6 +53,7 @@ def load_part(
     Raises:
         MeshError, ValueError: see `load_mesh`.
     """
+    path = Path(path)
     mesh, material, findings = load_mesh(path, unit=unit, material=material)
     away_m = float(np.linalg.norm(mesh.bounds_m.mean(axis=0)))
     if away_m > mesh.extent_m.max():
@@ -71,12 +73,12 @@ def load_part(
 def load_mesh(
     path: Path, *, unit: str | None = None, material: Material | None = None
 ) -> tuple[Mesh, Material, tuple[str, ...]]:
-    """A mesh in metres, in the file's own frame, and its surface, from OBJ, PLY, STL or GLB.
+    """A mesh in metres, in the file's own frame, and its surface, from OBJ, PLY, STL, GLB or STEP.
 
     Args:
         path: the mesh file; a texture is looked for where the file says.
-        unit: one of `UNITS_M`. None takes metres where the format states them (GLB), or where the
-            longest side is then within `UNSTATED_SIZE_M`.
+        unit: one of `UNITS_M`. None takes metres where the format states its unit (GLB, STEP), or
+            where the longest side is then within `UNSTATED_SIZE_M`.
         material: None takes the file's texture on a plain dielectric, or plain grey.
 
     Returns:
@@ -166,7 +168,12 @@ def _check_file(path: Path, suffix: str) -> None:
     if not path.is_file():  # a pipe would be waited for, and a device never ends
         kind = "a folder" if path.is_dir() else "a device or a pipe"
         raise Refusal(f"it is {kind}; give the path of a mesh file")
-    if suffix not in EXTENSIONS:
+    if suffix in STEP and importlib.util.find_spec("cascadio") is None:
+        raise Refusal(
+            f"{suffix} needs cascadio; run pip install 'graycast[cad]', or export "
+            f"{', '.join(EXTENSIONS)}"
+        )
+    if suffix not in EXTENSIONS + STEP:
         raise Refusal(f"cannot read {suffix or 'no ending'}; export {', '.join(EXTENSIONS)}")
     size = path.stat().st_size
     if size == 0:
@@ -271,9 +278,11 @@ def _has_colours(piece) -> bool:
 
 
 def _metres_per_unit(longest: float, suffix: str, unit: str | None, findings: list[str]) -> float:
+    if unit and suffix in STEP:
+        raise Refusal("a STEP file states its own unit; remove unit")
     stated = unit
-    if unit is None and suffix == ".glb":
-        stated = "m"  # glTF 2.0 specification, section 3.4: all linear distances are in metres
+    if unit is None and suffix in (".glb", *STEP):
+        stated = "m"  # glTF 2.0 specification, section 3.4; cascadio makes glTF of STEP
     low, high = SIZE_M if stated else UNSTATED_SIZE_M
     size_m = longest * UNITS_M[stated or "m"]
     if low <= size_m <= high:

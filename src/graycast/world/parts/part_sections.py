@@ -130,7 +130,7 @@ class PartSection(Settings):
     builtin: str | None = Field(
         None, description=f"The built-in part: one of {', '.join(BUILTIN)}."
     )
-    mesh: Path | None = Field(None, description="The OBJ, PLY, STL or GLB file of the part.")
+    mesh: Path | None = Field(None, description="The OBJ, PLY, STL, GLB or STEP file of the part.")
     unit: Unit | None = Field(
         None,
         description="The unit of the mesh file. It must be stated if the sizes are not "

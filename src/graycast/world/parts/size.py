@@ -3,11 +3,13 @@
 from collections.abc import Iterable
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from .part import Part
 
 # A gripper for bin picking lifts less; steel of this weight is a cube of 15 cm.
 HEAVIEST_KG = 30.0
+PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
 
 
 def mass_kg(part: Part) -> float:
@@ -19,6 +21,11 @@ def mass_kg(part: Part) -> float:
     a, b, c = np.moveaxis(corner, 1, 0)
     volume_m3 = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
     return float(part.density_kg_m3 * volume_m3)
+
+
+def full_count(part: Part, inner_m: tuple[float, float, float]) -> float:
+    """How many of a part fill a bin of these inner sizes as a loose heap."""
+    return PACKING * float(np.prod(inner_m)) / float(ConvexHull(part.mesh.vertices_m).volume)
 
 
 def size_notes(parts: Iterable[Part], inner_m: tuple[float, float, float]) -> tuple[str, ...]:

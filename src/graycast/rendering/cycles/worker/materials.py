@@ -1,4 +1,4 @@
-"""A surface's few physical words as Cycles' nodes; docs/explanation/derivations.md, "Materials"."""
+"""A surface's few physical words as Cycles' nodes; docs/explanation/light.md, "Materials"."""
 
 from pathlib import Path
 from typing import Any

@@ -1,0 +1,140 @@
+"""Scenes for a script or a notebook: made one after the other, looked at, and saved."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageShow
+
+from ..base.errors import GraycastError
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..camera.decode import CodeMap, DepthMap
+from ..camera.sensor import Capture
+from ..cell.engine import ALONE, Failed, Pool, SceneTask, TaskResult, Workers, open_pool
+from ..cell.generate import depth_step_mm, save_scene
+from ..cell.resolve import Cell
+from ..cell.simulate import Shot
+from ..rendering import GroundTruth
+from ..world.drop import prepare
+from ..world.scene import Layout
+from .report.preview import preview
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneResult:
+    """A finished scene. `shots` are its images; the properties are those of the first image."""
+
+    cell: Cell
+    shots: tuple[Shot, ...]
+
+    @property
+    def scene_id(self) -> int:
+        return int(self.shots[0].sample.manifest["scene_id"])
+
+    @property
+    def layout(self) -> Layout:
+        """Where the parts came to lie."""
+        return self.shots[0].sample.layout
+
+    @property
+    def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The colour picture in sRGB."""
+        return self.shots[0].sample.rgb
+
+    @property
+    def truth(self) -> GroundTruth:
+        """Perfect depth, normals and instances."""
+        return self.shots[0].sample.truth
+
+    @property
+    def capture(self) -> Capture:
+        """The pictures of the patterns, as the sensor stored them."""
+        return self.shots[0].capture
+
+    @property
+    def codes(self) -> CodeMap:
+        """The projector position of each pixel."""
+        return self.shots[0].codes
+
+    @property
+    def depth(self) -> DepthMap:
+        """What the scanner measured; `depth.points()` is its cloud."""
+        return self.shots[0].sample.scanner_depth
+
+    def sheet(self) -> Image.Image:
+        """The pictures and the depth of the scene on one sheet, as of `graycast preview`."""
+        return preview(self.shots[0], self.cell.code)
+
+    def show(self) -> None:
+        """Show the sheet in the notebook, or with this machine's viewer of pictures.
+
+        Raises:
+            GraycastError: the machine has no such viewer.
+        """
+        if not ImageShow.show(self.sheet(), title=f"scene {self.scene_id}"):
+            raise GraycastError(
+                "this machine has no viewer of pictures: write the picture with "
+                "scene.sheet().save('sheet.png')"
+            )
+
+    def save(self, out: Path | str) -> Path:
+        """Write the scene into a dataset, as `graycast generate` would; see `save_scene`."""
+        return save_scene(self.cell, self.shots, Path(out))
+
+    def __repr__(self) -> str:
+        return f"SceneResult({', '.join(map(repr, self.shots))})"
+
+
+def scenes(
+    cell: Cell,
+    count: int,
+    *,
+    seed: int | None = None,
+    device: str = "auto",
+    workers: Workers = ALONE,
+    progress: ProgressMeter = UNWATCHED,
+) -> Iterator[SceneResult]:
+    """Make the scenes 0 .. count-1 of a cell, in this order, and keep no file.
+
+    The renderer is opened for the first scene, and closed after the last one or when the loop
+    ends. Each worker may finish two scenes before the loop takes them. `generate` makes datasets of
+    many scenes: it writes each scene at once and tries lost ones again.
+
+    Args:
+        seed: of all random numbers; None takes the configuration's.
+        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
+
+    Raises:
+        DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
+    """
+    task = SceneTask(
+        cell=cell,
+        seed=cell.config.seed if seed is None else seed,
+        device=workers.device(cell.config.render.backend, device),
+        depth_scale_mm=depth_step_mm(cell),
+        keep_shots=True,
+    )
+    prepare(task.parts, progress=progress)
+    with closing(open_pool(task, workers, scenes=max(count, 1), progress=progress)) as pool:
+        for done, shots in enumerate(_in_order(pool, count)):
+            progress.count("scenes", done + 1, count)
+            yield SceneResult(cell=cell, shots=shots)
+
+
+def _in_order(pool: Pool, count: int) -> Iterator[tuple[Shot, ...]]:
+    finished: dict[int, TaskResult | Failed] = {}
+    submitted, ahead = 0, 2 * max(pool.free, 1)  # The limit holds where the first scene is slow.
+    for scene_id in range(count):
+        while scene_id not in finished:
+            while pool.free and submitted < min(count, scene_id + ahead):
+                pool.submit(submitted)
+                submitted += 1
+            outcome = pool.gather()
+            finished[outcome.scene_id] = outcome
+        outcome = finished.pop(scene_id)
+        if isinstance(outcome, Failed):
+            raise outcome.error
+        yield outcome.shots

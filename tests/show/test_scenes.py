@@ -1,0 +1,104 @@
+"""Scenes for a script: those that `generate` makes, in their order, whoever makes them."""
+
+import subprocess
+import sys
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ImageShow
+from small_cell import content, write_cell
+
+import graycast
+from graycast.base.errors import DropError, GraycastError
+from graycast.cell.engine import SceneMaker
+from graycast.rig.optics import project
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    return graycast.load_cell(write_cell(tmp_path_factory.mktemp("cell")))
+
+
+@pytest.fixture(scope="module")
+def made(cell):
+    return list(graycast.scenes(cell, 2, seed=5, device="cpu"))
+
+
+def test_saved_scenes_are_the_dataset_that_generate_makes(cell, made, tmp_path):
+    for scene in made:
+        scene.save(tmp_path / "saved")
+    graycast.generate(cell, tmp_path / "generated", scenes=2, seed=5, device="cpu")
+    assert content(tmp_path / "saved") == content(tmp_path / "generated")
+
+
+def test_the_cloud_is_what_the_pixels_with_depth_see(made):
+    """Each point projects to the middle of its pixel, and its z is the depth there."""
+    depth = made[0].depth
+    row, column = np.nonzero(np.isfinite(depth.depth_m))
+    cloud = depth.points()
+    assert cloud.shape == (len(row), 3)
+    assert len(row) > 1000
+    np.testing.assert_allclose(cloud[:, 2], depth.depth_m[row, column])
+    pixel = project(made[0].shots[0].sample.scene.rig.camera, cloud)
+    np.testing.assert_allclose(pixel, np.stack([column, row], axis=-1), atol=1e-4)
+
+
+def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
+    closed = []
+    close = SceneMaker.close
+    monkeypatch.setattr(SceneMaker, "close", lambda maker: (closed.append(1), close(maker)))
+    loop = graycast.scenes(cell, 3, device="cpu")
+    assert [scene.scene_id for scene in islice(loop, 1)] == [0]
+    assert not closed
+    loop.close()
+    assert closed
+
+
+def test_the_seed_is_the_configurations_unless_one_is_given(cell, made):
+    first = next(graycast.scenes(cell, 1, device="cpu"))
+    assert first.shots[0].sample.manifest["dataset_seed"] == cell.config.seed == 0
+    assert not np.array_equal(first.layout.T_world_part, made[0].layout.T_world_part)
+
+
+def test_a_scene_that_cannot_be_made_is_its_own_error(tmp_path):
+    cell = graycast.load_cell(write_cell(tmp_path, drop={"simulated_s": 0.1, "attempts": 1}))
+    with pytest.raises(DropError):
+        next(graycast.scenes(cell, 1, device="cpu"))
+
+
+def test_a_sheet_needs_a_viewer_only_to_be_shown(made, monkeypatch):
+    monkeypatch.setattr(ImageShow, "_viewers", [])
+    assert np.asarray(made[0].sheet()).std() > 20  # It is not one flat colour.
+    with pytest.raises(GraycastError, match=r"sheet\.png"):
+        made[0].show()
+
+
+@pytest.mark.slow
+def test_workers_serve_a_script_without_a_guard_and_keep_the_order(cell, made, tmp_path):
+    """`spawn` would run the script again in each worker."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import graycast as gc\n"
+        f"cell = gc.load_cell({str(write_cell(tmp_path))!r})\n"
+        "for scene in gc.scenes(cell, 2, seed=5, device='cpu', workers=gc.Workers(count=2)):\n"
+        "    print(scene.scene_id, scene.save('out').name)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.stdout == "0 000000\n1 000001\n", done.stderr
+    for scene in made:
+        scene.save(tmp_path / "here")
+    assert content(tmp_path / "out") == content(tmp_path / "here")
+
+
+def test_a_cell_is_read_from_a_file_or_from_values(tmp_path):
+    path = write_cell(tmp_path)
+    of_file = graycast.load_cell(str(path))
+    of_values = graycast.load_cell(graycast.load_config(path), folder=tmp_path)
+    assert of_file.config == of_values.config
+    assert of_file.file_digests == of_values.file_digests
+    with pytest.raises(GraycastError, match=r"box\.stl"):
+        graycast.load_cell(graycast.load_config(path), folder=Path("elsewhere"))

@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript docs clean
+.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript docs release clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -47,5 +47,9 @@ extras:
 javascript:
 	@scripts/setup-javascript
 
+# The wheel and the sdist in dist, checked in fresh environments. Nothing is uploaded.
+release: setup-test
+	@scripts/release
+
 clean:
-	rm -rf .venv .venv-cycles .venv-javascript out build
+	rm -rf .venv .venv-cycles .venv-javascript out build dist

@@ -66,11 +66,19 @@ def share_of_white(
     if row is None and code.axes == ("row",):
         places = {"row": column}
 
+    margin = 4 + len(kernel) // FINE
+    between = {}  # The sample left of each place, and the way on: np.interp would look it up.
+    for axis, place_px in places.items():
+        last = FINE * (code.size_px(axis) + 2 * margin) - 1
+        at = np.clip(FINE * (place_px + margin + 0.5) - 0.5, 0, last)
+        left = np.minimum(at.astype(np.int64), last - 1)
+        between[axis] = left, at - left
+
     def seen(axis: Axis, share: float | Float[np.ndarray, " size"]) -> Float[np.ndarray, "h w"]:
-        margin = 4 + len(kernel) // FINE
         fine = np.repeat(np.pad(np.broadcast_to(share, code.size_px(axis)), margin), FINE)
-        at = (np.arange(len(fine)) + 0.5) / FINE - 0.5 - margin
-        return np.interp(places[axis], at, fftconvolve(fine, kernel, mode="same"))
+        curve = fftconvolve(fine, kernel, mode="same")
+        left, rest = between[axis]
+        return curve[left] + rest * (curve[left + 1] - curve[left])
 
     lit = {axis: seen(axis, 1.0) for axis in places}
     out = []

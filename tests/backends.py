@@ -2,6 +2,8 @@
 
 import pytest
 
+from graycast.rendering import Quality
+
 REFERENCE, MITSUBA = "reference", "mitsuba"
 
 
@@ -11,3 +13,8 @@ def slow(*values):
 
 
 CYCLES = slow("cycles")
+
+
+def direct_light(renderer):
+    """Each sample of the exact renderer costs the same as a picture: it takes a 4 x 4 grid."""
+    return Quality(samples=16 if renderer.name == REFERENCE else 64, depth=1)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from parsed import nodes_of
 
 from graycast.cli import dataset_commands, detector_commands
 from graycast.rig.pattern.spec import Codec
@@ -50,7 +51,7 @@ def files_of_texts() -> Mapping[str, set[str]]:
     """Of each text in the package, the files that have it."""
     found = defaultdict(set)
     for path in (ROOT / "src").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 found[node.value].add(path.relative_to(ROOT).as_posix())
     return found

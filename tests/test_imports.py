@@ -6,6 +6,8 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+from parsed import nodes_of, tree_of
+
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 
 # Each room may import from the rooms above it. The docstring of a room has the order of its own
@@ -71,15 +73,9 @@ def modules():
 
 
 @cache
-def tree_of(file):
-    return ast.parse(file.read_text(encoding="utf-8"))
-
-
-@cache
 def import_nodes(file):
     """The statements that import, anywhere in a file."""
-    nodes = ast.walk(tree_of(file))
-    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+    return [node for node in nodes_of(file) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 @cache

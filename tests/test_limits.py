@@ -11,11 +11,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
-MOST_LINES = 69_100  # of Python in src/graycast
+MOST_LINES = 69_300  # The door for scripts, STEP files, `fill` and the films took 200 lines more.
 MOST_WORDS = 70_000  # in README.md and the pages of docs
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
@@ -71,8 +72,8 @@ def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | as
     kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
     return [
         (name, node)
-        for name, text in sources().items()
-        for node in ast.walk(ast.parse(text))
+        for name in sources()
+        for node in nodes_of(SOURCE / name)
         if isinstance(node, kinds)
     ]
 

@@ -3,8 +3,10 @@
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -30,9 +32,9 @@ REMAINING = {
 }
 
 
-def defined(tree: ast.AST) -> Iterator[str]:
+def defined(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """The names that a file gives: functions, classes, parameters, variables and fields."""
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
                 yield name
@@ -60,7 +62,7 @@ def test_no_name_has_a_word_of_another_thing():
     words = unused_words()
     assert {"told", "held", "seen"} <= words
     files = sorted((ROOT / "src" / "graycast").rglob("*.py"))
-    names = Counter(name for file in files for name in defined(ast.parse(file.read_text())))
+    names = Counter(name for file in files for name in defined(nodes_of(file)))
     left = {name: count for name, count in names.items() if parts(name) & words}
     more = {name: n for name, n in left.items() if n > REMAINING.get(name, 0)}
     assert not more, "say what these are, in the words of CONTRIBUTING.md"
@@ -74,7 +76,7 @@ class JudgedPose: laid: int
 for shown in (): self._kept = [made for made in ()]
 with open(x) as asked: pass
 """
-    names = set(defined(ast.parse(text)))
+    names = set(defined(ast.walk(ast.parse(text))))
     assert names == {
         *("told", "said", "held", "seen", "JudgedPose", "laid", "shown"),
         *("_kept", "made", "asked"),

@@ -35,6 +35,7 @@ DESIGNS = [path for path in FILES if "sweeps" in KEYS[path]]
 CONFIGS = [path for path in FILES if "parts" in KEYS[path] and path not in CELLS]
 STUDIES = [path for path in FILES if "models" in KEYS[path]]
 RIGS = [path for path in FILES if "R_cam_proj" in KEYS[path]]
+SCHEMA = json.loads(json.dumps(config_schema()))  # as an editor reads it
 
 
 @pytest.fixture(autouse=True)
@@ -280,7 +281,7 @@ def test_no_other_setting_names_a_file():
             for inner in node:
                 look(inner, *keys)
 
-    look(config_schema())
+    look(SCHEMA)
     assert found == {
         ("PartSection", "mesh"),
         ("BinSection", "mesh"),
@@ -362,8 +363,7 @@ def _is(value, kind):
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_the_schema_accepts_every_configuration(path):
-    schema = json.loads(json.dumps(config_schema()))
-    assert faults(yaml.safe_load(path.read_text(encoding="utf-8")), schema, schema) == []
+    assert faults(yaml.safe_load(path.read_text(encoding="utf-8")), SCHEMA, SCHEMA) == []
 
 
 @pytest.mark.parametrize(
@@ -380,15 +380,14 @@ def test_the_schema_accepts_every_configuration(path):
     ],
 )
 def test_the_schema_refuses_what_the_program_refuses(changes, fault):
-    schema = config_schema()
     content = {"parts": [{"builtin": "toothpaste"}]} | changes
-    found = faults(content, schema, schema)
+    found = faults(content, SCHEMA, SCHEMA)
     assert any(fault in text for text in found), found
     with pytest.raises(ValueError):
         Config.model_validate(content)
 
 
-@pytest.mark.parametrize("schema", [config_schema(), rig_schema()], ids=["config", "rig"])
+@pytest.mark.parametrize("schema", [SCHEMA, rig_schema()], ids=["config", "rig"])
 def test_a_schema_is_closed_and_sound(schema):
     """Every object refuses unknown keys, requires only keys that it has, and keeps its bounds."""
     objects = [schema, *schema.get("$defs", {}).values()]

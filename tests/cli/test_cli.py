@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -20,6 +21,7 @@ from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.camera.stack import stack_schema
 from graycast.cell.config import config_schema
+from graycast.cell.engine import TaskResult
 from graycast.cli import (
     arguments,
     command,
@@ -314,6 +316,22 @@ def made(tmp_path_factory):
     path = write_cell(folder)
     assert main(["generate", str(path), "--out", str(folder / "out"), "--device", "cpu"]) == 0
     return path, folder / "out"
+
+
+@pytest.mark.parametrize(
+    ("workers", "text"),
+    [(1, "about 0:00:30 and 0.02 GB"), (4, "about 0:00:08 and"), (0, "0.02 GB")],
+)
+def test_generate_estimates_the_other_scenes_by_the_first(tmp_path, workers, text):
+    """Ten scenes of 3 s and 2 MB each; the workers share the time, and not the disk."""
+    first = TaskResult(
+        scene_id=0, files=(("a", bytes(1_500_000)), ("b", bytes(500_000))), seconds=3.0,
+        reasons={}, rss_bytes=0,
+    )  # fmt: skip
+    told = scene_commands._ahead(first, 10, workers, tmp_path)
+    assert told.startswith(f"the other 10 scenes take {text}")
+    huge = replace(first, files=(("a", bytes(1_000_000)),) * 100)
+    assert "choose a larger disk" in scene_commands._ahead(huge, 10**9, workers, tmp_path)
 
 
 def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):

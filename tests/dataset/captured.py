@@ -54,10 +54,10 @@ def light(code, rig, depth_m):
 
 
 def picture_of(capture):
-    """Light per second, as a share of what fills the sensor in the longest exposure."""
+    """Light per second, as a share of what fills the sensor in the reference exposure."""
     sensor = capture.sensor
     per_s = (capture.frames[0] - sensor.offset_dn) / capture.exposure_s
-    full_per_s = (sensor.saturation_dn - sensor.offset_dn) / np.max(capture.exposure_s)
+    full_per_s = (sensor.saturation_dn - sensor.offset_dn) / capture.reference_s
     return np.rint(255 * np.clip(per_s / full_per_s, 0, 1)).astype(np.uint8)
 
 

@@ -11,6 +11,11 @@ def srgb(linear: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
     return np.round(encoded * 255).astype(np.uint8)
 
 
+def srgb_of_bytes(linear: UInt8[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    """8-bit sRGB of 8-bit linear values: how a white frame is shown to people."""
+    return srgb(np.arange(256) / 255)[linear]
+
+
 def linear(encoded: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Linear values, 0 to 1, of 8-bit sRGB: the inverse of `srgb` up to its rounding."""
     return linear_share(encoded / 255.0)

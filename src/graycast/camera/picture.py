@@ -62,10 +62,27 @@ def idle_share(rig: Rig) -> float:
 
 
 def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """The first frame, white, at its longest exposure, linear, 8 bit."""
-    share = _share(capture.frames[0], capture.sensor)
-    share = np.minimum(share * (np.max(capture.exposure_s) / capture.exposure_s), 1)
-    return np.round(share * 255).astype(np.uint8)
+    """The first frame, white, as `relative_light`: linear, 8 bit, 255 is one and more."""
+    return np.round(np.minimum(relative_light(capture, 0), 1) * 255).astype(np.uint8)
+
+
+def relative_light(capture: Capture, index: int) -> Float[np.ndarray, "h w"]:
+    """The light of a frame, in shares of what fills the sensor's range in the reference exposure.
+
+    A pixel of another exposure is scaled by the ratio of the times, so equal surfaces have equal
+    values whatever exposures they are taken from; some are greater than one.
+    """
+    share = _share(capture.frames[index], capture.sensor)
+    return share * (np.float32(capture.reference_s) / capture.exposure_s)
+
+
+def srgb_frame(capture: Capture, index: int) -> UInt8[np.ndarray, "h w"]:
+    """A frame for people to look at: its `relative_light` in 8-bit sRGB."""
+    share = np.minimum(relative_light(capture, index), 1)
+    return _SRGB[np.round(share * (len(_SRGB) - 1)).astype(np.uint16)]
+
+
+_SRGB = srgb(np.linspace(0, 1, 2**16))  # A table is faster than a power for each pixel.
 
 
 def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:

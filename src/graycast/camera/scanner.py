@@ -160,6 +160,8 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
             for factor, own in zip(exposure.factors, seeds, strict=True)
         ]
     )
+    if len(exposure.factors) > 1:
+        capture = replace(capture, reference_s=time_s)
     if radiance.path_noise is None:
         return capture
     return replace(capture, place_sigma_px=_place_sigma(scanner.light_code(), radiance.path_noise))
@@ -209,7 +211,7 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
     Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
     """
     factors = scanner.exposure.factors
-    exposed_s = float(np.max(capture.exposure_s)) / max(factors) * sum(factors)
+    exposed_s = capture.reference_s * (sum(factors) if len(factors) > 1 else 1)
     return len(capture.frames) * (exposed_s + len(factors) * readout_s)
 
 

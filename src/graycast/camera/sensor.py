@@ -13,7 +13,7 @@ by a sensor of its own). The lens's falloff is the optics' business.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, no_type_check
 
 import numba
@@ -43,12 +43,7 @@ class SensorSpec:
         float, Field(gt=0, le=1e-3, description="The side of a pixel in metres.")
     ] = 3.45e-6
     quantum_efficiency: Annotated[
-        float,
-        Field(
-            gt=0,
-            le=1,
-            description="The share of the photons that become electrons, at wavelength_m.",
-        ),
+        float, Field(gt=0, le=1, description="The electrons per photon of wavelength_m.")
     ] = 0.6
     wavelength_m: Annotated[
         float, Field(gt=0, le=1e-4, description="Wavelength of the measured light in metres.")
@@ -100,7 +95,10 @@ class SensorSpec:
     def __post_init__(self) -> None:
         check_fields(self)
         if not self.offset_dn < self.max_dn:
-            raise ValueError(f"offset_dn is {self.offset_dn}; it must be below {self.max_dn}")
+            raise ValueError(
+                f"offset_dn is {self.offset_dn:g}; it must be below {self.max_dn}, the largest "
+                f"value of {self.bit_depth} bits: lower offset_dn, or raise bit_depth"
+            )
         if not self.saturation_dn > self.offset_dn:
             raise ValueError(
                 f"full_well_e is {self.full_well_e}; it must exceed {SATURATION_SIGMAS:g} times "
@@ -157,7 +155,8 @@ class SensorSpec:
 class Capture:
     """A stack of pictures as the sensor stored them [DN].
 
-    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`).
+    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
+    light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
     `place_sigma_px` is what the pictures' light is off by, as a standard deviation of the decoded
     column and row [projector px]: simulated light has an error that no real light has. None where
     there is none, or it is not known.
@@ -167,8 +166,11 @@ class Capture:
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
     place_sigma_px: Float[np.ndarray, "2 h w"] | None = None
+    reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
 
     def __post_init__(self) -> None:
+        if math.isnan(self.reference_s):
+            object.__setattr__(self, "reference_s", float(np.min(self.exposure_s)))
         self.frames.flags.writeable = False
         if self.place_sigma_px is not None:
             self.place_sigma_px.flags.writeable = False
@@ -260,7 +262,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
         captures: of one sensor and one scene, frame by frame; in any order.
 
     Returns:
-        A capture whose `exposure_s` is a float32 map; of a single capture, that capture.
+        A capture whose `exposure_s` is a float32 map and whose `reference_s` is the shortest time;
+        of a single capture, that capture.
 
     Raises:
         ValueError: no captures, different sensors or sizes, or one that is merged already.
@@ -286,7 +289,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    return Capture(frames=frames, sensor=first.sensor, exposure_s=exposure_s)
+    return replace(first, frames=frames, exposure_s=exposure_s)
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:

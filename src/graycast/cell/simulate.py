@@ -154,7 +154,7 @@ def _taken(
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
-        "exposure_s": float(np.max(capture.exposure_s)),
+        "exposure_s": capture.reference_s,
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[_on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),

@@ -385,8 +385,8 @@ def refuse_outside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
             x, y, z = T[:3, 2].tolist()
             raise ConfigError(
                 f"{where}: no part of the bin is in the {device}'s picture, because the {device} "
-                f"looks along ({x:.2f}, {y:.2f}, {z:.2f}): turn the z axis of T_world_cam, its "
-                "line of sight, towards the bin"
+                f"looks along ({x:.2f}, {y:.2f}, {z:.2f}): move it farther away (view.distance_m), "
+                "or turn it (view, or the z axis of T_world_cam) towards the bin"
             )
 
 

@@ -1,6 +1,8 @@
 """Commands of scenes and datasets: preview, generate, live, validate, report, parts."""
 
 import argparse
+import shutil
+from datetime import timedelta
 from pathlib import Path
 
 from ..base.errors import GraycastError, one_line
@@ -192,14 +194,21 @@ def _generate(options: argparse.Namespace) -> int:
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
         f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
     )
+    made = 0
     with open_bars() as bars, GpuWatch() as gpu:
 
         def report(scene) -> None:
+            nonlocal made
+            made += 1
             decoded = f"{scene.reasons['decoded']:.1%} of all pixels decoded"
             if scene.part_reasons:
                 decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
             busy = "" if gpu.share is None else f", GPU busy {gpu.share:.0%} of the time"
             bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
+            if made == 1:
+                there = (options.out / "train" / f"{k:06d}" for k in range(scenes))
+                if left := sum(not folder.exists() for folder in there):
+                    bars.line(_ahead(scene, left, workers.count, options.out))
 
         def failed(scene) -> None:
             then = "set aside" if scene.final else "will be made again"
@@ -222,6 +231,18 @@ def _generate(options: argparse.Namespace) -> int:
     if summary.written and gpu.share is not None:
         print(f"  the GPU was busy {gpu.share:.0%} of the time")
     return 1 if summary.set_aside else 0
+
+
+def _ahead(first, left: int, workers: int, out: Path) -> str:
+    """What the other scenes take, if they are like the first one."""
+    size_gb = 1e-9 * left * sum(len(data) for _, data in first.files)
+    free_gb = 1e-9 * shutil.disk_usage(out).free
+    time = ""
+    if workers:  # A cluster finds its own number of workers.
+        seconds = round(left * first.seconds / min(workers, left))
+        time = f"about {timedelta(seconds=seconds)} and "
+    text = f"the other {left} scenes take {time}{size_gb:.2g} GB; {free_gb:.3g} GB are free"
+    return text if size_gb < free_gb else f"{text}: stop with Ctrl-C and choose a larger disk"
 
 
 def _where(backend: str, options: argparse.Namespace) -> str:

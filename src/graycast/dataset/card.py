@@ -18,6 +18,7 @@ import yaml
 from jaxtyping import UInt8
 from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
+from ..base.color import srgb_of_bytes
 from ..base.errors import GraycastError
 from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason
@@ -306,7 +307,7 @@ def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     """Colour, white frame, scanner depth and reasons side by side; what is missing is left out."""
     tiles = [scene.rgb] if scene.rgb is not None else []
     if scene.gray is not None:
-        tiles.append(np.repeat(scene.gray[..., None], 3, axis=2))
+        tiles.append(np.repeat(srgb_of_bytes(scene.gray)[..., None], 3, axis=2))
     if scene.scanner is not None:
         tiles += [_depth_picture(scene.scanner), _reason_picture(scene)]
     height_px = round(_TILE_PX * scene.reason.shape[0] / scene.reason.shape[1])

@@ -15,6 +15,7 @@ from .. import __version__
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
 from ..camera.decode import DecodeSpec
+from ..camera.scanner import ExposureSpec
 from ..camera.sensor import SensorSpec
 from ..rig.optics import Optics
 from ..rig.pair import Rig
@@ -132,14 +133,20 @@ def rig_of(described: Mapping[str, Any]) -> Rig:
     return Rig(**values | lenses | {"T_cam_proj": np.array(values["T_cam_proj"], dtype=np.float64)})
 
 
-def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]:
-    """The sensor and the decoder of a claim's `config.scanner`.
+def read_scanning(
+    described: Mapping[str, Any],
+) -> tuple[SensorSpec, DecodeSpec, ExposureSpec]:
+    """The sensor, the decoder and the exposure of a claim's `config.scanner`.
 
     Raises:
         KeyError, TypeError, ValueError: they are none.
     """
     sections = _unworded(described)
-    return SensorSpec(**sections["sensor"]), DecodeSpec(**sections["decode"])
+    return (
+        SensorSpec(**sections["sensor"]),
+        DecodeSpec(**sections["decode"]),
+        ExposureSpec(**sections["exposure"]),
+    )
 
 
 def _unworded(item: Any) -> Any:

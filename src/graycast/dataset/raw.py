@@ -118,7 +118,8 @@ def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | Non
     Raises:
         Unreadable: a file is missing or damaged, or they do not fit together.
     """
-    record = raw_facts_of(scene, sensor=sensor, number=number).frames
+    facts = raw_facts_of(scene, sensor=sensor, number=number)
+    record = facts.frames
     if record is None:
         return None
     name = frames_folder(sensor, number)
@@ -133,7 +134,12 @@ def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | Non
         exposure_s = np.array(record.exposures_s, dtype=np.float32)[index]
     try:
         scanner = load_scanner(folder / RIG)
-        capture = Capture(frames=np.stack(images), sensor=scanner.sensor, exposure_s=exposure_s)
+        capture = Capture(
+            frames=np.stack(images),
+            sensor=scanner.sensor,
+            exposure_s=exposure_s,
+            reference_s=facts.exposure_s,
+        )
         return Raw(scanner=scanner, capture=capture)
     except (ConfigError, ValueError) as error:
         raise Unreadable(f"{name}: {error}") from error

@@ -1,5 +1,6 @@
 """The JSON files of a dataset as values: every key and shape, nothing else, nothing missing."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -303,6 +304,7 @@ class RawFacts(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
+    exposure_s: Positive = math.nan
     frames: FramesRecord | None = None
     code_maps: list[str] = []
 

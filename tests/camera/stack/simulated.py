@@ -12,6 +12,7 @@ from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pair import Rig
 from graycast.rig.pattern import Code, level_share
 
+FastDumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 WALL_M, BALL_M, RADIUS_M = 0.8, np.array([0.0, 0.01, 0.72]), 0.08
 
 
@@ -122,12 +123,12 @@ def save(folder: Path, content: dict, stack: np.ndarray, *, color: bool = False)
     for entry, picture in zip(content["frames"], stack, strict=True):
         image = Image.fromarray(np.repeat(picture[..., None], 3, axis=-1) if color else picture)
         is_jpeg = entry["file"].endswith(".jpg")
-        options = {"quality": 95} if is_jpeg else {"compress_level": 1}  # noise does not shrink
+        options = {"quality": 95} if is_jpeg else {"compress_level": 0}  # noise does not shrink
         image.save(folder / entry["file"], **options)
     return write_yaml(folder, content)
 
 
 def write_yaml(folder: Path, content) -> Path:
     path = folder / "STACK.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(yaml.dump(content, Dumper=FastDumper), encoding="utf-8")
     return path

@@ -7,18 +7,17 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
 import pytest
+from heavy_job import HeavyJob
 from small_cell import content, finished, start
 
 from graycast.base.errors import WorkerDied
 from graycast.cell.engine import Failed, SceneTask, TaskResult, make_all
 from graycast.cell.engine import local as local_module
-from graycast.cell.engine.job import Job
 from graycast.cell.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
 from graycast.dataset import validate
 
@@ -88,26 +87,6 @@ def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     (blocked,) = [line for line in told.stdout.splitlines() if line.startswith("SigBlk")]
     assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), told.stderr
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeavyJob(Job):
-    """Its results are larger than what a pipe holds, so they are read while they are written."""
-
-    def open(self, **_ignored):
-        return self
-
-    def make(self, scene_id):
-        return TaskResult(
-            scene_id=scene_id,
-            files=(("large.bin", bytes(16_000_000)),),
-            seconds=0.0,
-            reasons={},
-            rss_bytes=0,
-        )
-
-    def close(self):
-        pass
 
 
 def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_waiting():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.real.realism.depth_steps import count_steps, flying_pixels
 from graycast.real.realism.gaps import estimate_baseline, find_gaps
@@ -48,8 +49,12 @@ def test_a_gap_is_as_wide_as_the_formula_says(side):
     assert width_px == pytest.approx(300 * 0.2 * (1 / 0.9 - 1 / 1.0), abs=1.0)
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("forward_m", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("side", "forward_m"),
+    [(side, 0.05) for side in SIDES]
+    + [("right", 0.0)]
+    + [slow(side, 0.0) for side in SIDES if side != "right"],
+)
 def test_the_shadows_tell_side_and_length_of_the_baseline(side, forward_m):
     projector_m = (*SIDES[side][0][:2], forward_m)
     rng = np.random.default_rng(1)

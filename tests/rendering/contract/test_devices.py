@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import direct_light
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 from stage import (
     askew_rig,
@@ -23,12 +24,12 @@ from graycast.rendering import Quality
 from graycast.rig.optics import project
 from graycast.world.scene import EMPTY_LAYOUT
 
-DIRECT = Quality(samples=64, depth=1)
 
-
-def light_of(renderer, rig, pattern, *, material=None, quality=DIRECT):
+def light_of(renderer, rig, pattern, *, material=None, quality=None):
     scene = in_camera(rig, wall(0.8, lambert(0.6) if material is None else material))
-    return renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=3).radiance
+    return renderer.render(
+        scene, EMPTY_LAYOUT, pattern, quality=quality or direct_light(renderer), seed=3
+    ).radiance
 
 
 def changed(rig, device, **words):
@@ -50,7 +51,7 @@ def assert_same_light(renderer, one, other, *, rounding):
     assert smooth.mean() > 0.3
     error = np.abs(one - other)
     assert (error <= 1e-4 * other + 0.05 * span)[smooth].all()
-    assert (error <= 1e-4 * other + 4 * math.sqrt(2) * span / 2 / math.sqrt(DIRECT.samples)).all()
+    assert (error <= 1e-4 * other + 4 * math.sqrt(2) * span / 2 / math.sqrt(64)).all()
     assert abs(one.sum() / other.sum() - 1) < 1e-3
 
 
@@ -200,7 +201,8 @@ def test_a_surface_without_that_reflectance_keeps_its_colour_beside_one_that_has
     both = in_camera(rig, back, patch)
     alone = in_camera(rig, back, replace(patch, material=lambert(0.9)))
     one, other = (
-        renderer.render(s, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0) for s in (both, alone)
+        renderer.render(s, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=0)
+        for s in (both, alone)
     )
     inside = binary_erosion(np.nan_to_num(other.truth.depth_m) > 0.75, np.ones((3, 3)))
     assert inside.sum() > 3000

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from backends import direct_light
 from scipy import ndimage
 from stage import (
     askew_rig,
@@ -20,8 +21,6 @@ from graycast.base.frames import inverse, transform_points
 from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 
-DIRECT = Quality(samples=64, depth=1)
-
 
 def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(renderer):
     """L = albedo / pi * I cos(theta) / d^2, and white, half and black patterns in proportion.
@@ -34,7 +33,9 @@ def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(rendere
     normal = np.array([0.3, 0.4, 1.0]) / np.linalg.norm([0.3, 0.4, 1.0])
     scene = in_camera(rig, leaning_wall(normal, 0.8, lambert(*albedo.tolist())))
     pattern = plain_pattern(rig, 255, 128, 0)
-    image = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=1).radiance
+    image = renderer.render(
+        scene, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=1
+    ).radiance
 
     ray = centre_rays(rig.camera)
     point = ray * (0.8 / (ray @ normal))[..., None]
@@ -67,7 +68,9 @@ def test_a_surface_that_looks_away_from_the_projector_is_dark(renderer):
     normal = np.array([0.9, 0.0, 0.3])  # the plane passes between the two lenses
     scene = in_camera(rig, leaning_wall(normal, 0.2, lambert(0.9)))
     pattern = plain_pattern(rig, 255)
-    rendering = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0)
+    rendering = renderer.render(
+        scene, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=0
+    )
     assert np.isfinite(rendering.truth.depth_m).mean() > 0.8
     assert not rendering.radiance.white_rgb.any()
 
@@ -83,7 +86,9 @@ def test_the_back_of_a_quad_is_dark(renderer):
     )
     pattern = plain_pattern(rig, 255)
     scene = in_camera(rig, back)
-    rendering = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0)
+    rendering = renderer.render(
+        scene, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=0
+    )
     assert np.isfinite(rendering.truth.depth_m).all()
     assert not rendering.radiance.pattern.any()
 
@@ -104,7 +109,9 @@ def test_a_shadow_lies_away_from_the_projector_and_has_the_width_of_similar_tria
     pattern = plain_pattern(rig, 255)
     square, back = wall(z1, lambert(0.0), half_m=half_m), wall(z2, lambert(0.5))
     with_square, without = (
-        renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0).radiance.pattern[0]
+        renderer.render(
+            scene, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=0
+        ).radiance.pattern[0]
         for scene in (in_camera(rig, back, square), in_camera(rig, back))
     )
     assert (without > 0).all()
@@ -127,7 +134,9 @@ def test_the_shadow_of_a_sphere_lies_away_from_the_projector(renderer):
     sphere = Sphere(center_m=tuple(centre.tolist()), radius_m=radius, material=lambert(0.5))
     scene = in_camera(rig, wall(wall_m, lambert(0.5)), sphere)
     pattern = plain_pattern(rig, 255)
-    rendering = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0)
+    rendering = renderer.render(
+        scene, EMPTY_LAYOUT, pattern, quality=direct_light(renderer), seed=0
+    )
     on_wall = ndimage.binary_erosion(rendering.truth.depth_m > 0.99, np.ones((3, 3)))
     dark = on_wall & (rendering.radiance.pattern[0] < 1e-6)
     point = centre_rays(rig.camera) * wall_m

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from seen import FINE, from_above, plane_depth, sphere_depth, view
+from seen import from_above, plane_depth, sphere_depth, view
 
 from graycast.base.frames import axis_rotation, inverse, rigid
+from graycast.rig.optics import Optics
 from graycast.score.merge import fuse
 from graycast.score.merge.view import points_of
 from graycast.score.merge.view_poses import pose_doubts
 
+CAMERA = Optics(width_px=200, height_px=150, fx_px=250.0, fy_px=250.0, cx_px=99.5, cy_px=74.5)
 SIGMA_M = 0.2e-3
 UP = np.array([0.0, 0.0, 1.0])
 PLACES = [from_above(-0.15), from_above(0.2, 0.05), from_above(0.0, -0.2)]
@@ -19,11 +21,11 @@ PLACES = [from_above(-0.15), from_above(0.2, 0.05), from_above(0.0, -0.2)]
 
 def taken(T, name, rng):
     """Three balls on a floor, which hold a view in every direction."""
-    depth_m = plane_depth(T, UP, 0.0, FINE)
+    depth_m = plane_depth(T, UP, 0.0, CAMERA)
     for middle in ((0.05, 0.05, 0.05), (0.12, -0.08, 0.08), (-0.05, -0.1, 0.06)):
-        depth_m = np.fmin(depth_m, sphere_depth(T, middle, middle[2], FINE))
+        depth_m = np.fmin(depth_m, sphere_depth(T, middle, middle[2], CAMERA))
     noisy = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
-    return view(noisy, T, SIGMA_M, name=name, camera=FINE)
+    return view(noisy, T, SIGMA_M, name=name, camera=CAMERA)
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,7 @@ def held(page, name):
 
 
 def controls(page):
-    return page.evaluate("Graycast.opened().header.controls")
+    return page.evaluate("Graycast.opened().state.controls")
 
 
 def other_value(control, now):
@@ -212,6 +212,74 @@ def test_errors_are_told_in_the_command_line_s_words(page, server):
     assert failed == now  # so that nobody waits for its picture
     asked(page, lambda: page.click("#undo"))
     assert page.locator("#error").is_hidden()
+
+
+def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, server):
+    """Another page, and one after all were closed: the way back is the control itself."""
+    number = page.locator('[data-key="view.distance_m"] input[type=number]')
+    number.fill("5")
+    asked(page, lambda: number.press("Enter"), may_fail=True)
+    assert page.locator("#error").is_visible()
+    page.goto("about:blank")
+    deadline = time.monotonic() + 30
+    while server.session.pid is not None and time.monotonic() < deadline:
+        time.sleep(0.1)
+    again = browser.new_page(viewport={"width": 1400, "height": 900})
+    again.goto(server.url)
+    again.wait_for_selector("#error:not([hidden])", timeout=WAIT_MS)
+    assert "the message above says why" in again.locator("#waiting").inner_text()
+    number = again.locator('[data-key="view.distance_m"] input[type=number]')
+    assert number.input_value() == "5"
+    number.fill("900")
+    asked(again, lambda: number.press("Enter"))
+    assert again.locator("#waiting").count() == 0
+    again.close()
+
+
+def test_controls_are_there_before_any_picture(browser, server):
+    """Here no process makes pictures at all."""
+    server.session.open = lambda: None
+    page = browser.new_page()
+    page.goto(server.url)
+    page.wait_for_selector('[data-key="view.distance_m"] input[type=number]')
+    assert page.locator("#waiting").inner_text().startswith("Starting")
+    page.evaluate("document.querySelectorAll('details').forEach((one) => (one.open = true))")
+    number = page.locator('[data-key="exposure.target"] input[type=number]')
+    number.fill("0.4")
+    number.press("Enter")
+    page.wait_for_function("() => document.getElementById('text').value.includes('target: 0.4')")
+    assert number.input_value() == "0.4"
+    page.close()
+
+
+def test_a_refused_text_stays_to_be_mended(page):
+    text = page.locator("#text")
+    wrong = text.input_value().replace("count: 3", "count: 4\nconut: 3")
+    text.fill(wrong)
+    page.click("#apply")
+    page.wait_for_selector("#error:not([hidden])")
+    assert "conut" in page.locator("#error").inner_text()
+    assert text.input_value() == wrong
+    text.fill(wrong.replace("conut: 3\n", ""))
+    asked(page, lambda: page.click("#apply"))
+    assert "count: 4" in text.input_value() and page.locator("#reset").is_hidden()
+    text.fill("nothing of use")
+    page.click("#reset")
+    assert "count: 4" in text.input_value()
+
+
+def test_a_low_bit_depth_names_what_stands_against_it_which_has_a_control(page):
+    depth = page.locator('[data-key="sensor.bit_depth"] input[type=number]')
+    depth.fill("6")
+    depth.press("Enter")
+    page.wait_for_selector("#error:not([hidden])")
+    assert "lower offset_dn, or raise bit_depth" in page.locator("#error").inner_text()
+    offset = page.locator('[data-key="sensor.offset_dn"] input[type=number]')
+    offset.fill("4")
+    asked(page, lambda: offset.press("Enter"))
+    depth.fill("6")
+    asked(page, lambda: depth.press("Enter"), may_fail=True)
+    assert "bit_depth: 6" in page.locator("#text").input_value()
 
 
 def test_every_view_paints_and_the_pointer_reads_values(page):

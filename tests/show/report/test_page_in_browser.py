@@ -174,12 +174,33 @@ def frame_shown(page, k):
 
 
 def grey(sample):
-    """Captured frames as 8 bits: black at the sensor's offset, white where it saturates."""
+    """Captured frames in sRGB: black at the sensor's offset, white where it saturates."""
     sensor = sample.raw.capture.sensor
     share = (sample.raw.capture.frames - sensor.offset_dn) / (
         sensor.saturation_dn - sensor.offset_dn
     )
-    return 255 * share.clip(0, 1)
+    return encoded(share)
+
+
+def encoded(share):
+    """IEC 61966-2-1."""
+    share = share.clip(0, 1)
+    return 255 * np.where(share < 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("gain", [1, 4])
+def test_dark_pictures_can_be_brightened(page, kept, gain):
+    """Oracle: the dataset's own linear picture, times the gain, through IEC 61966-2-1."""
+    opened(page, kept, 0, "white")
+    page.select_option("#choose-gain", str(gain))
+    stored = cv2.imread(str(kept[0] / "train/000000/gray_sl/000000.png"), cv2.IMREAD_UNCHANGED)
+    picture = shown(page)[..., 0].astype(float)
+    assert np.median(np.abs(picture - encoded(gain * (stored / 255)))) < 4  # noise through JPEG
+    x, y = place(page, 60, 80)
+    page.mouse.move(x, y)
+    told = int(readout(page, "white frame").split()[1])
+    assert told == pytest.approx(float(stored[60, 80]), abs=25)  # whatever the brightness
+    page.select_option("#choose-gain", "1")
 
 
 def test_captured_frames_are_brought_in_when_they_are_looked_at(page, kept):

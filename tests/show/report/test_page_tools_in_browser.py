@@ -201,6 +201,37 @@ def test_tags_of_another_dataset_are_not_mixed_in(page, made, tmp_path):
     assert page.locator(".card .chip").count() == 0
 
 
+def test_scenes_are_in_sight_in_a_low_window(page):
+    page.set_viewport_size({"width": 1000, "height": 700})
+    page.reload()
+    ready(page, "overview")
+    box = page.locator(".card").first.bounding_box()
+    assert box["y"] + box["height"] <= 700
+    page.click(".figures > summary")
+    page.wait_for_selector(".plot svg")
+
+
+def test_the_plot_of_errors_reaches_as_far_as_most_points_do(page):
+    """A few wrong points at 40 mm among errors of 0.1 mm: the core is spread over many bins."""
+    page.evaluate(
+        """() => {
+            const high = (k) => 1000 * (21 - Math.abs(k - 20));
+            const core = Array.from({ length: 41 }, (_, k) => [k - 20, high(k)]);
+            const counts = Object.fromEntries([...core, [4000, 20000]]);
+            Object.assign(Graycast.report.statistics, {
+                error_step_mm: 0.01, error_counts: counts, part_error_counts: counts,
+            });
+            Graycast.showOverview(document.getElementById("main"));
+        }"""
+    )
+    plot = page.locator(".plot", has_text="Scanner error")
+    beyond = 100 * 20000 / (441000 + 20000)
+    assert f"beyond the plot: {beyond:.1f} % of parts" in plot.inner_text()
+    ticks = plot.locator("svg .tick").all_text_contents()
+    ends = [float(text) for text in ticks if text.strip("-.0123456789") == ""]
+    assert 0.1 <= max(ends) <= 0.4
+
+
 def test_what_has_one_value_is_a_line_of_text_and_no_plot(page):
     titles = page.locator(".plot figcaption b").all_inner_texts()
     assert "Instances per scene" not in titles and "Scanner error" in titles

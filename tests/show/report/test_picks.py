@@ -23,7 +23,7 @@ from graycast.show.report.picks import film, write_film, write_pick_report
 from graycast.show.report.picks.bodies import look, open_bin, packed_places
 from graycast.show.report.picks.words import OUTCOME_COLOR, outcome_words
 
-from .picked import FROM_GRIP_TO_PART, GRIP, LOST_S, STEP_S, STEPS, write_picks
+from .picked import FROM_GRIP_TO_PART, GRIP, LOST_S, STEP_S, STEPS, depth, write_picks
 
 
 @pytest.fixture(scope="module")
@@ -193,6 +193,48 @@ def test_the_film_looks_down_into_the_bin_with_what_is_high_on_top(replay):
     base = transform_points(inverse(eye.T_world_eye), replay.cell.T_world_base[None, :3, 3])
     middle = transform_points(inverse(eye.T_world_eye), np.zeros((1, 3)))
     assert base[0, 2] > middle[0, 2]  # the robot stands behind the bin
+
+
+def test_the_film_leaves_the_points_of_a_carried_part_out_and_no_others(replay, picks):
+    """Oracle: the scan of the heap that is left, which the picks made by hand have next."""
+    episode = read_episodes(picks)[0]
+    step = film._scan_steps(replay, episode, 0)
+    left = film._without(replay, step, (0, 0), episode.attempts[0], 0)
+    gone = (step > 0) & (left == 0)
+    behind_m = depth(replay.cell, np.array(episode.attempts[0]["T_world_part"])[1:])
+    nearer = behind_m - step * film.DEPTH_STEP_M > 0.01  # more than a centimetre stood on it
+    assert gone[nearer].all() and nearer.sum() > 50
+    far = np.abs(behind_m - step * film.DEPTH_STEP_M) < 1e-3
+    assert not gone[far].any() and far.sum() > 1000
+
+
+def test_what_is_left_at_the_end_is_shown_where_it_truly_lies(replay, picks):
+    """One part is left, and nothing was found: the ghost is at the projection of its middle."""
+    attempt = read_episodes(picks)[0].attempts[-1]
+    rest = film._remaining(attempt, None)
+    assert list(rest) == [1]
+    eye = film._eye(replay, 240)
+    ground = film._ground(replay, eye)
+    drawn = film._with_ghosts(ground, replay, eye, (0, 0), rest)
+    changed = (drawn.color != ground.color).any(axis=-1)
+    middle = transform_points(inverse(eye.T_world_eye), rest[1][None, :3, 3])
+    (u, v) = np.rint(project(eye.camera, middle)[0]).astype(int)
+    assert changed[v, u] and 5 < changed.sum() < 400
+    rows, columns = np.nonzero(changed)
+    assert np.hypot(rows.mean() - v, columns.mean() - u) < 4
+
+
+def test_the_tool_stays_in_the_film_s_picture(replay, motions):
+    """Of a motion that leaves the eye's usual picture; every vertex of the tool is looked at."""
+    away = replace(motions[0], T_world_limb=motions[0].T_world_limb.copy())
+    away.T_world_limb[:, :, 2, 3] += np.linspace(0, 0.6, STEPS)[:, None]
+    outside = []
+    for eye in (film._eye(replay, 240), film._eye(replay, 240, [None, away])):
+        end = zip(replay.limbs, away.T_world_limb[-1], strict=True)
+        tool = np.vstack([transform_points(T, m.vertices_m) for m, T in end][replay.arm_limbs :])
+        u, v = project(eye.camera, transform_points(inverse(eye.T_world_eye), tool)).T
+        outside.append(not ((u > -1) & (u < 240) & (v > -1) & (v < 180)).all())
+    assert outside == [True, False]
 
 
 def test_nearer_things_hide_farther_ones(replay):

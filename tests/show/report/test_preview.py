@@ -186,13 +186,13 @@ def test_another_code_than_the_captures_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_scan_of_several_exposures_shows_the_longest(tiles):
+def test_a_scan_of_several_exposures_says_all_of_them(tiles):
     shot = make_shot()
     exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
     exposure_s[:10] = 0.005
     merged = replace(shot, capture=replace(shot.capture, exposure_s=exposure_s))
     words = " ".join(text.get_text() for text in tiles(merged)[0].texts)
-    assert "exposure 20 ms" in words
+    assert "exposure 5, 20 ms" in words
 
 
 def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):

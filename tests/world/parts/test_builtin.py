@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,6 +10,7 @@ from graycast.world.parts import BUILTIN, builtin_part
 from graycast.world.parts.builtin import RING_PROFILE_MM, RING_SEGMENTS
 from graycast.world.parts.printed_labels import salt_box_panels, spray_panels, toothpaste_panels
 
+part_of = cache(builtin_part)  # no test changes it
 # The outward normal of a panel and the way up for its reader.
 READERS = {
     "front": ((0, -1, 0), (0, 0, 1)),
@@ -31,7 +34,7 @@ def as_trimesh(part):
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_a_builtin_part_is_one_closed_body_round_the_origin(name):
-    part = builtin_part(name)
+    part = part_of(name)
     mesh = as_trimesh(part)
     assert part.name == name
     assert mesh.is_watertight and mesh.is_winding_consistent
@@ -46,7 +49,7 @@ def test_a_builtin_part_is_one_closed_body_round_the_origin(name):
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_shading_normals_of_a_builtin_part_lean_no_further_than_its_facets(name):
-    part = builtin_part(name)
+    part = part_of(name)
     normal = part.mesh.corner_normals
     assert np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-12
     lean = np.einsum("fci,fi->fc", normal, as_trimesh(part).face_normals)
@@ -76,7 +79,7 @@ def test_the_ring_has_the_volume_of_pappus():
     r_next, step = np.roll(r, -1), np.roll(z, -1) - z
     pappus = np.pi * (step * (r * r + r * r_next + r_next * r_next) / 3).sum()
     x = 2 * np.pi / RING_SEGMENTS
-    volume = as_trimesh(builtin_part("metal_workpiece_2")).volume
+    volume = as_trimesh(part_of("metal_workpiece_2")).volume
     assert volume == pytest.approx(pappus * np.sin(x) / x, rel=1e-9)
 
 
@@ -95,7 +98,7 @@ def turn(axis, angle_rad):
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_every_declared_symmetry_maps_the_part_onto_itself(name):
-    part = builtin_part(name)
+    part = part_of(name)
     for T in part.symmetry.discrete:
         assert share_not_shared(part, T) < 1e-9
     for axis, point_m in part.symmetry.continuous:
@@ -107,7 +110,7 @@ def test_every_declared_symmetry_maps_the_part_onto_itself(name):
 
 def test_no_further_symmetry_has_been_forgotten():
     """Half turns about the axes and, for the workpieces, quarter turns: none fits undeclared."""
-    bracket, ring = builtin_part("metal_workpiece_1"), builtin_part("metal_workpiece_2")
+    bracket, ring = part_of("metal_workpiece_1"), part_of("metal_workpiece_2")
     assert len(bracket.symmetry.discrete) == 1 and len(ring.symmetry.continuous) == 1
     for part, T in [
         (bracket, turn("x", np.pi)),
@@ -121,8 +124,8 @@ def test_no_further_symmetry_has_been_forgotten():
 
 def test_print_breaks_the_symmetry_of_boxes():
     for name in ("yellow_salt_cube", "toothpaste", "hygiene_spray"):
-        assert builtin_part(name).symmetry.discrete == ()
-        assert builtin_part(name).symmetry.continuous == ()
+        assert part_of(name).symmetry.discrete == ()
+        assert part_of(name).symmetry.continuous == ()
 
 
 def seen(part, normal, up, right_m, up_m):
@@ -163,11 +166,11 @@ def likeness(one, other):
 @pytest.mark.parametrize("side", READERS)
 @pytest.mark.parametrize(
     ("name", "panels"),
-    [("yellow_salt_cube", salt_box_panels), ("toothpaste", toothpaste_panels)],
+    [("yellow_salt_cube", cache(salt_box_panels)), ("toothpaste", cache(toothpaste_panels))],
 )
 def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
     """Oracle: the panel as drawn, against what a viewer in front of that side sees."""
-    part, panel = builtin_part(name), panels()[side]
+    part, panel = part_of(name), panels()[side]
     normal, up = READERS[side]
     width_m = abs(np.cross(up, normal) @ part.mesh.extent_m)
     height_m = abs(np.array(up) @ part.mesh.extent_m)
@@ -188,7 +191,7 @@ BOTTLE_AXIS_M = 0.029 - 0.067 / 2  # x of the body's axis: the nozzle shifts the
 
 def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
     """The middle of the front is nearly flat, so arc length is x there."""
-    part, panel = builtin_part("hygiene_spray"), spray_panels()["body"]
+    part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     girth_m, height_m = 0.1774, 0.128  # of the superellipse 58 x 46 mm, exponent 3.2; to the neck
     h, w = panel.shape[:2]
     row, column = np.mgrid[int(0.26 * h) : int(0.55 * h) : 2, int(0.43 * w) : int(0.57 * w) : 2]
@@ -203,7 +206,7 @@ def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
 
 def test_the_bottle_is_wrapped_once_with_its_seam_behind():
     """A reader behind the bottle finds the panel's two ends meeting in the middle."""
-    part, panel = builtin_part("hygiene_spray"), spray_panels()["body"]
+    part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     uv = part.mesh.corner_uv
     assert uv.min() >= 0 and uv.max() <= 1
     assert np.ptp(uv[..., 0], axis=1).max() < 0.1  # no face runs back across the whole label

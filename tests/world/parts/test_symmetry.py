@@ -135,12 +135,13 @@ def test_all_poses_that_look_the_same_have_one_member(symmetry, referred):
         for S in group[:: max(len(group) // 7, 1)]:
             again = nearest_member(T @ S, symmetry, near=near)
             np.testing.assert_allclose(again, one, atol=1e-9)
-        apart = [angle((T @ S)[:3, :3].T @ one[:3, :3]) for S in group]
+        turned = np.swapaxes((T @ np.array(group))[:, :3, :3], 1, 2)
+        apart = angle(turned @ one[:3, :3])
         assert min(apart) <= np.pi / 315 + 1e-9  # it is a member, at most half a turn's step aside
         closest = (T @ group[int(np.argmin(apart))])[:3, 3]
         np.testing.assert_allclose(one[:3, 3], closest, atol=5e-3)
         if referred:
-            least = min(angle((T @ S)[:3, :3].T @ near[:3, :3]) for S in group)
+            least = angle(turned @ near[:3, :3]).min()
             assert angle(one[:3, :3].T @ near[:3, :3]) <= least + 1e-9
 
 

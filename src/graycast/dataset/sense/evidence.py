@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from ...base.frames import inverse, rigid
 from ...camera.decode import DecodeSpec
+from ...camera.scanner import ExposureSpec
 from ...camera.sensor import SensorSpec
 from ...rig.optics import Optics, picture_rays
 from ...rig.pair import Rig
@@ -63,8 +64,8 @@ class Evidence:
         return record_as(self.manifest, records.SceneManifest, "manifest.json")
 
     @cached_property
-    def scanning(self) -> tuple[SensorSpec, DecodeSpec] | None:
-        """Sensor and decoder in force; None where the configuration does not tell.
+    def scanning(self) -> tuple[SensorSpec, DecodeSpec, ExposureSpec] | None:
+        """Sensor, decoder and exposure in force; None where the configuration does not tell.
 
         Raises:
             Unreadable: what it tells is none.

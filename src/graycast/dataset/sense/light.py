@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ...camera.decode import DecodeSpec, Levels, Reason, levels_of
+from ...camera.scanner import ExposureSpec
 from ...camera.sensor import SensorSpec
 from ..sample import LEAST_DECODED
 from .evidence import Evidence
@@ -37,8 +38,7 @@ def light_problems(scene: Evidence) -> Iterator[str]:
     yield from _scale_problems(scene)
     if scene.scanning is None:
         return
-    sensor, spec = scene.scanning
-    for what, wrong in _rules(scene, sensor, spec):
+    for what, wrong in _rules(scene, *scene.scanning):
         count = int(wrong.sum())
         if count > WRONG_PX + WRONG_SHARE * wrong.size:
             yield f"{what} in {count} pixels"
@@ -56,7 +56,7 @@ def _scale_problems(scene: Evidence) -> Iterator[str]:
 
 
 def _rules(
-    scene: Evidence, sensor: SensorSpec, spec: DecodeSpec
+    scene: Evidence, sensor: SensorSpec, spec: DecodeSpec, exposure: ExposureSpec
 ) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
     reason, modulation, levels = scene.reason, scene.modulation, levels_of(sensor)
     least, half = spec.min_contrast, scene.scanner.modulation_scale / 2
@@ -64,7 +64,11 @@ def _rules(
     rated = ~unlit & (reason != Reason.SATURATED)
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
     yield weak, rated & (modulation < least - half)
-    white_dn = scene.gray / 255 * (sensor.saturation_dn - levels.offset_dn)
+    # `gray` is of one exposure: what the sensor stored in a longer one was as much more.
+    factors = exposure.factors if len(exposure.factors) > 1 else (1.0,)
+    longest, shortest = max(factors), min(factors)
+    full_dn, half_step = sensor.saturation_dn - levels.offset_dn, 0.5 * (longest > 1)
+    white_dn = np.minimum((scene.gray + half_step) / 255 * longest, 1) * full_dn
     noise_dn = np.sqrt(levels.floor_dn2 + levels.slope_dn * white_dn)
     contrast_dn = modulation * levels.range_dn
     # The decoder takes the noise of the darkest frame, which is not kept: white has more.
@@ -80,7 +84,8 @@ def _rules(
     outshone = "modulation_sl is more than all the light that gray_sl shows"
     yield outshone, (contrast_dn > bright_dn) & (scene.gray < 255)
     dark = "gray_sl is dark where reason_sl says saturated"
-    yield dark, (reason == Reason.SATURATED) & (scene.gray < TOP * 255)
+    top = TOP * 255 / max(shortest, 1)
+    yield dark, (reason == Reason.SATURATED) & (scene.gray < top)
 
 
 def _step_dn(levels: Levels) -> float:

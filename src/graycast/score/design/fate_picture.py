@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from ...base.color import srgb_of_bytes
 from .heap_surface import HeapSurface, Visibility
 from .point_fates import FATE_COLOR, FATES, Fate, PointFates, SurfaceView
 
@@ -18,7 +19,7 @@ def picture_png(
 
     A point colours its pixel and the eight around it, what is not measured over what is.
     """
-    fate = fates.fate
+    gray, fate = srgb_of_bytes(gray), fates.fate
     visible = surface.opened & (view.camera == Visibility.VISIBLE)
     order = np.flatnonzero(visible)
     order = order[np.argsort(fate[order] != FATES.index(Fate.MEASURED), kind="stable")]

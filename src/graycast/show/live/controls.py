@@ -4,12 +4,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+from ...camera.scanner import Scanner
 from ...cell.config import Config
 from ...cell.resolve import Cell
 from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
 from ...rig.pattern import CODECS
 from ...world.parts import BUILTIN, Material
-from .asking import Ask
+from ...world.parts.part_sections import MaterialSection
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
@@ -38,13 +39,27 @@ class Control:
     grey: bool = False
 
 
-def described_controls(cell: Cell, ask: Ask) -> dict[str, Any]:
-    """All controls of a cell as JSON, and the values that they have now."""
-    listed = list(_controls(cell))
+def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
+    """All controls of a configuration as JSON, and the values that it says or leaves as they are.
+
+    No file of a part or a bin is read, so the page has its controls before any picture, and also
+    where a value lets no picture be made.
+    """
     return {
-        "controls": [_described(control) for control in listed],
-        "values": _values(cell, ask),
+        "controls": [_described(control) for control in _controls(config)],
+        "values": _values(config, scanner),
     }
+
+
+def values_of_files(cell: Cell) -> dict[str, Any]:
+    """The values that a configuration may leave to the files that it names."""
+    values: dict[str, Any] = {"table": _material(cell.scene.table)}
+    for index, part in list(enumerate(cell.scene.parts[: len(cell.config.parts)]))[:MOST_PARTS]:
+        values[f"parts.{index}.material"] = _material(part.material)
+    if (box := cell.scene.bin) is not None:
+        values["bin.material"] = _material(box.material)
+        values |= _bin_values(cell.config, box.inner_m)
+    return values
 
 
 def _described(control: Control) -> dict[str, Any]:
@@ -56,11 +71,11 @@ def _described(control: Control) -> dict[str, Any]:
     }
 
 
-def _controls(cell: Cell) -> Iterator[Control]:
+def _controls(config: Config) -> Iterator[Control]:
     yield from _FREE
     yield from _RIG
-    for index, part in list(enumerate(cell.config.parts))[:MOST_PARTS]:
-        name = cell.scene.parts[index].name if index < len(cell.scene.parts) else str(index)
+    for index, part in list(enumerate(config.parts))[:MOST_PARTS]:
+        name = part.name or part.builtin or (part.mesh.stem if part.mesh else str(index))
         yield from _surface(f"parts.{index}.material", name)
         if part.builtin is not None:
             yield Control(
@@ -72,7 +87,7 @@ def _controls(cell: Cell) -> Iterator[Control]:
             )
     yield from _surface("bin.material", "bin")
     yield from _surface("table", "table")
-    for index in range(len(cell.config.light.lamps)):
+    for index in range(len(config.light.lamps)):
         yield from _lamp(index)
     yield from _LIGHT
     yield from _PHYSICS
@@ -111,7 +126,8 @@ _FREE = (
         low=0.02, high=50,
     ),
     _free("sensor.read_noise_e", "read noise", 0, 60, 0.5, unit="e\N{MINUS SIGN}"),
-    _free("sensor.bit_depth", "bit depth", 7, 16, 1, unit="bit"),
+    _free("sensor.bit_depth", "bit depth", 6, 16, 1, unit="bit"),
+    _free("sensor.offset_dn", "dark level (offset)", 0, 1000, 1, unit="DN"),
     _free("sensor.gain_dn_per_e", "gain", 0.02, 4, unit="DN/e\N{MINUS SIGN}"),
     _free("sensor.full_well_e", "full well", 1000, 100_000, unit="e\N{MINUS SIGN}"),
     _free("sensor.quantum_efficiency", "quantum efficiency", 0.05, 1, 0.01),
@@ -224,28 +240,29 @@ _PHYSICS = (
 )  # fmt: skip
 
 
-def _values(cell: Cell, ask: Ask) -> dict[str, Any]:
-    """What every control shows: what is in force, said or not."""
-    config, scanner, scene = cell.config, cell.scanner, cell.scene
+def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
+    """The values that are used, whether the configuration states them or not."""
     values: dict[str, Any] = {}
     for section in ("exposure", "sensor", "decode", "filters"):
         for name, value in asdict(getattr(scanner, section)).items():
             values[f"{section}.{name}"] = value
-    values |= _view_values(config, cell)
-    for index, part in list(enumerate(scene.parts[: len(config.parts)]))[:MOST_PARTS]:
-        values[f"parts.{index}.material"] = _material(part.material)
-        values[f"parts.{index}.builtin"] = config.parts[index].builtin
-    box = scene.bin
-    if box is not None:
-        values["bin.material"] = _material(box.material)
-        values["bin.inner_m"] = list(box.inner_m)
-        values["bin.friction"] = box.friction
+    stated = {"bin.material": config.bin.material, "table": config.table}
+    for index, part in list(enumerate(config.parts))[:MOST_PARTS]:
+        stated[f"parts.{index}.material"] = part.material
+        values[f"parts.{index}.builtin"] = part.builtin
+    values |= {key: _material(section) for key, section in stated.items() if section is not None}
+    if config.bin.mesh is None:
+        values |= _bin_values(config, config.bin.inner_m)
     if config.fill is None:
         low, high = config.count_range
         values["count"] = low if low == high else [low, high]
-    light = ask.unturned.light.model_dump(mode="json", exclude_none=True)
+    light = config.light.model_dump(mode="json", exclude_none=True)
+    view = config.view
     return values | {
-        "table": _material(scene.table),
+        "view.distance_m": view.distance_m or standoff_m(scanner.rig),
+        "view.tilt_deg": view.tilt_deg,
+        "view.azimuth_deg": view.azimuth_deg,
+        "bin.friction": config.bin.friction,
         "light.lamps": light["lamps"],
         "light.environment.radiance": light["environment"]["radiance"],
         "render.samples": config.render.samples,
@@ -255,18 +272,13 @@ def _values(cell: Cell, ask: Ask) -> dict[str, Any]:
     }
 
 
-def _view_values(config: Config, cell: Cell) -> dict[str, Any]:
-    view, box = config.view, cell.scene.bin
-    height_m = 0.0 if box is None else box.inner_m[2]
-    return {
-        "view.distance_m": view.distance_m or standoff_m(cell.scanner.rig),
-        "view.tilt_deg": view.tilt_deg,
-        "view.azimuth_deg": view.azimuth_deg,
-        "view.target_m": list(view.target_m or (0.0, 0.0, height_m / 3)),
-    }
+def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str, Any]:
+    """The bin's sizes, and what the camera looks at in it."""
+    target_m = config.view.target_m or (0.0, 0.0, inner_m[2] / 3)
+    return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}
 
 
-def _material(material: Material) -> Mapping[str, Any]:
+def _material(material: Material | MaterialSection) -> Mapping[str, Any]:
     """The words of a surface without its picture, as a configuration says them."""
     words = {name: getattr(material, name) for name in ("metallic", "roughness", "specular")}
     return {"base_color": list(material.base_color), **words} | (

@@ -16,6 +16,7 @@ from ...base.folder import write_whole
 from ...base.settings import check_settings, parse_yaml, read_text
 from ...cell.config import Config, resolve_scanner
 from .asking import Answer, Ask
+from .controls import described_controls
 from .document import Document, RigChange, Written, changed, checked, document_text, written
 from .picture_process import PictureProcess
 
@@ -194,10 +195,13 @@ class Session:
         with self._lock:
             now = self._now
             config = checked(now, self._path)
+            controls = self._controls(config)
             return {
                 "path": str(self._path),
                 "text": document_text(now.content),
+                "controls": controls["controls"],
                 "values": {
+                    **controls["values"],
                     "ambient": now.ambient,
                     **{
                         f"rig.{name}": getattr(now.rig, name)
@@ -211,6 +215,13 @@ class Session:
                 "redo": len(self._states) - 1 - self._at,
                 "number": self._number,
             }
+
+    def _controls(self, config: Config) -> dict[str, Any]:
+        """There are none where the rig cannot be read: the text remains to be corrected."""
+        try:
+            return described_controls(config, resolve_scanner(config, self._path.parent))
+        except (GraycastError, ValueError, OSError):
+            return {"controls": [], "values": {}}
 
     def newer(self, version: int) -> list[LatestAnswer]:
         """The last answers of each kind that are newer than a version."""

@@ -12,6 +12,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from ...base.frames import inverse, transform_points
 from ...base.robust import robust_sigma
 from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
+from ...camera.picture import srgb_frame
 from ...camera.sensor import Capture
 from ...cell.generate import depth_step_mm
 from ...cell.resolve import Cell
@@ -22,7 +23,7 @@ from ...world.parts import Mesh
 from ...world.scene import Layout, Scene, bin_mesh
 from ..report.rig_picture import common_field, footprint_m
 from .asking import Answer, Ask
-from .controls import described_controls
+from .controls import values_of_files
 
 MM_PER_M = 1000.0
 DEPTH_MAX = 65535
@@ -62,8 +63,8 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "instance": (truth.instance + 1).astype(np.uint16),
         "place": place.astype(np.float32),
         "place_sigma": spread.astype(np.float32),
-        "white": _levels(page, cell.code.brightest),
-        "frame": _levels(page, frame),
+        "white": srgb_frame(page.capture, cell.code.brightest),
+        "frame": srgb_frame(page.capture, frame),
     }
     if page.rgb is not None:
         arrays["rgb"] = page.rgb
@@ -85,7 +86,7 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "lines": _lines(cell.scanner.rig, page.scene.T_world_cam),
         "target": _target(page),
         "notes": list(cell.notes),
-        **described_controls(cell, ask),
+        "values": values_of_files(cell),
     }
     return Answer(
         kind="picture",
@@ -136,24 +137,12 @@ def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndar
     return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
 
 
-def _levels(page: PageContent, index: int) -> UInt8[np.ndarray, "h w"]:
-    """A captured frame over the sensor's range, dark level to saturation, linear."""
-    low_dn, high_dn = _range_dn(page)
-    share = (page.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
-    return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
-
-
-def _range_dn(page: PageContent) -> tuple[float, float]:
-    sensor = page.capture.sensor
-    return sensor.offset_dn, sensor.saturation_dn
-
-
 def _capture(page: PageContent) -> dict[str, Any]:
-    low_dn, high_dn = _range_dn(page)
+    sensor = page.capture.sensor
     return {
-        "bits": page.capture.sensor.bit_depth,
-        "low_dn": low_dn,
-        "high_dn": high_dn,
+        "bits": sensor.bit_depth,
+        "low_dn": sensor.offset_dn,
+        "high_dn": sensor.saturation_dn,
         "merged": isinstance(page.capture.exposure_s, np.ndarray),
         "frames": [frame.name for frame in page.cell.code.frames],
     }
@@ -196,7 +185,7 @@ def _figures(page: PageContent) -> dict[str, Any]:
         "part_decoded": _mean(depth.reason[on_part] == Reason.DECODED),
         "bias_mm": float(np.median(known)) if known.size else None,
         "sigma_mm": float(robust_sigma(known - np.median(known))) if known.size else None,
-        "exposure_ms": 1e3 * float(np.max(page.capture.exposure_s)),
+        "exposure_ms": 1e3 * page.capture.reference_s,
         "saturated": _mean(page.capture.frames[0] >= page.capture.sensor.saturation_dn),
     }
 

@@ -20,11 +20,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from ...base.color import srgb
 from ...base.frames import inverse, transform_points
 from ...base.mask_box import mask_box
 from ...base.plotting import save_png
 from ...camera.decode import Reason, triangulation_axis
+from ...camera.picture import srgb_frame
 from ...cell.simulate import Shot
 from ...dataset import labelled
 from ...rendering import GroundTruth
@@ -163,7 +163,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
         f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
         f"{render['samples']} samples, depth {render['depth']}",
-        f"exposure {1e3 * float(np.max(shot.capture.exposure_s)):.3g} ms",
+        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in np.unique(shot.capture.exposure_s))} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
         f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
@@ -217,11 +217,8 @@ def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
 
 
 def _frame_picture(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
-    """A frame over the sensor's range, dark level to saturation, as a grey picture."""
-    sensor = shot.capture.sensor
-    signal = shot.capture.frames[index].astype(np.float32) - np.float32(sensor.offset_dn)
-    share = signal / np.float32(sensor.saturation_dn - sensor.offset_dn)
-    return np.repeat(srgb(share)[..., None], 3, axis=-1)
+    """A frame's light as a grey picture in sRGB; all exposures are on one scale."""
+    return np.repeat(srgb_frame(shot.capture, index)[..., None], 3, axis=-1)
 
 
 def painted(

@@ -132,6 +132,9 @@
     });
     const show = (now) => {
       const known = typeof now === "number";
+      // A file says the rest of its section, and until it is read there is nothing to send.
+      const sendable = !control.whole || panel.values[control.whole] !== undefined;
+      range.disabled = number.disabled = !sendable;
       element.classList.toggle("unset", !known);
       number.value = known ? digits(now * scale) : "";
       if (known) range.value = ratio ? STEPS * (Math.log(now / low) / Math.log(high / low)) : now;

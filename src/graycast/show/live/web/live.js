@@ -14,6 +14,7 @@
     source: "stored",
     axis: "column",
     limit: 0,
+    gain: 1,
     points: true,
     parts: false,
     bin: true,
@@ -67,6 +68,9 @@
         if (answer.error) {
           tell(answer.error);
           refresh(); // the control goes back to what is set
+        } else if (command.do === "rewrite" && at("text").value === command.text) {
+          edited = false;
+          refresh();
         }
         if (answer.saved) at("doing").textContent = `saved: ${answer.saved}`;
       } catch {
@@ -105,16 +109,24 @@
         break;
       case "stage":
         at("doing").textContent = `${message.stage} …`;
+        wait(`Starting: ${message.stage} …`);
         break;
       case "error":
         if (message.number && message.number !== state?.number) break; // something else is set now
         at("doing").textContent = "";
         main.dataset.failed = message.number ?? "";
         tell(message.error);
+        wait("There is no picture of these settings: the message above says why.");
         break;
       default:
         fetchNewer();
     }
+  }
+
+  /** What stands in the place of the first picture. */
+  function wait(text) {
+    const place = at("waiting");
+    if (place) place.textContent = text;
   }
 
   let fetching = null;
@@ -181,7 +193,7 @@
 
   function takePicture({ header: said, arrays }, array) {
     const before = header;
-    header = said;
+    header = { ...said, values: { ...said.values, ...state.values } };
     prefs.axis = prefs.axis.startsWith("sigma_") ? `sigma_${said.axis}` : said.axis;
     prefs.frame = said.frame;
     Graycast.report.scanners[""] = { rig: said.rig, code: null };
@@ -333,6 +345,21 @@
           ),
         ),
       ),
+      el(
+        "select",
+        {
+          id: "choose-gain",
+          "aria-label": "brightness",
+          hidden: !["white", "pattern"].includes(prefs.view),
+          onchange: (event) => {
+            prefs.gain = Number(event.target.value);
+            show();
+          },
+        },
+        Graycast.GAINS.map((gain) =>
+          el("option", { value: gain, selected: gain === prefs.gain }, `brightness × ${gain}`),
+        ),
+      ),
       el("span", { class: "spring" }),
       el(
         "select",
@@ -397,7 +424,7 @@
         spread = of.positions[`sigma_${header.axis}`]?.[i],
         { low_dn, high_dn } = of.frames.content;
       const dn = (level) =>
-        on ? `≈ ${Math.round(low_dn + ((high_dn - low_dn) * level) / 255)} DN` : "–";
+        on ? `≈ ${Math.round(low_dn + (high_dn - low_dn) * Graycast.linear(level))} DN` : "–";
       return {
         perfect: mm(depth),
         scanner: mm(scan),
@@ -489,13 +516,19 @@
         .split("/")
         .at(-1)
         .replace(/\.ya?ml$/, "")}_live.yaml`;
-    if (!header) return;
-    const values = { ...header.values, ...state.values };
-    Graycast.showControls(panel, { controls: header.controls, values }, state.said, set);
+    const values = { ...header?.values, ...state.values };
+    Graycast.showControls(panel, { controls: state.controls, values }, state.said, set);
     allWords();
   }
 
-  /** The configuration's own text, where every key can be set. */
+  let edited = false; // whether the text is another than what is set
+  function edit(on) {
+    edited = on;
+    at("reset").hidden = !on;
+    if (!on && at("text").value !== state.text) at("text").value = state.text;
+  }
+
+  /** The configuration's own text, where every key can be set; what is refused stays to be mended. */
   function allWords() {
     let words = at("all-words");
     if (!words) {
@@ -504,6 +537,7 @@
         spellcheck: "false",
         rows: 14,
         "aria-label": "the configuration",
+        oninput: () => edit(true),
       });
       words = el(
         "details",
@@ -515,11 +549,20 @@
           { id: "apply", onclick: () => send({ do: "rewrite", text: text.value }) },
           "apply",
         ),
+        el(
+          "button",
+          {
+            id: "reset",
+            title: "put the settings in force back into the text",
+            hidden: true,
+            onclick: () => edit(false),
+          },
+          "discard the edits",
+        ),
       );
       panel.append(words);
     }
-    const text = at("text");
-    if (document.activeElement !== text) text.value = state.text;
+    if (!edited) edit(false);
   }
 
   function worldOptions() {

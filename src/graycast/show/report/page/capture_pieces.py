@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from ....base.errors import DatasetError
-from ....camera.sensor import SensorSpec
+from ....camera.picture import srgb_frame
 from ....dataset import Raw, read_capture, read_code_maps
 from ....dataset.safe_reading import Unreadable
 from ....dataset.stored import StoredScene
@@ -51,14 +51,14 @@ def read_kept(scene: StoredScene) -> Kept:
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
-    """Every captured picture with 8 bits: 0 at the sensor's offset, 255 where it saturates."""
+    """Every captured picture as `srgb_frame`: 0 at the sensor's offset, 255 where it saturates."""
     sensor, capture = raw.scanner.sensor, raw.capture
     if capture is None:
         raise ValueError("no picture was captured")
-    table = _grey_levels(sensor)
     width_px = -(-capture.frames.shape[2] // stride)
     pictures = [
-        jpeg_url(shrunk(np.take(table, image), width_px), _QUALITY) for image in capture.frames
+        jpeg_url(shrunk(srgb_frame(capture, k), width_px), _QUALITY)
+        for k in range(len(capture.frames))
     ]
     return {
         "key": name,
@@ -91,10 +91,3 @@ def _packed(image: Float32[np.ndarray, "h w"]) -> dict[str, Any]:
         "low": low,
         "step": step,
     }
-
-
-def _grey_levels(sensor: SensorSpec) -> UInt8[np.ndarray, " n"]:
-    """The grey level of each digital number."""
-    dn = np.arange(sensor.max_dn + 1)
-    share = (dn - sensor.offset_dn) / (sensor.saturation_dn - sensor.offset_dn)
-    return np.rint(255 * share.clip(0, 1)).astype(np.uint8)

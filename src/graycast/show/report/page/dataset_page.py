@@ -18,7 +18,7 @@ from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_we
 from .scene_files import scene_page_files
 
 WIDTH_PX = 1300  # Maps of wider cameras are thinned; one of 1032 px keeps every pixel.
-_FORM = "4"  # A change of this number builds a scene's files anew.
+_FORM = "5"  # A change of this number builds a scene's files anew.
 _PICTURES, _MAPS = ("depth_sl", "rgb"), ("column_sl", "row_sl")
 _WEB = Web(
     package=__package__,

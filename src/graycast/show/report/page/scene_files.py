@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
+from ....base.color import srgb_of_bytes
 from ....camera.decode import REASON_COLOR
 from ....dataset.stats import SceneFigures
 from ....dataset.stored import NO_REASON, SceneContent
@@ -48,7 +49,8 @@ def scene_page_files(
     stride = -(-scene.reason.shape[1] // width_px)
     yield "thumb.jpg", jpeg(shrunk(_color(scene), THUMB_PX), _THUMB_QUALITY)
     if scene.gray is not None:
-        yield "white.jpg", jpeg(shrunk(scene.gray, THUMB_PX), _THUMB_QUALITY)
+        thumb = shrunk(srgb_of_bytes(scene.gray), THUMB_PX)
+        yield "white.jpg", jpeg(thumb, _THUMB_QUALITY)
     yield "reason.png", _reason_thumb(scene)
     yield "scene.js", receiving(_content(scene, kept, stride=stride))
     if kept.raw is not None:
@@ -81,7 +83,8 @@ def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
     }
     pictures = {"rgb": jpeg_url(shrunk(_color(scene), width_px), _PICTURE_QUALITY)}
     if scene.gray is not None:
-        pictures["white"] = jpeg_url(shrunk(scene.gray, width_px), _PICTURE_QUALITY)
+        white = shrunk(srgb_of_bytes(scene.gray), width_px)
+        pictures["white"] = jpeg_url(white, _PICTURE_QUALITY)
     return {
         "key": scene.stored.key,
         "sensor": scene.stored.sensor,
@@ -119,7 +122,7 @@ def _color(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     if scene.rgb is not None:
         return scene.rgb
     gray = np.zeros(scene.reason.shape, np.uint8) if scene.gray is None else scene.gray
-    return np.repeat(gray[..., None], 3, axis=2)
+    return np.repeat(srgb_of_bytes(gray)[..., None], 3, axis=2)
 
 
 def _map(

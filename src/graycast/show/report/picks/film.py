@@ -1,7 +1,9 @@
 """One bin as a film: what the page shows from behind the bin, attempt after attempt.
 
 Drawn by the project's own rasteriser. Leaves out what the page leaves out, too: shadows, and how a
-part that was let go falls; it is shown where it was found next.
+part that was let go falls; it is shown where it was found next. Of a scan the points of a part that
+is carried away are left out, so that what is left is seen; at the end the true parts that are left
+shine through it.
 """
 
 import io
@@ -12,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, UInt8, UInt16
 from PIL import Image, ImageDraw, ImageFont
 
 from ....base.errors import GraycastError
@@ -42,6 +44,11 @@ _ON_SURFACE_M = 2e-3  # Points of the scan are drawn if they lie no deeper than 
 _PALETTE_FRAMES = 12
 _SMOOTH_PX = 5  # The slope of the measured surface is averaged over this, for shading alone.
 
+_OF_PART_M = 5e-3  # A point this near to a true surface is of that part.
+_GHOST = 0.5  # Of the colour, where a true part shines through.
+_FARTHER = (1.0, 1.15, 1.3, 1.5, 1.75, 2.0)  # The eye goes back until the tool stays in sight.
+
+Steps = UInt16[np.ndarray, "h w"]
 Colors = UInt8[np.ndarray, "h w 3"]
 
 
@@ -106,7 +113,8 @@ def write_film(
     replay = open_replay(picks, folder=cell_folder)
     episode = episodes[bin_id]
     frames = []
-    attempts = _attempts(replay, episode, _eye(replay, width_px), speed)
+    motions = read_motions(replay, episode)
+    attempts = _attempts(replay, episode, motions, _eye(replay, width_px, motions), speed)
     for done, attempt in enumerate(attempts, start=1):
         frames += attempt
         progress.count("attempts", done, len(episode.attempts))
@@ -117,7 +125,8 @@ def write_film(
     return len(frames)
 
 
-def _eye(replay: Replay, width_px: int) -> _Eye:
+def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -> _Eye:
+    """From behind the bin, as far away as the tool needs to stay in the picture."""
     height_px = round(0.75 * width_px)
     f_px = height_px / 2 / np.tan(_FIELD_RAD / 2)
     camera = Optics(
@@ -128,30 +137,61 @@ def _eye(replay: Replay, width_px: int) -> _Eye:
     yaw, middle = view["yaw"], 1e-3 * np.array(view["middle"])
     out = np.array([np.cos(_PITCH_RAD) * np.cos(yaw), np.cos(_PITCH_RAD) * np.sin(yaw), 0.0])
     out[2] = np.sin(_PITCH_RAD)
-    eye_m = middle + _DISTANCE * 1e-3 * view["reach"] * out
-    return _Eye(camera=camera, T_world_eye=look_at(eye_m, middle, np.array([0.0, 0.0, -1.0])))
+    tool_m = _tool_path_m(replay, motions)
+    for farther in _FARTHER:
+        eye_m = middle + farther * _DISTANCE * 1e-3 * view["reach"] * out
+        T_world_eye = look_at(eye_m, middle, np.array([0.0, 0.0, -1.0]))
+        place = project(camera, transform_points(inverse(T_world_eye), tool_m))
+        if (np.abs(place - (camera.cx_px, camera.cy_px)) < (0.5 * width_px, 0.5 * height_px)).all():
+            break
+    return _Eye(camera=camera, T_world_eye=T_world_eye)
+
+
+def _tool_path_m(replay: Replay, motions: Sequence[Motion | None]) -> Float[np.ndarray, "points 3"]:
+    """Where the tool's limbs are over all times: the corners of their boxes, in the world."""
+    found = [np.zeros((0, 3))]
+    for number, limb in enumerate(replay.limbs[replay.arm_limbs :], start=replay.arm_limbs):
+        corners = np.stack(np.meshgrid(*limb.bounds_m.T), axis=-1).reshape(-1, 3)
+        places = [motion.T_world_limb[::4, number] for motion in motions if motion is not None]
+        found += [
+            transform_points(T, corners) for T in np.concatenate([*places, np.zeros((0, 4, 4))])
+        ]
+    return np.concatenate(found)
 
 
 def _attempts(
-    replay: Replay, episode: StoredEpisode, eye: _Eye, speed: float
+    replay: Replay,
+    episode: StoredEpisode,
+    motions: Sequence[Motion | None],
+    eye: _Eye,
+    speed: float,
 ) -> Iterator[list[Image.Image]]:
-    kinds, motions = replay.kinds(episode), read_motions(replay, episode)
+    kinds = replay.kinds(episode)
     ground = _ground(replay, eye)
     still = replay.T_world_limb(replay.robot.home)
     for number, (attempt, motion) in enumerate(zip(episode.attempts, motions, strict=True)):
         following = episode.attempts[number + 1 :][:1]
-        scene = _points(replay, episode, number, eye, ground)
+        step = _scan_steps(replay, episode, number)
+        whole = scene = _points(replay, step, eye, ground)
+        left = whole
+        if motion is not None and motion.part is not None and motion.held_until_s is not None:
+            left = _points(replay, _without(replay, step, kinds, attempt, motion.part), eye, ground)
         words = f"bin {episode.bin_id}, attempt {number + 1} of {len(episode.attempts)}"
         steps = [-1] if motion is None else _steps(motion, 1e-3 * FRAME_MS * speed)
         frames = []
         for i in steps:
             limbs = still if motion is None else motion.T_world_limb[i]
+            scene = whole if motion is None or i < motion.grip else left
             layer = _robot(replay, eye, limbs)
             if motion is not None and motion.part is not None:
                 T = _part_place(attempt, following, motion, i)
                 if T is not None:
                     layer = layer.over(_part(replay, eye, kinds, motion.part, T))
             frames.append(_picture(layer.over(scene), words, None))
+        if not following:
+            rest = _remaining(attempt, motion)
+            scene = _with_ghosts(scene, replay, eye, kinds, rest)
+            words += f", {len(rest)} left"
         frames += [_picture(layer.over(scene), words, attempt)] * _END_FRAMES
         yield frames
         still = still if motion is None else motion.T_world_limb[-1]
@@ -204,6 +244,31 @@ def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4
     return body.over(_drawn(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
 
 
+def _remaining(
+    attempt: Mapping[str, Any], motion: Motion | None
+) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """The parts that lie in the bin at the end, and their true places."""
+    carried = motion.part if motion is not None and motion.held_until_s is not None else None
+    places = zip(attempt["present"], attempt["T_world_part"], strict=True)
+    return {number: np.array(T) for number, T in places if number != carried}
+
+
+def _with_ghosts(
+    scene: _Layer,
+    replay: Replay,
+    eye: _Eye,
+    kinds: tuple[int, ...],
+    rest: Mapping[int, Float[np.ndarray, "4 4"]],
+) -> _Layer:
+    """The scene with true parts shining through: those that no scan may have shown."""
+    color = scene.color.copy()
+    for number, T in rest.items():
+        ghost = _part(replay, eye, kinds, number, T)
+        lit = np.isfinite(ghost.z)
+        color[lit] += _GHOST * (ghost.color[lit] - color[lit])
+    return _Layer(color=color, z=scene.z)
+
+
 def _part(
     replay: Replay, eye: _Eye, kinds: tuple[int, ...], number: int, T: Float[np.ndarray, "4 4"]
 ) -> _Layer:
@@ -230,12 +295,31 @@ def _shade(
     return 0.45 + 0.55 * np.abs((normal * place).sum(axis=-1)) / np.maximum(long, 1e-15)
 
 
-def _points(
-    replay: Replay, episode: StoredEpisode, number: int, eye: _Eye, ground: _Layer
-) -> _Layer:
-    """What the robot acted on, over table and bin."""
-    path = replay.folder / BINS / f"{episode.bin_id:06d}" / "depth" / f"{number:03d}.png"
-    step = read_image(path)
+def _scan_steps(replay: Replay, episode: StoredEpisode, number: int) -> Steps:
+    """The depth that the robot acted on, as it is stored."""
+    return read_image(
+        replay.folder / BINS / f"{episode.bin_id:06d}" / "depth" / f"{number:03d}.png"
+    )
+
+
+def _without(
+    replay: Replay, step: Steps, kinds: tuple[int, ...], attempt: Mapping[str, Any], part: int
+) -> Steps:
+    """The depth without the points on a part."""
+    scene = replay.cell.cell.scene
+    mesh = scene.parts[kinds[part]].mesh
+    T_world_part = np.array(attempt["T_world_part"][attempt["present"].index(part)])
+    T_cam_part = inverse(scene.T_world_cam) @ T_world_part
+    vertices = transform_points(T_cam_part, mesh.vertices_m.astype(np.float64))
+    face, z = rasterize(vertices, mesh.faces.astype(np.int64), scene.rig.camera).over(
+        scene.rig.camera
+    )
+    on_part = (face >= 0) & (np.abs(step * DEPTH_STEP_M - z) < _OF_PART_M)
+    return np.where(on_part, 0, step).astype(step.dtype)
+
+
+def _points(replay: Replay, step: Steps, eye: _Eye, ground: _Layer) -> _Layer:
+    """The points of a scan, over table and bin."""
     scene = replay.cell.cell.scene
     world = transform_points(scene.T_world_cam, points(scene.rig.camera, step * DEPTH_STEP_M))
     point = transform_points(inverse(eye.T_world_eye), world)

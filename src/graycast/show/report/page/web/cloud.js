@@ -7,6 +7,9 @@
   const { el } = Graycast;
   const FIELD_RAD = 0.55;
   const LIT = ["instance", "plain"]; // points of these paints are shaded as the surface is
+  const FUSED_LIT = ["colour", "plain"],
+    FUSED_PX = 2, // at least: smaller points would let the ground shine through
+    FUSED_GROUND = 0.4; // A darker ground, as most bins and tables are pale.
   const VERTEX = `#version 300 es
     uniform mat4 uClip;
     uniform mat4 uPlace;
@@ -89,16 +92,17 @@
       if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
       const place = eyePlace(eye);
       gl.viewport(0, 0, w, h);
-      gl.clearColor(...background(), 1);
+      const ground = background().map((v) => (fused && prefs.fused ? FUSED_GROUND * v : v));
+      gl.clearColor(...ground, 1);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       gl.enable(gl.DEPTH_TEST);
       gl.useProgram(program);
       gl.uniformMatrix4fv(where.uClip, false, clip(eye, place, w / h, space.reach));
       gl.uniform3fv(where.uEye, place);
       gl.uniformMatrix4fv(where.uPlace, false, STILL);
-      const put = (thing, kind, shade) => {
+      const put = (thing, kind, shade, size = prefs.pointSize ?? 2) => {
         gl.uniform1f(where.uShade, shade);
-        gl.uniform1f(where.uSize, (prefs.pointSize ?? 2) * devicePixelRatio);
+        gl.uniform1f(where.uSize, size * devicePixelRatio);
         gl.bindVertexArray(thing.array);
         if (thing.index) gl.drawElements(kind, thing.count, gl.UNSIGNED_INT, 0);
         else gl.drawArrays(kind, 0, thing.count);
@@ -108,7 +112,10 @@
       gl.disable(gl.CULL_FACE);
       if (points && prefs.points !== false)
         put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
-      if (fused && prefs.fused) put(fused, gl.POINTS, prefs.fusedPaint === "plain" ? 1 : 0);
+      if (fused && prefs.fused) {
+        const shade = FUSED_LIT.includes(prefs.fusedPaint) ? 1 : 0;
+        put(fused, gl.POINTS, shade, Math.max(prefs.pointSize, FUSED_PX));
+      }
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
       for (const body of moving?.(prefs) ?? []) {
         if (body.lines) {

@@ -32,6 +32,18 @@ Graycast.tip = (event, text) => {
   tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 8)}px`;
 };
 
+// --- light --------------------------------------------------------------------------------------
+
+/** The share of light, 0 to 1, that a level of 8-bit sRGB stands for, and back (IEC 61966-2-1). */
+Graycast.linear = (level) => {
+  const s = level / 255;
+  return s <= 0.04045 ? s / 12.92 : ((s + 0.055) / 1.055) ** 2.4;
+};
+Graycast.encoded = (share) => {
+  const x = Math.min(Math.max(share, 0), 1);
+  return Math.round(255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055));
+};
+
 // --- numbers in words ---------------------------------------------------------------------------
 
 Graycast.words = (name) => name.replaceAll("_", " ");

@@ -43,32 +43,38 @@
       constant = all.map((one) => Graycast.onlyValue(one)).filter(Boolean);
     varying = all.filter((one) => !Graycast.onlyValue(one));
     const said = constant.length
-      ? el("p", { id: "constant" }, `One value only, so no plot: ${constant.join(" · ")}`)
+      ? el("p", { id: "constant" }, `Not plotted, as all values are alike: ${constant.join(" · ")}`)
       : null;
     return el(
       "details",
-      { class: "figures", open: shut() ? null : true, ontoggle: (event) => keepShut(event.target) },
-      el("summary", {}, "figures"),
+      {
+        class: "figures",
+        open: shut() ? null : true,
+        ontoggle: () => dispatchEvent(new Event("resize")), // there is room, and the grid has moved
+      },
+      el("summary", { onclick: (event) => keepShut(event.target.parentElement.open) }, "figures"),
       el("section", { class: "plots" }),
       said,
     );
   }
 
   const SHUT = "graycast-figures-shut";
+  const LOW_PX = 850; // In a window of less height, open figures would leave no room for scenes.
   function shut() {
+    let chosen = null;
     try {
-      return localStorage.getItem(SHUT) === "yes";
-    } catch {
-      return false;
-    }
-  }
-  function keepShut(details) {
-    try {
-      localStorage.setItem(SHUT, details.open ? "no" : "yes");
+      chosen = localStorage.getItem(SHUT);
     } catch {
       /* a browser that keeps nothing */
     }
-    dispatchEvent(new Event("resize")); // there is room for plots, and the grid has moved
+    return chosen ? chosen === "yes" : innerHeight < LOW_PX;
+  }
+  function keepShut(isShut) {
+    try {
+      localStorage.setItem(SHUT, isShut ? "yes" : "no");
+    } catch {
+      /* a browser that keeps nothing */
+    }
   }
 
   const TILE_PX = 290,
@@ -272,9 +278,22 @@
     });
   }
 
+  const sum = (list) => list.reduce((a, b) => a + b, 0);
+
+  /** The number of steps that a share of the errors does not exceed. */
+  function within(counts, share) {
+    const sizes = Object.entries(counts)
+      .map(([k, c]) => [Math.abs(Number(k)), c])
+      .sort((a, b) => a[0] - b[0]);
+    let left = share * sum(sizes.map(([, c]) => c));
+    return sizes.find(([, c]) => (left -= c) <= 0)?.[0] ?? 0;
+  }
+
   function errorPlot(s) {
+    // A few wrong points lie far away: the plot reaches as far as most points do.
     const step = s.error_step_mm,
-      reach = Math.max(4 * s.part_error.sigma_mm, 3 * step);
+      most = Math.max(2 * within(s.error_counts, 0.95), 2 * within(s.part_error_counts, 0.75)),
+      reach = Math.max(most * step, 3 * step);
     const many = Math.max(Math.round((2 * reach) / 61 / step), 1),
       width = many * step; // whole steps: no moiré
     const n = Math.ceil(reach / width),
@@ -285,9 +304,15 @@
         to: (k + 0.5) * width,
         label: `${Graycast.signed(k * width)}`,
       });
+    const beyond = (counts) => {
+      const outside = Object.entries(counts).filter(
+        ([k]) => Math.abs(Math.round(Number(k) / many)) > n,
+      );
+      return percent(sum(outside.map(([, c]) => c)) / sum(Object.values(counts)));
+    };
     const spread = (counts) => {
       const values = bins.map(() => 0),
-        total = Object.values(counts).reduce((a, b) => a + b, 0);
+        total = sum(Object.values(counts));
       for (const [k, c] of Object.entries(counts)) {
         const bin = Math.round(Number(k) / many) + n;
         if (bin >= 0 && bin < bins.length) values[bin] += c / total;
@@ -296,7 +321,7 @@
     };
     return histogram({
       title: "Scanner error",
-      note: `${percent(s.part_error.beyond_1mm)} > 1 mm, ${percent(s.part_error.beyond_5mm)} > 5 mm`,
+      note: `beyond the plot: ${beyond(s.part_error_counts)} of parts, ${beyond(s.error_counts)} of all`,
       unit: "mm",
       y: "pixels",
       lines: true,

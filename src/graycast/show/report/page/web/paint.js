@@ -51,9 +51,11 @@
       case "color":
         out.set(scene.rgb);
         return {};
-      case "white":
-        out.set(scene.white);
-        return { note: "the scanner's white frame, linear, share of the sensor's range" };
+      case "white": {
+        const table = brightened(prefs.gain);
+        for (let i = 0; i < out.length; i++) out[i] = i % 4 === 3 ? 255 : table[scene.white[i]];
+        return { note: `the scanner's white frame, ${SHOWN}` };
+      }
       case "reasons":
         return paintReasons(scene, out);
       case "pattern":
@@ -66,6 +68,13 @@
         return paintDepth(scene, view === "perfect" ? scene.depth : scene.scanner, out);
     }
   }
+
+  const SHOWN = "black at the sensor's offset, white where it saturates, in sRGB";
+  Graycast.GAINS = [1, 2, 4, 8, 16, 32];
+
+  /** Levels of sRGB with more light. */
+  const brightened = (gain = 1) =>
+    Uint8Array.from({ length: 256 }, (_, level) => Graycast.encoded(gain * Graycast.linear(level)));
 
   function paintMap(out, map, n, share) {
     const table = Graycast.colormap(map);
@@ -170,17 +179,15 @@
       blank(scene, out);
       return { note: "bringing the captured frames …" };
     }
+    const table = brightened(prefs.gain);
     for (let i = 0; i < scene.n; i++) {
-      out[4 * i] = out[4 * i + 1] = out[4 * i + 2] = levels[i];
+      out[4 * i] = out[4 * i + 1] = out[4 * i + 2] = table[levels[i]];
       out[4 * i + 3] = 255;
     }
     const { bits, low_dn, high_dn, merged } = scene.frames.content;
-    const kind = merged ? ", each pixel from the exposure that suits it" : "";
-    return {
-      shown: levels,
-      bar: { map: "gray", low: low_dn, high: high_dn, unit: "DN", digits: 0, whole: true },
-      note: `captured, ${bits} bit${kind}; here 8 bit, black at the sensor's offset, white where it saturates`,
-    };
+    const kind = merged ? ", each pixel from the exposure that suits it, all on one scale" : "";
+    const range = `${low_dn.toFixed(0)} to ${high_dn.toFixed(0)} DN`;
+    return { shown: levels, note: `captured, ${bits} bit, ${range}${kind}; ${SHOWN}` };
   }
 
   /** Decoded positions, or their standard deviations, as stored. */
@@ -242,14 +249,16 @@
       frame = frames[prefs.frame % frames.length];
     frame.table ??= Uint8Array.from(atob(frame.levels), (c) => c.charCodeAt(0));
     const at = frame.axis === "row" ? map.row : map.column,
-      lit = scene.white && prefs.shade !== false;
+      lit = scene.white && prefs.shade !== false,
+      gain = prefs.gain ?? 1,
+      light = Float32Array.from({ length: 256 }, (_, k) => (gain * Graycast.linear(k)) / 255);
     for (let i = 0; i < scene.n; i++) {
       if (map.column[i] !== map.column[i]) {
         put(out, i, DARK, 0);
         continue;
       }
       const level = frame.table[frame.axis ? Math.round(at[i]) : 0];
-      const v = lit ? (level * scene.white[4 * i]) / 255 : level;
+      const v = lit ? Graycast.encoded(level * light[scene.white[4 * i]]) : level;
       put(out, i, [v, v, v], 0);
     }
     return {

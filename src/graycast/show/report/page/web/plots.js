@@ -29,7 +29,7 @@
   const binWords = (bin, unit) =>
     `${bin.label ?? `${short(bin.from)} to ${short(bin.to)}`} ${unit}`;
 
-  /** In words, what has one value only and so gives no plot; else null. */
+  /** In words, what falls into one bin and so gives no plot; else null. */
   Graycast.onlyValue = ({ title, unit, bins, series, rows }) => {
     if (rows) {
       const names = rows.map((row) => row.parts.filter((p) => p.share > 0).map((p) => p.name));

@@ -15,6 +15,7 @@
     source: "stored",
     axis: "column",
     shade: true,
+    gain: 1,
     limit: 0,
     surface: true,
     points: true,

@@ -43,7 +43,7 @@
       ...["column", "row"]
         .filter((axis) => scene.kept.columns.includes(axis))
         .map((axis) => [`decoded ${axis}`, decoded(scene, axis, i)]),
-      ["white frame", on && scene.white ? `${scene.white[4 * i]} of 255` : "–"],
+      ["white frame", on && scene.white ? white(scene, i) : "–"],
       ...(scene.shown ? [["this frame", on ? captured(scene, i) : "–"]] : []),
       ["instance", k >= 0 ? `${k} ${scene.instances[k].name}` : "–"],
     ];
@@ -75,10 +75,14 @@
       : "–";
   }
 
+  /** Its level in the dataset, which is linear. */
+  const white = (scene, i) => `≈ ${Math.round(255 * Graycast.linear(scene.white[4 * i]))} of 255`;
+
   /** A frame's digital number, as near as 8 bits and JPEG tell. */
   function captured(scene, i) {
-    const { low_dn, high_dn } = scene.frames.content;
-    return `≈ ${Math.round(low_dn + ((high_dn - low_dn) * scene.shown[i]) / 255)} DN`;
+    const { low_dn, high_dn } = scene.frames.content,
+      share = Graycast.linear(scene.shown[i]);
+    return `≈ ${Math.round(low_dn + (high_dn - low_dn) * share)} DN`;
   }
 
   /** The scene's tags and its tick; actions: add(tags), remove(tag), tick(). */

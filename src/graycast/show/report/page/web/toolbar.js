@@ -136,6 +136,16 @@
     );
   }
 
+  /** How many times the light of white and pattern frames is shown. */
+  bar.brightness = (prefs, set) =>
+    choose(
+      prefs,
+      set,
+      "gain",
+      "brightness",
+      Graycast.GAINS.map((gain) => [gain, `× ${gain}`]),
+    );
+
   const limit = (prefs, set) =>
     choose(prefs, set, "limit", "±", [
       [0, `auto (${Graycast.errorLimit({})} mm)`],
@@ -173,6 +183,7 @@
       shows("column") ? choose(prefs, set, "axis", "of", axes(scene, prefs)) : null,
       shows("column") ? source(scene, prefs, set, "column") : null,
       ...(shows("pattern") ? patternOptions(scene, prefs, actions) : []),
+      shows("white") || shows("pattern") ? bar.brightness(prefs, set) : null,
     ];
   }
 

@@ -207,6 +207,7 @@ interface Toolbar {
   views: (...given: any[]) => any;
   compare: (...given: any[]) => any;
   options: (...given: any[]) => any;
+  brightness(prefs: Prefs, set: (name: string, value: any) => void): HTMLElement;
   pictures(row: Row, go: (key: string) => void): HTMLElement[];
   under(said: Said[], names: string[]): HTMLElement[];
 }
@@ -235,6 +236,8 @@ interface Shared {
   prefs: Prefs;
 
   // core.js
+  linear(level: number): number;
+  encoded(share: number): number;
   el(tag: string, attributes?: Record<string, any>, ...children: any[]): any;
   tip(event: MouseEvent, text?: string): void;
   words(name: string): string;
@@ -272,6 +275,7 @@ interface Shared {
   // paint.js
   VIEWS: { id: string; label: string }[];
   ERROR_LIMITS_MM: number[];
+  GAINS: number[];
   viewsOf(scene: Scene): { id: string; label: string }[];
   paint(scene: Scene, view: string, prefs: Prefs, out: Uint8ClampedArray): Said;
   paintOverlay(scene: Scene, prefs: Prefs, lit: Lit, out: Uint8ClampedArray): void;

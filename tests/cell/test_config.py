@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from graycast.learn.study_file import read_study
 from graycast.rendering import Quality
 from graycast.rig.pair import PRESETS
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.world.parts import Material
+from graycast.world.parts import Material, builtin_part
 from graycast.world.scene import Bin, Environment
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -148,13 +148,24 @@ def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
 def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
     own = words.resolve_parts(least(), tmp_path)[0][0]
     given = {"builtin": "toothpaste", "density_kg_m3": 1234.0, "friction": 0.0}
-    given["material"] = {"base_color": [0.1, 0.2, 0.3]}
+    given["material"] = {"base_color": [0.1, 0.2, 0.3], "roughness": 0.9}
     changed = words.resolve_parts(Config.model_validate({"parts": [given]}), tmp_path)[0][0]
     assert (changed.density_kg_m3, changed.friction) == (1234.0, 0.0)
-    assert changed.material == Material(base_color=(0.1, 0.2, 0.3))
+    look = replace(own.material, base_color=(0.1, 0.2, 0.3), texture=None, roughness=0.9)
+    assert changed.material == look
+    assert own.material.texture is not None
     assert changed.symmetry == own.symmetry
     assert own.density_kg_m3 != 1234.0
     assert own.friction > 0
+
+
+def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
+    """Else it would be white plastic."""
+    given = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
+    part = words.resolve_parts(Config.model_validate({"parts": [given]}), tmp_path)[0][0]
+    own = builtin_part("metal_workpiece_1").material
+    assert part.material == replace(own, roughness=0.2)
+    assert own.metallic == 1.0
 
 
 def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from ...camera.scanner import Scanner
@@ -10,7 +11,7 @@ from ...cell.resolve import Cell
 from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
 from ...rig.pattern import CODECS
 from ...world.parts import BUILTIN, Material
-from ...world.parts.part_sections import MaterialSection
+from ...world.parts.part_sections import resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
@@ -248,9 +249,13 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
             values[f"{section}.{name}"] = value
     stated = {"bin.material": config.bin.material, "table": config.table}
     for index, part in list(enumerate(config.parts))[:MOST_PARTS]:
-        stated[f"parts.{index}.material"] = part.material
+        if part.builtin is None:  # The material of a built-in part is known with the part.
+            stated[f"parts.{index}.material"] = part.material
         values[f"parts.{index}.builtin"] = part.builtin
-    values |= {key: _material(section) for key, section in stated.items() if section is not None}
+    for key, surface in stated.items():
+        if surface is not None:
+            plain = surface.model_copy(update={"texture": None})
+            values[key] = _material(resolve_material(plain, Path()))
     if config.bin.mesh is None:
         values |= _bin_values(config, config.bin.inner_m)
     if config.fill is None:
@@ -278,7 +283,7 @@ def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str
     return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}
 
 
-def _material(material: Material | MaterialSection) -> Mapping[str, Any]:
+def _material(material: Material) -> Mapping[str, Any]:
     """The words of a surface without its picture, as a configuration says them."""
     words = {name: getattr(material, name) for name in ("metallic", "roughness", "specular")}
     return {"base_color": list(material.base_color), **words} | (

@@ -22,23 +22,31 @@ Unit = Literal["m", "cm", "mm", "inch"]
 
 
 class MaterialSection(Settings):
-    """A surface in a few physical words."""
+    """A surface in a few physical words.
 
-    base_color: Color = Field(
-        (0.5, 0.5, 0.5), description="The linear RGB reflectance; each value is from 0 to 1."
+    A key that is left out keeps the value of a built-in part; elsewhere it has its default.
+    """
+
+    base_color: Color | None = Field(
+        None,
+        description="The linear RGB reflectance, from 0 to 1 each; it replaces a built-in part's "
+        "print. The default is [0.5, 0.5, 0.5].",
     )
     texture: Path | None = Field(
         None, description="A picture file in sRGB that replaces base_color."
     )
-    metallic: Share = Field(
-        0.0, description="The kind of surface: 0 is plastic, paint, wood or card; 1 is bare metal."
+    metallic: Share | None = Field(
+        None,
+        description="The kind of surface: 0 is plastic, paint, wood or card; 1 is bare metal. The "
+        "default is 0.",
     )
-    roughness: Roughness = Field(0.5, description="The roughness: 0.05 is polished, 1 is matt.")
-    specular: Share = Field(
-        0.5,
-        description="The strength of the clear coat: 0 is "
-        "Lambertian, 0.5 is a coat of refractive index "
-        "1.5.",
+    roughness: Roughness | None = Field(
+        None, description="The roughness: 0.05 is polished, 1 is matt. The default is 0.5."
+    )
+    specular: Share | None = Field(
+        None,
+        description="The strength of the clear coat: 0 is Lambertian, 0.5 is a coat of refractive "
+        "index 1.5. The default is 0.5.",
     )
     projector_reflectance: Share | None = Field(
         None,
@@ -145,7 +153,8 @@ class PartSection(Settings):
         None, description="The name of the part. Without this key, it is the name of the file."
     )
     material: MaterialSection | None = Field(
-        None, description="The material, which replaces the part's own."
+        None,
+        description="The material. It changes a built-in part's own, and replaces that of a file.",
     )
     density_kg_m3: Positive | None = Field(
         None,
@@ -182,14 +191,16 @@ def resolve_part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, .
 
 
 def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
-    material = None if section.material is None else resolve_material(section.material, folder)
+    look = section.material
     if section.builtin is not None:
         if section.builtin not in BUILTIN:
             raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
         own = builtin_part(section.builtin)
         return replace(
             own,
-            material=material or own.material,
+            material=own.material
+            if look is None
+            else resolve_material(look, folder, own=own.material),
             density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
             friction=own.friction if section.friction is None else section.friction,
         ), ()
@@ -198,7 +209,7 @@ def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]
         folder / section.mesh,
         name=section.name,
         unit=section.unit,
-        material=material,
+        material=None if look is None else resolve_material(look, folder),
         density_kg_m3=section.density_kg_m3 or 1000.0,
         friction=0.4 if section.friction is None else section.friction,
     )
@@ -220,21 +231,23 @@ def _symmetry(section: SymmetrySection | None, mesh: Mesh) -> Symmetry:
     return joined(stated, shape_symmetry(mesh)) if section.auto else stated
 
 
-def resolve_material(section: MaterialSection, folder: Path) -> Material:
+def resolve_material(
+    section: MaterialSection, folder: Path, *, own: Material | None = None
+) -> Material:
     """A material, its texture read.
+
+    Args:
+        own: what a key that is left out keeps; None is the default material.
 
     Raises:
         ConfigError: the texture cannot be read.
     """
-    texture = None if section.texture is None else read_texture(folder / section.texture)
-    return Material(
-        base_color=section.base_color,
-        texture=texture,
-        metallic=section.metallic,
-        roughness=section.roughness,
-        specular=section.specular,
-        projector_reflectance=section.projector_reflectance,
-    )
+    changes = {key: value for key, value in section if value is not None}
+    if section.texture is not None:
+        changes["texture"] = read_texture(folder / section.texture)
+    elif section.base_color is not None:
+        changes = {"texture": None, "projector_reflectance": None} | changes
+    return replace(own or Material(), **changes)
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:

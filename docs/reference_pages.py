@@ -91,13 +91,13 @@ class _Keys:
         return text
 
     def _table(self, section: Schema, prefix: str) -> str:
-        text = _TABLE
-        for key, node in section["properties"].items():
+        text, required = _TABLE, section.get("required", ())
+        for key, node in sorted(section["properties"].items(), key=lambda k: k[0] not in required):
             name = prefix + key
             kind = self._kind(node, name)
             is_section = f"{self._page}.md#{name}" in self._place.values()
             own = f"[`{key}`](#{name})" if is_section else f"`{key}`{{ #{name} }}"
-            default = "must be given" if key in section.get("required", ()) else _default(node)
+            default = "must be given" if key in required else _default(node)
             text += f"| {own} | {kind} | {default} | {_escaped(node['description'])} |\n"
         return text + "\n"
 

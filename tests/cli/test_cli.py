@@ -209,7 +209,12 @@ def test_a_flag_has_one_meaning_one_type_and_one_metavar():
 
 @pytest.mark.parametrize(
     ("word", "meant"),
-    [("generat", "generate"), ("export", "dataset export"), ("onnx", "detector onnx")],
+    [
+        ("generat", "generate"),
+        ("export", "dataset export"),
+        ("trian", "detector train"),
+        ("onnx", "detector onnx"),
+    ],
 )
 def test_a_command_that_does_not_exist_names_the_one_that_was_meant(capsys, word, meant):
     with pytest.raises(SystemExit):

@@ -94,7 +94,7 @@ def test_sums_must_be_there_and_of_all_files(copy, fault):
     assert any(re.search(words, what) for what in found), found
 
 
-@pytest.mark.parametrize("read", [["validate"], ["validate", "--fast"], ["stats"]])
+@pytest.mark.parametrize("read", [["validate"], ["validate", "--fast"], ["dataset", "stats"]])
 def test_another_format_is_refused_with_its_remedy(copy, capsys, read):
     claim(lambda c: c.update(format_version=2))(copy)
     assert main([*read, str(copy)]) == 1

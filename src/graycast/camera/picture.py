@@ -73,7 +73,7 @@ def relative_light(capture: Capture, index: int) -> Float[np.ndarray, "h w"]:
     values whatever exposures they are taken from; some are greater than one.
     """
     share = _share(capture.frames[index], capture.sensor)
-    return share * (np.float32(capture.reference_s) / capture.exposure_s)
+    return share * np.float32(capture.reference_s / capture.exposure_s)
 
 
 def srgb_frame(capture: Capture, index: int) -> UInt8[np.ndarray, "h w"]:

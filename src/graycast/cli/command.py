@@ -83,7 +83,9 @@ class Parser(argparse.ArgumentParser):
             words = [str(choice) for choice in action.choices or ()]
             near = get_close_matches(str(value), words, n=3)
             if isinstance(action, argparse._SubParsersAction):
-                near = _in_groups(action, str(value)) or near
+                inside = _in_groups(action)
+                if value in inside or not near:
+                    near = [inside[name] for name in get_close_matches(value, inside, n=1)]
             elif not near:
                 raise
             help_for = f"{self.prog} --help lists all"
@@ -91,15 +93,15 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
 
 
-def _in_groups(commands: argparse._SubParsersAction, word: str) -> list[str]:
-    """The commands of this name in groups, such as `dataset export` of `export`."""
-    groups = [
-        (group, action.choices)
+def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
+    """Each name of a command in a group, and the command: `dataset export` of `export`."""
+    return {
+        name: f"{group} {name}"
         for group, parser in commands.choices.items()
         for action in parser._actions
         if isinstance(action, argparse._SubParsersAction)
-    ]
-    return [f"{group} {name}" for group, inner in groups for name in inner if name == word]
+        for name in action.choices
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

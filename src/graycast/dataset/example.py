@@ -1,7 +1,7 @@
 """One picture and its labels as the arrays that a trainer wants, whatever file they come from."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pycocotools import mask as coco_mask
@@ -9,8 +9,10 @@ from pycocotools import mask as coco_mask
 from ..base.array_types import Bool, Float, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from ..base.frames import rigid
-from ..rig.optics import Optics, optics_of, points
 from .records import MM_PER_M
+
+if TYPE_CHECKING:  # A dataset is read where little is installed; a camera needs more.
+    from ..rig.optics import Optics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,12 +54,14 @@ class Example:
     ignored: Bool[np.ndarray, " n"] | None = None
 
     @property
-    def camera(self) -> Optics:
+    def camera(self) -> "Optics":
         """The camera that took the picture.
 
         Raises:
             DatasetError: the example has no depth or no intrinsics.
         """
+        from ..rig.optics import optics_of
+
         depth = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m
         if self.K is None or depth is None:
             raise DatasetError(
@@ -72,6 +76,8 @@ class Example:
         Raises:
             DatasetError: as of `camera`.
         """
+        from ..rig.optics import points
+
         camera = self.camera
         depth_m = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m
         assert depth_m is not None, "the camera refuses an example without depth"

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from metered import Metered
 from small_cell import write_cell
 
 from graycast.base.errors import ConfigError
@@ -101,6 +102,16 @@ def test_the_committed_study_compares_24_settings():
     settings = settings_of(spec)
     assert len(settings) == 24
     assert len(place_settings(spec, settings)) == 24
+
+
+def test_an_impossible_setting_is_left_out_and_named(tmp_path):
+    """A sweep of distances and rigs has some that do not go together."""
+    spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.6, 850, 0.9]}]))
+    meter = Metered()
+    placed = place_settings(spec, settings_of(spec), progress=meter)
+    assert [one.setting.name for one in placed] == ["0.6m", "0.9m"]
+    (note,) = meter.notes
+    assert note.startswith("the setting 850m: ") and note.endswith("; it is left out")
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def run_design(
         The renderings that could not be made, by name and heap.
 
     Raises:
-        ConfigError: a setting makes no cell; said before anything is scanned.
+        ConfigError: no setting makes a cell.
         DatasetError: the folder is in use, or its figures are of other values.
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.

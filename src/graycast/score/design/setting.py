@@ -109,10 +109,10 @@ class Placed:
 def place_settings(
     spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Placed, ...]:
-    """The cells of a study's settings.
+    """The cells of a study's settings; `progress` has a note for each setting that is impossible.
 
     Raises:
-        ConfigError: the cell's file or a setting cannot be used; the text names it.
+        ConfigError: the cell's file or none of the settings can be used; the text names it.
     """
     config = load_config(spec.cell)
     if config.domain is not None:
@@ -125,13 +125,16 @@ def place_settings(
         refuse_several(base, "graycast rig design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error
-    found = []
+    found, impossible = [], []
     for setting in settings:
         try:
-            cell = _cell(spec, base, setting)
+            found.append(Placed(setting=setting, cell=_cell(spec, base, setting)))
         except (GraycastError, ValueError, OSError) as error:
-            raise ConfigError(f"the setting {setting.name}: {error}") from error
-        found.append(Placed(setting=setting, cell=cell))
+            impossible.append(f"the setting {setting.name}: {error}")
+    if not found:
+        raise ConfigError(impossible[0])
+    for why in impossible:
+        progress.note(f"{why}; it is left out")
     return tuple(found)
 
 

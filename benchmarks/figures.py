@@ -33,7 +33,8 @@ def in_turn(
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Rows of words in Markdown."""
-    return "\n".join(f"| {' | '.join(words)} |" for words in (head, ["---"] * len(head), *rows))
+    lines = [f"| {' | '.join(words)} |" for words in (head, *rows)]
+    return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
 
 
 def describe(figures: Figures) -> str:

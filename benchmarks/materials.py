@@ -41,9 +41,8 @@ MATERIALS: Mapping[str, dict[str, Any]] = {
 }
 
 INTRODUCTION = """\
-A scanner that decodes every pixel believes light that came by way of another surface. `python -m
-benchmarks materials --resolution {resolution}` wrote this page on {date:.10} at commit `{commit}`
-on {cores} processors ({cpu}).
+`python -m benchmarks materials --resolution {resolution}` wrote this page on {date:.10} at commit
+`{commit}` on {cores} processors ({cpu}).
 
 Twenty brackets lie in a bin at the default distance of each scanner, rendered with 64 paths
 a pixel. A cell has, of the parts' pixels: the share with depth [%]; the share of these [%] that is
@@ -51,10 +50,10 @@ a pixel. A cell has, of the parts' pixels: the share with depth [%]; the share o
 where sigma is true). The number after *metal* is the roughness. The reflectance of metal is 0.7,
 of *steel* 0.22.
 
-*Without guards*, the scanner has no second phase, which disagrees with the first where light came
-by way of another surface; no code of the other axis, whose position must lie on the epipolar line;
-no least contrast of stripes, no edge filter and no line noise. The guards were chosen with another
-heap of the part. `paper` decodes Gray code without any filter.
+*Without guards* against light that came by way of another surface, the scanner has no second
+phase, no code of the other axis (for the epipolar check), no least contrast of stripes, no edge
+filter and no line noise. `paper` has plain Gray code and no guards either. The guards were chosen
+with another heap of the part.
 
 **Conclusion.** Up to {bare:.1f} % of the depths are wrong without guards, at most
 {preset:.1f} % with them. The price is depth, above all of metal."""
@@ -103,18 +102,19 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     )
     text = INTRODUCTION.format(preset=preset, bare=bare, **about)
     yield "Depth on matt, plastic, dark and metal parts", text
-    for scanner in dict.fromkeys(row.scanner for row in rows):
-        codes = list(dict.fromkeys(row.code for row in rows if row.scanner == scanner))
-        own = [code for code in codes if code in (PRESET, BARE)]
-        yield f"The preset `{scanner}`", _table(rows, scanner, own)
-        if others := codes[len(own) :]:
-            yield "Codes", CODES.format(scanner=scanner) + _table(rows, scanner, others)
+    columns = {
+        (row.scanner, row.code): row.scanner if row.code == PRESET else row.code for row in rows
+    }
+    presets = {key: head for key, head in columns.items() if key[1] in (PRESET, BARE)}
+    yield "Presets", _table(rows, presets)
+    if codes := {key: head for key, head in columns.items() if key not in presets}:
+        yield "Codes", CODES.format(scanner=CODES_OF) + _table(rows, codes)
 
 
-def _table(rows: list[Worth], scanner: str, codes: list[str]) -> str:
-    found = {(row.code, row.material): row for row in rows if row.scanner == scanner}
-    rows_of = [[each, *(found[code, each].words for code in codes)] for each in MATERIALS]
-    return table(["decoded; wrong; error/sigma", *codes], rows_of)
+def _table(rows: list[Worth], columns: Mapping[tuple[str, str], str]) -> str:
+    found = {(row.scanner, row.code, row.material): row for row in rows}
+    rows_of = [[each, *(found[*column, each].words for column in columns)] for each in MATERIALS]
+    return table(["decoded; wrong; error/sigma", *columns.values()], rows_of)
 
 
 def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
 MOST_LINES = 69_300  # The door for scripts, STEP files, `fill` and the films took 200 lines more.
-MOST_WORDS = 70_000  # in README.md and the pages of docs
+MOST_WORDS = 40_000  # in README.md and the pages of docs
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.

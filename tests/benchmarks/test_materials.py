@@ -41,8 +41,9 @@ def test_the_page_has_a_row_for_every_material():
     ]
     about = {"date": "2026-01-02", "commit": "abc", "resolution": "low", "cores": 2, "cpu": "x"}
     (_, words), (heading, table) = page(rows, **about)
-    assert heading == "The preset `phoxi-m`"
+    assert heading == "Presets"
     assert len(table.splitlines()) == 2 + len(MATERIALS)
+    assert table.startswith("| decoded; wrong; error/sigma | phoxi-m | without guards |")
     words = words.replace("\n", " ")
     assert "2026-01-02 at commit `abc`" in words
     assert "Up to 30.0 % of the depths are wrong without guards, at most 0.4 %" in words

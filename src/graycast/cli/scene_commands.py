@@ -194,18 +194,18 @@ def _generate(options: argparse.Namespace) -> int:
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
         f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
     )
-    made = 0
+    reports = 0
     with open_bars() as bars, GpuWatch() as gpu:
 
         def report(scene) -> None:
-            nonlocal made
-            made += 1
+            nonlocal reports
+            reports += 1
             decoded = f"{scene.reasons['decoded']:.1%} of all pixels decoded"
             if scene.part_reasons:
                 decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
             busy = "" if gpu.share is None else f", GPU busy {gpu.share:.0%} of the time"
             bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
-            if made == 1:
+            if reports == 1:
                 there = (options.out / "train" / f"{k:06d}" for k in range(scenes))
                 if left := sum(not folder.exists() for folder in there):
                     bars.line(_ahead(scene, left, workers.count, options.out))

@@ -62,6 +62,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .camera.sensor import Capture as Capture
     from .camera.sensor import SensorSpec as SensorSpec
     from .camera.stack import decode_stack as decode_stack
+    from .camera.stack import describe_code as describe_code
     from .cell.config import BinSection as BinSection
     from .cell.config import Config as Config
     from .cell.config import LightSection as LightSection
@@ -79,6 +80,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .cell.views import ViewSection as ViewSection
     from .dataset import validate as validate
     from .dataset.detections import Detections as Detections
+    from .dataset.export.split import Split as Split
     from .dataset.training import Example as Example
     from .dataset.training import open_examples as open_examples
     from .learn.detect import TrainSpec as TrainSpec
@@ -142,9 +144,10 @@ _MODULE = {
         "FaultSection FilterSection SensorSection",
         "camera.scanner": "Scanner measure preset take",
         "camera.sensor": "Capture SensorSpec",
-        "camera.stack": "decode_stack",
+        "camera.stack": "decode_stack describe_code",
         "dataset": "validate",
         "dataset.detections": "Detections",
+        "dataset.export.split": "Split",
         "dataset.training": "Example open_examples",
         "cell.config": "BinSection Config LightSection RenderSection load_config",
         "cell.engine": "Workers",

@@ -1,0 +1,84 @@
+"""Each notebook of `examples/notebooks` runs, and is stored as it ran.
+
+After a change, `.venv/bin/jupyter execute --inplace examples/notebooks/*.ipynb` stores them anew.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = ROOT / "examples/notebooks"
+LARGEST_BYTES = 600_000
+
+
+def figures(pattern, text):
+    """The numbers of the only place that fits the pattern."""
+    (place,) = re.finditer(pattern, text)
+    return [float(number) for number in place.groups()]
+
+
+def check_depth(text):
+    """Both layouts are one, sigma is near the true error, and metal has less depth than card."""
+    assert "same layout: True" in text
+    assert figures(r"card: median error ([\d.]+) mm", text)[0] < 0.3
+    least, largest = figures(r"over stated sigma: ([\d.]+) to ([\d.]+)", text)
+    assert 0.5 < least < largest < 2
+    card, metal = figures(r"decoded +([\d.]+)% +([\d.]+)%", text)
+    assert metal < card / 2
+    card, metal = figures(r"wrong by more than 1 mm +([\d.]+)% +([\d.]+)%", text)
+    assert metal > card
+
+
+def check_stack(text):
+    """A right stack gives depth without a warning, and a wrong one names the change that fits."""
+    assert "warnings: none" in text and "the steps run backwards" in text
+    assert figures(r"median error ([\d.]+) mm", text)[0] < 0.3
+    shares = re.findall(r"^[a-z ]+ ([\d.]+)%$", text, re.MULTILINE)
+    assert len(shares) == 9 and sum(map(float, shares)) == pytest.approx(100, abs=0.5)
+
+
+# How many pictures each one shows, and what it must print.
+EXPECTED = {
+    "decode_a_stack": (3, check_stack),
+    "what_a_scanner_does_to_depth": (3, check_depth),
+}
+
+
+def check(notebook, name):
+    """Every cell ran once, in order and without an error, and the pictures are there."""
+    count, check_text = EXPECTED[name]
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert all(output["output_type"] != "error" for output in outputs)
+    kinds = [" ".join(output.get("data", ())) for output in outputs]
+    assert sum("image/" in kind for kind in kinds) == count
+    check_text("".join("".join(output.get("text", "")) for output in outputs))
+
+
+def test_every_notebook_is_stored_as_it_ran_and_is_small():
+    files = sorted(NOTEBOOKS.glob("*.ipynb"))
+    assert [file.stem for file in files] == sorted(EXPECTED)
+    for file in files:
+        assert file.stat().st_size < LARGEST_BYTES
+        check(json.loads(file.read_text(encoding="utf-8")), file.stem)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Those of Jupyter are not ours.
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_notebook_runs(tmp_path, name):
+    """Beside a copy of the examples' data, where it may write."""
+    nbclient = pytest.importorskip("nbclient", reason="needs nbclient: run make extras")
+    pytest.importorskip("ipykernel", reason="needs ipykernel: run make extras")
+    import nbformat
+
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "data").symlink_to(ROOT / "examples/data")
+    notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
+    place = {"metadata": {"path": str(tmp_path / "notebooks")}}
+    nbclient.NotebookClient(notebook, timeout=1200, resources=place).execute()
+    check(notebook, name)

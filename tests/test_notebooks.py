@@ -20,6 +20,15 @@ def figures(pattern, text):
     return [float(number) for number in place.groups()]
 
 
+def check_detector(text):
+    """A score lies inside its interval, and the detector finds some of the parts."""
+    assert "errors of the dataset: 0" in text
+    for name in ("AP", "AP50"):
+        value, low, high = figures(rf"{name} +([\d.]+), interval ([\d.]+) to ([\d.]+)", text)
+        assert 0 <= low <= value <= high <= 1
+    assert value > 0.02
+
+
 def check_depth(text):
     """Both layouts are one, sigma is near the true error, and metal has less depth than card."""
     assert "same layout: True" in text
@@ -43,6 +52,7 @@ def check_stack(text):
 # How many pictures each one shows, and what it must print.
 EXPECTED = {
     "decode_a_stack": (3, check_stack),
+    "own_part_to_detector": (2, check_detector),
     "what_a_scanner_does_to_depth": (3, check_depth),
 }
 
@@ -74,6 +84,8 @@ def test_a_notebook_runs(tmp_path, name):
     """Beside a copy of the examples' data, where it may write."""
     nbclient = pytest.importorskip("nbclient", reason="needs nbclient: run make extras")
     pytest.importorskip("ipykernel", reason="needs ipykernel: run make extras")
+    if name == "own_part_to_detector":
+        pytest.importorskip("torch", reason="needs torch: run make extras")
     import nbformat
 
     (tmp_path / "notebooks").mkdir()

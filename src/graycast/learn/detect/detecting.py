@@ -131,7 +131,7 @@ def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
 
 
 def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Example]:
-    """Pictures as `import-real` reads them, without labels; numbered in the order of their names.
+    """Pictures as `import_real` reads them, without labels; numbered in the order of their names.
 
     Raises:
         DatasetError: one is damaged.
@@ -180,9 +180,14 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def pictures_of(
-    folder: Path | str, about: About, *, split: str, scale_m: float | None, as_real: bool = False
+    folder: Path | str,
+    about: About,
+    *,
+    split: str,
+    scale_m: float | None = None,
+    as_real: bool = False,
 ) -> PictureSelection:
-    """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
+    """The pictures of a dataset, of an export, or of a folder that `import_real` could read.
 
     Args:
         split: a set, or `all`. The scenes of a dataset are divided as the training divided them.

@@ -112,7 +112,7 @@ def read_views(
     """All views, of one camera that stood still.
 
     Args:
-        paths: depth files, folders in `import-real`'s form, and scene folders of our datasets,
+        paths: depth files, folders in the form of `import_real`, and scene folders of our datasets,
             which bring their own camera and colours.
         rgb: a picture for each depth file in the same order, or none.
         own: the configuration's camera: of files of its size where nothing else is said.

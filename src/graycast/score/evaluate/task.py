@@ -42,7 +42,7 @@ class Task:
     against: Path | None = None
     kind: Kind | None = None
     one_class: bool = False
-    protocol: Protocol
+    protocol: Protocol = Protocol()
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:

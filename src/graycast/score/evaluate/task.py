@@ -42,7 +42,7 @@ class Task:
     against: Path | None = None
     kind: Kind | None = None
     one_class: bool = False
-    protocol: Protocol = Protocol()
+    protocol: Protocol = field(default_factory=Protocol)
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:

@@ -316,7 +316,7 @@ def resolve_rig_option(options: argparse.Namespace):
     return named_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
 
 
-def load_cell(options: argparse.Namespace):
+def cell_of(options: argparse.Namespace):
     """Load the cell of `config` with the renderer of `--backend`; print its notes."""
     from ..cell.config import load_config
 

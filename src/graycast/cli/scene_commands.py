@@ -15,7 +15,7 @@ from .arguments import (
     add_out,
     add_shared,
     add_workers,
-    load_cell,
+    cell_of,
     positive,
     print_shares,
     whole,
@@ -133,7 +133,7 @@ def _preview(options: argparse.Namespace) -> int:
     from ..cell.simulate import make_images
     from ..show.report import draw_preview
 
-    cell = load_cell(options)
+    cell = cell_of(options)
     if options.image >= len(cell.images):
         raise GraycastError(
             f"--image is {options.image}: a scene of this cell has {len(cell.images)}, from 0 on"
@@ -185,7 +185,7 @@ def _generate(options: argparse.Namespace) -> int:
     from ..dataset.card import CARD, write_card
 
     workers = workers_of(options)
-    cell = load_cell(options)
+    cell = cell_of(options)
     config = cell.config
     scenes = options.scenes or config.scenes
     chosen_seed = config.seed if options.seed is None else options.seed
@@ -337,7 +337,7 @@ def _parts(options: argparse.Namespace) -> int:
         parts = tuple(builtin_part(name) for name in BUILTIN)
         print(describe_parts(parts))
     else:
-        parts = load_cell(options).scene.parts
+        parts = cell_of(options).scene.parts
         print(describe_parts(parts))
         _describe_hulls(parts)
     if options.out is not None:

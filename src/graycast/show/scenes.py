@@ -82,7 +82,7 @@ class SceneResult:
 
     def save(self, out: Path | str) -> Path:
         """Write the scene into a dataset, as `graycast generate` would; see `save_scene`."""
-        return save_scene(self.cell, self.shots, Path(out))
+        return save_scene(self.cell, self.shots, out)
 
     def __repr__(self) -> str:
         return f"SceneResult({', '.join(map(repr, self.shots))})"

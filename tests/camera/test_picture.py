@@ -45,7 +45,8 @@ def test_equal_surfaces_are_equally_grey_whatever_exposures_they_are_taken_from(
     fill_s = (SENSOR.saturation_dn - SENSOR.offset_dn) / SENSOR.gain_dn_per_e
     wall *= np.float32(fill_s / SENSOR.responsivity)
     shots = [
-        expose(wall.copy(), None, SENSOR, exposure_s=t, seed=k) for k, t in enumerate((0.25, 1.0, 4.0))
+        expose(wall.copy(), None, SENSOR, exposure_s=t, seed=k)
+        for k, t in enumerate((0.25, 1.0, 4.0))
     ]
     for reference_s in (0.25, 1.0):
         capture = replace(merge_exposures(shots), reference_s=reference_s)

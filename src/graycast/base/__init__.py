@@ -8,6 +8,7 @@ Each imports only from those above it:
     folder           files and folders that are written completely or not at all
     plotting         the style of plots, and how they are written
     settings         YAML files: reading, checking, and errors of one clear line
+    spawn            processes that do not run the user's script again
     usage            time and memory that processes have used
     streams          independent streams of random numbers, by the seed that they are of
     robust           standard deviations that outliers do not spoil

@@ -155,6 +155,7 @@ def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sec
     ],
 )
 def test_a_free_change_is_measured_again_without_rendering(watched, sections):
+    watched.show()
     number = watched.line._count
     assert set(watched.show(**sections)) == {"free"}
     assert watched.line._count == number and len(watched.told) <= 2

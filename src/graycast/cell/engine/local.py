@@ -4,7 +4,6 @@ import logging
 import multiprocessing
 import os
 import signal
-import sys
 import tempfile
 import threading
 import traceback
@@ -14,9 +13,9 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from types import ModuleType
 
 from ...base.errors import WorkerDied
+from ...base.spawn import SPAWN
 from .job import Job, TaskResult, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
@@ -111,12 +110,11 @@ class _Worker:
             self._send(scene_id)  # where it is dead already, `result` says so
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")  # a JIT's threads do not fork
         # Python starts it with the first process, and lets Ctrl-C through again when it does.
         resource_tracker.ensure_running()
-        with _deaf_to_interrupts(), _environment(self._variables), _no_script():
-            self.connection, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs,), daemon=True)
+        with _deaf_to_interrupts(), _environment(self._variables):
+            self.connection, theirs = SPAWN.Pipe()
+            process = SPAWN.Process(target=_work, args=(theirs,), daemon=True)
             process.start()
             theirs.close()
             self._process = process
@@ -190,20 +188,6 @@ def _deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-@contextmanager
-def _no_script() -> Iterator[None]:
-    """A process that starts here does not run the user's script again, as `spawn` has it.
-
-    The worker needs nothing of the script, which may lack the guard `if __name__ == "__main__"`.
-    """
-    script = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = script
 
 
 @contextmanager

@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.spawn import SPAWN
 from ..coco import IGNORED_BELOW
 from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
@@ -216,7 +216,7 @@ def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]
     if workers == 1:
         yield from map(_read, scenes)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
         yield from pool.map(_read, scenes, chunksize=4)
 
 

@@ -4,12 +4,12 @@ import faulthandler
 import signal
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock, Thread
 
 from ...base.errors import GraycastError, error_line
+from ...base.spawn import SPAWN
 from .asking import Answer, Ask
 
 STOP_S = 3.0  # If a rendering keeps the process from ending in this time, the process is killed.
@@ -88,9 +88,8 @@ class PictureProcess:
             on_answer: called in the thread with every answer.
             on_end: called in the thread with what ended the process, if `stop` did not.
         """
-        context = get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(
+        self._connection, theirs = SPAWN.Pipe()
+        self._process = SPAWN.Process(
             target=_work, args=(theirs, folder, scene_id, device), daemon=True
         )
         self._process.start()

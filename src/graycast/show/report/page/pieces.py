@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
-from multiprocessing import get_context
 from pathlib import Path
 from string import Template
 from typing import Protocol, runtime_checkable
@@ -16,6 +15,7 @@ from typing import Protocol, runtime_checkable
 from ....base.errors import GraycastError
 from ....base.folder import beside, remove_left, write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
+from ....base.spawn import SPAWN
 
 PIECES = "scenes"  # The page's scripts look for the pieces in this folder.
 _STAMP = "stamp"
@@ -169,7 +169,7 @@ def _finished_keys(todo: Sequence[Piece], folder: Path, workers: int) -> Iterato
     if workers == 1 or len(todo) < 2:
         yield from map(make, todo)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
         yield from pool.map(make, todo, chunksize=2)
 
 

@@ -36,7 +36,7 @@ from ..world.scene import Layout, Scene
 from .denoise import denoised, open_denoiser
 from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned
-from .mitsuba_scene import PartShape, build
+from .mitsuba_scene import World, build
 from .mitsuba_truth import centre_places, truth
 from .path_noise import path_noise
 from .radiance import (
@@ -58,9 +58,8 @@ class _Built:
 
     scene: Scene
     layout: Layout
-    world: mi.Scene
-    part_shapes: tuple[PartShape, ...]
-    look: mi.Scene
+    world: World
+    look: World
 
     def serves(self, scene: Scene, layout: Layout) -> bool:
         """Whether another image of the same world is asked for: only the rig may differ."""
@@ -111,7 +110,7 @@ class MitsubaRenderer(Renderer):
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        ground_truth = truth(built.world, built.part_shapes, scene, layout)
+        ground_truth = truth(built.world.scene, built.world.part_shapes, scene, layout)
         if quality.denoise != "none":
             radiance = denoised(radiance, ground_truth.normal, self.denoiser)
         return Rendering(radiance=radiance, truth=ground_truth)
@@ -122,19 +121,18 @@ class MitsubaRenderer(Renderer):
     def _world(self, scene: Scene, measured: Scene, layout: Layout) -> _Built:
         if self._built is None or not self._built.serves(scene, layout):
             self._built = None  # two worlds need not fit into memory
-            world, part_shapes = build(measured, layout)
+            world = build(measured, layout)
             self._built = _Built(
                 scene=scene,
                 layout=layout,
                 world=world,
-                part_shapes=part_shapes,
-                look=world if measured is scene else build(scene, layout)[0],
+                look=world if measured is scene else build(scene, layout),
             )
         return self._built
 
 
 def light(
-    world: mi.Scene,
+    world: World,
     scene: Scene,
     pattern: np.ndarray,
     *,
@@ -166,13 +164,13 @@ def light(
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
         albedo=albedo,
-        path_noise=_path_noise(tracer, paths, world, scene) if tracer.finest else None,
+        path_noise=_path_noise(tracer, paths, scene) if tracer.finest else None,
     )
 
 
-def _path_noise(tracer: Tracer, paths: Paths, world: mi.Scene, scene: Scene) -> PathNoise:
+def _path_noise(tracer: Tracer, paths: Paths, scene: Scene) -> PathNoise:
     size = scene.rig.camera.height_px, scene.rig.camera.width_px
-    mean, centre = paths.placed / paths.straight, centre_places(world, scene)
+    mean, centre = paths.placed / paths.straight, centre_places(tracer.world, scene)
     samples = tracer.quality.samples
     stray2 = {
         axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray

@@ -10,21 +10,23 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..base.frames import inverse
 from ..rig.pattern import Axis
 from ..world.scene import Scene
+from .mitsuba_caustics import CausticTracer, back_pdf, odds_on_arrival, odds_onward, share
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
-    corner_share,
     in_field,
     on_pixel,
     pixel_index,
-    project_to_projector,
+    pixels_per_sr,
+    project,
     shines,
     through_focus,
 )
 from .mitsuba_patterns import bit_counts, finest_patterns, packed
+from .mitsuba_projector import ProjectorLight, ShinyField
+from .mitsuba_scene import World
 from .radiance import OnPass, Quality
 
 PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
@@ -71,6 +73,7 @@ class Paths:
     # By axis: what interreflected light adds to the finest pattern beyond its mean; its squares.
     stray: dict[Axis, mi.Float]
     stray2: dict[Axis, mi.Float]
+    odds: mi.Float  # that a path from the projector finds this one, over those of this kind
 
 
 @dataclass
@@ -78,6 +81,7 @@ class _Beam:
     """The direct light from the projector at a vertex."""
 
     wo: mi.Vector3f  # to the lens, local frame
+    odds: mi.Float  # of a path from the projector, without the choice at the vertex
     lit: mi.Bool  # in the field, on the right side, and not in shadow
     strength: mi.Float  # irradiance on a surface that faces it, of one lookup [W m^-2]
     count: mi.Float  # lookups that fall on projector pixels
@@ -104,20 +108,17 @@ class Tracer:
     have two vertices, and the first ones share material and memory.
     """
 
-    def __init__(self, world: mi.Scene, scene: Scene, pattern: np.ndarray, quality: Quality):
+    def __init__(self, world: World, scene: Scene, pattern: np.ndarray, quality: Quality):
         rig = scene.rig
-        T_world_proj = scene.T_world_cam @ rig.T_cam_proj
-        self.world, self.quality = world, quality
+        self.world, self.quality = world.scene, quality
         self.camera, self.projector = rig.camera, rig.projector
+        self.T_world_cam = scene.T_world_cam
         self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
-        self.R_world_proj = mi.Matrix3f(T_world_proj[:3, :3])
         self.eye = mi.Point3f(scene.T_world_cam[:3, 3])
-        self.T_proj_world = mi.Matrix4f(inverse(T_world_proj))
-        self.lens = mi.Point3f(T_world_proj[:3, 3])
-        self.intensity_w_sr = rig.intensity_w_sr
+        self.light = ProjectorLight(scene)
         self.weights = mi.Color3f(rig.band_weights)
         self.context = mi.BSDFContext()
-        self.ambient = len(world.emitters()) > 0
+        self.ambient = len(self.world.emitters()) > 0
         self.pattern_count = len(pattern)
         self.words, self.bits_each = packed(pattern, rig)
         self.finest = finest_patterns(pattern, rig)
@@ -127,6 +128,8 @@ class Tracer:
         # Where a lookup can miss all pixels, white is no longer 1 at each.
         self.gaps = not self.sharp or rig.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
+        field = ShinyField(self.world, self.light, world.shiny) if quality.depth > 1 else None
+        self.caustics = CausticTracer(self, field) if field is not None and field.count else None
 
     def trace(self, seed: int, on_pass: OnPass | None = None) -> Paths:
         pixels = self.camera.width_px * self.camera.height_px
@@ -153,10 +156,16 @@ class Tracer:
             placed=dr.zeros(mi.Point2f, pixels),
             stray={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
             stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
+            odds=mi.Float(0),
         )
+        paths = self._from_camera(paths, on_pass)
+        return paths if self.caustics is None else self._with_caustics(paths, seed)
+
+    def _from_camera(self, paths: Paths, on_pass: OnPass | None) -> Paths:
         samples = self.quality.samples
         if on_pass is None:
             return self._until(paths, samples)
+        pixels = self.camera.width_px * self.camera.height_px
         dr.make_opaque(paths)  # as after a pass, so that all passes share a kernel
         each = max(1, PASS_SAMPLES // pixels)
         for done in [*range(each, samples, each), samples]:
@@ -164,6 +173,18 @@ class Tracer:
             dr.eval(paths)
             dr.sync_thread()
             on_pass(done, samples)
+        return paths
+
+    def _with_caustics(self, paths: Paths, seed: int) -> Paths:
+        """The sums of both kinds of path."""
+        assert self.caustics is not None
+        dr.eval(paths)
+        found = self.caustics.trace(seed)
+        paths.white += found.white
+        for k, light in enumerate(found.pattern):
+            paths.pattern[k] += light
+        for axis, squares in found.stray2.items():
+            paths.stray2[axis] += squares
         return paths
 
     def _until(self, paths: Paths, sample: int | mi.UInt32) -> Paths:
@@ -187,6 +208,8 @@ class Tracer:
         si = self.world.ray_intersect(ray)
         hit = si.is_valid()
         fresh, last = p.vertex == 0, p.vertex + 1 >= self.quality.depth
+        if self.caustics is not None:
+            p.odds = odds_on_arrival(p.odds, si, p.direction, fresh)
         beam = self._beam(p, si, hit)
         lamp = self._lamp(p, si, hit) if self.ambient else None
         pick = p.rng.next_float32()
@@ -194,28 +217,36 @@ class Tracer:
         uv = dr.select(fresh, _in_sequence(p, ONWARD, paired=False), uv)
         # One call for all that the material is asked, so that it looks up its textures once.
         to_lamp = beam.wo if lamp is None else lamp.wo
-        albedo, value, lamp_value, lamp_pdf, bs, gain = dr.dispatch(
+        albedo, value, lamp_value, lamp_pdf, bs, gain, lens_back, onward_back = dr.dispatch(
             si.bsdf(ray), self._ask, si, beam.wo, to_lamp, pick, uv
         )
         p.albedo += dr.select(fresh & hit, albedo, 0)
+        if self.caustics is not None:
+            shiny = self.caustics.field.has(si) & ~fresh
+            value *= dr.select(shiny, share(p.odds * beam.odds * lens_back), 1)
         self._add_projector(p, beam, value)
         if lamp is not None:
             self._add_emission(p, si, fresh)
             weight = dr.select(last | lamp.is_point, 1.0, _power_heuristic(lamp.pdf, lamp_pdf))
             gathered = p.throughput * lamp_value * lamp.radiance * weight
             p.ambient += dr.select(lamp.lit, gathered, 0)
-        self._go_on(p, si, bs, gain, hit & ~last)
+        self._go_on(p, si, bs, gain, onward_back, hit & ~last)
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
-        """Albedo; value towards the projector; value and density towards the lamp; a way on."""
+        """Albedo; value towards the projector; value and density towards the lamp; a way on; how
+        often a path from the projector would come here by each of the two.
+        """
+        none, no_pdf = mi.Color3f(0), mi.Float(0)
         if bsdf is None:  # a world without any surface
-            none = mi.Color3f(0)
-            return none, none, none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none
+            return none, none, none, no_pdf, dr.zeros(mi.BSDFSample3f), none, no_pdf, no_pdf
         value = bsdf.eval(self.context, si, to_lens, True)
         lamp_value, lamp_pdf = bsdf.eval_pdf(self.context, si, to_lamp, True)
         bs, gain = bsdf.sample(self.context, si, pick, uv, True)
-        return bsdf.eval_diffuse_reflectance(si, True), value, lamp_value, lamp_pdf, bs, gain
+        albedo, back = bsdf.eval_diffuse_reflectance(si, True), (no_pdf, no_pdf)
+        if self.caustics is not None:
+            back = tuple(back_pdf(bsdf, self.context, si, wo) for wo in (to_lens, bs.wo))
+        return albedo, value, lamp_value, lamp_pdf, bs, gain, *back
 
     def _camera_ray(self, p: Paths) -> tuple[mi.Point3f, mi.Vector3f]:
         lane = dr.arange(mi.UInt32, self.camera.width_px * self.camera.height_px)
@@ -227,17 +258,20 @@ class Tracer:
         x = dr.fma(side, aside.x, mi.Float(lane % self.camera.width_px))
         y = dr.fma(side, aside.y, mi.Float(lane // self.camera.width_px))
         start, direction = self.eye, camera_ray(self.camera, x, y)
+        central = direction
         if self.camera.aperture_m:
             pupil = mi.warp.square_to_uniform_disk_concentric(_in_sequence(p, CAMERA_PUPIL))
             from_eye, direction = through_focus(self.camera, direction, side * pupil)
             start = start + self.R_world_cam @ from_eye
+        if self.caustics is not None:
+            per_path = self.caustics.total / self.quality.samples * self.camera.fill_factor
+            p.odds = per_path / pixels_per_sr(self.camera, central, direction)
         return mi.Point3f(start), mi.Vector3f(self.R_world_cam @ direction)
 
     def _beam(self, p: Paths, si, hit: mi.Bool) -> _Beam:
         """Light straight from the projector: I / d^2 in the field."""
-        q = self.T_proj_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
-        q = mi.Point3f(q.x, q.y, q.z)
-        place, inverse_z, ahead = project_to_projector(self.projector, q)
+        q = self.light.in_own_frame(si.p)
+        place, inverse_z, ahead = project(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
         if self.gaps:
             shining = [shines(self.projector, one) for one in places]
@@ -251,13 +285,13 @@ class Tracer:
         wo = si.to_local(to_lens * dr.sqrt(inverse_square))
         lit = hit & ahead & (count > 0) & (wo.z > 0) & (si.wi.z > 0)
         lit &= ~self.world.ray_test(si.spawn_ray_to(lens), lit)
-        strength = self.intensity_w_sr * inverse_square / len(places)
-        if self.projector.natural_vignetting:
-            strength *= q.z * dr.rsqrt(dr.squared_norm(q))
-        if self.projector.falloff:
-            strength *= 1 - self.projector.falloff * corner_share(self.projector, place)
+        strength = self.light.intensity(q, place) * inverse_square / len(places)
+        odds = mi.Float(0)
+        if self.caustics is not None:
+            onto = -to_lens * dr.sqrt(inverse_square)
+            odds = self.caustics.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
         places = [on_pixel(self.projector, one) for one in places]
-        return _Beam(wo, lit, strength, count, places, shining)
+        return _Beam(wo, odds, lit, strength, count, places, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
@@ -280,12 +314,10 @@ class Tracer:
     def _projector_pupil(self, p: Paths) -> mi.Point3f:
         """Where the shadow ray ends: a place of the projector's lens."""
         if self.projector.aperture_m == 0:
-            return self.lens
+            return self.light.lens
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         random = dr.select(p.vertex == 0, _in_sequence(p, PROJECTOR_PUPIL), random)
-        place = mi.warp.square_to_uniform_disk_concentric(random)
-        place *= 0.5 * self.projector.aperture_m * _side(p)
-        return mi.Point3f(self.lens + self.R_world_proj @ mi.Vector3f(place.x, place.y, 0))
+        return self.light.on_lens(_side(p) * mi.warp.square_to_uniform_disk_concentric(random))
 
     def _spread(self, p: Paths, si, place: mi.Point2f, inverse_z: mi.Float) -> list[mi.Point2f]:
         """Places all over the disc of the projector's picture for which this vertex stands.
@@ -368,7 +400,7 @@ class Tracer:
         radiance *= samples / ((samples + 1) // 2)
         return _Lamp(si.to_local(ds.d), asking & (ds.pdf > 0), ds.delta, ds.pdf, radiance)
 
-    def _go_on(self, p: Paths, si, bs, gain, hit: mi.Bool) -> None:
+    def _go_on(self, p: Paths, si, bs, gain, back: mi.Float, hit: mi.Bool) -> None:
         """Take the sampled direction, or end the path."""
         p.throughput = dr.select(hit, p.throughput * gain, 0)
         survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
@@ -376,6 +408,8 @@ class Tracer:
         alive = hit & (p.rng.next_float32() < survival)
         p.throughput = dr.select(alive, p.throughput / survival, 0)
         onward = si.spawn_ray(si.to_world(bs.wo))
+        if self.caustics is not None:
+            p.odds = odds_onward(p.odds, back, bs.pdf, si, onward.d, p.vertex == 0)
         p.origin, p.direction = onward.o, onward.d
         p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n
         p.vertex += 1

@@ -27,21 +27,23 @@ Imported only by `mitsuba.py`, after a variant was set.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
-from ..base.frames import inverse
 from ..rig.pattern import Axis
-from .mitsuba_lens import blur_radius2, camera_place, on_pixel, pixel_index, project, shines
-from .mitsuba_projector import ShinyField
+from .mitsuba_lens import (
+    blur_radius2,
+    camera_place,
+    on_pixel,
+    picture_place,
+    pixel_index,
+    shines,
+)
+from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
+from .mitsuba_stage import Stage
 
-if TYPE_CHECKING:
-    from .mitsuba_paths import Tracer
-
-PATHS_EACH = 0.5  # So many paths start from the projector for each from the camera.
-LANES = 2_500_000  # At most so many run side by side.
+LANES = 2_500_000  # At most so many paths run side by side.
 UNIT = 2.0**-32  # of the sums, in light that white paper at one metre returns
 BRIGHTEST = 2.0**24  # in the same light: one path adds no more, so that no sum overflows
 ROULETTE_FROM, MAX_SURVIVAL = 2, 0.95  # as of paths from the camera
@@ -49,11 +51,11 @@ ROULETTE_FROM, MAX_SURVIVAL = 2, 0.95  # as of paths from the camera
 
 @dataclass(frozen=True, slots=True)
 class Caustics:
-    """What the paths from the projector add to the sums of each pixel; see `Paths`."""
+    """What the paths from the projector add to the sums of each pixel."""
 
     pattern: list[mi.Float]
     white: mi.Color3f
-    stray2: Mapping[Axis, mi.Float]
+    stray2: Mapping[Axis, mi.Float]  # the variance of the finest pattern's sum
 
 
 @dataclass
@@ -71,45 +73,16 @@ class _LightPaths:
     pixel: mi.UInt32  # of the projector's picture
 
 
-def share(odds: mi.Float) -> mi.Float:
-    """What a path counts that the other kind of path finds `odds` times as often (power 2)."""
-    return dr.rcp(dr.fma(odds, odds, 1))
-
-
-def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) -> mi.Float:
-    """At a vertex: densities per area have its cosine, and that of the first the squared distance.
-
-    The two kinds of path have the same squared distances between vertices.
-    """
-    cosine = dr.abs(dr.dot(si.n, direction))
-    return odds * dr.select(first, dr.square(si.t), 1) / cosine
-
-
-def odds_onward(
-    odds: mi.Float, back_pdf: mi.Float, pdf: mi.Float, si, direction: mi.Vector3f, first: mi.Bool
-) -> mi.Float:
-    """Behind a vertex: the density of the other kind's choice there, over that of this kind's."""
-    return odds * dr.select(first, 1, back_pdf) * dr.abs(dr.dot(si.n, direction)) / pdf
-
-
-def back_pdf(bsdf, context, si, wo: mi.Vector3f) -> mi.Float:
-    """The density with which a path that comes from `wo` is sent to where this one came from."""
-    other = mi.SurfaceInteraction3f(si)
-    other.wi = wo
-    return bsdf.pdf(context, other, si.wi, True)
-
-
 class CausticTracer:
-    """Paths from the projector through a scene whose paths from the camera are a tracer's."""
+    """Paths from the projector over the shiny surfaces of a stage."""
 
-    def __init__(self, tracer: "Tracer", field: ShinyField):
-        self.of, self.field = tracer, field
-        self.T_cam_world = mi.Matrix4f(inverse(tracer.T_world_cam))
-        pixels = tracer.camera.width_px * tracer.camera.height_px
-        self.total = max(1, round(PATHS_EACH * pixels * tracer.quality.samples))
-        self.stride = tracer.pattern_count + 3 + len(tracer.strays)
-        self.unit = UNIT * tracer.light.intensity_w_sr / math.pi
-        self.sums = dr.zeros(mi.UInt64, pixels * self.stride)
+    def __init__(self, stage: Stage, field: ShinyField):
+        self.stage, self.field = stage, field
+        self.camera, self.projector = stage.camera, stage.light.optics
+        self.total = field.paths * stage.quality.samples
+        self.stride = stage.patterns.count + 3 + len(stage.strays)
+        self.unit = UNIT * stage.light.intensity_w_sr / math.pi
+        self.sums = dr.zeros(mi.UInt64, stage.pixels * self.stride)
 
     def trace(self, seed: int) -> Caustics:
         starts = mi.PCG32(size=2, initstate=dr.opaque(mi.UInt64, seed)).next_uint32().numpy()
@@ -118,7 +91,7 @@ class CausticTracer:
             lanes = min(LANES, self.total - first)
             index = dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)
             # Not the numbers of the paths from the camera, which are those of `seed`.
-            state = dr.opaque(mi.UInt64, (seed + first + 1) * 0x9E3779B97F4A7C15 % 2**64)
+            state = dr.opaque(mi.UInt64, (seed * 0x9E3779B97F4A7C15 + first + 1) % 2**64)
             paths = self._started(mi.PCG32(size=lanes, initstate=state), index, start)
             (paths,) = dr.while_loop(
                 state=(paths,), cond=lambda p: p.alive, body=lambda p: (self._vertex(p),)
@@ -128,17 +101,17 @@ class CausticTracer:
 
     def _started(self, rng: mi.PCG32, index: mi.UInt32, start: mi.Point2u) -> _LightPaths:
         """Paths that have met their first surface, if that is shiny, and go on from there."""
-        tracer, light = self.of, self.of.light
+        light = self.stage.light
         place = mi.Point2f(rng.next_float32(), rng.next_float32())
         origin = light.on_lens(mi.warp.square_to_uniform_disk_concentric(place))
         direction = self.field.direction(self.field.places(index, self.total, start))
         density = self.field.density(direction)
-        si = tracer.world.ray_intersect(mi.Ray3f(origin, direction))
+        si = self.stage.world.ray_intersect(mi.Ray3f(origin, direction))
         q = light.in_own_frame(si.p)
-        seen, inverse_z, _ = project(light.optics, q)
-        at, shining = self._picture_place(rng, seen, inverse_z)
+        seen, inverse_z, _ = picture_place(light.optics, q)
+        at, shining = self._shining_pixel(rng, seen, inverse_z)
         alive = self.field.has(si) & shining & (density > 0) & (si.wi.z > 0)
-        power = light.intensity(q, seen) / density * (tracer.quality.samples / self.total)
+        power = light.intensity(q, seen) / (density * self.field.paths)
         paths = _LightPaths(
             rng=rng,
             vertex=mi.UInt32(0),
@@ -153,12 +126,12 @@ class CausticTracer:
         _, _, bs, value, pdf = self._dispatched(paths, si, si.wi)
         return self._go_on(paths, si, bs, value, pdf)
 
-    def _picture_place(
+    def _shining_pixel(
         self, rng: mi.PCG32, seen: mi.Point2f, inverse_z: mi.Float
     ) -> tuple[mi.UInt32, mi.Bool]:
         """The projector's pixel of a path that meets a surface at `seen`, and whether it shines."""
-        optics = self.of.projector
-        if not self.of.sharp:
+        optics = self.projector
+        if not optics.is_pinhole:
             disc = mi.Point2f(rng.next_float32(), rng.next_float32())
             disc = mi.warp.square_to_uniform_disk_concentric(disc)
             disc *= dr.sqrt(blur_radius2(optics, inverse_z))
@@ -169,35 +142,35 @@ class CausticTracer:
 
     def _vertex(self, p: _LightPaths) -> _LightPaths:
         """Find the next vertex, add its light to the pixel that sees it, and go on."""
-        tracer, camera = self.of, self.of.camera
-        si = tracer.world.ray_intersect(mi.Ray3f(p.origin, p.direction))
+        stage, camera = self.stage, self.camera
+        si = stage.world.ray_intersect(mi.Ray3f(p.origin, p.direction))
         hit = p.alive & si.is_valid() & (si.wi.z > 0)
         p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         pupil = mi.warp.square_to_uniform_disk_concentric(random)
-        q = self.T_cam_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
+        q = stage.T_cam_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
         place, ray, per_sr, ahead = camera_place(camera, mi.Point3f(q.x, q.y, q.z), pupil)
         if camera.psf_px:
             random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
             place -= camera.psf_px * mi.warp.square_to_uniform_disk_concentric(random)
-        on_camera = tracer.R_world_cam @ mi.Vector3f(q.x, q.y, q.z) - tracer.R_world_cam @ ray
-        lens = tracer.eye + on_camera
+        on_camera = stage.R_world_cam @ mi.Vector3f(q.x, q.y, q.z) - stage.R_world_cam @ ray
+        lens = stage.eye + on_camera
         to_camera = lens - si.p
         inverse_square = dr.rcp(dr.squared_norm(to_camera))
         to_camera *= dr.sqrt(inverse_square)
         wo = si.to_local(to_camera)
         value, pdf, bs, onward_value, onward_pdf = self._dispatched(p, si, wo)
         lit = hit & ahead & shines(camera, place) & (wo.z > 0)
-        lit &= ~tracer.world.ray_test(si.spawn_ray_to(lens), lit)
+        lit &= ~stage.world.ray_test(si.spawn_ray_to(lens), lit)
         cosine = dr.abs(dr.dot(si.n, to_camera))
         # Per path of a pixel, whose places are all over what senses of it.
         seen = cosine * inverse_square * per_sr / camera.fill_factor
-        odds = p.odds * pdf * seen * (tracer.quality.samples / self.total)
+        odds = p.odds * pdf * seen / self.field.paths
         slant = seen / dr.abs(dr.dot(si.n, p.direction))
-        light = p.power * p.throughput * value * (slant * share(odds)) * tracer.weights
+        light = p.power * p.throughput * value * (slant * share(odds)) * stage.weights
         self._add(p, pixel_index(camera, on_pixel(camera, place)), light, lit)
         p.vertex += 1
-        p.alive = hit & (p.vertex + 1 < tracer.quality.depth)
+        p.alive = hit & (p.vertex + 1 < stage.quality.depth)
         return self._go_on(p, si, bs, onward_value, onward_pdf)
 
     def _dispatched(self, p: _LightPaths, si, to_camera: mi.Vector3f):
@@ -213,7 +186,7 @@ class CausticTracer:
         if bsdf is None:  # a world without any surface
             none = mi.Color3f(0)
             return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
-        context = self.of.context
+        context = self.stage.context
         bs, _ = bsdf.sample(context, si, pick, uv, True)
         seen, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
         seen.wi, onward.wi = to_camera, bs.wo
@@ -241,38 +214,28 @@ class CausticTracer:
         first = pixel * self.stride
         light = dr.minimum(dr.select(lit, light, 0) / self.unit, BRIGHTEST / UNIT)
         mono = dr.sum(light)
-        tracer = self.of
-        per_word = 32 // tracer.bits_each
-        most = 2**tracer.bits_each - 1
-        levels = []
-        for word in tracer.words:
-            levels.append(dr.gather(mi.UInt32, word, p.pixel, lit))
-        for k in range(tracer.pattern_count):
-            level = (levels[k // per_word] >> (k % per_word * tracer.bits_each)) & most
-            value = mono if most == 1 else mono * (mi.Float(level) / most)
-            dr.scatter_add(self.sums, mi.UInt64(value), first + k, lit & (level > 0))
-        first += tracer.pattern_count
+        levels = self.stage.patterns.levels(p.pixel, lit)
+        for k, level in enumerate(levels):
+            dr.scatter_add(self.sums, mi.UInt64(mono * level), first + k, lit & (level > 0))
+        first += len(levels)
         for k in range(3):
             dr.scatter_add(self.sums, mi.UInt64(light[k]), first + k, lit)
         first += 3
-        for k, fine in enumerate(tracer.strays.values()):
-            number = fine.number
-            level = levels[number // per_word] >> (number % per_word * tracer.bits_each)
-            off = (mi.Float(level & most) / most - fine.mean) * (mono * UNIT / fine.deviation)
+        for k, fine in enumerate(self.stage.strays.values()):
+            off = (levels[fine.number] - fine.mean) * (mono * UNIT / fine.deviation)
             squared = dr.minimum(dr.square(off), BRIGHTEST) / UNIT
             dr.scatter_add(self.sums, mi.UInt64(squared), first + k, lit)
 
     def _result(self) -> Caustics:
-        tracer = self.of
         first = dr.arange(mi.UInt32, len(self.sums) // self.stride) * self.stride
 
         def sums(k: int, unit: float) -> mi.Float:
             return mi.Float(dr.gather(mi.UInt64, self.sums, first + k)) * unit
 
-        n, unit = tracer.pattern_count, self.unit
+        n, unit = self.stage.patterns.count, self.unit
         square = unit**2 / UNIT
         return Caustics(
             pattern=[sums(k, unit) for k in range(n)],
             white=mi.Color3f(*(sums(n + k, unit) for k in range(3))),
-            stray2={axis: sums(n + 3 + k, square) for k, axis in enumerate(tracer.strays)},
+            stray2={axis: sums(n + 3 + k, square) for k, axis in enumerate(self.stage.strays)},
         )

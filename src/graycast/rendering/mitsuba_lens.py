@@ -61,10 +61,10 @@ def through_focus(
     return start, dr.normalize(direction / direction.z - start / camera.focus_m)
 
 
-def project(
+def picture_place(
     optics: Optics, q: mi.Point3f | mi.Vector3f
 ) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
-    """Where the middle of a pupil sees a point of its own frame [px], 1 / z there, and if at all."""
+    """Where the middle of a pupil sees a point of its frame [px], 1 / z there, and if at all."""
     ahead = q.z > 0
     scale = dr.select(ahead, dr.rcp(q.z), 0)
     x, y = q.x * scale, q.y * scale
@@ -91,7 +91,7 @@ def camera_place(
     ray = mi.Vector3f(q) - pupil
     # The ray through the middle of the pupil that meets it in the plane in focus.
     central = mi.Vector3f(dr.fma(ray.z, pupil / camera.focus_m, ray))
-    pixel, _, ahead = project(camera, central)
+    pixel, _, ahead = picture_place(camera, central)
     return pixel, ray, pixels_per_sr(camera, central, ray), ahead
 
 

@@ -8,26 +8,23 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..rig.pattern import Axis
-from ..world.scene import Scene
-from .mitsuba_caustics import CausticTracer, back_pdf, odds_on_arrival, odds_onward, share
+from .mitsuba_caustics import Caustics
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
     in_field,
     on_pixel,
+    picture_place,
     pixel_index,
     pixels_per_sr,
-    project,
     shines,
     through_focus,
 )
-from .mitsuba_patterns import bit_counts, finest_patterns, packed
-from .mitsuba_projector import ProjectorLight, ShinyField
-from .mitsuba_scene import World
-from .radiance import OnPass, Quality
+from .mitsuba_projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
+from .mitsuba_stage import Stage
+from .radiance import OnPass
 
 PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
 ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
@@ -75,6 +72,14 @@ class Paths:
     stray2: dict[Axis, mi.Float]
     odds: mi.Float  # that a path from the projector finds this one, over those of this kind
 
+    def add(self, caustics: Caustics) -> None:
+        """The light of the paths from the projector."""
+        self.white += caustics.white
+        for k, light in enumerate(caustics.pattern):
+            self.pattern[k] += light
+        for axis, squares in caustics.stray2.items():
+            self.stray2[axis] += squares
+
 
 @dataclass
 class _Beam:
@@ -108,31 +113,19 @@ class Tracer:
     have two vertices, and the first ones share material and memory.
     """
 
-    def __init__(self, world: World, scene: Scene, pattern: np.ndarray, quality: Quality):
-        rig = scene.rig
-        self.world, self.quality = world.scene, quality
-        self.camera, self.projector = rig.camera, rig.projector
-        self.T_world_cam = scene.T_world_cam
-        self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
-        self.eye = mi.Point3f(scene.T_world_cam[:3, 3])
-        self.light = ProjectorLight(scene)
-        self.weights = mi.Color3f(rig.band_weights)
-        self.context = mi.BSDFContext()
-        self.ambient = len(self.world.emitters()) > 0
-        self.pattern_count = len(pattern)
-        self.words, self.bits_each = packed(pattern, rig)
-        self.finest = finest_patterns(pattern, rig)
-        self.strays = self.finest if quality.depth > 1 else {}
-        self.footprint = quality.footprint and quality.depth > 1
-        self.sharp = rig.projector.is_pinhole
+    def __init__(self, stage: Stage, field: ShinyField | None):
+        """The field is None where no light comes by a shiny surface, or where that is not asked."""
+        self.stage, self.field = stage, field
+        self.quality, self.camera, self.projector = stage.quality, stage.camera, stage.light.optics
+        self.ambient = len(stage.world.emitters()) > 0
+        self.footprint = self.quality.footprint and self.quality.depth > 1
+        self.sharp = self.projector.is_pinhole
         # Where a lookup can miss all pixels, white is no longer 1 at each.
-        self.gaps = not self.sharp or rig.projector.fill_factor < 1
+        self.gaps = not self.sharp or self.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
-        field = ShinyField(self.world, self.light, world.shiny) if quality.depth > 1 else None
-        self.caustics = CausticTracer(self, field) if field is not None and field.count else None
 
     def trace(self, seed: int, on_pass: OnPass | None = None) -> Paths:
-        pixels = self.camera.width_px * self.camera.height_px
+        pixels = self.stage.pixels
         # A literal seed would be compiled into the kernel, anew for every scene.
         rng = mi.PCG32(size=pixels, initstate=dr.opaque(mi.UInt64, seed))
         paths = Paths(
@@ -148,24 +141,19 @@ class Tracer:
             last_p=mi.Point3f(0),
             last_n=mi.Normal3f(0, 0, 1),
             spread=mi.Float(0),
-            pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.pattern_count)],
+            pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.stage.patterns.count)],
             white=dr.zeros(mi.Color3f, pixels),
             ambient=dr.zeros(mi.Color3f, pixels),
             albedo=dr.zeros(mi.Color3f, pixels),
             straight=dr.zeros(mi.Float, pixels),
             placed=dr.zeros(mi.Point2f, pixels),
-            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
-            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
+            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
+            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
             odds=mi.Float(0),
         )
-        paths = self._from_camera(paths, on_pass)
-        return paths if self.caustics is None else self._with_caustics(paths, seed)
-
-    def _from_camera(self, paths: Paths, on_pass: OnPass | None) -> Paths:
         samples = self.quality.samples
         if on_pass is None:
             return self._until(paths, samples)
-        pixels = self.camera.width_px * self.camera.height_px
         dr.make_opaque(paths)  # as after a pass, so that all passes share a kernel
         each = max(1, PASS_SAMPLES // pixels)
         for done in [*range(each, samples, each), samples]:
@@ -173,18 +161,6 @@ class Tracer:
             dr.eval(paths)
             dr.sync_thread()
             on_pass(done, samples)
-        return paths
-
-    def _with_caustics(self, paths: Paths, seed: int) -> Paths:
-        """The sums of both kinds of path."""
-        assert self.caustics is not None
-        dr.eval(paths)
-        found = self.caustics.trace(seed)
-        paths.white += found.white
-        for k, light in enumerate(found.pattern):
-            paths.pattern[k] += light
-        for axis, squares in found.stray2.items():
-            paths.stray2[axis] += squares
         return paths
 
     def _until(self, paths: Paths, sample: int | mi.UInt32) -> Paths:
@@ -205,10 +181,10 @@ class Tracer:
     def _vertex(self, p: Paths) -> Paths:
         """Find the next vertex, gather its light, and sample the next direction."""
         ray = mi.Ray3f(p.origin, p.direction)
-        si = self.world.ray_intersect(ray)
+        si = self.stage.world.ray_intersect(ray)
         hit = si.is_valid()
         fresh, last = p.vertex == 0, p.vertex + 1 >= self.quality.depth
-        if self.caustics is not None:
+        if self.field is not None:
             p.odds = odds_on_arrival(p.odds, si, p.direction, fresh)
         beam = self._beam(p, si, hit)
         lamp = self._lamp(p, si, hit) if self.ambient else None
@@ -221,8 +197,8 @@ class Tracer:
             si.bsdf(ray), self._ask, si, beam.wo, to_lamp, pick, uv
         )
         p.albedo += dr.select(fresh & hit, albedo, 0)
-        if self.caustics is not None:
-            shiny = self.caustics.field.has(si) & ~fresh
+        if self.field is not None:
+            shiny = self.field.has(si) & ~fresh
             value *= dr.select(shiny, share(p.odds * beam.odds * lens_back), 1)
         self._add_projector(p, beam, value)
         if lamp is not None:
@@ -240,12 +216,12 @@ class Tracer:
         none, no_pdf = mi.Color3f(0), mi.Float(0)
         if bsdf is None:  # a world without any surface
             return none, none, none, no_pdf, dr.zeros(mi.BSDFSample3f), none, no_pdf, no_pdf
-        value = bsdf.eval(self.context, si, to_lens, True)
-        lamp_value, lamp_pdf = bsdf.eval_pdf(self.context, si, to_lamp, True)
-        bs, gain = bsdf.sample(self.context, si, pick, uv, True)
+        value = bsdf.eval(self.stage.context, si, to_lens, True)
+        lamp_value, lamp_pdf = bsdf.eval_pdf(self.stage.context, si, to_lamp, True)
+        bs, gain = bsdf.sample(self.stage.context, si, pick, uv, True)
         albedo, back = bsdf.eval_diffuse_reflectance(si, True), (no_pdf, no_pdf)
-        if self.caustics is not None:
-            back = tuple(back_pdf(bsdf, self.context, si, wo) for wo in (to_lens, bs.wo))
+        if self.field is not None:
+            back = tuple(back_pdf(bsdf, self.stage.context, si, wo) for wo in (to_lens, bs.wo))
         return albedo, value, lamp_value, lamp_pdf, bs, gain, *back
 
     def _camera_ray(self, p: Paths) -> tuple[mi.Point3f, mi.Vector3f]:
@@ -257,21 +233,21 @@ class Tracer:
             aside += self.camera.psf_px * blur
         x = dr.fma(side, aside.x, mi.Float(lane % self.camera.width_px))
         y = dr.fma(side, aside.y, mi.Float(lane // self.camera.width_px))
-        start, direction = self.eye, camera_ray(self.camera, x, y)
+        start, direction = self.stage.eye, camera_ray(self.camera, x, y)
         central = direction
         if self.camera.aperture_m:
             pupil = mi.warp.square_to_uniform_disk_concentric(_in_sequence(p, CAMERA_PUPIL))
             from_eye, direction = through_focus(self.camera, direction, side * pupil)
-            start = start + self.R_world_cam @ from_eye
-        if self.caustics is not None:
-            per_path = self.caustics.total / self.quality.samples * self.camera.fill_factor
-            p.odds = per_path / pixels_per_sr(self.camera, central, direction)
-        return mi.Point3f(start), mi.Vector3f(self.R_world_cam @ direction)
+            start = start + self.stage.R_world_cam @ from_eye
+        if self.field is not None:
+            places = pixels_per_sr(self.camera, central, direction) / self.camera.fill_factor
+            p.odds = self.field.paths / places
+        return mi.Point3f(start), mi.Vector3f(self.stage.R_world_cam @ direction)
 
     def _beam(self, p: Paths, si, hit: mi.Bool) -> _Beam:
         """Light straight from the projector: I / d^2 in the field."""
-        q = self.light.in_own_frame(si.p)
-        place, inverse_z, ahead = project(self.projector, q)
+        q = self.stage.light.in_own_frame(si.p)
+        place, inverse_z, ahead = picture_place(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
         if self.gaps:
             shining = [shines(self.projector, one) for one in places]
@@ -284,18 +260,18 @@ class Tracer:
         inverse_square = dr.rcp(dr.squared_norm(to_lens))
         wo = si.to_local(to_lens * dr.sqrt(inverse_square))
         lit = hit & ahead & (count > 0) & (wo.z > 0) & (si.wi.z > 0)
-        lit &= ~self.world.ray_test(si.spawn_ray_to(lens), lit)
-        strength = self.light.intensity(q, place) * inverse_square / len(places)
+        lit &= ~self.stage.world.ray_test(si.spawn_ray_to(lens), lit)
+        strength = self.stage.light.intensity(q, place) * inverse_square / len(places)
         odds = mi.Float(0)
-        if self.caustics is not None:
+        if self.field is not None:
             onto = -to_lens * dr.sqrt(inverse_square)
-            odds = self.caustics.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
+            odds = self.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
         places = [on_pixel(self.projector, one) for one in places]
         return _Beam(wo, odds, lit, strength, count, places, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
-        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
+        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.stage.weights
         p.white += arriving * beam.count
         mono, lit = dr.sum(arriving), [beam.lit & one for one in beam.shining]
         light, fresh = mono * beam.count, p.vertex == 0
@@ -303,9 +279,11 @@ class Tracer:
         middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))
         p.placed += dr.select(fresh, mono, 0) * middle
         pixels = [pixel_index(self.projector, place) for place in beam.places]
-        before = {axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.strays.items()}
-        self._add_levels(p, mono, pixels, lit)
-        for axis, fine in self.strays.items():
+        before = {
+            axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.stage.strays.items()
+        }
+        self.stage.patterns.add(p.pattern, mono, pixels, lit)
+        for axis, fine in self.stage.strays.items():
             off = (p.pattern[fine.number] - before[axis] - fine.mean * light) / fine.deviation
             off = dr.select(fresh, 0, off)
             p.stray[axis] += off
@@ -314,10 +292,12 @@ class Tracer:
     def _projector_pupil(self, p: Paths) -> mi.Point3f:
         """Where the shadow ray ends: a place of the projector's lens."""
         if self.projector.aperture_m == 0:
-            return self.light.lens
+            return self.stage.light.lens
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         random = dr.select(p.vertex == 0, _in_sequence(p, PROJECTOR_PUPIL), random)
-        return self.light.on_lens(_side(p) * mi.warp.square_to_uniform_disk_concentric(random))
+        return self.stage.light.on_lens(
+            _side(p) * mi.warp.square_to_uniform_disk_concentric(random)
+        )
 
     def _spread(self, p: Paths, si, place: mi.Point2f, inverse_z: mi.Float) -> list[mi.Point2f]:
         """Places all over the disc of the projector's picture for which this vertex stands.
@@ -352,40 +332,14 @@ class Tracer:
             places.append(mi.Point2f(x, dr.fma(aside.y, self.projector.fy_px, place.y)))
         return places
 
-    def _add_levels(
-        self, p: Paths, mono: mi.Float, pixels: list[mi.UInt32], lit: list[mi.Bool]
-    ) -> None:
-        """To each pattern its levels at the pixels, each times `mono`."""
-        per_word = 32 // self.bits_each
-        for first in range(0, self.pattern_count, per_word):
-            words = self.words[first // per_word]
-            levels = [
-                dr.gather(mi.UInt32, words, pixel, one)
-                for pixel, one in zip(pixels, lit, strict=True)
-            ]
-            used = min(per_word, self.pattern_count - first) * self.bits_each
-            shifts = range(0, used, self.bits_each)
-            if self.bits_each == 1:
-                planes = bit_counts(levels)
-                shares = [mono * 2**i for i in range(len(planes))]
-                for k, shift in enumerate(shifts, start=first):
-                    for plane, share in zip(planes, shares, strict=True):
-                        p.pattern[k] += dr.select((plane & (1 << shift)) != 0, share, 0)
-            else:
-                most = 2**self.bits_each - 1
-                share = mono / most
-                for k, shift in enumerate(shifts, start=first):
-                    total = sum((level >> shift) & most for level in levels)
-                    p.pattern[k] += share * mi.Float(total)
-
     def _add_emission(self, p: Paths, si, fresh: mi.Bool) -> None:
         """Lamps and environment that a sampled direction happened to meet."""
         previous = dr.zeros(mi.Interaction3f)
         previous.p, previous.n = p.last_p, p.last_n
-        ds = mi.DirectionSample3f(self.world, si, previous)
-        light_pdf = self.world.pdf_emitter_direction(previous, ds, ~fresh)
+        ds = mi.DirectionSample3f(self.stage.world, si, previous)
+        light_pdf = self.stage.world.pdf_emitter_direction(previous, ds, ~fresh)
         weight = dr.select(fresh, 1.0, _power_heuristic(p.last_pdf, light_pdf))
-        p.ambient += p.throughput * si.emitter(self.world).eval(si) * weight
+        p.ambient += p.throughput * si.emitter(self.stage.world).eval(si) * weight
 
     def _lamp(self, p: Paths, si, hit: mi.Bool) -> _Lamp:
         """Lamps and environment by a shadow ray; the last vertex has no other way to them.
@@ -396,7 +350,7 @@ class Tracer:
         samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(p.vertex == 0, _in_sequence(p, LAMP), uv)
-        ds, radiance = self.world.sample_emitter_direction(si, uv, True, asking)
+        ds, radiance = self.stage.world.sample_emitter_direction(si, uv, True, asking)
         radiance *= samples / ((samples + 1) // 2)
         return _Lamp(si.to_local(ds.d), asking & (ds.pdf > 0), ds.delta, ds.pdf, radiance)
 
@@ -408,7 +362,7 @@ class Tracer:
         alive = hit & (p.rng.next_float32() < survival)
         p.throughput = dr.select(alive, p.throughput / survival, 0)
         onward = si.spawn_ray(si.to_world(bs.wo))
-        if self.caustics is not None:
+        if self.field is not None:
             p.odds = odds_onward(p.odds, back, bs.pdf, si, onward.d, p.vertex == 0)
         p.origin, p.direction = onward.o, onward.d
         p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n

@@ -12,10 +12,11 @@ import numpy as np
 
 from ..base.frames import inverse
 from ..world.scene import Scene
-from .mitsuba_lens import camera_ray, corner_share, pixels_per_sr, project
+from .mitsuba_lens import camera_ray, corner_share, picture_place, pixels_per_sr
 from .mitsuba_patterns import aligned
 
 CELL_PX = 8  # The projector's picture is divided into square cells of this side.
+PATHS_EACH = 0.2  # So many paths start from the projector for each from the camera.
 PROBES = 3  # Rows and columns of rays through a cell that look for a shiny surface.
 TWO32 = 4294967296.0
 R2_STEPS = 3242174889, 2447445414  # M. Roberts' R2 sequence in units of 2^-32
@@ -59,17 +60,20 @@ class ShinyField:
     to the paths from the camera.
     """
 
-    def __init__(self, world: mi.Scene, light: ProjectorLight, shapes: Sequence[mi.Shape]):
+    def __init__(
+        self, world: mi.Scene, light: ProjectorLight, shapes: Sequence[mi.Shape], pixels: int
+    ):
         self.light = light
+        self.paths = max(1, round(PATHS_EACH * pixels))  # for one sample of all pixels
         number = [_number(mi.ShapePtr(shape)).numpy()[0] for shape in shapes]
-        shiny = np.zeros(max(number, default=0) + 1, dtype=np.uint32)
+        shiny = np.zeros(max(number) + 1, dtype=np.uint32)
         shiny[number] = 1
         # Opaque: literals would be compiled into the kernel, anew for every scene.
         self._shiny, self._most = mi.UInt32(aligned(shiny)), dr.opaque(mi.UInt32, len(shiny) - 1)
         # A border of one cell, because the picture of a lens out of focus is larger.
         self.columns = -(-light.optics.width_px // CELL_PX) + 2
         self.rows = -(-light.optics.height_px // CELL_PX) + 2
-        shown = self._cells(world) if len(number) else np.zeros(0, dtype=np.uint32)
+        shown = self._cells(world)
         self.count = len(shown)
         density = np.zeros(self.rows * self.columns, dtype=np.float32)
         density[shown] = 1 / (max(self.count, 1) * CELL_PX**2)
@@ -99,7 +103,7 @@ class ShinyField:
     def density(self, direction: mi.Vector3f) -> mi.Float:
         """Of directions [sr^-1]; 0 where no ray goes."""
         ray = self.light.R_proj_world @ direction
-        place, _, ahead = project(self.light.optics, ray)
+        place, _, ahead = picture_place(self.light.optics, ray)
         column = dr.floor((place.x + 0.5) / CELL_PX) + 1
         row = dr.floor((place.y + 0.5) / CELL_PX) + 1
         inside = ahead & (column >= 0) & (column < self.columns) & (row >= 0) & (row < self.rows)
@@ -118,6 +122,34 @@ class ShinyField:
         found = self.has(si).numpy().reshape(self.rows, PROBES, self.columns, PROBES)
         shown = cv2.dilate(found.any(axis=(1, 3)).astype(np.uint8), np.ones((3, 3), np.uint8))
         return np.flatnonzero(shown).astype(np.uint32)
+
+
+def share(odds: mi.Float) -> mi.Float:
+    """What a path counts that the other kind of path finds `odds` times as often (power 2)."""
+    return dr.rcp(dr.fma(odds, odds, 1))
+
+
+def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) -> mi.Float:
+    """At a vertex: densities per area have its cosine, and that of the first the squared distance.
+
+    The two kinds of path have the same squared distances between vertices.
+    """
+    cosine = dr.abs(dr.dot(si.n, direction))
+    return odds * dr.select(first, dr.square(si.t), 1) / cosine
+
+
+def odds_onward(
+    odds: mi.Float, back_pdf: mi.Float, pdf: mi.Float, si, direction: mi.Vector3f, first: mi.Bool
+) -> mi.Float:
+    """Behind a vertex: the density of the other kind's choice there, over that of this kind's."""
+    return odds * dr.select(first, 1, back_pdf) * dr.abs(dr.dot(si.n, direction)) / pdf
+
+
+def back_pdf(bsdf, context, si, wo: mi.Vector3f) -> mi.Float:
+    """The density with which a path that comes from `wo` is sent to where this one came from."""
+    other = mi.SurfaceInteraction3f(si)
+    other.wi = wo
+    return bsdf.pdf(context, other, si.wi, True)
 
 
 def _number(shape: mi.ShapePtr) -> mi.UInt32:

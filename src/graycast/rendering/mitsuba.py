@@ -38,7 +38,7 @@ from .mitsuba_caustics import CausticTracer
 from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned
 from .mitsuba_projector import ShinyField
-from .mitsuba_scene import World, build
+from .mitsuba_scene import MitsubaWorld, build
 from .mitsuba_stage import Stage
 from .mitsuba_truth import centre_places, truth
 from .path_noise import path_noise
@@ -61,8 +61,8 @@ class _Built:
 
     scene: Scene
     layout: Layout
-    world: World
-    look: World
+    world: MitsubaWorld
+    look: MitsubaWorld
 
     def serves(self, scene: Scene, layout: Layout) -> bool:
         """Whether another image of the same world is asked for: only the rig may differ."""
@@ -135,7 +135,7 @@ class MitsubaRenderer(Renderer):
 
 
 def light(
-    world: World,
+    world: MitsubaWorld,
     scene: Scene,
     pattern: np.ndarray,
     *,

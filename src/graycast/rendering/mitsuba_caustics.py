@@ -108,10 +108,10 @@ class CausticTracer:
         density = self.field.density(direction)
         si = self.stage.world.ray_intersect(mi.Ray3f(origin, direction))
         q = light.in_own_frame(si.p)
-        seen, inverse_z, _ = picture_place(light.optics, q)
-        at, shining = self._shining_pixel(rng, seen, inverse_z)
+        place, inverse_z, _ = picture_place(light.optics, q)
+        pixel, shining = self._shining_pixel(rng, place, inverse_z)
         alive = self.field.has(si) & shining & (density > 0) & (si.wi.z > 0)
-        power = light.intensity(q, seen) / (density * self.field.paths)
+        power = light.intensity(q, place) / (density * self.field.paths)
         paths = _LightPaths(
             rng=rng,
             vertex=mi.UInt32(0),
@@ -121,24 +121,22 @@ class CausticTracer:
             direction=direction,
             odds=odds_on_arrival(dr.rcp(density), si, direction, mi.Bool(True)),
             power=power,
-            pixel=at,
+            pixel=pixel,
         )
         _, _, bs, value, pdf = self._dispatched(paths, si, si.wi)
         return self._go_on(paths, si, bs, value, pdf)
 
     def _shining_pixel(
-        self, rng: mi.PCG32, seen: mi.Point2f, inverse_z: mi.Float
+        self, rng: mi.PCG32, place: mi.Point2f, inverse_z: mi.Float
     ) -> tuple[mi.UInt32, mi.Bool]:
-        """The projector's pixel of a path that meets a surface at `seen`, and whether it shines."""
+        """The projector's pixel of a path seen at `place`, and whether it shines."""
         optics = self.projector
         if not optics.is_pinhole:
             disc = mi.Point2f(rng.next_float32(), rng.next_float32())
             disc = mi.warp.square_to_uniform_disk_concentric(disc)
             disc *= dr.sqrt(blur_radius2(optics, inverse_z))
-            seen = mi.Point2f(
-                dr.fma(disc.x, optics.fx_px, seen.x), dr.fma(disc.y, optics.fy_px, seen.y)
-            )
-        return pixel_index(optics, on_pixel(optics, seen)), shines(optics, seen)
+            place += mi.Vector2f(disc.x * optics.fx_px, disc.y * optics.fy_px)
+        return pixel_index(optics, on_pixel(optics, place)), shines(optics, place)
 
     def _vertex(self, p: _LightPaths) -> _LightPaths:
         """Find the next vertex, add its light to the pixel that sees it, and go on."""
@@ -153,9 +151,8 @@ class CausticTracer:
         if camera.psf_px:
             random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
             place -= camera.psf_px * mi.warp.square_to_uniform_disk_concentric(random)
-        on_camera = stage.R_world_cam @ mi.Vector3f(q.x, q.y, q.z) - stage.R_world_cam @ ray
-        lens = stage.eye + on_camera
-        to_camera = lens - si.p
+        to_camera = stage.R_world_cam @ -ray
+        lens = mi.Point3f(si.p + to_camera)
         inverse_square = dr.rcp(dr.squared_norm(to_camera))
         to_camera *= dr.sqrt(inverse_square)
         wo = si.to_local(to_camera)
@@ -164,10 +161,10 @@ class CausticTracer:
         lit &= ~stage.world.ray_test(si.spawn_ray_to(lens), lit)
         cosine = dr.abs(dr.dot(si.n, to_camera))
         # Per path of a pixel, whose places are all over what senses of it.
-        seen = cosine * inverse_square * per_sr / camera.fill_factor
-        odds = p.odds * pdf * seen / self.field.paths
-        slant = seen / dr.abs(dr.dot(si.n, p.direction))
-        light = p.power * p.throughput * value * (slant * share(odds)) * stage.weights
+        places = cosine * inverse_square * per_sr / camera.fill_factor
+        odds = p.odds * pdf * places / self.field.paths
+        weight = share(odds) * places / dr.abs(dr.dot(si.n, p.direction))
+        light = p.power * p.throughput * value * weight * stage.weights
         self._add(p, pixel_index(camera, on_pixel(camera, place)), light, lit)
         p.vertex += 1
         p.alive = hit & (p.vertex + 1 < stage.quality.depth)
@@ -188,9 +185,9 @@ class CausticTracer:
             return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
         context = self.stage.context
         bs, _ = bsdf.sample(context, si, pick, uv, True)
-        seen, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
-        seen.wi, onward.wi = to_camera, bs.wo
-        value, pdf = bsdf.eval_pdf(context, seen, si.wi, True)
+        back, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
+        back.wi, onward.wi = to_camera, bs.wo
+        value, pdf = bsdf.eval_pdf(context, back, si.wi, True)
         onward_value, onward_pdf = bsdf.eval_pdf(context, onward, si.wi, True)
         return value, pdf, bs, onward_value, onward_pdf
 

@@ -73,11 +73,11 @@ class ShinyField:
         # A border of one cell, because the picture of a lens out of focus is larger.
         self.columns = -(-light.optics.width_px // CELL_PX) + 2
         self.rows = -(-light.optics.height_px // CELL_PX) + 2
-        shown = self._cells(world)
-        self.count = len(shown)
+        cells = self._find_cells(world)
+        self.count = len(cells)
         density = np.zeros(self.rows * self.columns, dtype=np.float32)
-        density[shown] = 1 / (max(self.count, 1) * CELL_PX**2)
-        self._shown, self._density = mi.UInt32(aligned(shown)), mi.Float(aligned(density))
+        density[cells] = 1 / (max(self.count, 1) * CELL_PX**2)
+        self._cells, self._density = mi.UInt32(aligned(cells)), mi.Float(aligned(density))
 
     def has(self, si: mi.SurfaceInteraction3f) -> mi.Bool:
         """Whether a surface is shiny."""
@@ -89,7 +89,7 @@ class ShinyField:
         """Some of `total` places [px], the same number in each cell and evenly spread in it."""
         of_all = mi.UInt64(index) * dr.opaque(mi.UInt64, self.count)
         cell = mi.UInt32(of_all // dr.opaque(mi.UInt64, total))
-        cell = dr.gather(mi.UInt32, self._shown, cell)
+        cell = dr.gather(mi.UInt32, self._cells, cell)
         x = mi.Float(index * R2_STEPS[0] + start.x) / TWO32
         y = mi.Float(index * R2_STEPS[1] + start.y) / TWO32
         column, row = mi.Float(cell % self.columns), mi.Float(cell // self.columns)
@@ -111,7 +111,7 @@ class ShinyField:
         density = dr.gather(mi.Float, self._density, cell, inside)
         return dr.select(density > 0, density * pixels_per_sr(self.light.optics, ray, ray), 0)
 
-    def _cells(self, world: mi.Scene) -> np.ndarray:
+    def _find_cells(self, world: mi.Scene) -> np.ndarray:
         """Numbers of the cells with a shiny surface in them or beside them."""
         at = (np.arange(PROBES) + 0.5) / PROBES
         x = ((np.arange(self.columns) - 1)[:, None] + at).ravel() * CELL_PX - 0.5
@@ -120,13 +120,14 @@ class ShinyField:
         place = mi.Point2f(*(mi.Float(aligned(axis.astype(np.float32))) for axis in grid))
         si = world.ray_intersect(mi.Ray3f(self.light.lens, self.direction(place)))
         found = self.has(si).numpy().reshape(self.rows, PROBES, self.columns, PROBES)
-        shown = cv2.dilate(found.any(axis=(1, 3)).astype(np.uint8), np.ones((3, 3), np.uint8))
-        return np.flatnonzero(shown).astype(np.uint32)
+        wide = cv2.dilate(found.any(axis=(1, 3)).astype(np.uint8), np.ones((3, 3), np.uint8))
+        return np.flatnonzero(wide).astype(np.uint32)
 
 
 def share(odds: mi.Float) -> mi.Float:
     """What a path counts that the other kind of path finds `odds` times as often (power 2)."""
-    return dr.rcp(dr.fma(odds, odds, 1))
+    finite = odds < 1e18  # and a number: mirrors multiply large densities by none
+    return dr.select(finite, dr.rcp(dr.fma(odds, odds, 1)), 0)
 
 
 def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) -> mi.Float:

@@ -40,7 +40,7 @@ class PartShape:
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class MitsubaWorld:
     """A scene in Mitsuba, which of its meshes hold which instances, and what of it is shiny."""
 
     scene: mi.Scene
@@ -48,7 +48,7 @@ class World:
     shiny: tuple[mi.Shape, ...]
 
 
-def build(scene: Scene, layout: Layout) -> World:
+def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     world: dict[str, object] = {"type": "scene"}
     part_shapes = []
     for index, part in enumerate(scene.parts):
@@ -78,7 +78,7 @@ def build(scene: Scene, layout: Layout) -> World:
     # environment's shadow rays, as long as the scene is large, then end before what blocks them.
     loaded = mi.load_dict(world, optimize=False)
     shiny = {name for name, material in _materials(scene).items() if _is_shiny(material)}
-    return World(
+    return MitsubaWorld(
         scene=loaded,
         part_shapes=tuple(part_shapes),
         shiny=tuple(shape for shape in loaded.shapes() if shape.id() in shiny),

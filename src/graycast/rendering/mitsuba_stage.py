@@ -10,14 +10,14 @@ from ..base.frames import inverse
 from ..world.scene import Scene
 from .mitsuba_patterns import PackedPatterns, finest_patterns
 from .mitsuba_projector import ProjectorLight
-from .mitsuba_scene import World
+from .mitsuba_scene import MitsubaWorld
 from .radiance import Quality
 
 
 class Stage:
     """A scene under a stack of patterns, at one quality."""
 
-    def __init__(self, world: World, scene: Scene, pattern: np.ndarray, quality: Quality):
+    def __init__(self, world: MitsubaWorld, scene: Scene, pattern: np.ndarray, quality: Quality):
         rig = scene.rig
         self.world, self.quality = world.scene, quality
         self.camera, self.light = rig.camera, ProjectorLight(scene)

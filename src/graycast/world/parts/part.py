@@ -11,7 +11,7 @@ from pydantic import Field
 from ...base.settings import Share, check_fields
 
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
-Roughness = Annotated[float, Field(ge=0.05, le=1)]
+Roughness = Annotated[float, Field(ge=0.01, le=1)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from parsed import nodes_of
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
-MOST_LINES = 69_300  # The door for scripts, STEP files, `fill` and the films took 200 lines more.
+MOST_LINES = 69_400  # Materials by name took 120 lines more.
 MOST_WORDS = 40_000  # in README.md and the pages of docs
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 

@@ -7,13 +7,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, UnidentifiedImageError
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
 from ...base.frames import is_rigid
 from ...base.settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
+from .material_presets import MATERIALS, material_preset
 from .meshfile import load_part
 from .part import Color, Material, Mesh, Part, Roughness, Symmetry
 from .symmetry import joined, shape_symmetry, turns_together
@@ -21,12 +22,28 @@ from .symmetry import joined, shape_symmetry, turns_together
 Unit = Literal["m", "cm", "mm", "inch"]
 
 
-class MaterialSection(Settings):
-    """A surface in a few physical words.
+def _known(name: str) -> str:
+    material_preset(name)  # which refuses a name that there is not
+    return name
 
-    A key that is left out keeps the value of a built-in part; elsewhere it has its default.
+
+PresetName = Annotated[
+    str,
+    AfterValidator(_known),
+    WithJsonSchema({"type": "string", "enum": [*MATERIALS]}),
+]
+
+
+class MaterialSection(Settings):
+    """A surface in a few physical words, or the name of a material alone.
+
+    A key that is left out keeps the value of the named material or of a built-in part; elsewhere it
+    has its default.
     """
 
+    preset: PresetName | None = Field(
+        None, description="The name of a material, of which the other keys change one each."
+    )
     base_color: Color | None = Field(
         None,
         description="The linear RGB reflectance, from 0 to 1 each; it replaces a built-in part's "
@@ -53,6 +70,17 @@ class MaterialSection(Settings):
         description="The reflectance at the projector's wavelength. Without this key, "
         "it follows from base_color and the projector's bands.",
     )
+
+
+def _of_name(material: Any) -> Any:
+    return {"preset": material} if isinstance(material, str) else material
+
+
+# What a configuration has for a material: a section, or the name of a material alone.
+MaterialWords = Annotated[
+    MaterialSection,
+    BeforeValidator(_of_name, json_schema_input_type=PresetName | MaterialSection),
+]
 
 
 def _named_axis(axis: Any) -> Any:
@@ -152,9 +180,10 @@ class PartSection(Settings):
     name: str | None = Field(
         None, description="The name of the part. Without this key, it is the name of the file."
     )
-    material: MaterialSection | None = Field(
+    material: MaterialWords | None = Field(
         None,
-        description="The material. It changes a built-in part's own, and replaces that of a file.",
+        description="The material: a name, or a section. Keys change a built-in part's own "
+        "material; a name replaces it, and so does either that of a file.",
     )
     density_kg_m3: Positive | None = Field(
         None,
@@ -237,12 +266,15 @@ def resolve_material(
     """A material, its texture read.
 
     Args:
-        own: what a key that is left out keeps; None is the default material.
+        own: what a key that is left out keeps, unless the section names a preset; None is the
+            default material.
 
     Raises:
         ConfigError: the texture cannot be read.
     """
-    changes = {key: value for key, value in section if value is not None}
+    if section.preset is not None:
+        own = material_preset(section.preset).material
+    changes = {key: value for key, value in section if value is not None and key != "preset"}
     if section.texture is not None:
         changes["texture"] = read_texture(folder / section.texture)
     elif section.base_color is not None:

@@ -16,8 +16,8 @@ from parsed import nodes_of
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
-MOST_LINES = 69_400  # Materials by name took 120 lines more.
-MOST_WORDS = 40_000  # in README.md and the pages of docs
+MOST_LINES = 69_700  # Materials by name and metal with grooves took 380 lines more.
+MOST_WORDS = 40_200  # in README.md and the pages of docs
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.

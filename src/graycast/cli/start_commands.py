@@ -104,7 +104,6 @@ def _write_cell(
 
     Raises:
         GraycastError: the folder is in use, or the part cannot be read.
-        ValueError: no material has the name `surface`.
     """
     from ..base.folder import new_folder
     from ..cell.new_cell import new_cell

@@ -9,8 +9,19 @@ import yaml
 
 from graycast.base.errors import ConfigError
 from graycast.cell.config import load_config
-from graycast.world.parts import MATERIALS, Material, builtin_part, material_preset
+from graycast.cell.domain.looks import retouched
+from graycast.dataset.claim import part_digest
+from graycast.world.parts import (
+    MATERIALS,
+    Grain,
+    Material,
+    Mesh,
+    builtin_part,
+    material_preset,
+)
+from graycast.world.parts.grain import corner_grain
 from graycast.world.parts.part_sections import MaterialSection, resolve_material, resolve_part
+from graycast.world.scene import Sphere
 
 # (wavelength [um], n, k) around 610, 550 and 465 nm, as printed in the sources of `MATERIALS`.
 INDICES = {
@@ -116,3 +127,94 @@ def test_the_door_knows_the_same_names():
     assert material_preset("zinc") is MATERIALS["zinc"]
     with pytest.raises(ValueError, match="did you mean zinc"):
         MaterialSection(preset="zink")
+
+
+# --- grooves -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("words", [{}, {"metallic": 1.0}, {"grain": Grain(axis=(1.0, 0, 0))}])
+def test_anisotropy_needs_metal_and_a_grain(words):
+    with pytest.raises(ValueError, match=r"needs metal .* and the direction of its grooves"):
+        Material(anisotropy=0.5, **words)
+
+
+def test_a_sphere_has_no_grain():
+    with pytest.raises(ValueError, match="a sphere has no grain"):
+        Sphere(center_m=(0, 0, 0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
+
+
+def test_the_widths_are_those_of_burley():
+    """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
+    for anisotropy in (0.0, 0.6, 1.0):
+        grain = Grain(axis=(1.0, 0, 0))
+        metal = Material(metallic=1.0, roughness=0.3, anisotropy=anisotropy, grain=grain)
+        along, across = metal.alphas
+        assert abs(along * across - 0.3**4) < 1e-12
+        assert abs(across / along - 1 / (1 - 0.9 * anisotropy)) < 1e-9
+
+
+def test_keys_of_grooves_arrive():
+    brushed = MATERIALS["steel-brushed"].material
+    lathe = Grain(axis=(0.0, 1.0, 0.0), turned=True, point_m=(0.1, 0.0, 0.0))
+    turned = {"preset": "steel-brushed", "turned": "y", "turned_about_m": [0.1, 0, 0]}
+    assert resolved(turned) == replace(brushed, grain=lathe)
+    along = Grain(axis=(0.0, 0.6, 0.8))
+    assert resolved({"preset": "steel-brushed", "grain": [0, 3, 4]}).grain == along
+    plain = resolved({"preset": "steel-brushed", "anisotropy": 0.0})
+    assert plain.alphas == (plain.roughness**2,) * 2
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ({"preset": "brass", "grain": "x"}, "grain and turned need an anisotropy"),
+        ({"preset": "brass", "anisotropy": 0.5}, "the direction of its grooves"),
+        ({"anisotropy": 0.5, "grain": "x"}, "needs metal"),
+        ({"preset": "steel-brushed", "grain": "x", "turned": "z"}, "remove one of them"),
+        ({"preset": "steel-turned", "turned_about_m": [0, 0, 0]}, "belongs to turned"),
+        ({"preset": "steel-brushed", "grain": [0, 0, 0]}, "an axis must have a direction"),
+    ],
+)
+def test_grooves_that_would_do_nothing_are_refused(words, line):
+    with pytest.raises((ConfigError, ValueError), match=line):
+        resolved(words)
+
+
+def test_a_part_of_another_size_keeps_the_axis_of_its_lathe():
+    part = builtin_part("metal_workpiece_2")
+    lathe = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=(0.01, 0.0, 0.0))
+    metal = replace(MATERIALS["steel-turned"].material, grain=lathe)
+    assert replace(part, material=metal).scaled(2.0).material.grain.point_m == (0.02, 0.0, 0.0)
+    assert part.scaled(2.0).material == part.material
+
+
+def test_ends_of_a_brushed_box_have_grooves_of_their_own():
+    """On every face the direction lies in the face, along the grain wherever that can be."""
+    corner_m = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1.0)])
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    mesh = Mesh(vertices_m=corner_m, faces=faces)
+    way = corner_grain(mesh, Grain(axis=(2.0, 0.0, 0.0)))
+    ends = np.abs(mesh.face_normal[:, 0]) > 0.5
+    assert np.allclose(way[~ends], [1, 0, 0]) and np.allclose(way[ends], [0, 1, 0])
+    lathe = corner_grain(mesh, Grain(axis=(0.0, 0.0, 1.0), turned=True))
+    assert np.allclose(lathe, np.cross([0, 0, 1.0], corner_m[faces]))
+    far = corner_grain(mesh, Grain(axis=(0.0, 0, 1), turned=True, point_m=(50.0, 0.0, 0.0)))
+    radial = np.abs(mesh.face_normal[:, 1]) > 0.5  # a keyway's walls, seen from an axis far away
+    assert np.allclose(far[radial], [0, 0, 1]) and np.allclose(
+        far[ends][..., 0], -corner_m[faces[ends]][..., 1]
+    )
+
+
+def test_only_metal_keeps_its_grooves_when_it_is_retouched():
+    brushed = MATERIALS["steel-brushed"].material
+    less = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-0.5)
+    none = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-1.0)
+    assert (less.anisotropy, none.anisotropy) == (0.8, 0.0)
+
+
+def test_another_direction_of_grooves_is_another_part():
+    part = replace(builtin_part("toothpaste"), material=MATERIALS["steel-brushed"].material)
+    other = replace(part.material, grain=Grain(axis=(0.0, 1.0, 0.0)))
+    assert part_digest(part) != part_digest(replace(part, material=other))
+    assert part_digest(part) != part_digest(replace(part, material=MATERIALS["steel"].material))

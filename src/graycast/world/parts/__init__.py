@@ -1,16 +1,16 @@
 """The object database: meshes with materials, built in and the user's own."""
 
 from .builtin import BUILTIN, builtin_part
-from .material_presets import MATERIALS, MaterialPreset, material_preset
+from .material_presets import MATERIALS, material_preset
 from .meshfile import load_mesh, load_part
-from .part import Material, Mesh, Part, Symmetry
+from .part import Grain, Material, Mesh, Part, Symmetry
 from .size import full_count, mass_kg, size_notes
 
 __all__ = [
     "BUILTIN",
     "MATERIALS",
+    "Grain",
     "Material",
-    "MaterialPreset",
     "Mesh",
     "Part",
     "Symmetry",

@@ -4,7 +4,8 @@ The colour of a pure metal is its reflectance at normal incidence in air,
 `((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands;
 `n` and `k` are published and linear between the wavelengths of their tables. The colour of what is
 no metal, where it has a source, is the measured reflectance at the same wavelengths. All else, and
-every roughness, is our choice: a start, until the user knows those of the part.
+every roughness and anisotropy, is our choice: a start, until the user knows those of the part.
+Brushed and ground metal has its grooves along x of the mesh, turned metal about z.
 
 Leaves out: oxide films, oil and scratches, which make real metal darker than a pure one; `steel`
 stands for such a surface. Densities are of the usual alloy or grade, for `graycast new`.
@@ -14,9 +15,13 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .part import Color, Material
+from .part import Color, Grain, Material
 
 OUR_CHOICE = "our choice"
+Grooves = tuple[float, Grain | None]  # the anisotropy, and which way they run
+_GROUND: Grooves = (0.6, Grain(axis=(1.0, 0.0, 0.0)))
+_BRUSHED: Grooves = (0.8, Grain(axis=(1.0, 0.0, 0.0)))
+_TURNED: Grooves = (0.8, Grain(axis=(0.0, 0.0, 1.0), turned=True))
 _IRON = (0.525, 0.512, 0.500)
 _STAINLESS = (0.599, 0.588, 0.573)
 _ALUMINIUM = (0.910, 0.915, 0.921)
@@ -39,15 +44,17 @@ class MaterialPreset:
     source: str
 
 
-def _metal(color: Color, roughness: float, density_kg_m3: float, source: str) -> MaterialPreset:
-    material = Material(base_color=color, metallic=1.0, roughness=roughness)
+def _metal(
+    color: Color, roughness: float, density_kg_m3: float, source: str, grooves: Grooves = (0, None)
+) -> MaterialPreset:
+    material = Material(
+        base_color=color, metallic=1, roughness=roughness, anisotropy=grooves[0], grain=grooves[1]
+    )
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 
-def _other(
-    color: Color, roughness: float, density_kg_m3: float, source: str, *, specular: float = 0.5
-) -> MaterialPreset:
-    material = Material(base_color=color, roughness=roughness, specular=specular)
+def _other(color: Color, roughness: float, density_kg_m3: float, source: str) -> MaterialPreset:
+    material = Material(base_color=color, roughness=roughness)
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 
@@ -58,13 +65,19 @@ def _grey(level: float) -> Color:
 MATERIALS: Mapping[str, MaterialPreset] = {
     "steel": _metal(_grey(0.4), 0.4, 7850, OUR_CHOICE),
     "steel-polished": _metal(_IRON, 0.15, 7850, _OF_IRON),
+    "steel-ground": _metal(_IRON, 0.3, 7850, _OF_IRON, _GROUND),
+    "steel-brushed": _metal(_IRON, 0.35, 7850, _OF_IRON, _BRUSHED),
+    "steel-turned": _metal(_IRON, 0.3, 7850, _OF_IRON, _TURNED),
     "stainless-polished": _metal(_STAINLESS, 0.15, 7700, _OF_STAINLESS),
+    "stainless-brushed": _metal(_STAINLESS, 0.35, 7700, _OF_STAINLESS, _BRUSHED),
     "aluminium-cast": _metal(_ALUMINIUM, 0.55, 2700, _OF_ALUMINIUM),
+    "aluminium-machined": _metal(_ALUMINIUM, 0.3, 2700, _OF_ALUMINIUM, _GROUND),
+    "aluminium-turned": _metal(_ALUMINIUM, 0.25, 2700, _OF_ALUMINIUM, _TURNED),
     "chrome": _metal((0.552, 0.555, 0.558), 0.1, 7850, _OF_CHROMIUM),
     "copper": _metal((0.869, 0.624, 0.550), 0.25, 8940, _OF_COPPER),
     "brass": _metal((0.864, 0.789, 0.493), 0.25, 8530, _OF_BRASS),
     "zinc": _metal((0.873, 0.869, 0.859), 0.4, 7140, _OF_ZINC),
-    "steel-black-oxide": _other(_grey(0.03), 0.4, 7850, OUR_CHOICE, specular=1.0),
+    "steel-black-oxide": _other(_grey(0.03), 0.4, 7850, OUR_CHOICE),
     "cast-iron": _other((0.027, 0.026, 0.027), 0.6, 7200, _MEASURED + "cast iron, 2026"),
     "rust": _other((0.152, 0.068, 0.026), 0.9, 7850, _MEASURED + "rust, 2026"),
     "plastic": _other(_grey(0.3), 0.5, 1100, OUR_CHOICE),

@@ -16,7 +16,7 @@ from ...base.settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
 from .material_presets import MATERIALS, material_preset
 from .meshfile import load_part
-from .part import Color, Material, Mesh, Part, Roughness, Symmetry
+from .part import Color, Grain, Material, Mesh, Part, Roughness, Symmetry
 from .symmetry import joined, shape_symmetry, turns_together
 
 Unit = Literal["m", "cm", "mm", "inch"]
@@ -28,9 +28,28 @@ def _known(name: str) -> str:
 
 
 PresetName = Annotated[
-    str,
-    AfterValidator(_known),
-    WithJsonSchema({"type": "string", "enum": [*MATERIALS]}),
+    str, AfterValidator(_known), WithJsonSchema({"type": "string", "enum": [*MATERIALS]})
+]
+
+
+def _named_axis(axis: Any) -> Any:
+    """The direction of x, y or z of the mesh; all else is checked as a vector."""
+    names = ("x", "y", "z")
+    return tuple(float(name == axis) for name in names) if axis in names else axis
+
+
+def _unit(axis: Vector) -> Vector:
+    """As datasets hold it."""
+    if not any(axis):
+        raise ValueError("an axis must have a direction, such as [0, 0, 1]")
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    return float(x), float(y), float(z)
+
+
+Direction = Annotated[
+    Vector,
+    BeforeValidator(_named_axis, json_schema_input_type=Literal["x", "y", "z"] | Vector),
+    AfterValidator(_unit),
 ]
 
 
@@ -70,6 +89,37 @@ class MaterialSection(Settings):
         description="The reflectance at the projector's wavelength. Without this key, "
         "it follows from base_color and the projector's bands.",
     )
+    anisotropy: Share | None = Field(
+        None,
+        description="How much smoother metal is along its grooves than across them: 0 is not at "
+        "all, 0.8 is brushed. It needs grain or turned. The default is 0.",
+    )
+    grain: Direction | None = Field(
+        None,
+        description="The direction of the grooves of brushed metal: x, y or z of the mesh, or a "
+        "direction. Of a bin or table, it is that of the world.",
+    )
+    turned: Direction | None = Field(
+        None, description="The axis about which the grooves run, as on a lathe, in place of grain."
+    )
+    turned_about_m: Vector | None = Field(
+        None,
+        description="A point on the axis of turned, in metres in the frame of the mesh. The "
+        "default is its origin.",
+    )
+
+    @model_validator(mode="after")
+    def _one_grain(self) -> "MaterialSection":
+        if self.grain is not None and self.turned is not None:
+            raise ValueError("grooves run along grain or about turned: remove one of them")
+        if self.turned is None and self.turned_about_m is not None:
+            raise ValueError("turned_about_m belongs to turned: add it, or remove turned_about_m")
+        return self
+
+    def own_grain(self) -> Grain | None:
+        if self.turned is not None:
+            return Grain(axis=self.turned, turned=True, point_m=self.turned_about_m or (0, 0, 0))
+        return None if self.grain is None else Grain(axis=self.grain)
 
 
 def _of_name(material: Any) -> Any:
@@ -80,27 +130,6 @@ def _of_name(material: Any) -> Any:
 MaterialWords = Annotated[
     MaterialSection,
     BeforeValidator(_of_name, json_schema_input_type=PresetName | MaterialSection),
-]
-
-
-def _named_axis(axis: Any) -> Any:
-    """The direction of x, y or z of the mesh; all else is checked as a vector."""
-    names = ("x", "y", "z")
-    return tuple(float(name == axis) for name in names) if axis in names else axis
-
-
-def _unit(axis: Vector) -> Vector:
-    """As datasets hold it."""
-    if not any(axis):
-        raise ValueError("an axis must have a direction, such as [0, 0, 1]")
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    return float(x), float(y), float(z)
-
-
-Direction = Annotated[
-    Vector,
-    BeforeValidator(_named_axis, json_schema_input_type=Literal["x", "y", "z"] | Vector),
-    AfterValidator(_unit),
 ]
 
 
@@ -270,16 +299,26 @@ def resolve_material(
             default material.
 
     Raises:
-        ConfigError: the texture cannot be read.
+        ConfigError: the texture cannot be read, or anisotropy and grooves do not go together.
     """
     if section.preset is not None:
         own = material_preset(section.preset).material
-    changes = {key: value for key, value in section if value is not None and key != "preset"}
+    own = own or Material()
+    changes: dict[str, Any] = section.model_dump(
+        exclude_none=True, exclude={"preset", "grain", "turned", "turned_about_m"}
+    )
+    if (grain := section.own_grain()) is not None:
+        changes["grain"] = grain
+        if not changes.get("anisotropy", own.anisotropy):
+            raise ConfigError("grain and turned need an anisotropy: add one, such as 0.8")
     if section.texture is not None:
         changes["texture"] = read_texture(folder / section.texture)
     elif section.base_color is not None:
         changes = {"texture": None, "projector_reflectance": None} | changes
-    return replace(own or Material(), **changes)
+    try:
+        return replace(own, **changes)
+    except ValueError as error:
+        raise ConfigError(f"material: {error}") from error
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:

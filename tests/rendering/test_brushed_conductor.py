@@ -174,23 +174,31 @@ def plate(half_m=0.1):
     return Mesh(vertices_m=corner_m, faces=np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def values_at(mesh, grain, poses, origin, ray, to_light, *, roughness=0.35, anisotropy=0.8):
-    """Hits (n, 3) of rays along `ray` from `origin` (n, 3), normals, and the values towards a
-    light (without the cosine), through the meshes of a scene of parts.
+def hits(mesh, grain, poses, origin, ray, material=None):
+    """A scene of parts, which has to live as long as its hits, and where rays along `ray` from
+    `origin` (n, 3) meet them.
     """
     import mitsuba as mi
 
     from graycast.rendering.mitsuba_scene import _mesh
 
-    material = Material(
-        base_color=WHITE, metallic=1.0, roughness=roughness, anisotropy=anisotropy, grain=grain
-    )
+    brushed = {"base_color": WHITE, "metallic": 1.0, "roughness": 0.35, "anisotropy": 0.8}
+    material = material or Material(**brushed, grain=grain)
     scene = mi.load_dict({"type": "scene", "part": _mesh("part", mesh, material, np.stack(poses))})
-    rays = mi.Ray3f(mi.Point3f(origin.T.astype("f4")), mi.Vector3f(*ray.tolist()))
-    si = scene.ray_intersect(rays)
+    rays = mi.Ray3f(mi.Point3f(origin.T.astype("f4")), mi.Vector3f(*ray))
+    return scene, scene.ray_intersect(rays)
+
+
+def values_at(mesh, grain, poses, origin, ray, to_light, material=None):
+    """Hits (n, 3), normals, and the values towards a light, without the cosine."""
+    import mitsuba as mi
+
+    scene, si = hits(mesh, grain, poses, origin, ray.tolist(), material)
     wo = si.to_local(mi.Vector3f(*to_light.tolist()))
     value = si.bsdf().eval(mi.BSDFContext(), si, wo, si.is_valid())
-    return np.array(si.p).T, np.array(si.n).T, np.array(value)[0] / np.array(wo)[2]
+    found = np.array(si.p).T, np.array(si.n).T, np.array(value)[0] / np.array(wo)[2]
+    del scene
+    return found
 
 
 def expected_at(normal, grain, ray, to_light, *, roughness=0.35, anisotropy=0.8):
@@ -236,6 +244,25 @@ def test_grooves_turn_with_each_instance(cpu_device, turned):
     assert far.sum() > 400 and expected[far].max() > 5 * expected[far].min()
     assert np.abs(ratio / np.median(ratio) - 1)[far].max() < 0.03
     assert 1 < np.median(ratio) < 1.06
+
+
+def test_samples_leave_where_the_grooves_send_them(cpu_device):
+    """On a plate with grooves aslant: each weight is value over density, asked anew."""
+    import mitsuba as mi
+
+    rng = np.random.default_rng(6)
+    places = np.column_stack([rng.uniform(-0.06, 0.06, (2000, 2)), np.zeros(2000)])
+    scene, si = hits(plate(), Grain(axis=(0.6, 0.8, 0.0)), POSES, origins(places), RAY.tolist())
+    uv = mi.Point2f(rng.random((2, 4000)).astype("f4"))
+    bs, weight = si.bsdf().sample(mi.BSDFContext(), si, mi.Float(0.5), uv, True)
+    value, density = si.bsdf().eval_pdf(mi.BSDFContext(), si, bs.wo, True)
+    del scene
+    above = np.array(weight)[0] > 0
+    assert above.sum() > 3800
+    weight, value = np.array(weight)[0, above], np.array(value)[0, above]
+    density, stated = np.array(density)[above], np.array(bs.pdf)[above]
+    assert np.abs(density / stated - 1).max() < 0.02
+    assert np.abs(value / density / weight - 1).max() < 2e-3
 
 
 def test_a_faced_disc_shows_its_light_on_a_line_through_the_centre(cpu_device):
@@ -296,3 +323,17 @@ def test_a_plain_metal_has_no_grain_on_its_mesh(cpu_device):
     shape = _mesh("part", plate(), Material(metallic=1.0), np.eye(4)[None])
     assert not any("grain" in name for name, _ in mi.traverse(shape))
     assert "RoughConductor" in str(shape.bsdf())
+
+
+def test_half_a_metal_has_half_of_its_grooves_and_half_of_the_plastic(cpu_device):
+    grain = Grain(axis=(0.6, 0.8, 0.0))
+    looks = [
+        Material(metallic=m, roughness=0.35, anisotropy=a, grain=grain)
+        for m, a in ((1.0, 0.8), (0.0, 0.0), (0.5, 0.8))
+    ]
+    place = np.zeros((1, 3))
+    metal_alone, plastic, both = (
+        values_at(plate(), grain, POSES[:1], place - RAY, RAY, LIGHT, material=look)[2]
+        for look in looks
+    )
+    assert abs(both / (0.5 * metal_alone + 0.5 * plastic) - 1) < 1e-4

@@ -70,7 +70,7 @@ def rendering() -> str:
     cell = cell_of({})
     layout = drop(cell.scene, (PARTS,), seed=0, limits=DropLimits())
     start = time.perf_counter()
-    world, part_shapes = build(cell.scene, layout)
+    world = build(cell.scene, layout)
     build_s = time.perf_counter() - start
     patterns, quality = cell.patterns(), resolve_quality(cell.config)
     # The cheapest form of a frame: a white picture is the same over any footprint.
@@ -80,7 +80,7 @@ def rendering() -> str:
         lambda: light(world, cell.scene, patterns[:1], quality=plain, seed=1),
     )
     start = time.perf_counter()
-    truth(world, part_shapes, cell.scene, layout)
+    truth(world.scene, world.part_shapes, cell.scene, layout)
     seconds = stack_s, frame_s, build_s, time.perf_counter() - start
     stack, frame, build_time, ground_truth = (f"{s:.2f} s" for s in seconds)
     camera = cell.scene.rig.camera

@@ -34,9 +34,12 @@ import numpy as np
 from ..rig.optics import relative_illumination
 from ..world.scene import Layout, Scene
 from .denoise import denoised, open_denoiser
+from .mitsuba_caustics import CausticTracer
 from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned
-from .mitsuba_scene import PartShape, build
+from .mitsuba_projector import ShinyField
+from .mitsuba_scene import World, build
+from .mitsuba_stage import Stage
 from .mitsuba_truth import centre_places, truth
 from .path_noise import path_noise
 from .radiance import (
@@ -58,9 +61,8 @@ class _Built:
 
     scene: Scene
     layout: Layout
-    world: mi.Scene
-    part_shapes: tuple[PartShape, ...]
-    look: mi.Scene
+    world: World
+    look: World
 
     def serves(self, scene: Scene, layout: Layout) -> bool:
         """Whether another image of the same world is asked for: only the rig may differ."""
@@ -111,7 +113,7 @@ class MitsubaRenderer(Renderer):
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        ground_truth = truth(built.world, built.part_shapes, scene, layout)
+        ground_truth = truth(built.world.scene, built.world.part_shapes, scene, layout)
         if quality.denoise != "none":
             radiance = denoised(radiance, ground_truth.normal, self.denoiser)
         return Rendering(radiance=radiance, truth=ground_truth)
@@ -122,19 +124,18 @@ class MitsubaRenderer(Renderer):
     def _world(self, scene: Scene, measured: Scene, layout: Layout) -> _Built:
         if self._built is None or not self._built.serves(scene, layout):
             self._built = None  # two worlds need not fit into memory
-            world, part_shapes = build(measured, layout)
+            world = build(measured, layout)
             self._built = _Built(
                 scene=scene,
                 layout=layout,
                 world=world,
-                part_shapes=part_shapes,
-                look=world if measured is scene else build(scene, layout)[0],
+                look=world if measured is scene else build(scene, layout),
             )
         return self._built
 
 
 def light(
-    world: mi.Scene,
+    world: World,
     scene: Scene,
     pattern: np.ndarray,
     *,
@@ -144,8 +145,12 @@ def light(
 ) -> Radiance:
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
-    tracer = Tracer(world, scene, pattern, quality)
-    paths = tracer.trace(seed, on_pass)
+    stage = Stage(world, scene, pattern, quality)
+    field = _shiny_field(stage, world.shiny)
+    paths = Tracer(stage, field).trace(seed, on_pass)
+    if field is not None:
+        dr.eval(paths)
+        paths.add(CausticTracer(stage, field).trace(seed))
 
     # The kernel of the paths also scales the sums and lays them out, with all of its threads.
     falloff = relative_illumination(camera) / quality.samples
@@ -166,14 +171,22 @@ def light(
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
         albedo=albedo,
-        path_noise=_path_noise(tracer, paths, world, scene) if tracer.finest else None,
+        path_noise=_path_noise(stage, paths, scene) if stage.finest else None,
     )
 
 
-def _path_noise(tracer: Tracer, paths: Paths, world: mi.Scene, scene: Scene) -> PathNoise:
+def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None:
+    """Where the projector shines on something shiny, if it does and if light goes on from there."""
+    if not shiny or stage.quality.depth == 1:
+        return None
+    field = ShinyField(stage.world, stage.light, shiny, stage.pixels)
+    return field if field.count else None
+
+
+def _path_noise(stage: Stage, paths: Paths, scene: Scene) -> PathNoise:
     size = scene.rig.camera.height_px, scene.rig.camera.width_px
-    mean, centre = paths.placed / paths.straight, centre_places(world, scene)
-    samples = tracer.quality.samples
+    mean, centre = paths.placed / paths.straight, centre_places(stage.world, scene)
+    samples = stage.quality.samples
     stray2 = {
         axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray
     }
@@ -182,7 +195,7 @@ def _path_noise(tracer: Tracer, paths: Paths, world: mi.Scene, scene: Scene) -> 
     return path_noise(
         {
             axis: (places[axis][0].numpy().reshape(size), places[axis][1].numpy().reshape(size))
-            for axis in tracer.finest
+            for axis in stage.finest
         },
         paths.straight.numpy().reshape(size),
         {axis: variance.numpy().reshape(size) for axis, variance in stray2.items()},

@@ -1,4 +1,4 @@
-"""Lenses in Dr.Jit: where camera rays start and go, and what the projector sees of a point.
+"""Lenses in Dr.Jit: where rays start and go, and where points are seen.
 
 Imported only by the other Mitsuba files, after a variant was set.
 """
@@ -18,19 +18,26 @@ def camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:
     xd, yd = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
     xi, yi = mi.Float(xd), mi.Float(yd)
     if camera.has_distortion:
-        k1, k2, p1, p2, k3 = camera.distortion
         for _ in range(NEWTON_STEPS):
-            r2 = xi * xi + yi * yi
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-            a = radial + slope * xi * xi + 2 * p1 * yi + 6 * p2 * xi
-            b = slope * xi * yi + 2 * p1 * xi + 2 * p2 * yi
-            d = radial + slope * yi * yi + 6 * p1 * yi + 2 * p2 * xi
+            a, b, d = _slopes(xi, yi, camera.distortion)
             fx, fy = distorted(xi, yi, camera.distortion)
             ex, ey = fx - xd, fy - yd
             scale = dr.rcp(a * d - b * b)
             xi, yi = xi - (d * ex - b * ey) * scale, yi - (a * ey - b * ex) * scale
     return dr.normalize(mi.Vector3f(xi, yi, 1))
+
+
+def _slopes(x, y, distortion):
+    """Derivatives of `distorted`, a symmetric matrix: xx, xy, yy."""
+    k1, k2, p1, p2, k3 = distortion
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    return (
+        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+        slope * x * y + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
+    )
 
 
 def distorted(x, y, distortion):
@@ -54,17 +61,52 @@ def through_focus(
     return start, dr.normalize(direction / direction.z - start / camera.focus_m)
 
 
-def project_to_projector(projector: Optics, q: mi.Point3f) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
-    """Where the projector sees a point of its own frame [px], 1 / z there, and if at all."""
+def picture_place(
+    optics: Optics, q: mi.Point3f | mi.Vector3f
+) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
+    """Where the middle of a pupil sees a point of its frame [px], 1 / z there, and if at all."""
     ahead = q.z > 0
     scale = dr.select(ahead, dr.rcp(q.z), 0)
     x, y = q.x * scale, q.y * scale
-    if projector.has_distortion:
-        ahead &= x * x + y * y < fold_radius2(projector.distortion)
-        x, y = distorted(x, y, projector.distortion)
-    u = dr.fma(x, projector.fx_px, projector.cx_px)
-    v = dr.fma(y, projector.fy_px, projector.cy_px)
+    if optics.has_distortion:
+        ahead &= x * x + y * y < fold_radius2(optics.distortion)
+        x, y = distorted(x, y, optics.distortion)
+    u = dr.fma(x, optics.fx_px, optics.cx_px)
+    v = dr.fma(y, optics.fy_px, optics.cy_px)
     return mi.Point2f(u, v), scale, ahead
+
+
+def camera_place(
+    camera: Optics, q: mi.Point3f, place: mi.Point2f
+) -> tuple[mi.Point2f, mi.Vector3f, mi.Float, mi.Bool]:
+    """Where the camera sees a point of its own frame through a place of its pupil (unit disc).
+
+    The inverse of `camera_ray` and `through_focus`.
+
+    Returns:
+        The place in the picture [px]; the ray from the place of the pupil to the point [m]; the
+        picture's area per solid angle of such rays [px^2 sr^-1]; whether it is seen at all.
+    """
+    pupil = mi.Vector3f(0.5 * camera.aperture_m * place.x, 0.5 * camera.aperture_m * place.y, 0)
+    ray = mi.Vector3f(q) - pupil
+    # The ray through the middle of the pupil that meets it in the plane in focus.
+    central = mi.Vector3f(dr.fma(ray.z, pupil / camera.focus_m, ray))
+    pixel, _, ahead = picture_place(camera, central)
+    return pixel, ray, pixels_per_sr(camera, central, ray), ahead
+
+
+def pixels_per_sr(optics: Optics, central: mi.Vector3f, ray: mi.Vector3f) -> mi.Float:
+    """The picture's area per solid angle of rays [px^2 sr^-1]; both rays have any length.
+
+    Args:
+        central: through the middle of the pupil, which says where in the picture `ray` arrives.
+    """
+    area = optics.fx_px * optics.fy_px
+    slant = dr.norm(ray) / ray.z
+    if optics.has_distortion:
+        a, b, d = _slopes(central.x / central.z, central.y / central.z, optics.distortion)
+        return area * (a * d - b * b) * slant * slant * slant
+    return area * slant * slant * slant
 
 
 def blur_radius2(projector: Optics, inverse_z: mi.Float) -> mi.Float:

@@ -8,24 +8,23 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ..base.frames import inverse
 from ..rig.pattern import Axis
-from ..world.scene import Scene
+from .mitsuba_caustics import Caustics
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
-    corner_share,
     in_field,
     on_pixel,
+    picture_place,
     pixel_index,
-    project_to_projector,
+    pixels_per_sr,
     shines,
     through_focus,
 )
-from .mitsuba_patterns import bit_counts, finest_patterns, packed
-from .radiance import OnPass, Quality
+from .mitsuba_projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
+from .mitsuba_stage import Stage
+from .radiance import OnPass
 
 PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
 ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
@@ -71,6 +70,15 @@ class Paths:
     # By axis: what interreflected light adds to the finest pattern beyond its mean; its squares.
     stray: dict[Axis, mi.Float]
     stray2: dict[Axis, mi.Float]
+    odds: mi.Float  # that a path from the projector finds this one, over those of this kind
+
+    def add(self, caustics: Caustics) -> None:
+        """The light of the paths from the projector."""
+        self.white += caustics.white
+        for k, light in enumerate(caustics.pattern):
+            self.pattern[k] += light
+        for axis, squares in caustics.stray2.items():
+            self.stray2[axis] += squares
 
 
 @dataclass
@@ -78,6 +86,7 @@ class _Beam:
     """The direct light from the projector at a vertex."""
 
     wo: mi.Vector3f  # to the lens, local frame
+    odds: mi.Float  # of a path from the projector, without the choice at the vertex
     lit: mi.Bool  # in the field, on the right side, and not in shadow
     strength: mi.Float  # irradiance on a surface that faces it, of one lookup [W m^-2]
     count: mi.Float  # lookups that fall on projector pixels
@@ -104,32 +113,19 @@ class Tracer:
     have two vertices, and the first ones share material and memory.
     """
 
-    def __init__(self, world: mi.Scene, scene: Scene, pattern: np.ndarray, quality: Quality):
-        rig = scene.rig
-        T_world_proj = scene.T_world_cam @ rig.T_cam_proj
-        self.world, self.quality = world, quality
-        self.camera, self.projector = rig.camera, rig.projector
-        self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
-        self.R_world_proj = mi.Matrix3f(T_world_proj[:3, :3])
-        self.eye = mi.Point3f(scene.T_world_cam[:3, 3])
-        self.T_proj_world = mi.Matrix4f(inverse(T_world_proj))
-        self.lens = mi.Point3f(T_world_proj[:3, 3])
-        self.intensity_w_sr = rig.intensity_w_sr
-        self.weights = mi.Color3f(rig.band_weights)
-        self.context = mi.BSDFContext()
-        self.ambient = len(world.emitters()) > 0
-        self.pattern_count = len(pattern)
-        self.words, self.bits_each = packed(pattern, rig)
-        self.finest = finest_patterns(pattern, rig)
-        self.strays = self.finest if quality.depth > 1 else {}
-        self.footprint = quality.footprint and quality.depth > 1
-        self.sharp = rig.projector.is_pinhole
+    def __init__(self, stage: Stage, field: ShinyField | None):
+        """The field is None where no light comes by a shiny surface, or where that is not asked."""
+        self.stage, self.field = stage, field
+        self.quality, self.camera, self.projector = stage.quality, stage.camera, stage.light.optics
+        self.ambient = len(stage.world.emitters()) > 0
+        self.footprint = self.quality.footprint and self.quality.depth > 1
+        self.sharp = self.projector.is_pinhole
         # Where a lookup can miss all pixels, white is no longer 1 at each.
-        self.gaps = not self.sharp or rig.projector.fill_factor < 1
+        self.gaps = not self.sharp or self.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
 
     def trace(self, seed: int, on_pass: OnPass | None = None) -> Paths:
-        pixels = self.camera.width_px * self.camera.height_px
+        pixels = self.stage.pixels
         # A literal seed would be compiled into the kernel, anew for every scene.
         rng = mi.PCG32(size=pixels, initstate=dr.opaque(mi.UInt64, seed))
         paths = Paths(
@@ -145,14 +141,15 @@ class Tracer:
             last_p=mi.Point3f(0),
             last_n=mi.Normal3f(0, 0, 1),
             spread=mi.Float(0),
-            pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.pattern_count)],
+            pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.stage.patterns.count)],
             white=dr.zeros(mi.Color3f, pixels),
             ambient=dr.zeros(mi.Color3f, pixels),
             albedo=dr.zeros(mi.Color3f, pixels),
             straight=dr.zeros(mi.Float, pixels),
             placed=dr.zeros(mi.Point2f, pixels),
-            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
-            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
+            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
+            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
+            odds=mi.Float(0),
         )
         samples = self.quality.samples
         if on_pass is None:
@@ -184,9 +181,11 @@ class Tracer:
     def _vertex(self, p: Paths) -> Paths:
         """Find the next vertex, gather its light, and sample the next direction."""
         ray = mi.Ray3f(p.origin, p.direction)
-        si = self.world.ray_intersect(ray)
+        si = self.stage.world.ray_intersect(ray)
         hit = si.is_valid()
         fresh, last = p.vertex == 0, p.vertex + 1 >= self.quality.depth
+        if self.field is not None:
+            p.odds = odds_on_arrival(p.odds, si, p.direction, fresh)
         beam = self._beam(p, si, hit)
         lamp = self._lamp(p, si, hit) if self.ambient else None
         pick = p.rng.next_float32()
@@ -194,28 +193,36 @@ class Tracer:
         uv = dr.select(fresh, _in_sequence(p, ONWARD, paired=False), uv)
         # One call for all that the material is asked, so that it looks up its textures once.
         to_lamp = beam.wo if lamp is None else lamp.wo
-        albedo, value, lamp_value, lamp_pdf, bs, gain = dr.dispatch(
+        albedo, value, lamp_value, lamp_pdf, bs, gain, lens_back, onward_back = dr.dispatch(
             si.bsdf(ray), self._ask, si, beam.wo, to_lamp, pick, uv
         )
         p.albedo += dr.select(fresh & hit, albedo, 0)
+        if self.field is not None:
+            shiny = self.field.has(si) & ~fresh
+            value *= dr.select(shiny, share(p.odds * beam.odds * lens_back), 1)
         self._add_projector(p, beam, value)
         if lamp is not None:
             self._add_emission(p, si, fresh)
             weight = dr.select(last | lamp.is_point, 1.0, _power_heuristic(lamp.pdf, lamp_pdf))
             gathered = p.throughput * lamp_value * lamp.radiance * weight
             p.ambient += dr.select(lamp.lit, gathered, 0)
-        self._go_on(p, si, bs, gain, hit & ~last)
+        self._go_on(p, si, bs, gain, onward_back, hit & ~last)
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
-        """Albedo; value towards the projector; value and density towards the lamp; a way on."""
+        """Albedo; value towards the projector; value and density towards the lamp; a way on; how
+        often a path from the projector would come here by each of the two.
+        """
+        none, no_pdf = mi.Color3f(0), mi.Float(0)
         if bsdf is None:  # a world without any surface
-            none = mi.Color3f(0)
-            return none, none, none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none
-        value = bsdf.eval(self.context, si, to_lens, True)
-        lamp_value, lamp_pdf = bsdf.eval_pdf(self.context, si, to_lamp, True)
-        bs, gain = bsdf.sample(self.context, si, pick, uv, True)
-        return bsdf.eval_diffuse_reflectance(si, True), value, lamp_value, lamp_pdf, bs, gain
+            return none, none, none, no_pdf, dr.zeros(mi.BSDFSample3f), none, no_pdf, no_pdf
+        value = bsdf.eval(self.stage.context, si, to_lens, True)
+        lamp_value, lamp_pdf = bsdf.eval_pdf(self.stage.context, si, to_lamp, True)
+        bs, gain = bsdf.sample(self.stage.context, si, pick, uv, True)
+        albedo, back = bsdf.eval_diffuse_reflectance(si, True), (no_pdf, no_pdf)
+        if self.field is not None:
+            back = tuple(back_pdf(bsdf, self.stage.context, si, wo) for wo in (to_lens, bs.wo))
+        return albedo, value, lamp_value, lamp_pdf, bs, gain, *back
 
     def _camera_ray(self, p: Paths) -> tuple[mi.Point3f, mi.Vector3f]:
         lane = dr.arange(mi.UInt32, self.camera.width_px * self.camera.height_px)
@@ -226,18 +233,21 @@ class Tracer:
             aside += self.camera.psf_px * blur
         x = dr.fma(side, aside.x, mi.Float(lane % self.camera.width_px))
         y = dr.fma(side, aside.y, mi.Float(lane // self.camera.width_px))
-        start, direction = self.eye, camera_ray(self.camera, x, y)
+        start, direction = self.stage.eye, camera_ray(self.camera, x, y)
+        central = direction
         if self.camera.aperture_m:
             pupil = mi.warp.square_to_uniform_disk_concentric(_in_sequence(p, CAMERA_PUPIL))
             from_eye, direction = through_focus(self.camera, direction, side * pupil)
-            start = start + self.R_world_cam @ from_eye
-        return mi.Point3f(start), mi.Vector3f(self.R_world_cam @ direction)
+            start = start + self.stage.R_world_cam @ from_eye
+        if self.field is not None:
+            places = pixels_per_sr(self.camera, central, direction) / self.camera.fill_factor
+            p.odds = self.field.paths / places
+        return mi.Point3f(start), mi.Vector3f(self.stage.R_world_cam @ direction)
 
     def _beam(self, p: Paths, si, hit: mi.Bool) -> _Beam:
         """Light straight from the projector: I / d^2 in the field."""
-        q = self.T_proj_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
-        q = mi.Point3f(q.x, q.y, q.z)
-        place, inverse_z, ahead = project_to_projector(self.projector, q)
+        q = self.stage.light.in_own_frame(si.p)
+        place, inverse_z, ahead = picture_place(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
         if self.gaps:
             shining = [shines(self.projector, one) for one in places]
@@ -250,18 +260,18 @@ class Tracer:
         inverse_square = dr.rcp(dr.squared_norm(to_lens))
         wo = si.to_local(to_lens * dr.sqrt(inverse_square))
         lit = hit & ahead & (count > 0) & (wo.z > 0) & (si.wi.z > 0)
-        lit &= ~self.world.ray_test(si.spawn_ray_to(lens), lit)
-        strength = self.intensity_w_sr * inverse_square / len(places)
-        if self.projector.natural_vignetting:
-            strength *= q.z * dr.rsqrt(dr.squared_norm(q))
-        if self.projector.falloff:
-            strength *= 1 - self.projector.falloff * corner_share(self.projector, place)
+        lit &= ~self.stage.world.ray_test(si.spawn_ray_to(lens), lit)
+        strength = self.stage.light.intensity(q, place) * inverse_square / len(places)
+        odds = mi.Float(0)
+        if self.field is not None:
+            onto = -to_lens * dr.sqrt(inverse_square)
+            odds = self.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
         places = [on_pixel(self.projector, one) for one in places]
-        return _Beam(wo, lit, strength, count, places, shining)
+        return _Beam(wo, odds, lit, strength, count, places, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
-        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
+        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.stage.weights
         p.white += arriving * beam.count
         mono, lit = dr.sum(arriving), [beam.lit & one for one in beam.shining]
         light, fresh = mono * beam.count, p.vertex == 0
@@ -269,9 +279,11 @@ class Tracer:
         middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))
         p.placed += dr.select(fresh, mono, 0) * middle
         pixels = [pixel_index(self.projector, place) for place in beam.places]
-        before = {axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.strays.items()}
-        self._add_levels(p, mono, pixels, lit)
-        for axis, fine in self.strays.items():
+        before = {
+            axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.stage.strays.items()
+        }
+        self.stage.patterns.add(p.pattern, mono, pixels, lit)
+        for axis, fine in self.stage.strays.items():
             off = (p.pattern[fine.number] - before[axis] - fine.mean * light) / fine.deviation
             off = dr.select(fresh, 0, off)
             p.stray[axis] += off
@@ -280,12 +292,12 @@ class Tracer:
     def _projector_pupil(self, p: Paths) -> mi.Point3f:
         """Where the shadow ray ends: a place of the projector's lens."""
         if self.projector.aperture_m == 0:
-            return self.lens
+            return self.stage.light.lens
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         random = dr.select(p.vertex == 0, _in_sequence(p, PROJECTOR_PUPIL), random)
-        place = mi.warp.square_to_uniform_disk_concentric(random)
-        place *= 0.5 * self.projector.aperture_m * _side(p)
-        return mi.Point3f(self.lens + self.R_world_proj @ mi.Vector3f(place.x, place.y, 0))
+        return self.stage.light.on_lens(
+            _side(p) * mi.warp.square_to_uniform_disk_concentric(random)
+        )
 
     def _spread(self, p: Paths, si, place: mi.Point2f, inverse_z: mi.Float) -> list[mi.Point2f]:
         """Places all over the disc of the projector's picture for which this vertex stands.
@@ -320,40 +332,14 @@ class Tracer:
             places.append(mi.Point2f(x, dr.fma(aside.y, self.projector.fy_px, place.y)))
         return places
 
-    def _add_levels(
-        self, p: Paths, mono: mi.Float, pixels: list[mi.UInt32], lit: list[mi.Bool]
-    ) -> None:
-        """To each pattern its levels at the pixels, each times `mono`."""
-        per_word = 32 // self.bits_each
-        for first in range(0, self.pattern_count, per_word):
-            words = self.words[first // per_word]
-            levels = [
-                dr.gather(mi.UInt32, words, pixel, one)
-                for pixel, one in zip(pixels, lit, strict=True)
-            ]
-            used = min(per_word, self.pattern_count - first) * self.bits_each
-            shifts = range(0, used, self.bits_each)
-            if self.bits_each == 1:
-                planes = bit_counts(levels)
-                shares = [mono * 2**i for i in range(len(planes))]
-                for k, shift in enumerate(shifts, start=first):
-                    for plane, share in zip(planes, shares, strict=True):
-                        p.pattern[k] += dr.select((plane & (1 << shift)) != 0, share, 0)
-            else:
-                most = 2**self.bits_each - 1
-                share = mono / most
-                for k, shift in enumerate(shifts, start=first):
-                    total = sum((level >> shift) & most for level in levels)
-                    p.pattern[k] += share * mi.Float(total)
-
     def _add_emission(self, p: Paths, si, fresh: mi.Bool) -> None:
         """Lamps and environment that a sampled direction happened to meet."""
         previous = dr.zeros(mi.Interaction3f)
         previous.p, previous.n = p.last_p, p.last_n
-        ds = mi.DirectionSample3f(self.world, si, previous)
-        light_pdf = self.world.pdf_emitter_direction(previous, ds, ~fresh)
+        ds = mi.DirectionSample3f(self.stage.world, si, previous)
+        light_pdf = self.stage.world.pdf_emitter_direction(previous, ds, ~fresh)
         weight = dr.select(fresh, 1.0, _power_heuristic(p.last_pdf, light_pdf))
-        p.ambient += p.throughput * si.emitter(self.world).eval(si) * weight
+        p.ambient += p.throughput * si.emitter(self.stage.world).eval(si) * weight
 
     def _lamp(self, p: Paths, si, hit: mi.Bool) -> _Lamp:
         """Lamps and environment by a shadow ray; the last vertex has no other way to them.
@@ -364,11 +350,11 @@ class Tracer:
         samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(p.vertex == 0, _in_sequence(p, LAMP), uv)
-        ds, radiance = self.world.sample_emitter_direction(si, uv, True, asking)
+        ds, radiance = self.stage.world.sample_emitter_direction(si, uv, True, asking)
         radiance *= samples / ((samples + 1) // 2)
         return _Lamp(si.to_local(ds.d), asking & (ds.pdf > 0), ds.delta, ds.pdf, radiance)
 
-    def _go_on(self, p: Paths, si, bs, gain, hit: mi.Bool) -> None:
+    def _go_on(self, p: Paths, si, bs, gain, back: mi.Float, hit: mi.Bool) -> None:
         """Take the sampled direction, or end the path."""
         p.throughput = dr.select(hit, p.throughput * gain, 0)
         survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
@@ -376,6 +362,8 @@ class Tracer:
         alive = hit & (p.rng.next_float32() < survival)
         p.throughput = dr.select(alive, p.throughput / survival, 0)
         onward = si.spawn_ray(si.to_world(bs.wo))
+        if self.field is not None:
+            p.odds = odds_onward(p.odds, back, bs.pdf, si, onward.d, p.vertex == 0)
         p.origin, p.direction = onward.o, onward.d
         p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n
         p.vertex += 1

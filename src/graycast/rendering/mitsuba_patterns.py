@@ -13,27 +13,63 @@ from ..rig.pair import Rig, emission
 from ..rig.pattern import AXES, Axis
 
 
-def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
-    """What the patterns emit, as 32-bit words per projector pixel, and the bits that each takes.
+class PackedPatterns:
+    """What the patterns emit, as 32-bit words for each projector pixel.
 
-    One bit if all are binary, eight under a linear response, else sixteen: a rounding of 1e-5.
+    A pattern takes one bit if all are binary, eight under a linear response, else sixteen: a
+    rounding of 1e-5.
     """
-    share = emission(rig, np.arange(256, dtype=np.uint8))
-    if (pattern + np.uint8(1) <= 1).all():  # 255 wraps around to 0
-        bits_each = 1
-    else:
-        bits_each = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
-    level = mi.UInt32(np.rint(share * (2**bits_each - 1)).astype(np.uint32))
-    per_word = 32 // bits_each
-    words = []
-    for first in range(0, len(pattern), per_word):
-        word = mi.UInt32(0)
-        for k, image in enumerate(pattern[first : first + per_word]):
-            grey = mi.UInt32(mi.UInt8(aligned(image)))
-            word |= dr.gather(mi.UInt32, level, grey) << k * bits_each
-        words.append(word)
-    dr.eval(words)
-    return words, bits_each
+
+    def __init__(self, pattern: np.ndarray, rig: Rig):
+        share = emission(rig, np.arange(256, dtype=np.uint8))
+        if (pattern + np.uint8(1) <= 1).all():  # 255 wraps around to 0
+            bits = 1
+        else:
+            bits = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
+        self.count, self._bits, self._most = len(pattern), bits, 2**bits - 1
+        self._per_word = 32 // bits
+        level = mi.UInt32(np.rint(share * self._most).astype(np.uint32))
+        self._words = []
+        for first in range(0, len(pattern), self._per_word):
+            word = mi.UInt32(0)
+            for k, image in enumerate(pattern[first : first + self._per_word]):
+                grey = mi.UInt32(mi.UInt8(aligned(image)))
+                word |= dr.gather(mi.UInt32, level, grey) << k * bits
+            self._words.append(word)
+        dr.eval(self._words)
+
+    def levels(self, pixel: mi.UInt32, lit: mi.Bool) -> list[mi.Float]:
+        """What each pattern emits at a pixel, from 0 to 1; 0 where it is not lit."""
+        words = [dr.gather(mi.UInt32, word, pixel, lit) for word in self._words]
+        return [
+            mi.Float((words[k // self._per_word] >> shift) & self._most) / self._most
+            for k in range(self.count)
+            for shift in (k % self._per_word * self._bits,)
+        ]
+
+    def add(
+        self, sums: list[mi.Float], light: mi.Float, pixels: list[mi.UInt32], lit: list[mi.Bool]
+    ) -> None:
+        """To the sum of each pattern its levels at the pixels, each times `light`."""
+        for first in range(0, self.count, self._per_word):
+            word = self._words[first // self._per_word]
+            levels = [
+                dr.gather(mi.UInt32, word, pixel, one)
+                for pixel, one in zip(pixels, lit, strict=True)
+            ]
+            used = min(self._per_word, self.count - first) * self._bits
+            shifts = range(0, used, self._bits)
+            if self._bits == 1:
+                planes = bit_counts(levels)
+                shares = [light * 2**i for i in range(len(planes))]
+                for k, shift in enumerate(shifts, start=first):
+                    for plane, share in zip(planes, shares, strict=True):
+                        sums[k] += dr.select((plane & (1 << shift)) != 0, share, 0)
+            else:
+                share = light / self._most
+                for k, shift in enumerate(shifts, start=first):
+                    total = sum((level >> shift) & self._most for level in levels)
+                    sums[k] += share * mi.Float(total)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,8 +42,16 @@ class PartShape:
     instances: np.ndarray  # layout indices in the order in which they lie in the mesh
 
 
-def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]]:
-    """The world for Mitsuba, and which of its meshes hold which instances."""
+@dataclass(frozen=True, slots=True)
+class World:
+    """A scene in Mitsuba, which of its meshes hold which instances, and what of it is shiny."""
+
+    scene: mi.Scene
+    part_shapes: tuple[PartShape, ...]
+    shiny: tuple[mi.Shape, ...]
+
+
+def build(scene: Scene, layout: Layout) -> World:
     world: dict[str, object] = {"type": "scene"}
     part_shapes = []
     for index, part in enumerate(scene.parts):
@@ -71,7 +79,31 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
         world[f"lamp{index}"] = _lamp(lamp)
     # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
     # environment's shadow rays, as long as the scene is large, then end before what blocks them.
-    return mi.load_dict(world, optimize=False), tuple(part_shapes)
+    loaded = mi.load_dict(world, optimize=False)
+    shiny = {name for name, material in _materials(scene).items() if _is_shiny(material)}
+    return World(
+        scene=loaded,
+        part_shapes=tuple(part_shapes),
+        shiny=tuple(shape for shape in loaded.shapes() if shape.id() in shiny),
+    )
+
+
+def _materials(scene: Scene) -> dict[str, Material]:
+    """Of the shapes of `build`, by their names."""
+    materials = {f"part{index}": part.material for index, part in enumerate(scene.parts)}
+    if scene.bin is not None:
+        materials |= {name: material for name, _, material in bin_surfaces(scene.bin)}
+        materials["table"] = scene.table
+    materials |= {f"surface{index}": one.material for index, one in enumerate(scene.surfaces)}
+    return materials
+
+
+def _is_shiny(material: Material) -> bool:
+    """Whether its mirror image of a lamp is brighter than white paper: `F0 D / 4 > 1 / pi`."""
+    coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
+    metal = 1.0 if material.texture is not None else max(material.base_color)
+    normal = metal * material.metallic + coat * (1 - material.metallic)
+    return normal / (4 * material.roughness**4) > 1
 
 
 def _bsdf(material: Material) -> dict[str, object]:

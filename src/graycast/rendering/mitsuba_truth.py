@@ -11,7 +11,7 @@ from ..base.frames import inverse, transform_points
 from ..base.mask_box import mask_box
 from ..rig.optics import fold_radius2, project
 from ..world.scene import Layout, Scene
-from .mitsuba_lens import camera_ray, distorted, project_to_projector
+from .mitsuba_lens import camera_ray, distorted, picture_place
 from .mitsuba_scene import PartShape
 from .radiance import GroundTruth, Silhouette
 
@@ -53,7 +53,7 @@ def centre_places(world: mi.Scene, scene: Scene) -> mi.Point2f:
     q = mi.Matrix4f(inverse(scene.T_world_cam @ scene.rig.T_cam_proj)) @ mi.Vector4f(
         point.x, point.y, point.z, 1
     )
-    place, _, ahead = project_to_projector(scene.rig.projector, mi.Point3f(q.x, q.y, q.z))
+    place, _, ahead = picture_place(scene.rig.projector, mi.Point3f(q.x, q.y, q.z))
     return dr.select(si.is_valid() & ahead, place, dr.nan)
 
 

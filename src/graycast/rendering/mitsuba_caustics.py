@@ -1,0 +1,241 @@
+"""Light paths from the projector over shiny surfaces to the camera: caustics, for all patterns.
+
+A path from the camera finds light that comes by a polished face only if its diffuse choice at the
+lit surface happens to meet the one spot that mirrors the small lens of the projector: rare, and
+then very bright. A path from the projector goes over that spot by itself. It starts at a place of
+the projector's picture, whose levels it carries. At each vertex from the second on, it is connected
+with a place of the camera's pupil and added to the pixel there, as far as nothing is between them.
+
+Most of this light both kinds of path can find, so each counts what multiple importance sampling
+leaves it (`share`): the odds that the other kind would have found the path. Direct light, and light
+whose first surface is not shiny, is looked for from the camera alone.
+
+Both kinds integrate the same: a material is asked with light and camera on the same sides, and each
+bounce takes the cosines to the true normal that its density lacks, which is Veach's factor for
+interpolated normals. Out of focus, the path's place in the projector's picture is one of the disc
+over which the paths from the camera take a mean.
+
+The sums are integers, so that they are the same in whatever order threads add. A path that a pixel
+counts is one of few, so noise is uneven: it is least where shiny faces are smooth.
+
+Source: E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997: sections 5.3,
+9.2 and 10.2 (bidirectional path tracing; this is t = 1 beside s = 1).
+
+Imported only by `mitsuba.py`, after a variant was set.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..rig.pattern import Axis
+from .mitsuba_lens import (
+    blur_radius2,
+    camera_place,
+    on_pixel,
+    picture_place,
+    pixel_index,
+    shines,
+)
+from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
+from .mitsuba_stage import Stage
+
+LANES = 2_500_000  # At most so many paths run side by side.
+UNIT = 2.0**-32  # of the sums, in light that white paper at one metre returns
+BRIGHTEST = 2.0**24  # in the same light: one path adds no more, so that no sum overflows
+ROULETTE_FROM, MAX_SURVIVAL = 2, 0.95  # as of paths from the camera
+
+
+@dataclass(frozen=True, slots=True)
+class Caustics:
+    """What the paths from the projector add to the sums of each pixel."""
+
+    pattern: list[mi.Float]
+    white: mi.Color3f
+    stray2: Mapping[Axis, mi.Float]  # the variance of the finest pattern's sum
+
+
+@dataclass
+class _LightPaths:
+    """One path per lane: the state of the loop."""
+
+    rng: mi.PCG32
+    vertex: mi.UInt32
+    alive: mi.Bool
+    throughput: mi.Color3f
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    odds: mi.Float
+    power: mi.Float  # that the path carries, without `throughput`
+    pixel: mi.UInt32  # of the projector's picture
+
+
+class CausticTracer:
+    """Paths from the projector over the shiny surfaces of a stage."""
+
+    def __init__(self, stage: Stage, field: ShinyField):
+        self.stage, self.field = stage, field
+        self.camera, self.projector = stage.camera, stage.light.optics
+        self.total = field.paths * stage.quality.samples
+        self.stride = stage.patterns.count + 3 + len(stage.strays)
+        self.unit = UNIT * stage.light.intensity_w_sr / math.pi
+        self.sums = dr.zeros(mi.UInt64, stage.pixels * self.stride)
+
+    def trace(self, seed: int) -> Caustics:
+        starts = mi.PCG32(size=2, initstate=dr.opaque(mi.UInt64, seed)).next_uint32().numpy()
+        start = mi.Point2u(*(dr.opaque(mi.UInt32, int(one)) for one in starts))
+        for first in range(0, self.total, LANES):
+            lanes = min(LANES, self.total - first)
+            index = dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)
+            # Not the numbers of the paths from the camera, which are those of `seed`.
+            state = dr.opaque(mi.UInt64, (seed * 0x9E3779B97F4A7C15 + first + 1) % 2**64)
+            paths = self._started(mi.PCG32(size=lanes, initstate=state), index, start)
+            (paths,) = dr.while_loop(
+                state=(paths,), cond=lambda p: p.alive, body=lambda p: (self._vertex(p),)
+            )
+            dr.eval(self.sums, paths.alive)
+        return self._result()
+
+    def _started(self, rng: mi.PCG32, index: mi.UInt32, start: mi.Point2u) -> _LightPaths:
+        """Paths that have met their first surface, if that is shiny, and go on from there."""
+        light = self.stage.light
+        place = mi.Point2f(rng.next_float32(), rng.next_float32())
+        origin = light.on_lens(mi.warp.square_to_uniform_disk_concentric(place))
+        direction = self.field.direction(self.field.places(index, self.total, start))
+        density = self.field.density(direction)
+        si = self.stage.world.ray_intersect(mi.Ray3f(origin, direction))
+        q = light.in_own_frame(si.p)
+        seen, inverse_z, _ = picture_place(light.optics, q)
+        at, shining = self._shining_pixel(rng, seen, inverse_z)
+        alive = self.field.has(si) & shining & (density > 0) & (si.wi.z > 0)
+        power = light.intensity(q, seen) / (density * self.field.paths)
+        paths = _LightPaths(
+            rng=rng,
+            vertex=mi.UInt32(0),
+            alive=alive,
+            throughput=mi.Color3f(1),
+            origin=origin,
+            direction=direction,
+            odds=odds_on_arrival(dr.rcp(density), si, direction, mi.Bool(True)),
+            power=power,
+            pixel=at,
+        )
+        _, _, bs, value, pdf = self._dispatched(paths, si, si.wi)
+        return self._go_on(paths, si, bs, value, pdf)
+
+    def _shining_pixel(
+        self, rng: mi.PCG32, seen: mi.Point2f, inverse_z: mi.Float
+    ) -> tuple[mi.UInt32, mi.Bool]:
+        """The projector's pixel of a path that meets a surface at `seen`, and whether it shines."""
+        optics = self.projector
+        if not optics.is_pinhole:
+            disc = mi.Point2f(rng.next_float32(), rng.next_float32())
+            disc = mi.warp.square_to_uniform_disk_concentric(disc)
+            disc *= dr.sqrt(blur_radius2(optics, inverse_z))
+            seen = mi.Point2f(
+                dr.fma(disc.x, optics.fx_px, seen.x), dr.fma(disc.y, optics.fy_px, seen.y)
+            )
+        return pixel_index(optics, on_pixel(optics, seen)), shines(optics, seen)
+
+    def _vertex(self, p: _LightPaths) -> _LightPaths:
+        """Find the next vertex, add its light to the pixel that sees it, and go on."""
+        stage, camera = self.stage, self.camera
+        si = stage.world.ray_intersect(mi.Ray3f(p.origin, p.direction))
+        hit = p.alive & si.is_valid() & (si.wi.z > 0)
+        p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))
+        random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+        pupil = mi.warp.square_to_uniform_disk_concentric(random)
+        q = stage.T_cam_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
+        place, ray, per_sr, ahead = camera_place(camera, mi.Point3f(q.x, q.y, q.z), pupil)
+        if camera.psf_px:
+            random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+            place -= camera.psf_px * mi.warp.square_to_uniform_disk_concentric(random)
+        on_camera = stage.R_world_cam @ mi.Vector3f(q.x, q.y, q.z) - stage.R_world_cam @ ray
+        lens = stage.eye + on_camera
+        to_camera = lens - si.p
+        inverse_square = dr.rcp(dr.squared_norm(to_camera))
+        to_camera *= dr.sqrt(inverse_square)
+        wo = si.to_local(to_camera)
+        value, pdf, bs, onward_value, onward_pdf = self._dispatched(p, si, wo)
+        lit = hit & ahead & shines(camera, place) & (wo.z > 0)
+        lit &= ~stage.world.ray_test(si.spawn_ray_to(lens), lit)
+        cosine = dr.abs(dr.dot(si.n, to_camera))
+        # Per path of a pixel, whose places are all over what senses of it.
+        seen = cosine * inverse_square * per_sr / camera.fill_factor
+        odds = p.odds * pdf * seen / self.field.paths
+        slant = seen / dr.abs(dr.dot(si.n, p.direction))
+        light = p.power * p.throughput * value * (slant * share(odds)) * stage.weights
+        self._add(p, pixel_index(camera, on_pixel(camera, place)), light, lit)
+        p.vertex += 1
+        p.alive = hit & (p.vertex + 1 < stage.quality.depth)
+        return self._go_on(p, si, bs, onward_value, onward_pdf)
+
+    def _dispatched(self, p: _LightPaths, si, to_camera: mi.Vector3f):
+        pick = p.rng.next_float32()
+        uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+        ray = mi.Ray3f(p.origin, p.direction)
+        return dr.dispatch(si.bsdf(ray), self._ask, si, to_camera, pick, uv)
+
+    def _ask(self, bsdf, si, to_camera, pick, uv):
+        """Value and density of the way from the camera to where this path came from; a way on, and
+        the same of it.
+        """
+        if bsdf is None:  # a world without any surface
+            none = mi.Color3f(0)
+            return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
+        context = self.stage.context
+        bs, _ = bsdf.sample(context, si, pick, uv, True)
+        seen, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
+        seen.wi, onward.wi = to_camera, bs.wo
+        value, pdf = bsdf.eval_pdf(context, seen, si.wi, True)
+        onward_value, onward_pdf = bsdf.eval_pdf(context, onward, si.wi, True)
+        return value, pdf, bs, onward_value, onward_pdf
+
+    def _go_on(self, p: _LightPaths, si, bs, value: mi.Color3f, pdf: mi.Float) -> _LightPaths:
+        """Take the sampled direction, or end the path."""
+        direction = si.to_world(bs.wo)
+        cosines = dr.abs(dr.dot(si.n, direction)) / dr.abs(dr.dot(si.n, p.direction))
+        alive = p.alive & (bs.pdf > 0) & (bs.wo.z > 0)
+        p.throughput = dr.select(alive, p.throughput * value * (cosines / bs.pdf), 0)
+        p.odds = odds_onward(p.odds, pdf, bs.pdf, si, direction, p.vertex == 0)
+        survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
+        survival = dr.select(p.vertex + 1 >= ROULETTE_FROM, survival, 1.0)
+        p.alive = alive & (p.rng.next_float32() < survival)
+        p.throughput = dr.select(p.alive, p.throughput / survival, 0)
+        onward = si.spawn_ray(direction)
+        p.origin, p.direction = onward.o, onward.d
+        return p
+
+    def _add(self, p: _LightPaths, pixel: mi.UInt32, light: mi.Color3f, lit: mi.Bool) -> None:
+        """Light to the sums of a pixel of the camera."""
+        first = pixel * self.stride
+        light = dr.minimum(dr.select(lit, light, 0) / self.unit, BRIGHTEST / UNIT)
+        mono = dr.sum(light)
+        levels = self.stage.patterns.levels(p.pixel, lit)
+        for k, level in enumerate(levels):
+            dr.scatter_add(self.sums, mi.UInt64(mono * level), first + k, lit & (level > 0))
+        first += len(levels)
+        for k in range(3):
+            dr.scatter_add(self.sums, mi.UInt64(light[k]), first + k, lit)
+        first += 3
+        for k, fine in enumerate(self.stage.strays.values()):
+            off = (levels[fine.number] - fine.mean) * (mono * UNIT / fine.deviation)
+            squared = dr.minimum(dr.square(off), BRIGHTEST) / UNIT
+            dr.scatter_add(self.sums, mi.UInt64(squared), first + k, lit)
+
+    def _result(self) -> Caustics:
+        first = dr.arange(mi.UInt32, len(self.sums) // self.stride) * self.stride
+
+        def sums(k: int, unit: float) -> mi.Float:
+            return mi.Float(dr.gather(mi.UInt64, self.sums, first + k)) * unit
+
+        n, unit = self.stage.patterns.count, self.unit
+        square = unit**2 / UNIT
+        return Caustics(
+            pattern=[sums(k, unit) for k in range(n)],
+            white=mi.Color3f(*(sums(n + k, unit) for k in range(3))),
+            stray2={axis: sums(n + 3 + k, square) for k, axis in enumerate(self.stage.strays)},
+        )

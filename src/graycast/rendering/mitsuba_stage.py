@@ -1,0 +1,32 @@
+"""What all light paths through a scene share: its surfaces, camera, projector and patterns.
+
+Imported only by the other Mitsuba files, after a variant was set.
+"""
+
+import mitsuba as mi
+import numpy as np
+
+from ..base.frames import inverse
+from ..world.scene import Scene
+from .mitsuba_patterns import PackedPatterns, finest_patterns
+from .mitsuba_projector import ProjectorLight
+from .mitsuba_scene import World
+from .radiance import Quality
+
+
+class Stage:
+    """A scene under a stack of patterns, at one quality."""
+
+    def __init__(self, world: World, scene: Scene, pattern: np.ndarray, quality: Quality):
+        rig = scene.rig
+        self.world, self.quality = world.scene, quality
+        self.camera, self.light = rig.camera, ProjectorLight(scene)
+        self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
+        self.T_cam_world = mi.Matrix4f(inverse(scene.T_world_cam))
+        self.eye = mi.Point3f(scene.T_world_cam[:3, 3])
+        self.weights = mi.Color3f(rig.band_weights)
+        self.context = mi.BSDFContext()
+        self.patterns = PackedPatterns(pattern, rig)
+        self.finest = finest_patterns(pattern, rig)
+        self.strays = self.finest if quality.depth > 1 else {}
+        self.pixels = rig.camera.width_px * rig.camera.height_px

@@ -228,6 +228,14 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         "Measure right and wrong depth for docs/measurements/materials.md, in half an hour.",
         [resolution, out("materials.md")],
     )
+    picture = ROOT / "docs" / "images" / "materials.jpg"
+    help = "The file to which the picture is written (default: docs/images/materials.jpg)."
+    add(
+        "swatches",
+        run_swatches,
+        "Draw all materials by name for the reference, in 5 minutes.",
+        [file("--out", help, default=picture)],
+    )
     add(
         "sigma",
         run_sigma,
@@ -302,6 +310,15 @@ def run_sigma(args: argparse.Namespace) -> int:
     text = honesty(show)
     show("")
     print(text)
+    return 0
+
+
+def run_swatches(args: argparse.Namespace) -> int:
+    from . import swatches
+
+    swatches.draw(args.out, show)
+    show("")
+    print(args.out)
     return 0
 
 

@@ -19,6 +19,8 @@ from graycast.cli.command import _parser
 from graycast.learn.study_file import StudySpec
 from graycast.robot.pick.pick_sections import PickConfig
 from graycast.score.design.study import DesignSpec
+from graycast.world.parts import MATERIALS
+from graycast.world.parts.material_presets import MaterialPreset
 
 Schema = dict[str, Any]
 
@@ -43,6 +45,27 @@ _FILES = (
     ("study", "# Keys of studies\n\n## Detector study", StudySpec, "detector."),
     ("study", "## Design study", DesignSpec, "design."),
 )
+_MATERIALS = """\
+# Materials by name
+
+`material: brass` is one of them, and `{preset: brass, roughness: 0.4}` changes one
+[key](configuration.md#table). Grooves run along x of the mesh, or about its z
+if *turned*; `grain` and `turned` change that. The model is
+[explained](../explanation/light.md#materials).
+
+![Materials on a ball and a ring, under a lamp and under stripes](../images/materials.jpg)
+
+Each lies under a lamp, in colour, and under projected stripes, as a monochrome scanner sees it, in
+one exposure; `python -m benchmarks swatches` draws the picture.
+
+The colour of a metal is the reflectance of its clean, smooth surface at normal incidence, at 610,
+550 and 465 nm, from published indices; a measured colour is the reflectance at these wavelengths.
+Real parts are darker by films of oxide and oil: compare with yours. Roughness and anisotropy are
+our choice.
+
+| name | base color | metallic | roughness | anisotropy | density kg/m³ | source of the colour |
+|---|---|---|---|---|---|---|
+"""
 _TABLE = "| key | value | default | meaning |\n|---|---|---|---|\n"
 _ESCAPED = str.maketrans({c: f"&#{ord(c)};" for c in "|<>*[]{}"})
 
@@ -60,7 +83,19 @@ def pages() -> dict[str, str]:
             for key in Config.model_fields:
                 del schema["properties"][key]
         texts[page] = f"{texts.get(page, '')}{head}\n\n{keys.text(page, schema, prefix)}"
+    texts["materials"] = _MATERIALS + "".join(_material(*item) for item in MATERIALS.items())
     return {f"reference/{name}.md": text for name, text in texts.items()}
+
+
+def _material(name: str, preset: MaterialPreset) -> str:
+    material = preset.material
+    color = " ".join(f"{level:.3f}" for level in material.base_color)
+    grooves = f"{material.anisotropy:g}" if material.grain else ""
+    if material.grain is not None and material.grain.turned:
+        grooves += ", turned"
+    numbers = f"{material.metallic:g} | {material.roughness:g} | {grooves}"
+    density = f"{preset.density_kg_m3:g}"
+    return f"| `{name}`{{ #{name} }} | {color} | {numbers} | {density} | {preset.source} |\n"
 
 
 def _state_defaults(schema: Schema) -> None:
@@ -112,6 +147,8 @@ class _Keys:
                 kinds = [self._kind(option, name) for option in chosen]
                 empty = len(chosen) < len(node[several]) and node.get("default") is not None
                 return " or ".join(dict.fromkeys(kinds + ["null"] * empty))
+        if node.get("enum") == [*MATERIALS]:
+            return "[name](materials.md)"
         if "enum" in node or "const" in node:
             return ", ".join(f"`{word}`" for word in node.get("enum", [node.get("const")]))
         if "prefixItems" in node:

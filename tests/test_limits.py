@@ -16,8 +16,9 @@ from parsed import nodes_of
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
-MOST_LINES = 69_850  # Light paths from the projector took 550 lines: caustics, which no other has.
-MOST_WORDS = 40_000  # in README.md and the pages of docs
+# Light paths from the projector took 550 lines, and materials by name with their grooves 380.
+MOST_LINES = 70_230
+MOST_WORDS = 40_200  # in README.md and the pages of docs
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.

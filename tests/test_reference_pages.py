@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from graycast.cli.command import _parser
+from graycast.world.parts import MATERIALS
 
 SCRIPT = Path(__file__).resolve().parents[1] / "docs/reference_pages.py"
 
@@ -59,6 +60,25 @@ def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
             for flag in action.option_strings:
                 if flag.startswith("--") and flag not in ("--help", "--debug"):
                     assert f"{{ #{anchor}{flag} }}" in page, f"{parser.prog} {flag}"
+
+
+def test_every_material_has_a_row_with_its_numbers(reference):
+    """Read back from the table, whose columns its head names."""
+    head, _, *lines = (
+        reference.pages()["reference/materials.md"].rpartition("| name")[2].split("\n")
+    )
+    assert head.split(" | ")[1:4] == ["base color", "metallic", "roughness"]
+    rows = [re.findall(r"[^|]+", line) for line in lines if line]
+    assert [re.search(r"`(.+)`", row[0])[1] for row in rows] == [*MATERIALS]
+    for row, preset in zip(rows, MATERIALS.values(), strict=True):
+        _, color, metallic, roughness, grooves, density, source = map(str.strip, row)
+        material = preset.material
+        assert tuple(map(float, color.split())) == material.base_color
+        assert (float(metallic), float(roughness)) == (material.metallic, material.roughness)
+        assert float(grooves.removesuffix(", turned") or 0) == material.anisotropy
+        turned = material.grain is not None and material.grain.turned
+        assert grooves.endswith("turned") == turned
+        assert (float(density), source) == (preset.density_kg_m3, preset.source)
 
 
 def test_no_anchor_of_a_page_is_given_twice(reference):

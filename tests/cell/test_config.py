@@ -25,6 +25,7 @@ from graycast.rendering import Quality
 from graycast.rig.pair import PRESETS
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
 from graycast.world.parts import Material, builtin_part
+from graycast.world.parts.part_sections import MaterialSection
 from graycast.world.scene import Bin, Environment
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -134,7 +135,7 @@ def test_sections_left_out_are_the_values_left_out():
         assert getattr(scanner, name) == getattr(own, name)
     assert words.resolve_quality(config) == Quality()
     assert words.resolve_environment(config.light.environment, here) == Environment()
-    assert words.resolve_material(words.MaterialSection(), here) == Material()
+    assert words.resolve_material(MaterialSection(), here) == Material()
 
 
 def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():

@@ -11,17 +11,16 @@ import trimesh
 from graycast.base.frames import UNITS_M
 from graycast.camera.scanner import preset
 from graycast.cell.config import load_config
-from graycast.cell.new_cell import RIGS, SURFACES, _sees, bin_for, new_cell, rig_for
+from graycast.cell.new_cell import RIGS, _sees, bin_for, new_cell, rig_for
 from graycast.cell.resolve import resolve_cell
-from graycast.cli import start_commands
 from graycast.cli.command import main
-from graycast.world.parts import builtin_part
+from graycast.world.parts import MATERIALS, builtin_part
 from graycast.world.parts.part_sections import Unit
 from graycast.world.scene import Bin
 
 
-def test_the_command_knows_the_surfaces_and_units_that_there_are():
-    assert (*SURFACES,) == start_commands.SURFACES and set(get_args(Unit)) == set(UNITS_M)
+def test_a_configuration_knows_the_units_that_there_are():
+    assert set(get_args(Unit)) == set(UNITS_M)
 
 
 @pytest.mark.parametrize("name", ["a: b #1.stl", 'it\'s "big" {v2}.stl', "größe, 5 %.stl"])
@@ -36,7 +35,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     assert cell.scene.parts[0].source == name
 
 
-@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("surface", ["plastic", "steel", "cardboard"])
 def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export(tmp_path / "block.stl")
@@ -45,7 +44,9 @@ def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     config = load_config(tmp_path / "cell/cell.yaml")
     cell = resolve_cell(config, tmp_path / "cell")
     (part,) = cell.scene.parts
-    assert part.density_kg_m3 == SURFACES[surface][1] and len(part.symmetry.discrete) == 3
+    preset = MATERIALS[surface]
+    assert (part.density_kg_m3, part.material) == (preset.density_kg_m3, preset.material)
+    assert len(part.symmetry.discrete) == 3
     assert cell.scene.bin.inner_m == (0.3, 0.22, 0.11) and cell.notes == ()
     # A third of the blocks whose volume is half of the bin's, which is more than the most of 60.
     least, most = config.count
@@ -92,14 +93,18 @@ def test_a_built_in_part_keeps_its_own_surface():
         (["new", "a", "--builtin", "nope"], "no built-in part 'nope': choose one of"),
         (["new", "a", "--builtin", "toothpaste", "--unit", "mm"], "--unit belongs to a mesh"),
         (["new", "a", "--part", "b.stl", "--unit", "mm"], "b.stl: there is no such file"),
+        (
+            ["new", "a", "--part", "c.stl", "--unit", "m", "--surface", "brss"],
+            "no material has the name 'brss'; did you mean brass?",
+        ),
         (["new", ".", "--builtin", "toothpaste"], "is not empty: choose another folder"),
     ],
 )
 def test_what_makes_no_cell_leaves_nothing(tmp_path, monkeypatch, capsys, words, wrong):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "there").touch()
+    trimesh.creation.box((0.02, 0.03, 0.06)).export("c.stl")
     assert main(words) == 1 and wrong in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+    assert [path.name for path in tmp_path.iterdir()] == ["c.stl"]
 
 
 @pytest.mark.slow

@@ -71,9 +71,11 @@ def picture(file: Path) -> np.ndarray:
 
 def main(worker: str, cases: str, answers: str) -> None:
     sys.path.insert(0, worker)
-    from materials import Surface
+    from materials import GRAIN, Surface
 
     plane, camera, lamp = stage()
+    grain = plane.data.attributes.new(GRAIN, "FLOAT_VECTOR", "CORNER")
+    grain.data.foreach_set("vector", [1.0, 0.0, 0.0] * 4)
     sky = bpy.context.scene.world.node_tree.nodes["Background"].inputs
     sky["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     cycles, seen = bpy.context.scene.cycles, []

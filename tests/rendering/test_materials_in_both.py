@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graycast.world.parts import Material
+from graycast.world.parts import Grain, Material
 
 pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
 
@@ -43,7 +43,7 @@ def in_cycles(tmp_path_factory):
 
 
 def in_words(material, view_deg, lamp_deg):
-    names = ("base_color", "metallic", "roughness", "ior")
+    names = ("base_color", "metallic", "roughness", "ior", "anisotropy")
     return {
         "words": {name: getattr(material, name) for name in names}
         | {"texture": None, "radiance": None},
@@ -112,6 +112,25 @@ def test_metal_is_the_same_in_both(cpu_device, in_cycles):
     ratio, error = compared(in_cycles, cases)
     assert error.max() < 0.0025
     assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
+
+
+def test_grooves_have_the_same_shape_in_both(cpu_device, in_cycles):
+    """Along x, seen and lit from all sides. Cycles' table of what is given back knows no grooves:
+    its metal is darker by one factor for all lamps, of this brightest band by 0.2 % at roughness
+    0.2, 2 % at 0.35 and 8 % at 0.5.
+    """
+    lamps = [(40, 0), (40, 70), (30, 180), (60, 90), (70, 200)]
+    grooves = {"anisotropy": 0.8, "grain": Grain(axis=(1.0, 0, 0)), "metallic": 1.0}
+    cases = [
+        (with_words(roughness=r, **grooves), view, lamp)
+        for r, view, lamp in product((0.2, 0.35, 0.5), (0, 40), [None, *lamps])
+    ]
+    ratio, error = compared(in_cycles, cases)
+    assert error.max() < 0.0025
+    ratio, error = ratio.reshape(6, 6, 3), error.reshape(6, 6, 3)
+    assert (np.abs(ratio[:, 1:] / ratio[:, :1] - 1) < 0.002 + 4 * error[:, :1]).all()
+    darker = (1 - ratio[:, 0, 2]).reshape(3, 2).max(axis=1)
+    assert (np.abs(darker - [0.002, 0.02, 0.083]) < [0.002, 0.002, 0.003]).all()
 
 
 def test_what_plastic_reflects_in_all_is_the_same_in_both(cpu_device, in_cycles):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from backends import slow
+from bsdf_samples import arriving, direction, drawn, evaluated, leaning, upper
 
 from graycast.world.parts import Material
 
@@ -17,49 +18,6 @@ def metal(roughness, reflectance=GOLD):
 
     color = {"type": "rgb", "value": list(reflectance)}
     return mi.load_dict({"type": "rough_conductor", "alpha": roughness**2, "reflectance": color})
-
-
-def arriving(wi, n=1):
-    """`n` hits seen from one direction, or one hit for each column of `wi`."""
-    import drjit as dr
-    import mitsuba as mi
-
-    si = dr.zeros(mi.SurfaceInteraction3f, n)
-    si.t, si.wi = 1.0, mi.Vector3f(np.asarray(wi, dtype=np.float32))
-    return si
-
-
-def leaning(angle_deg):
-    angle = np.radians(angle_deg)
-    return np.array([np.sin(angle), 0.0, np.cos(angle)])
-
-
-def upper(n, seed):
-    """Uniform directions of the hemisphere, density 1 / (2 pi); columns."""
-    rng = np.random.default_rng(seed)
-    z, turn = rng.random(n), 2 * np.pi * rng.random(n)
-    return np.stack(direction(z, turn))
-
-
-def drawn(bsdf, wi, n, seed=0):
-    """Directions (3, n), densities and weights (3, n) of samples."""
-    import mitsuba as mi
-
-    rng = np.random.default_rng(seed)
-    si = arriving(wi, n)
-    sample, weight = bsdf.sample(
-        mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(rng.random((2, n)).astype("f4")), True
-    )
-    return np.array(sample.wo, dtype=float), np.array(sample.pdf), np.array(weight, dtype=float)
-
-
-def evaluated(bsdf, wi, wo):
-    """Values (3, n) without the cosine, and densities."""
-    import mitsuba as mi
-
-    towards = mi.Vector3f(wo.astype(np.float32))
-    value, density = bsdf.eval_pdf(mi.BSDFContext(), arriving(wi, wo.shape[1]), towards, True)
-    return np.array(value, dtype=float) / np.maximum(wo[2], 1e-9), np.array(density)
 
 
 def first_reflection(wi, wo, alpha):
@@ -86,11 +44,6 @@ def given_back(cosine, alpha, normal, mean):
     bounces = average * mean / (1 - average * (1 - mean))
     kept = kept_once(cosine, alpha)
     return 1 + bounces * (1 - kept) / kept
-
-
-def direction(z, turn):
-    across = np.sqrt(1 - z * z)
-    return across * np.cos(turn), across * np.sin(turn), z
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)

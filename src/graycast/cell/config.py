@@ -23,7 +23,7 @@ from ..world.bins import Up, load_bin
 from ..world.drop import DropLimits
 from ..world.parts import Material, Part
 from ..world.parts.part_sections import (
-    MaterialSection,
+    MaterialWords,
     PartSection,
     Unit,
     resolve_material,
@@ -56,12 +56,12 @@ class BinSection(Settings):
         "z",
         description="The axis of the mesh file that points out of the bin's opening.",
     )
-    material: MaterialSection | None = Field(
+    material: MaterialWords | None = Field(
         None,
         description="The material of the bin. Without this key, a box is of wood, and a mesh "
         "has the material of its file.",
     )
-    floor: MaterialSection | None = Field(
+    floor: MaterialWords | None = Field(
         None,
         description="The material of the inner floor. Without this key, it is the material "
         "of the walls.",
@@ -185,7 +185,7 @@ class Config(ScannerSections):
         0, ge=0, description="The seed of all random numbers. The option --seed replaces it."
     )
     bin: BinSection = BinSection()
-    table: MaterialSection | None = Field(
+    table: MaterialWords | None = Field(
         None,
         description="The material of the table on which the bin stands. Without this key, it "
         "is matt grey.",

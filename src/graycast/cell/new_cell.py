@@ -11,7 +11,7 @@ from ..base.frames import inverse, transform_points
 from ..camera.scanner import preset
 from ..rig.optics import Optics, project
 from ..rig.pair import Rig
-from ..world.parts import Part, Symmetry, full_count
+from ..world.parts import Part, Symmetry, full_count, material_preset
 from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .views import ViewSection, hang
@@ -21,16 +21,6 @@ BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
 BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
-
-# Each surface has a material, as a configuration has it, and a density [kg/m^3]. Reflectances are
-# typical ones of technical surfaces: a start, until the user knows those of the part.
-SURFACES: Mapping[str, tuple[str, int]] = {
-    "plastic": ("{base_color: [0.3, 0.3, 0.3], roughness: 0.5}", 1100),
-    "dark-plastic": ("{base_color: [0.04, 0.04, 0.04], roughness: 0.5}", 1100),
-    "steel": ("{base_color: [0.4, 0.4, 0.4], metallic: 1.0, roughness: 0.4}", 7850),
-    "aluminium": ("{base_color: [0.7, 0.7, 0.72], metallic: 1.0, roughness: 0.4}", 2700),
-    "card": ("{base_color: [0.5, 0.38, 0.25], roughness: 0.9, specular: 0.0}", 700),
-}
 
 
 def new_cell(
@@ -42,7 +32,10 @@ def new_cell(
         name: of the folder, for the commands in its first lines.
         part: as it is read, to know its size.
         source: the keys of `parts` that say where it comes from.
-        surface: one of `SURFACES`; None keeps the part's own material and density.
+        surface: one of `MATERIALS`; None keeps the part's own material and density.
+
+    Raises:
+        ValueError: no material has that name.
     """
     inner_m = bin_for(part)
     rig_name, covers = rig_for(Bin(inner_m=inner_m))
@@ -51,9 +44,9 @@ def new_cell(
     # Text of JSON is text of YAML, also where a file's name has a colon, a hash or a quote.
     keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
     if surface is not None:
-        material, density_kg_m3 = SURFACES[surface]
-        keys.append(f"material: {material}   # {surface}; change it to that of your part")
-        keys.append(f"density_kg_m3: {density_kg_m3}")
+        density_kg_m3 = material_preset(surface).density_kg_m3
+        keys.append(f"material: {surface}   # change it to that of your part")
+        keys.append(f"density_kg_m3: {density_kg_m3:g}")
         if shape_symmetry(part.mesh) != Symmetry():
             keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
     size = " x ".join(f"{1e3 * side:.0f}" for side in part.mesh.extent_m)

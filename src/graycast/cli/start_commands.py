@@ -10,8 +10,6 @@ from ..base.errors import GraycastError
 from .arguments import CONTINUE, add_command, add_device, add_option, add_shared
 
 DEMO_PART = "metal_workpiece_1"
-# A test compares these names with those of `cell.new_cell`.
-SURFACES = ("plastic", "dark-plastic", "steel", "aluminium", "card")
 DEMO = """\
 It writes the configuration of a cell with machined brackets in a bin, a dataset of three scenes,
 and a picture of one of them. If the command is stopped, the same command continues."""
@@ -47,8 +45,9 @@ def add_first(commands) -> None:
     )
     add_shared(new, "--unit")
     add_option(
-        new, "--surface", SURFACES, "The material of the mesh, which the configuration states.",
-        "plastic",
+        new, "--surface", str,
+        "The name of the material of the mesh, such as steel-brushed; a wrong name lists them.",
+        "plastic", metavar="NAME",
     )  # fmt: skip
 
 

@@ -166,13 +166,15 @@ def part_digest(part: Part) -> str:
         digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
     if material.texture is not None:
         digest.update(np.ascontiguousarray(material.texture).tobytes())
-    look = (
+    look: tuple[object, ...] = (
         material.base_color,
         material.metallic,
         material.roughness,
         material.specular,
         material.projector_reflectance,
     )
+    if material.anisotropy > 0 and material.grain is not None:
+        look += (material.anisotropy, asdict(material.grain))
     discrete = [T.tolist() for T in part.symmetry.discrete]
     body = (part.density_kg_m3, part.friction, discrete, part.symmetry.continuous)
     digest.update(json.dumps(plain([look, body])).encode())

@@ -100,7 +100,8 @@ def coat_albedo(alpha: float, eta: float) -> np.ndarray:
         One value for each of `ggx.TABLE` cosines from 0 to 1.
     """
     cosine = np.linspace(0, 1, ggx.TABLE)
-    table = ggx.directional_albedo(cosine, alpha, lambda met: _fresnel(met, eta))
+    wi = ggx.leaning(cosine)
+    table = ggx.directional_albedo(wi, (alpha, alpha), lambda met: _fresnel(met, eta))
     table.flags.writeable = False  # it is kept for the next scene
     return table
 

@@ -3,7 +3,8 @@
 All directions are unit vectors in the shading frame, both on the side of the normal. Stretched by
 `alpha` along the surface, facets become a hemisphere, so the length `s = |(alpha x, alpha y, z)|`
 of a stretched direction says all about its masking: Smith's `G1 = 2 z / (z + s)`, and for both
-directions at once `G2 = 2 zi zo / (si zo + so zi)`.
+directions at once `G2 = 2 zi zo / (si zo + so zi)`. Where `alpha` is a pair, x has the first and y
+the second, and all of this holds; with a number, no kernel is longer for it.
 
 Sources: B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
 (distribution); E. Heitz, "Understanding the Masking-Shadowing Function", JCGT 3(2), 2014 (G2);
@@ -24,18 +25,23 @@ _FACETS = 4096  # With so many, the error of the visible-normal integral is belo
 _STEP = 0.5698402909980532  # M. Roberts' R2 sequence spreads the facets over two dimensions.
 
 
-def distribution(half: mi.Vector3f, alpha: mi.Float) -> mi.Float:
+def distribution(half: mi.Vector3f, alpha: mi.Float | mi.Vector2f) -> mi.Float:
     """Density of facets, per solid angle and projected area. Keeps digits where alpha is small."""
+    if isinstance(alpha, mi.Vector2f):
+        length2 = dr.squared_norm(mi.Vector3f(half.x / alpha.x, half.y / alpha.y, half.z))
+        return dr.inv_pi / (alpha.x * alpha.y * dr.square(length2))
     across = dr.square(half.x) + dr.square(half.y)
     square = dr.square(alpha)
     return square * dr.inv_pi / dr.square(dr.fma(square, dr.square(half.z), across))
 
 
-def stretched(w: mi.Vector3f, alpha: mi.Float) -> mi.Vector3f:
+def stretched(w: mi.Vector3f, alpha: mi.Float | mi.Vector2f) -> mi.Vector3f:
+    if isinstance(alpha, mi.Vector2f):
+        return mi.Vector3f(alpha.x * w.x, alpha.y * w.y, w.z)
     return mi.Vector3f(alpha * w.x, alpha * w.y, w.z)
 
 
-def sample_visible(wi: mi.Vector3f, alpha: mi.Float, uv: mi.Point2f) -> mi.Vector3f:
+def sample_visible(wi: mi.Vector3f, alpha: mi.Float | mi.Vector2f, uv: mi.Point2f) -> mi.Vector3f:
     """A facet's normal, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
     direction = dr.normalize(stretched(wi, alpha))
     z = dr.fma(1 - uv.y, 1 + direction.z, -direction.z)  # the cap that mirrors into the hemisphere
@@ -78,56 +84,58 @@ class GlossyBSDF(mi.BSDF):
         callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
 
+def leaning(cosine: Float[np.ndarray, " n"], azimuth_rad: float = 0.0) -> Float[np.ndarray, "n 3"]:
+    """Unit vectors at these cosines to the normal; none is on the horizon itself."""
+    z = np.clip(cosine, 1e-6, 1)
+    sine = np.sqrt(1 - z**2)
+    return np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), z], axis=-1)
+
+
 def directional_albedo(
-    cosine: Float[np.ndarray, " n"],
-    alpha: float,
+    wi: Float[np.ndarray, "n 3"],
+    alphas: tuple[float, float],
     fresnel: Callable[[np.ndarray], np.ndarray] = np.ones_like,
 ) -> Float[np.ndarray, " n"]:
-    """Share of light from each angle that facets send back after one reflection.
+    """Share of light from each direction that facets send back after one reflection.
 
     The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for.
 
     Args:
-        cosine: between the light and the surface's normal.
-        alpha: width of GGX.
+        alphas: widths of GGX along x and y.
         fresnel: reflectance of a facet by the cosine at which light meets it; all of it by default.
     """
     order = np.arange(_FACETS) + 0.5
     turn, height = 2 * np.pi * ((order * _STEP) % 1), order / _FACETS
-    return np.array(
-        [_mean_reflection(max(c, 1e-6), alpha, fresnel, turn, height) for c in cosine.tolist()]
-    )
+    widths = np.array([*alphas, 1.0])
+    return np.array([_mean_reflection(w, widths, fresnel, turn, height) for w in wi])
 
 
 def _mean_reflection(
-    cosine: float,
-    alpha: float,
+    wi: Float[np.ndarray, "3"],
+    widths: Float[np.ndarray, "3"],
     fresnel: Callable[[np.ndarray], np.ndarray],
     turn: np.ndarray,
     height: np.ndarray,
 ) -> float:
-    sine = np.sqrt(1 - cosine**2)
-    length = np.hypot(alpha * sine, cosine)  # of the stretched direction
-    z = (1 - height) * (1 + cosine / length) - cosine / length
+    length = np.linalg.norm(widths * wi)  # of the stretched direction
+    x, y, cosine = widths * wi / length
+    z = (1 - height) * (1 + cosine) - cosine
     across = np.sqrt(np.maximum(1 - z * z, 0))
-    half = np.stack(
-        [
-            alpha * (across * np.cos(turn) + alpha * sine / length),
-            alpha * across * np.sin(turn),
-            z + cosine / length,
-        ]
-    )
+    half = np.stack([across * np.cos(turn) + x, across * np.sin(turn) + y, z + cosine])
+    half *= widths[:, None]
     half /= np.linalg.norm(half, axis=0)
-    cos_half = np.minimum(sine * half[0] + cosine * half[2], 1)
-    cos_o = 2 * cos_half * half[2] - cosine
-    length_o = np.sqrt(np.maximum(cos_o**2 + alpha**2 * (1 - cos_o**2), 0))
+    cos_half = np.minimum(wi @ half, 1)
+    wo = 2 * cos_half * half - wi[:, None]
+    length_o = np.linalg.norm(widths[:, None] * wo, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        kept = cos_o * (cosine + length) / (length * cos_o + length_o * cosine)
-    return float(np.where(cos_o > 0, fresnel(cos_half) * kept, 0).mean())
+        kept = wo[2] * (wi[2] + length) / (length * wo[2] + length_o * wi[2])
+    return float(np.where(wo[2] > 0, fresnel(cos_half) * kept, 0).mean())
 
 
-def mean_albedo(alpha: float, fresnel: Callable[[np.ndarray], np.ndarray] = np.ones_like) -> float:
+def mean_albedo(alphas: tuple[float, float]) -> float:
     """`directional_albedo` for light from everywhere: its cosine-weighted mean."""
     node, weight = np.polynomial.legendre.leggauss(32)
     cosine = 0.5 * (node + 1)
-    return float(weight @ (cosine * directional_albedo(cosine, alpha, fresnel)))
+    azimuths_rad = [0.0] if alphas[0] == alphas[1] else np.pi / 8 * (np.arange(4) + 0.5)
+    albedo = [directional_albedo(leaning(cosine, azimuth), alphas) for azimuth in azimuths_rad]
+    return float(weight @ (cosine * np.mean(albedo, axis=0)))

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.errors import ConfigError
 from ..world.parts import Material, Mesh
+from ..world.parts.grain import corner_grain
 from ..world.scene import (
     Lamp,
     Layout,
@@ -23,11 +24,13 @@ from ..world.scene import (
     quad_mesh,
     table_quad,
 )
+from .brushed_conductor import GRAIN, BrushedConductor
 from .coated_diffuse import CoatedDiffuse
 from .rough_conductor import RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("rough_conductor", RoughConductor)
+mi.register_bsdf("brushed_conductor", BrushedConductor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +132,11 @@ def _dielectric(material: Material) -> dict[str, object]:
 
 
 def _conductor(material: Material) -> dict[str, object]:
-    return {
-        "type": "rough_conductor",
-        "alpha": material.roughness**2,
-        "reflectance": _reflectance(material),
-    }
+    along, across = material.alphas
+    plain = {"type": "rough_conductor", "alpha": along, "reflectance": _reflectance(material)}
+    if material.anisotropy == 0:
+        return plain
+    return plain | {"type": "brushed_conductor", "alpha_across": across}
 
 
 def _reflectance(material: Material) -> dict[str, object]:
@@ -168,6 +171,9 @@ def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -
         uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # Mitsuba's v runs down
         parameters["vertex_texcoords"] = _flat(np.broadcast_to(uv, (n, *uv.shape)))
     parameters.update()
+    if material.anisotropy > 0 and material.grain is not None:
+        grain = corner_grain(mesh, material.grain).reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
+        shape.add_attribute(GRAIN, 3, np.ascontiguousarray(grain, dtype=np.float32).ravel())
     return shape
 
 
@@ -176,8 +182,8 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
-    """A rectangle; a mesh where there is a texture, which on rectangles would stand on its head."""
-    if quad.material.texture is None:
+    """A rectangle; a mesh where there is a grain, or a texture, which would stand on its head."""
+    if quad.material.texture is None and quad.material.anisotropy == 0:
         return _quad(quad)
     return _mesh(name, quad_mesh(quad), quad.material, np.eye(4)[None])
 

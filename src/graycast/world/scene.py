@@ -94,6 +94,11 @@ class Sphere:
     radius_m: float
     material: Material
 
+    def __post_init__(self) -> None:
+        if self.material.anisotropy > 0:
+            words = f"a sphere's material has the anisotropy {self.material.anisotropy}"
+            raise ValueError(f"{words}; a sphere has no grain: set it to 0, or give a part")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:

@@ -55,7 +55,8 @@ def retouched(
 
     `brightness` is a factor of all reflectance, `tint` one more of each band, not of the
     projector's line; of a texture each texel's linear value is multiplied. Reflectance ends at 1.
-    `roughness` and `metallic` are added, and end at what a material may have.
+    `roughness` and `metallic` are added, and end at what a material may have; only metal keeps its
+    grooves.
     """
     factor = [brightness * own for own in tint]
     line = material.projector_reflectance
@@ -64,13 +65,15 @@ def retouched(
     red, green, blue = (
         min(1.0, f * level) for f, level in zip(factor, material.base_color, strict=True)
     )
+    metallic = min(max(metallic, 0.0), 1.0)
     return replace(
         material,
         base_color=(red, green, blue),
         texture=None if material.texture is None else _multiplied(material.texture, factor),
         projector_reflectance=None if line is None else min(1.0, brightness * line),
         roughness=min(max(roughness, ROUGHNESS[0]), ROUGHNESS[1]),
-        metallic=min(max(metallic, 0.0), 1.0),
+        metallic=metallic,
+        anisotropy=material.anisotropy if metallic > 0 else 0.0,
     )
 
 

@@ -14,6 +14,7 @@ from PIL import Image
 from ...rig.optics import Optics, fold_radius2, rays
 from ...rig.pair import Rig, emission
 from ...world.parts import Material, Mesh
+from ...world.parts.grain import corner_grain
 from ...world.scene import (
     Environment,
     Layout,
@@ -220,6 +221,7 @@ class _MeshArrays(TypedDict):
     T_world: Float[np.ndarray, "n 4 4"]
     corner_uv: NotRequired[Float32[np.ndarray, "f 3 2"]]
     corner_normals: NotRequired[Float32[np.ndarray, "f 3 3"]]
+    corner_grain: NotRequired[Float32[np.ndarray, "f 3 3"]]
 
 
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
@@ -232,6 +234,9 @@ def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
         arrays["corner_uv"] = placed.mesh.corner_uv.astype(np.float32)
     if placed.mesh.corner_normals is not None:
         arrays["corner_normals"] = placed.mesh.corner_normals.astype(np.float32)
+    material = placed.material
+    if material.anisotropy > 0 and material.grain is not None:
+        arrays["corner_grain"] = corner_grain(placed.mesh, material.grain).astype(np.float32)
     file = f"mesh_{index:03d}.npz"
     np.savez(folder / file, **arrays)
     return {
@@ -254,6 +259,7 @@ def _material(
         "texture": texture,
         "metallic": material.metallic,
         "roughness": material.roughness,
+        "anisotropy": material.anisotropy,
         "ior": material.ior,
         "radiance": radiance,
     }

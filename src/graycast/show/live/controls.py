@@ -285,9 +285,14 @@ def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str
 
 def _material(material: Material) -> Mapping[str, Any]:
     """The words of a surface without its picture, as a configuration says them."""
-    words = {name: getattr(material, name) for name in ("metallic", "roughness", "specular")}
-    return {"base_color": list(material.base_color), **words} | (
-        {}
-        if material.projector_reflectance is None
-        else {"projector_reflectance": material.projector_reflectance}
-    )
+    names = ("metallic", "roughness", "specular")
+    words: dict[str, Any] = {name: getattr(material, name) for name in names}
+    words["base_color"] = list(material.base_color)
+    if material.projector_reflectance is not None:
+        words["projector_reflectance"] = material.projector_reflectance
+    if material.anisotropy > 0 and (grain := material.grain) is not None:
+        words["anisotropy"] = material.anisotropy
+        words["turned" if grain.turned else "grain"] = list(grain.axis)
+        if grain.turned:
+            words["turned_about_m"] = list(grain.point_m)
+    return words

@@ -217,6 +217,9 @@ def _material_words(material: Material) -> str:
     else:
         colour = f"texture {material.texture.shape[1]} x {material.texture.shape[0]}"
     shine = "" if kind == "Lambertian" else f", roughness {material.roughness:g}"
+    if material.anisotropy > 0 and material.grain is not None:
+        way = "turned about" if material.grain.turned else "brushed along"
+        shine += f", {way} {_axis_words(material.grain.axis)} ({material.anisotropy:g})"
     return f"{kind}, {colour}{shine}"
 
 

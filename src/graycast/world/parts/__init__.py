@@ -1,12 +1,15 @@
 """The object database: meshes with materials, built in and the user's own."""
 
 from .builtin import BUILTIN, builtin_part
+from .material_presets import MATERIALS, material_preset
 from .meshfile import load_mesh, load_part
-from .part import Material, Mesh, Part, Symmetry
+from .part import Grain, Material, Mesh, Part, Symmetry
 from .size import full_count, mass_kg, size_notes
 
 __all__ = [
     "BUILTIN",
+    "MATERIALS",
+    "Grain",
     "Material",
     "Mesh",
     "Part",
@@ -16,5 +19,6 @@ __all__ = [
     "load_mesh",
     "load_part",
     "mass_kg",
+    "material_preset",
     "size_notes",
 ]

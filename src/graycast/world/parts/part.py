@@ -8,10 +8,25 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from pydantic import Field
 
-from ...base.settings import Share, check_fields
+from ...base.settings import Share, Vector, check_fields
 
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
 Roughness = Annotated[float, Field(ge=0.01, le=1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grain:
+    """Which way the grooves of metal run, in the frame of the mesh: along `axis`, or, where
+    `turned`, in circles about the line of that direction through `point_m`, as on a lathe.
+    """
+
+    axis: Vector
+    turned: bool = False
+    point_m: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.axis).all() or not np.any(self.axis):
+            raise ValueError(f"the axis of a grain is {self.axis}; it must have a direction")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +41,14 @@ class Material:
     `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
     no path finds the mirror image of a projector's lens.
 
+    `anisotropy` makes metal smoother along its `grain` and rougher across it, by Disney's aspect
+    `a = sqrt(1 - 0.9 anisotropy)`: GGX has the alpha `roughness^2 a` along and `roughness^2 / a`
+    across the grooves. Source: B. Burley, "Physically Based Shading at Disney", SIGGRAPH 2012.
+
     `projector_reflectance` takes the place of colour and texture in the light of the measuring
     camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.
 
-    Leaves out: translucency, anisotropy, spectra finer than three bands and that one line.
+    Leaves out: translucency, anisotropic coats, spectra finer than three bands and that one line.
     """
 
     base_color: Color = (0.5, 0.5, 0.5)
@@ -38,11 +57,32 @@ class Material:
     roughness: Roughness = 0.5
     specular: Share = 0.5
     projector_reflectance: Share | None = None
+    anisotropy: Share = 0.0
+    grain: Grain | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.anisotropy > 0 and (self.grain is None or self.metallic == 0):
+            raise ValueError(
+                f"anisotropy is {self.anisotropy}, which needs metal (metallic above 0) and the "
+                "direction of its grooves (grain or turned)"
+            )
         if self.texture is not None:
             self.texture.flags.writeable = False
+
+    def scaled(self, factor: float) -> "Material":
+        """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""
+        if self.grain is None:
+            return self
+        x, y, z = self.grain.point_m
+        grain = replace(self.grain, point_m=(factor * x, factor * y, factor * z))
+        return replace(self, grain=grain)
+
+    @property
+    def alphas(self) -> tuple[float, float]:
+        """Widths of GGX along the grain and across it."""
+        aspect = math.sqrt(1 - 0.9 * self.anisotropy)
+        return self.roughness**2 * aspect, self.roughness**2 / aspect
 
     @property
     def ior(self) -> float:
@@ -156,5 +196,6 @@ class Part:
         return replace(
             self,
             mesh=replace(self.mesh, vertices_m=vertices_m),
+            material=self.material.scaled(factor),
             symmetry=Symmetry(discrete=discrete, continuous=continuous),
         )

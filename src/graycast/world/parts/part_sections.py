@@ -7,26 +7,62 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, UnidentifiedImageError
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
 from ...base.frames import is_rigid
 from ...base.settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
+from .material_presets import MATERIALS, material_preset
 from .meshfile import load_part
-from .part import Color, Material, Mesh, Part, Roughness, Symmetry
+from .part import Color, Grain, Material, Mesh, Part, Roughness, Symmetry
 from .symmetry import joined, shape_symmetry, turns_together
 
 Unit = Literal["m", "cm", "mm", "inch"]
 
 
-class MaterialSection(Settings):
-    """A surface in a few physical words.
+def _known(name: str) -> str:
+    material_preset(name)  # which refuses a name that there is not
+    return name
 
-    A key that is left out keeps the value of a built-in part; elsewhere it has its default.
+
+PresetName = Annotated[
+    str, AfterValidator(_known), WithJsonSchema({"type": "string", "enum": [*MATERIALS]})
+]
+
+
+def _named_axis(axis: Any) -> Any:
+    """The direction of x, y or z of the mesh; all else is checked as a vector."""
+    names = ("x", "y", "z")
+    return tuple(float(name == axis) for name in names) if axis in names else axis
+
+
+def _unit(axis: Vector) -> Vector:
+    """As datasets hold it."""
+    if not any(axis):
+        raise ValueError("an axis must have a direction, such as [0, 0, 1]")
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    return float(x), float(y), float(z)
+
+
+Direction = Annotated[
+    Vector,
+    BeforeValidator(_named_axis, json_schema_input_type=Literal["x", "y", "z"] | Vector),
+    AfterValidator(_unit),
+]
+
+
+class MaterialSection(Settings):
+    """A surface in a few physical words, or the name of a material alone.
+
+    A key that is left out keeps the value of the named material or of a built-in part; elsewhere it
+    has its default.
     """
 
+    preset: PresetName | None = Field(
+        None, description="The name of a material, of which the other keys change one each."
+    )
     base_color: Color | None = Field(
         None,
         description="The linear RGB reflectance, from 0 to 1 each; it replaces a built-in part's "
@@ -53,26 +89,47 @@ class MaterialSection(Settings):
         description="The reflectance at the projector's wavelength. Without this key, "
         "it follows from base_color and the projector's bands.",
     )
+    anisotropy: Share | None = Field(
+        None,
+        description="How much smoother metal is along its grooves than across them: 0 is not at "
+        "all, 0.8 is brushed. It needs grain or turned. The default is 0.",
+    )
+    grain: Direction | None = Field(
+        None,
+        description="The direction of the grooves of brushed metal: x, y or z of the mesh, or a "
+        "direction. Of a bin or table, it is that of the world.",
+    )
+    turned: Direction | None = Field(
+        None, description="The axis about which the grooves run, as on a lathe, in place of grain."
+    )
+    turned_about_m: Vector | None = Field(
+        None,
+        description="A point on the axis of turned, in metres in the frame of the mesh. The "
+        "default is its origin.",
+    )
+
+    @model_validator(mode="after")
+    def _one_grain(self) -> "MaterialSection":
+        if self.grain is not None and self.turned is not None:
+            raise ValueError("grooves run along grain or about turned: remove one of them")
+        if self.turned is None and self.turned_about_m is not None:
+            raise ValueError("turned_about_m belongs to turned: add it, or remove turned_about_m")
+        return self
+
+    def own_grain(self) -> Grain | None:
+        if self.turned is not None:
+            return Grain(axis=self.turned, turned=True, point_m=self.turned_about_m or (0, 0, 0))
+        return None if self.grain is None else Grain(axis=self.grain)
 
 
-def _named_axis(axis: Any) -> Any:
-    """The direction of x, y or z of the mesh; all else is checked as a vector."""
-    names = ("x", "y", "z")
-    return tuple(float(name == axis) for name in names) if axis in names else axis
+def _of_name(material: Any) -> Any:
+    return {"preset": material} if isinstance(material, str) else material
 
 
-def _unit(axis: Vector) -> Vector:
-    """As datasets hold it."""
-    if not any(axis):
-        raise ValueError("an axis must have a direction, such as [0, 0, 1]")
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    return float(x), float(y), float(z)
-
-
-Direction = Annotated[
-    Vector,
-    BeforeValidator(_named_axis, json_schema_input_type=Literal["x", "y", "z"] | Vector),
-    AfterValidator(_unit),
+# What a configuration has for a material: a section, or the name of a material alone.
+MaterialWords = Annotated[
+    MaterialSection,
+    BeforeValidator(_of_name, json_schema_input_type=PresetName | MaterialSection),
 ]
 
 
@@ -152,9 +209,10 @@ class PartSection(Settings):
     name: str | None = Field(
         None, description="The name of the part. Without this key, it is the name of the file."
     )
-    material: MaterialSection | None = Field(
+    material: MaterialWords | None = Field(
         None,
-        description="The material. It changes a built-in part's own, and replaces that of a file.",
+        description="The material: a name, or a section. Keys change a built-in part's own "
+        "material; a name replaces it, and so does either that of a file.",
     )
     density_kg_m3: Positive | None = Field(
         None,
@@ -237,17 +295,30 @@ def resolve_material(
     """A material, its texture read.
 
     Args:
-        own: what a key that is left out keeps; None is the default material.
+        own: what a key that is left out keeps, unless the section names a preset; None is the
+            default material.
 
     Raises:
-        ConfigError: the texture cannot be read.
+        ConfigError: the texture cannot be read, or anisotropy and grooves do not go together.
     """
-    changes = {key: value for key, value in section if value is not None}
+    if section.preset is not None:
+        own = material_preset(section.preset).material
+    own = own or Material()
+    changes: dict[str, Any] = section.model_dump(
+        exclude_none=True, exclude={"preset", "grain", "turned", "turned_about_m"}
+    )
+    if (grain := section.own_grain()) is not None:
+        changes["grain"] = grain
+        if not changes.get("anisotropy", own.anisotropy):
+            raise ConfigError("grain and turned need an anisotropy: add one, such as 0.8")
     if section.texture is not None:
         changes["texture"] = read_texture(folder / section.texture)
     elif section.base_color is not None:
         changes = {"texture": None, "projector_reflectance": None} | changes
-    return replace(own or Material(), **changes)
+    try:
+        return replace(own, **changes)
+    except ValueError as error:
+        raise ConfigError(f"material: {error}") from error
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:

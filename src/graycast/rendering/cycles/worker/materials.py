@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 from blender import Nodes, texture_image
 
+GRAIN = "grain"  # the attribute of a mesh with the direction of its grooves
 NORMAL_OFFSET = 2.0  # It keeps what is shown above 0.
 
 
@@ -66,7 +67,19 @@ class Surface:
         for name, word in (("Metallic", "metallic"), ("Roughness", "roughness"), ("IOR", "ior")):
             node.inputs[name].default_value = words[word]
         self.nodes.put(node.inputs["Base Color"], base)
+        if words["anisotropy"] > 0:
+            node.inputs["Anisotropic"].default_value = words["anisotropy"]
+            self.nodes.put(node.inputs["Tangent"], self._across_grain())
         return node.outputs[0]
+
+    def _across_grain(self) -> bpy.types.NodeSocket:
+        """The direction in which Cycles' facets are widest, in world coordinates."""
+        own = self.nodes.new("ShaderNodeAttribute", attribute_name=GRAIN).outputs["Vector"]
+        words = {"vector_type": "VECTOR", "convert_from": "OBJECT", "convert_to": "WORLD"}
+        grain = self.nodes.new("ShaderNodeVectorTransform", **words)
+        self.nodes.put(grain.inputs[0], own)
+        normal = self.geometry.outputs["Normal"]
+        return self.nodes.vector("CROSS_PRODUCT", normal, grain.outputs[0]).outputs[0]
 
     def _quantities(self, base: object) -> dict[str, bpy.types.NodeSocket]:
         lifted = self.nodes.vector(

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 from blender import Nodes, place
-from materials import Surface
+from materials import GRAIN, Surface
 
 
 class World:
@@ -39,6 +39,9 @@ class World:
         mesh.polygons.foreach_set("use_smooth", np.full(len(faces), smooth))
         if smooth:
             mesh.normals_split_custom_set(arrays["corner_normals"].reshape(-1, 3).tolist())
+        if "corner_grain" in arrays:
+            layer = mesh.attributes.new(GRAIN, "FLOAT_VECTOR", "CORNER")
+            layer.data.foreach_set("vector", arrays["corner_grain"].ravel())
         mesh.materials.append(self.surfaces[words["material"]].material)
         mesh.update()
         for number, T in zip(words["instances"], arrays["T_world"], strict=True):

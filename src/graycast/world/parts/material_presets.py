@@ -1,0 +1,103 @@
+"""Materials of the trade by name: what `material: steel` in a configuration stands for.
+
+The colour of a pure metal is its reflectance at normal incidence in air,
+`((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands;
+`n` and `k` are published and linear between the wavelengths of their tables. The colour of what is
+no metal, where it has a source, is the measured reflectance at the same wavelengths. All else, and
+every roughness and anisotropy, is our choice: a start, until the user knows those of the part.
+Brushed and ground metal has its grooves along x of the mesh, turned metal about z.
+
+Leaves out: oxide films, oil and scratches, which make real metal darker than a pure one; `steel`
+stands for such a surface. Densities are of the usual alloy or grade, for `graycast new`.
+"""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .part import Color, Grain, Material
+
+OUR_CHOICE = "our choice"
+Grooves = tuple[float, Grain | None]  # the anisotropy, and which way they run
+_GROUND: Grooves = (0.6, Grain(axis=(1.0, 0.0, 0.0)))
+_BRUSHED: Grooves = (0.8, Grain(axis=(1.0, 0.0, 0.0)))
+_TURNED: Grooves = (0.8, Grain(axis=(0.0, 0.0, 1.0), turned=True))
+_IRON = (0.525, 0.512, 0.500)
+_STAINLESS = (0.599, 0.588, 0.573)
+_ALUMINIUM = (0.910, 0.915, 0.921)
+_OF_IRON = "Fe: Johnson & Christy, Phys. Rev. B 9, 5056, 1974"
+_OF_STAINLESS = "ferritic steel: Karlsson & Ribbing, J. Appl. Phys. 53, 6340, 1982"
+_OF_ALUMINIUM = "Al: Rakić, Appl. Opt. 34, 4755, 1995"
+_OF_CHROMIUM = "Cr: Johnson & Christy, Phys. Rev. B 9, 5056, 1974"
+_OF_COPPER = "Cu: Johnson & Christy, Phys. Rev. B 6, 4370, 1972"
+_OF_BRASS = "Cu70Zn30: Querry, CRDC-CR-85034, 1985"
+_OF_ZINC = "Zn: Werner et al., J. Phys. Chem. Ref. Data 38, 1013, 2009"
+_MEASURED = "measured: physicallybased.info, "
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaterialPreset:
+    """A material, the density [kg/m^3] of what it is made of, and where its colour is from."""
+
+    material: Material
+    density_kg_m3: float
+    source: str
+
+
+def _metal(
+    color: Color, roughness: float, density_kg_m3: float, source: str, grooves: Grooves = (0, None)
+) -> MaterialPreset:
+    material = Material(
+        base_color=color, metallic=1, roughness=roughness, anisotropy=grooves[0], grain=grooves[1]
+    )
+    return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
+
+
+def _other(color: Color, roughness: float, density_kg_m3: float, source: str) -> MaterialPreset:
+    material = Material(base_color=color, roughness=roughness)
+    return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
+
+
+def _grey(level: float) -> Color:
+    return level, level, level
+
+
+MATERIALS: Mapping[str, MaterialPreset] = {
+    "steel": _metal(_grey(0.4), 0.4, 7850, OUR_CHOICE),
+    "steel-polished": _metal(_IRON, 0.15, 7850, _OF_IRON),
+    "steel-ground": _metal(_IRON, 0.3, 7850, _OF_IRON, _GROUND),
+    "steel-brushed": _metal(_IRON, 0.35, 7850, _OF_IRON, _BRUSHED),
+    "steel-turned": _metal(_IRON, 0.3, 7850, _OF_IRON, _TURNED),
+    "stainless-polished": _metal(_STAINLESS, 0.15, 7700, _OF_STAINLESS),
+    "stainless-brushed": _metal(_STAINLESS, 0.35, 7700, _OF_STAINLESS, _BRUSHED),
+    "aluminium-cast": _metal(_ALUMINIUM, 0.55, 2700, _OF_ALUMINIUM),
+    "aluminium-machined": _metal(_ALUMINIUM, 0.3, 2700, _OF_ALUMINIUM, _GROUND),
+    "aluminium-turned": _metal(_ALUMINIUM, 0.25, 2700, _OF_ALUMINIUM, _TURNED),
+    "chrome": _metal((0.552, 0.555, 0.558), 0.1, 7850, _OF_CHROMIUM),
+    "copper": _metal((0.869, 0.624, 0.550), 0.25, 8940, _OF_COPPER),
+    "brass": _metal((0.864, 0.789, 0.493), 0.25, 8530, _OF_BRASS),
+    "zinc": _metal((0.873, 0.869, 0.859), 0.4, 7140, _OF_ZINC),
+    "steel-black-oxide": _other(_grey(0.03), 0.4, 7850, OUR_CHOICE),
+    "cast-iron": _other((0.027, 0.026, 0.027), 0.6, 7200, _MEASURED + "cast iron, 2026"),
+    "rust": _other((0.152, 0.068, 0.026), 0.9, 7850, _MEASURED + "rust, 2026"),
+    "plastic": _other(_grey(0.3), 0.5, 1100, OUR_CHOICE),
+    "abs-black": _other(_grey(0.04), 0.5, 1050, OUR_CHOICE),
+    "pom-black": _other(_grey(0.04), 0.35, 1410, OUR_CHOICE),
+    "pom-white": _other(_grey(0.8), 0.35, 1410, OUR_CHOICE),
+    "rubber": _other(_grey(0.023), 0.8, 1150, _MEASURED + "tire, 2022"),
+    "cardboard": _other((0.310, 0.224, 0.128), 0.9, 700, _MEASURED + "cardboard, 2026"),
+    "paper": _other((0.817, 0.802, 0.912), 0.9, 800, _MEASURED + "office paper, 2023"),
+}
+
+
+def material_preset(name: str) -> MaterialPreset:
+    """A material known by name.
+
+    Raises:
+        ValueError: the name is not in `MATERIALS`.
+    """
+    if name in MATERIALS:
+        return MATERIALS[name]
+    near = difflib.get_close_matches(name, MATERIALS, n=2)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"choose {', '.join(MATERIALS)}"
+    raise ValueError(f"no material has the name {name!r}; {hint}")

@@ -1,0 +1,220 @@
+"""Materials by name: colours of metals follow from published indices, one key changes one word."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from graycast.base.errors import ConfigError
+from graycast.cell.config import load_config
+from graycast.cell.domain.looks import retouched
+from graycast.dataset.claim import part_digest
+from graycast.world.parts import (
+    MATERIALS,
+    Grain,
+    Material,
+    Mesh,
+    builtin_part,
+    material_preset,
+)
+from graycast.world.parts.grain import corner_grain
+from graycast.world.parts.part_sections import MaterialSection, resolve_material, resolve_part
+from graycast.world.scene import Sphere
+
+# (wavelength [um], n, k) around 610, 550 and 465 nm, as printed in the sources of `MATERIALS`.
+INDICES = {
+    "steel-polished": (
+        (0.451, 2.59, 2.77), (0.471, 2.67, 2.82), (0.549, 2.95, 2.93), (0.582, 2.94, 2.99),
+        (0.617, 2.88, 3.05),
+    ),
+    "stainless-polished": (
+        (0.46, 1.5372, 2.8162), (0.48, 1.6307, 2.9055), (0.54, 1.8730, 3.1404),
+        (0.56, 1.9355, 3.2004), (0.60, 2.0565, 3.3248), (0.62, 2.1139, 3.3881),
+    ),
+    "aluminium-cast": (
+        (0.44280, 0.6079, 5.3676), (0.47687, 0.7278, 5.7781), (0.51660, 0.8734, 6.2418),
+        (0.56357, 1.0728, 6.7839), (0.61993, 1.3660, 7.4052),
+    ),
+    "chrome": (
+        (0.451, 2.33, 3.14), (0.471, 2.51, 3.24), (0.549, 3.18, 3.33), (0.582, 3.22, 3.30),
+        (0.617, 3.17, 3.30),
+    ),
+    "copper": (
+        (0.4509, 1.24, 2.397), (0.4714, 1.25, 2.483), (0.5486, 1.02, 2.577),
+        (0.5821, 0.70, 2.704), (0.6168, 0.30, 3.205),
+    ),
+    "brass": (
+        (0.46, 0.994, 1.883), (0.47, 0.900, 1.957), (0.55, 0.527, 2.765), (0.61, 0.452, 3.345),
+    ),
+    "zinc": (
+        (0.450852, 0.6794, 4.0209), (0.495937, 0.7858, 4.4636),
+        (0.551041, 0.9322, 4.9850), (0.619921, 1.1356, 5.6116),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", INDICES)
+def test_the_colour_of_a_metal_is_its_reflectance_at_normal_incidence(name):
+    """Oracle: |(N - 1) / (N + 1)|^2 of the complex index N = n + i k, at three wavelengths."""
+    wavelength_um, n, k = np.array(INDICES[name]).T
+    at_um = (0.610, 0.550, 0.465)
+    index = np.interp(at_um, wavelength_um, n) + 1j * np.interp(at_um, wavelength_um, k)
+    reflectance = np.abs((index - 1) / (index + 1)) ** 2
+    material = MATERIALS[name].material
+    assert np.abs(reflectance - material.base_color).max() < 6e-4  # three digits
+    assert material.metallic == 1
+
+
+def test_every_metal_with_a_source_is_compared_with_it():
+    with_source = {
+        preset.material.base_color
+        for preset in MATERIALS.values()
+        if preset.material.metallic and preset.source != "our choice"
+    }
+    assert with_source == {MATERIALS[name].material.base_color for name in INDICES}
+
+
+def resolved(words, own=None):
+    return resolve_material(MaterialSection.model_validate(words), Path(), own=own)
+
+
+def test_a_name_is_the_material_and_one_key_changes_one_word():
+    brass = MATERIALS["brass"].material
+    assert resolved({"preset": "brass"}) == brass
+    assert resolved({"preset": "brass", "roughness": 0.4}) == replace(brass, roughness=0.4)
+
+
+def test_a_name_replaces_all_of_a_built_in_parts_look():
+    label = builtin_part("toothpaste").material
+    line = Material(texture=label.texture, projector_reflectance=0.3)
+    assert resolved({"preset": "rubber"}, own=line) == MATERIALS["rubber"].material
+
+
+@pytest.mark.parametrize("material", ["brass", {"preset": "brass"}])
+def test_a_file_has_a_name_in_place_of_a_section(tmp_path, material):
+    part = {"builtin": "metal_workpiece_1", "material": material}
+    content = {"parts": [part], "table": "rubber", "bin": {"material": "paper", "floor": "rust"}}
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump(content))
+    config = load_config(path)
+    assert resolve_part(config.parts[0], tmp_path)[0].material == MATERIALS["brass"].material
+    assert (config.table.preset, config.bin.material.preset) == ("rubber", "paper")
+    assert config.bin.floor.preset == "rust"
+
+
+@pytest.mark.parametrize(
+    ("material", "line"),
+    [
+        ("brss", "parts.0.material.preset is 'brss': no material has the name 'brss'; did you"),
+        ("unobtainium", "choose steel, steel-polished,"),
+        ({"preset": "bras"}, "did you mean brass?"),
+        ({"preset": "brass", "rougness": 0.2}, "did you mean roughness?"),
+        (7, "parts.0.material"),
+    ],
+)
+def test_a_wrong_name_is_refused_in_one_line(tmp_path, material, line):
+    path = tmp_path / "cell.yaml"
+    part = {"builtin": "toothpaste", "material": material}
+    path.write_text(yaml.safe_dump({"parts": [part]}))
+    with pytest.raises(ConfigError) as refusal:
+        load_config(path)
+    assert line in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_the_door_knows_the_same_names():
+    assert material_preset("zinc") is MATERIALS["zinc"]
+    with pytest.raises(ValueError, match="did you mean zinc"):
+        MaterialSection(preset="zink")
+
+
+# --- grooves -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("words", [{}, {"metallic": 1.0}, {"grain": Grain(axis=(1.0, 0, 0))}])
+def test_anisotropy_needs_metal_and_a_grain(words):
+    with pytest.raises(ValueError, match=r"needs metal .* and the direction of its grooves"):
+        Material(anisotropy=0.5, **words)
+
+
+def test_a_sphere_has_no_grain():
+    with pytest.raises(ValueError, match="a sphere has no grain"):
+        Sphere(center_m=(0, 0, 0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
+
+
+def test_the_widths_are_those_of_burley():
+    """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
+    for anisotropy in (0.0, 0.6, 1.0):
+        grain = Grain(axis=(1.0, 0, 0))
+        metal = Material(metallic=1.0, roughness=0.3, anisotropy=anisotropy, grain=grain)
+        along, across = metal.alphas
+        assert abs(along * across - 0.3**4) < 1e-12
+        assert abs(across / along - 1 / (1 - 0.9 * anisotropy)) < 1e-9
+
+
+def test_keys_of_grooves_arrive():
+    brushed = MATERIALS["steel-brushed"].material
+    lathe = Grain(axis=(0.0, 1.0, 0.0), turned=True, point_m=(0.1, 0.0, 0.0))
+    turned = {"preset": "steel-brushed", "turned": "y", "turned_about_m": [0.1, 0, 0]}
+    assert resolved(turned) == replace(brushed, grain=lathe)
+    along = Grain(axis=(0.0, 0.6, 0.8))
+    assert resolved({"preset": "steel-brushed", "grain": [0, 3, 4]}).grain == along
+    plain = resolved({"preset": "steel-brushed", "anisotropy": 0.0})
+    assert plain.alphas == (plain.roughness**2,) * 2
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ({"preset": "brass", "grain": "x"}, "grain and turned need an anisotropy"),
+        ({"preset": "brass", "anisotropy": 0.5}, "the direction of its grooves"),
+        ({"anisotropy": 0.5, "grain": "x"}, "needs metal"),
+        ({"preset": "steel-brushed", "grain": "x", "turned": "z"}, "remove one of them"),
+        ({"preset": "steel-turned", "turned_about_m": [0, 0, 0]}, "belongs to turned"),
+        ({"preset": "steel-brushed", "grain": [0, 0, 0]}, "an axis must have a direction"),
+    ],
+)
+def test_grooves_that_would_do_nothing_are_refused(words, line):
+    with pytest.raises((ConfigError, ValueError), match=line):
+        resolved(words)
+
+
+def test_a_part_of_another_size_keeps_the_axis_of_its_lathe():
+    part = builtin_part("metal_workpiece_2")
+    lathe = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=(0.01, 0.0, 0.0))
+    metal = replace(MATERIALS["steel-turned"].material, grain=lathe)
+    assert replace(part, material=metal).scaled(2.0).material.grain.point_m == (0.02, 0.0, 0.0)
+    assert part.scaled(2.0).material == part.material
+
+
+def test_ends_of_a_brushed_box_have_grooves_of_their_own():
+    """On every face the direction lies in the face, along the grain wherever that can be."""
+    corner_m = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1.0)])
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    mesh = Mesh(vertices_m=corner_m, faces=faces)
+    way = corner_grain(mesh, Grain(axis=(2.0, 0.0, 0.0)))
+    ends = np.abs(mesh.face_normal[:, 0]) > 0.5
+    assert np.allclose(way[~ends], [1, 0, 0]) and np.allclose(way[ends], [0, 1, 0])
+    lathe = corner_grain(mesh, Grain(axis=(0.0, 0.0, 1.0), turned=True))
+    assert np.allclose(lathe, np.cross([0, 0, 1.0], corner_m[faces]))
+    far = corner_grain(mesh, Grain(axis=(0.0, 0, 1), turned=True, point_m=(50.0, 0.0, 0.0)))
+    radial = np.abs(mesh.face_normal[:, 1]) > 0.5  # a keyway's walls, seen from an axis far away
+    assert np.allclose(far[radial], [0, 0, 1]) and np.allclose(
+        far[ends][..., 0], -corner_m[faces[ends]][..., 1]
+    )
+
+
+def test_only_metal_keeps_its_grooves_when_it_is_retouched():
+    brushed = MATERIALS["steel-brushed"].material
+    less = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-0.5)
+    none = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-1.0)
+    assert (less.anisotropy, none.anisotropy) == (0.8, 0.0)
+
+
+def test_another_direction_of_grooves_is_another_part():
+    part = replace(builtin_part("toothpaste"), material=MATERIALS["steel-brushed"].material)
+    other = replace(part.material, grain=Grain(axis=(0.0, 1.0, 0.0)))
+    assert part_digest(part) != part_digest(replace(part, material=other))
+    assert part_digest(part) != part_digest(replace(part, material=MATERIALS["steel"].material))

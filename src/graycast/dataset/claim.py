@@ -175,6 +175,8 @@ def part_digest(part: Part) -> str:
     )
     if material.anisotropy > 0 and material.grain is not None:
         look += (material.anisotropy, asdict(material.grain))
+    if material.transparent is not None:
+        look += (material.transparent, material.color_depth_m)
     discrete = [T.tolist() for T in part.symmetry.discrete]
     body = (part.density_kg_m3, part.friction, discrete, part.symmetry.continuous)
     digest.update(json.dumps(plain([look, body])).encode())

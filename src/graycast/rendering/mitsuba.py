@@ -17,10 +17,11 @@ Both lenses are thin (`Optics`). Paths start all over the camera's pupil. What l
 the projector's is a disc of its picture, so patterns take their mean level over that disc, too. A
 pixel's samples come in pairs that mirror each other: it sees a smooth surface at its exact middle.
 
-Limits: no light passes through a surface; a surface smoother than roughness 0.05 is refused, since
-paths cannot find a small projector lens's mirror image. The shadow ray goes to a random place of
-the projector's lens, but the patterns are averaged over the whole of it: half shadows are as soft
-as they should be, and their stripes are not shifted by the half of the lens that is hidden.
+Limits: light passes through glass alone (`mitsuba_sight.py`); a surface smoother than roughness
+0.05 is refused, since paths cannot find a small projector lens's mirror image. The shadow ray goes
+to a random place of the projector's lens, but the patterns are averaged over the whole of it: half
+shadows are as soft as they should be, and their stripes are not shifted by the half of the lens
+that is hidden.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -35,7 +36,8 @@ from ..rig.optics import relative_illumination
 from ..world.scene import Layout, Scene
 from .denoise import denoised, open_denoiser
 from .mitsuba_caustics import CausticTracer
-from .mitsuba_paths import Paths, Tracer
+from .mitsuba_path_state import Paths
+from .mitsuba_paths import Tracer
 from .mitsuba_patterns import aligned
 from .mitsuba_projector import ShinyField
 from .mitsuba_scene import MitsubaWorld, build
@@ -185,7 +187,7 @@ def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None
 
 def _path_noise(stage: Stage, paths: Paths, scene: Scene) -> PathNoise:
     size = scene.rig.camera.height_px, scene.rig.camera.width_px
-    mean, centre = paths.placed / paths.straight, centre_places(stage.world, scene)
+    mean, centre = paths.placed / paths.straight, centre_places(stage.sight, scene)
     samples = stage.quality.samples
     stray2 = {
         axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray

@@ -26,11 +26,14 @@ from ..world.scene import (
 )
 from .brushed_conductor import GRAIN, BrushedConductor
 from .coated_diffuse import CoatedDiffuse
+from .dielectric import Dielectric, ThinDielectric
 from .rough_conductor import RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("rough_conductor", RoughConductor)
 mi.register_bsdf("brushed_conductor", BrushedConductor)
+mi.register_bsdf("solid_glass", Dielectric)
+mi.register_bsdf("thin_glass", ThinDielectric)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,8 @@ class MitsubaWorld:
     scene: mi.Scene
     part_shapes: tuple[PartShape, ...]
     shiny: tuple[mi.Shape, ...]
+    glass: bool  # whether anything is transparent
+    thin: bool  # and whether some of that is without depth
 
 
 def build(scene: Scene, layout: Layout) -> MitsubaWorld:
@@ -80,11 +85,15 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
     # environment's shadow rays, as long as the scene is large, then end before what blocks them.
     loaded = mi.load_dict(world, optimize=False)
-    shiny = {name for name, material in _materials(scene).items() if _is_shiny(material)}
+    materials = _materials(scene)
+    shiny = {name for name, material in materials.items() if _is_shiny(material)}
+    kinds = {material.transparent for material in materials.values()}
     return MitsubaWorld(
         scene=loaded,
         part_shapes=tuple(part_shapes),
         shiny=tuple(shape for shape in loaded.shapes() if shape.id() in shiny),
+        glass=bool(kinds - {None}),
+        thin="thin" in kinds,
     )
 
 
@@ -100,6 +109,8 @@ def _materials(scene: Scene) -> dict[str, Material]:
 
 def _is_shiny(material: Material) -> bool:
     """Whether its mirror image of a lamp is brighter than white paper: `F0 D / 4 > 1 / pi`."""
+    if material.transparent is not None:
+        return True
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
     metal = 1.0 if material.texture is not None else max(material.base_color)
     normal = metal * material.metallic + coat * (1 - material.metallic)
@@ -108,6 +119,8 @@ def _is_shiny(material: Material) -> bool:
 
 def _bsdf(material: Material) -> dict[str, object]:
     """A material as Mitsuba BSDFs; docs/explanation/light.md, "Materials"."""
+    if material.transparent is not None:
+        return _glass(material)
     if material.metallic == 0:
         return _dielectric(material)
     if material.metallic == 1:
@@ -129,6 +142,13 @@ def _dielectric(material: Material) -> dict[str, object]:
         "eta": material.ior,
         "reflectance": _reflectance(material),
     }
+
+
+def _glass(material: Material) -> dict[str, object]:
+    glass = {"eta": material.ior, "reflectance": _reflectance(material)}
+    if material.transparent == "thin":
+        return {"type": "thin_glass"} | glass
+    return {"type": "solid_glass", "color_depth": material.color_depth_m} | glass
 
 
 def _conductor(material: Material) -> dict[str, object]:

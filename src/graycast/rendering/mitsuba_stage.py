@@ -11,6 +11,7 @@ from ..world.scene import Scene
 from .mitsuba_patterns import PackedPatterns, finest_patterns
 from .mitsuba_projector import ProjectorLight
 from .mitsuba_scene import MitsubaWorld
+from .mitsuba_sight import Sight
 from .radiance import Quality
 
 
@@ -20,6 +21,7 @@ class Stage:
     def __init__(self, world: MitsubaWorld, scene: Scene, pattern: np.ndarray, quality: Quality):
         rig = scene.rig
         self.world, self.quality = world.scene, quality
+        self.sight = Sight(world.scene, glass=world.glass, thin=world.thin)
         self.camera, self.light = rig.camera, ProjectorLight(scene)
         self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
         self.T_cam_world = mi.Matrix4f(inverse(scene.T_world_cam))

@@ -105,6 +105,8 @@ def _refuse_beyond_limits(
         material = surface.material
         if material.metallic or material.specular or material.texture is not None:
             raise ValueError("the reference renderer is Lambertian: set metallic and specular to 0")
+        if material.transparent is not None:
+            raise ValueError("the reference renderer has no glass: use mitsuba")
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:

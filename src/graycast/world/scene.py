@@ -78,6 +78,10 @@ class Quad:
                 f"the two half edges of a quad are {u} and {v}; they must be perpendicular and "
                 "not 0"
             )
+        if self.material.transparent == "solid":
+            raise ValueError(
+                "a quad has no inside: its material can be transparent thin, not solid"
+            )
 
     @property
     def texture_repeats(self) -> tuple[float, float]:
@@ -165,6 +169,9 @@ class Scene:
         self.T_world_cam.flags.writeable = False
         if not is_rigid(self.T_world_cam):
             raise ValueError("T_world_cam is not a rotation and a translation")
+        opaque = () if self.bin is None else (self.table, self.bin.material, self.bin.floor)
+        if any(material and material.transparent for material in opaque):
+            raise ValueError("a bin and a table cannot be transparent: parts alone can be")
         labelled = [part.labelled for part in self.parts]
         if labelled != sorted(labelled, reverse=True):  # a label is a place among the parts
             raise ValueError(f"labelled parts are {labelled}: parts without a label must come last")

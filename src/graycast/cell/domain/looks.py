@@ -56,7 +56,7 @@ def retouched(
     `brightness` is a factor of all reflectance, `tint` one more of each band, not of the
     projector's line; of a texture each texel's linear value is multiplied. Reflectance ends at 1.
     `roughness` and `metallic` are added, and end at what a material may have; only metal keeps its
-    grooves.
+    grooves, and what is transparent becomes no metal.
     """
     factor = [brightness * own for own in tint]
     line = material.projector_reflectance
@@ -65,7 +65,7 @@ def retouched(
     red, green, blue = (
         min(1.0, f * level) for f, level in zip(factor, material.base_color, strict=True)
     )
-    metallic = min(max(metallic, 0.0), 1.0)
+    metallic = min(max(metallic, 0.0), 1.0) if material.transparent is None else 0.0
     return replace(
         material,
         base_color=(red, green, blue),

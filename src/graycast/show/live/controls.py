@@ -290,6 +290,10 @@ def _material(material: Material) -> Mapping[str, Any]:
     words["base_color"] = list(material.base_color)
     if material.projector_reflectance is not None:
         words["projector_reflectance"] = material.projector_reflectance
+    if material.transparent is not None:
+        words["transparent"] = material.transparent
+        if material.transparent == "solid":
+            words["color_depth_m"] = material.color_depth_m
     if material.anisotropy > 0 and (grain := material.grain) is not None:
         words["anisotropy"] = material.anisotropy
         words["turned" if grain.turned else "grain"] = list(grain.axis)

@@ -206,7 +206,9 @@ def _mass_words(part: Part) -> str:
 
 
 def _material_words(material: Material) -> str:
-    if material.metallic == 1:
+    if material.transparent is not None:
+        kind = f"{material.transparent} glass of index {material.ior:.3f}"
+    elif material.metallic == 1:
         kind = "metal"
     elif material.metallic > 0:
         kind = f"{100 * material.metallic:.0f} % metal"
@@ -216,7 +218,8 @@ def _material_words(material: Material) -> str:
         colour = "colour " + " ".join(f"{c:.2g}" for c in material.base_color)
     else:
         colour = f"texture {material.texture.shape[1]} x {material.texture.shape[0]}"
-    shine = "" if kind == "Lambertian" else f", roughness {material.roughness:g}"
+    smooth = kind == "Lambertian" or material.transparent is not None
+    shine = "" if smooth else f", roughness {material.roughness:g}"
     if material.anisotropy > 0 and material.grain is not None:
         way = "turned about" if material.grain.turned else "brushed along"
         shine += f", {way} {_axis_words(material.grain.axis)} ({material.anisotropy:g})"

@@ -3,7 +3,8 @@
 The colour of a pure metal is its reflectance at normal incidence in air,
 `((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands;
 `n` and `k` are published and linear between the wavelengths of their tables. The colour of what is
-no metal, where it has a source, is the measured reflectance at the same wavelengths. All else, and
+no metal, where it has a source, is the measured reflectance at the same wavelengths. That of what
+is transparent is what 10 mm leave of the light; the source is that of the index. All else, and
 every roughness and anisotropy, is our choice: a start, until the user knows those of the part.
 Brushed and ground metal has its grooves along x of the mesh, turned metal about z.
 
@@ -32,6 +33,8 @@ _OF_CHROMIUM = "Cr: Johnson & Christy, Phys. Rev. B 9, 5056, 1974"
 _OF_COPPER = "Cu: Johnson & Christy, Phys. Rev. B 6, 4370, 1972"
 _OF_BRASS = "Cu70Zn30: Querry, CRDC-CR-85034, 1985"
 _OF_ZINC = "Zn: Werner et al., J. Phys. Chem. Ref. Data 38, 1013, 2009"
+_OF_GLASS = "n: N-BK7, Schott AG, data sheet 2014"
+_OF_PMMA = "n: PMMA, Beadie et al., Appl. Opt. 54, F139, 2015"
 _MEASURED = "measured: physicallybased.info, "
 
 
@@ -55,6 +58,15 @@ def _metal(
 
 def _other(color: Color, roughness: float, density_kg_m3: float, source: str) -> MaterialPreset:
     material = Material(base_color=color, roughness=roughness)
+    return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
+
+
+def _clear(color: Color, index: float, density_kg_m3: float, source: str) -> MaterialPreset:
+    material = Material(
+        base_color=color,
+        specular=((index - 1) / (index + 1)) ** 2 / 0.08,
+        transparent="solid",
+    )
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 
@@ -86,6 +98,10 @@ MATERIALS: Mapping[str, MaterialPreset] = {
     "pom-white": _other(_grey(0.8), 0.35, 1410, OUR_CHOICE),
     "rubber": _other(_grey(0.023), 0.8, 1150, _MEASURED + "tire, 2022"),
     "cardboard": _other((0.310, 0.224, 0.128), 0.9, 700, _MEASURED + "cardboard, 2026"),
+    "glass-clear": _clear((0.990, 0.995, 0.992), 1.517, 2510, _OF_GLASS),
+    "glass-green": _clear((0.35, 0.75, 0.30), 1.517, 2510, _OF_GLASS),
+    "pmma-clear": _clear(_grey(0.995), 1.492, 1190, _OF_PMMA),
+    "pet-clear": _clear(_grey(0.98), 1.575, 1380, OUR_CHOICE),
     "paper": _other((0.817, 0.802, 0.912), 0.9, 800, _MEASURED + "office paper, 2023"),
 }
 

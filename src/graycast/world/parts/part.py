@@ -2,16 +2,17 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from pydantic import Field
 
-from ...base.settings import Share, Vector, check_fields
+from ...base.settings import Positive, Share, Vector, check_fields
 
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
 Roughness = Annotated[float, Field(ge=0.01, le=1)]
+Transparent = Literal["solid", "thin"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +49,11 @@ class Material:
     `projector_reflectance` takes the place of colour and texture in the light of the measuring
     camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.
 
+    A `transparent` material is clear glass or plastic with smooth surfaces: `roughness` is unused,
+    `specular` gives its index. Of light, `color_depth_m` of a `solid` leave `base_color` (Beer's
+    law); each pass through a `thin` wall, whose mesh has no thickness, does, whatever the angle.
+    `projector_reflectance` is that at the projector's wavelength.
+
     Leaves out: translucency, anisotropic coats, spectra finer than three bands and that one line.
     """
 
@@ -59,6 +65,8 @@ class Material:
     projector_reflectance: Share | None = None
     anisotropy: Share = 0.0
     grain: Grain | None = None
+    transparent: Transparent | None = None
+    color_depth_m: Positive = 0.01
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -67,8 +75,17 @@ class Material:
                 f"anisotropy is {self.anisotropy}, which needs metal (metallic above 0) and the "
                 "direction of its grooves (grain or turned)"
             )
+        if self.transparent is not None:
+            self._refuse_opaque()
         if self.texture is not None:
             self.texture.flags.writeable = False
+
+    def _refuse_opaque(self) -> None:
+        words = f"a transparent material ({self.transparent}) is clear glass or plastic"
+        if self.metallic > 0:
+            raise ValueError(f"{words}; metallic is {self.metallic}: set it to 0")
+        if self.texture is not None:
+            raise ValueError(f"{words}; it cannot have a texture: give a base_color instead")
 
     def scaled(self, factor: float) -> "Material":
         """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""

@@ -16,7 +16,7 @@ from ...base.settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
 from .material_presets import MATERIALS, material_preset
 from .meshfile import load_part
-from .part import Color, Grain, Material, Mesh, Part, Roughness, Symmetry
+from .part import Color, Grain, Material, Mesh, Part, Roughness, Symmetry, Transparent
 from .symmetry import joined, shape_symmetry, turns_together
 
 Unit = Literal["m", "cm", "mm", "inch"]
@@ -77,7 +77,9 @@ class MaterialSection(Settings):
         "default is 0.",
     )
     roughness: Roughness | None = Field(
-        None, description="The roughness: 0.05 is polished, 1 is matt. The default is 0.5."
+        None,
+        description="The roughness: 0.05 is polished, 1 is matt. It is not used if "
+        "the part is transparent. The default is 0.5.",
     )
     specular: Share | None = Field(
         None,
@@ -106,6 +108,18 @@ class MaterialSection(Settings):
         None,
         description="A point on the axis of turned, in metres in the frame of the mesh. The "
         "default is its origin.",
+    )
+
+    transparent: Transparent | None = Field(
+        None,
+        description="Whether the part is of clear glass or plastic with smooth surfaces: solid, or "
+        "thin, if the mesh is a wall without thickness. The index of refraction n follows from "
+        "specular = 12.5 ((n - 1) / (n + 1))^2. Without this key, the surface is opaque.",
+    )
+    color_depth_m: Positive | None = Field(
+        None,
+        description="The length in metres of a way through a solid that leaves base_color of the "
+        "light (Beer's law); a thin wall leaves base_color at each pass. The default is 0.01.",
     )
 
     @model_validator(mode="after")
@@ -299,7 +313,7 @@ def resolve_material(
             default material.
 
     Raises:
-        ConfigError: the texture cannot be read, or anisotropy and grooves do not go together.
+        ConfigError: the texture cannot be read, or keys do not go together.
     """
     if section.preset is not None:
         own = material_preset(section.preset).material
@@ -316,9 +330,12 @@ def resolve_material(
     elif section.base_color is not None:
         changes = {"texture": None, "projector_reflectance": None} | changes
     try:
-        return replace(own, **changes)
+        material = replace(own, **changes)
     except ValueError as error:
         raise ConfigError(f"material: {error}") from error
+    if material.transparent != "solid" and section.color_depth_m is not None:
+        raise ConfigError("material: color_depth_m belongs to transparent solid: remove it")
+    return material
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:

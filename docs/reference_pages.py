@@ -60,6 +60,7 @@ one exposure; `python -m benchmarks swatches` draws the picture.
 
 The colour of a metal is the reflectance of its clean, smooth surface at normal incidence, at 610,
 550 and 465 nm, from published indices; a measured colour is the reflectance at these wavelengths.
+The colour of glass, PMMA and PET is what 10 mm leave of the light; their source is of the index.
 Real parts are darker by films of oxide and oil: compare with yours. Roughness and anisotropy are
 our choice.
 
@@ -93,7 +94,8 @@ def _material(name: str, preset: MaterialPreset) -> str:
     grooves = f"{material.anisotropy:g}" if material.grain else ""
     if material.grain is not None and material.grain.turned:
         grooves += ", turned"
-    numbers = f"{material.metallic:g} | {material.roughness:g} | {grooves}"
+    rough = "smooth" if material.transparent else f"{material.roughness:g}"
+    numbers = f"{material.metallic:g} | {rough} | {grooves}"
     density = f"{preset.density_kg_m3:g}"
     return f"| `{name}`{{ #{name} }} | {color} | {numbers} | {density} | {preset.source} |\n"
 

@@ -1,9 +1,7 @@
 """Clear glass and plastic with smooth surfaces, as Mitsuba BSDFs: solid, or a wall without depth.
 
-Both have delta distributions alone: `eval` and `pdf` are 0, and only `sample` finds a direction.
-Fresnel's equations for unpolarised light say how much is mirrored.
-
-Leaves out: rough glass, polarisation, dispersion.
+Both have delta distributions alone: `eval` and `pdf` are 0. Fresnel's equations for unpolarised
+light say how much is mirrored. Leaves out: rough glass, polarisation, dispersion.
 
 Imported only by the other Mitsuba files, after a variant was set.
 """
@@ -48,10 +46,9 @@ class Dielectric(_DeltaBSDF):
     A ray that hits it from inside has lost light since the last surface by Beer's law: of
     `color_depth` it leaves the colour, of a length t the colour to the power `t / color_depth`.
 
-    Refraction into glass squeezes a beam: its radiance grows by the square of the index, which a
-    path from the camera undoes; a path from the projector carries power, which does not change
-    (E. Veach 1997, section 5.2). Under interpolated normals paths from the projector keep their
-    power, too, as behind the smooth surface that the mesh stands for.
+    Radiance grows by the square of the index where light goes in, which paths from the camera
+    undo; those from the projector carry power, which stays (E. Veach 1997, section 5.2), also under
+    interpolated normals, as behind the smooth surface that the mesh stands for.
     """
 
     def __init__(self, props: mi.Properties):
@@ -88,8 +85,7 @@ class ThinDielectric(_DeltaBSDF):
     and `(1 - R) / (1 + R)` goes straight on, times the colour. Rays pass it in `mitsuba_sight.py`;
     the BSDF is asked by those that do not, and mirrors them.
 
-    Leaves out: the sideways shift of what is seen through it, colour of the mirrored light, and
-    more colour under grazing light.
+    Leaves out: the shift of what is behind, and that colours depend on the angle.
     """
 
     def __init__(self, props: mi.Properties):

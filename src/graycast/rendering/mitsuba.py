@@ -36,8 +36,7 @@ from ..rig.optics import relative_illumination
 from ..world.scene import Layout, Scene
 from .denoise import denoised, open_denoiser
 from .mitsuba_caustics import CausticTracer
-from .mitsuba_path_state import Paths
-from .mitsuba_paths import Tracer
+from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned
 from .mitsuba_projector import ShinyField
 from .mitsuba_scene import MitsubaWorld, build

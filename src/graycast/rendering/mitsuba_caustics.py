@@ -41,7 +41,7 @@ from .mitsuba_lens import (
     shines,
 )
 from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
-from .mitsuba_sight import MOST_GLASS, is_delta, odds_through
+from .mitsuba_sight import counted
 from .mitsuba_stage import Stage
 
 LANES = 2_500_000  # At most so many paths run side by side.
@@ -79,9 +79,8 @@ class CausticTracer:
     """Paths from the projector over the shiny surfaces of a stage."""
 
     def __init__(self, stage: Stage, field: ShinyField):
-        self.stage, self.field = stage, field
+        self.stage, self.field, self.sight = stage, field, stage.sight
         self.camera, self.projector = stage.camera, stage.light.optics
-        self.sight, self.glass = stage.sight, stage.sight.glass
         self.power = mi.BSDFContext(mi.TransportMode.Importance)
         self.total = field.paths * stage.quality.samples
         self.stride = stage.patterns.count + 3 + len(stage.strays)
@@ -110,7 +109,8 @@ class CausticTracer:
         origin = light.on_lens(mi.warp.square_to_uniform_disk_concentric(place))
         direction = self.field.direction(self.field.places(index, self.total, start))
         density = self.field.density(direction)
-        si, passing, rng = self.sight.first(mi.Ray3f(origin, direction), rng)
+        ray = mi.Ray3f(origin, direction)
+        si, passing, rng = self.sight.first(ray, mi.Color3f(1), rng)
         q = light.in_own_frame(si.p)
         place, inverse_z, _ = picture_place(light.optics, q)
         pixel, shining = self._shining_pixel(rng, place, inverse_z)
@@ -126,7 +126,7 @@ class CausticTracer:
             odds=odds_on_arrival(dr.rcp(density), si, direction, mi.Bool(True)),
             power=power,
             pixel=pixel,
-            passed=mi.UInt32(0) if self.glass else None,
+            passed=mi.UInt32(0) if self.sight.glass else None,
         )
         _, _, bs, value, pdf = self._dispatched(paths, si, si.wi)
         return self._go_on(paths, si, bs, value, pdf, None)
@@ -146,13 +146,12 @@ class CausticTracer:
     def _vertex(self, p: _LightPaths) -> _LightPaths:
         """Find the next vertex, add its light to the pixel that sees it, and go on."""
         stage, camera = self.stage, self.camera
-        si, passing, p.rng = self.sight.first(mi.Ray3f(p.origin, p.direction), p.rng)
+        ray = mi.Ray3f(p.origin, p.direction)
+        si, p.throughput, p.rng = self.sight.first(ray, p.throughput, p.rng)
         hit = p.alive & si.is_valid()
-        if not self.glass:  # glass alone sends on what comes from inside
+        if not self.sight.glass:  # glass alone sends on what comes from inside
             hit &= si.wi.z > 0
-        if self.sight.thin:
-            p.throughput *= passing
-        odds_before = p.odds
+        before = p.odds
         p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         pupil = mi.warp.square_to_uniform_disk_concentric(random)
@@ -169,8 +168,7 @@ class CausticTracer:
         value, pdf, bs, onward_value, onward_pdf = self._dispatched(p, si, wo)
         lit = hit & ahead & shines(camera, place) & (wo.z > 0)
         lit, passing = self.sight.reaches(si, lens, lit)
-        if self.sight.thin:
-            value *= passing
+        value *= passing
         cosine = dr.abs(dr.dot(si.n, to_camera))
         # Per path of a pixel, whose places are all over what senses of it.
         places = cosine * inverse_square * per_sr / camera.fill_factor
@@ -178,16 +176,12 @@ class CausticTracer:
         weight = share(odds) * places / dr.abs(dr.dot(si.n, p.direction))
         light = p.power * p.throughput * value * weight * stage.weights
         self._add(p, pixel_index(camera, on_pixel(camera, place)), light, lit)
-        if self.glass:
-            delta = is_delta(bs)
-            p.passed += dr.select(delta, mi.UInt32(1), 0)
-            hit &= p.passed < MOST_GLASS
-            p.vertex += dr.select(delta, mi.UInt32(0), 1)
-            p.alive = hit & (delta | (p.vertex + 1 < stage.quality.depth))
-        else:
-            p.vertex += 1
-            p.alive = hit & (p.vertex + 1 < stage.quality.depth)
-        return self._go_on(p, si, bs, onward_value, onward_pdf, odds_before)
+        delta = self.sight.is_delta(bs)
+        p.vertex += dr.select(delta, mi.UInt32(0), 1)
+        p.alive = hit & (delta | (p.vertex + 1 < stage.quality.depth))
+        if p.passed is not None:
+            p.passed, p.alive = counted(p.passed, p.alive, delta)
+        return self._go_on(p, si, bs, onward_value, onward_pdf, before)
 
     def _dispatched(self, p: _LightPaths, si, to_camera: mi.Vector3f):
         pick = p.rng.next_float32()
@@ -203,33 +197,27 @@ class CausticTracer:
             none = mi.Color3f(0)
             return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
         context = self.stage.context
-        bs, gain = bsdf.sample(self.power if self.glass else context, si, pick, uv, True)
+        bs, gain = bsdf.sample(self.power if self.sight.glass else context, si, pick, uv, True)
         back, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
         back.wi, onward.wi = to_camera, bs.wo
         value, pdf = bsdf.eval_pdf(context, back, si.wi, True)
         onward_value, onward_pdf = bsdf.eval_pdf(context, onward, si.wi, True)
-        if self.glass:  # whose way on has no value but its weight
-            onward_value = dr.select(is_delta(bs), gain, onward_value)
+        # Glass has no value there, but a weight.
+        onward_value = dr.select(self.sight.is_delta(bs), gain, onward_value)
         return value, pdf, bs, onward_value, onward_pdf
 
     def _go_on(
-        self, p: _LightPaths, si, bs, value: mi.Color3f, pdf: mi.Float, odds_before: mi.Float | None
+        self, p: _LightPaths, si, bs, value: mi.Color3f, pdf: mi.Float, before: mi.Float | None
     ) -> _LightPaths:
-        """Take the sampled direction, or end the path; the first vertex has no odds before it."""
+        """Take the sampled direction, or end the path; the first vertex has no odds `before` it."""
         direction = si.to_world(bs.wo)
         cosines = dr.abs(dr.dot(si.n, direction)) / dr.abs(dr.dot(si.n, p.direction))
-        alive, factor = p.alive & (bs.pdf > 0), cosines / bs.pdf
-        odds = odds_onward(p.odds, pdf, bs.pdf, si, direction, mi.Bool(odds_before is None))
-        if self.glass:
-            delta = is_delta(bs)
-            alive &= delta | (bs.wo.z > 0)
-            factor = dr.select(delta, 1, factor)
-            before = mi.Float(0) if odds_before is None else odds_before
-            odds = odds_through(before, odds, delta)
-        else:
-            alive &= bs.wo.z > 0
+        delta = self.sight.is_delta(bs)
+        alive = p.alive & (bs.pdf > 0) & (delta | (bs.wo.z > 0))
+        factor = dr.select(delta, 1, cosines / bs.pdf)
         p.throughput = dr.select(alive, p.throughput * value * factor, 0)
-        p.odds = odds
+        odds = odds_onward(p.odds, pdf, bs.pdf, si, direction, mi.Bool(before is None))
+        p.odds = dr.select(delta, 0 if before is None else before, odds)
         survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
         survival = dr.select(p.vertex + 1 >= ROULETTE_FROM, survival, 1.0)
         p.alive = alive & (p.rng.next_float32() < survival)

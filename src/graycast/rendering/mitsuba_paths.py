@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from ..rig.pattern import Axis
+from .mitsuba_caustics import Caustics
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
@@ -20,9 +22,8 @@ from .mitsuba_lens import (
     shines,
     through_focus,
 )
-from .mitsuba_path_state import Paths
 from .mitsuba_projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
-from .mitsuba_sight import MOST_GLASS, is_delta, odds_through
+from .mitsuba_sight import DELTA_PDF, counted
 from .mitsuba_stage import Stage
 from .radiance import OnPass
 
@@ -46,14 +47,50 @@ PIXEL, CAMERA_PUPIL, CAMERA_BLUR, PROJECTOR_PUPIL, PROJECTOR_DISC, LAMP, ONWARD 
 
 
 @dataclass
+class Paths:
+    """One path and its pixel's sums per lane: the state of the loop."""
+
+    rng: mi.PCG32
+    offset: list[mi.Point2f]  # of the pixel's sample sequences
+    sample: mi.UInt32
+    vertex: mi.UInt32  # of the path
+    alive: mi.Bool  # the path has a next vertex
+    throughput: mi.Color3f
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    last_pdf: mi.Float  # of the direction that led here
+    last_p: mi.Point3f
+    last_n: mi.Normal3f
+    spread: mi.Float  # radius of what the vertex stands for [m]
+    pattern: list[mi.Float]
+    white: mi.Color3f
+    ambient: mi.Color3f
+    albedo: mi.Color3f
+    straight: mi.Float  # light straight from the projector
+    placed: mi.Point2f  # that light times its places in the projector's picture
+    # By axis: what interreflected light adds to the finest pattern beyond its mean; its squares.
+    stray: dict[Axis, mi.Float]
+    stray2: dict[Axis, mi.Float]
+    odds: mi.Float  # that a path from the projector finds this one, over those of this kind
+    passed: mi.UInt32 | None = None  # how often solid glass has sent it on, where there is glass
+
+    def add(self, caustics: Caustics) -> None:
+        """The light of the paths from the projector."""
+        self.white += caustics.white
+        for k, light in enumerate(caustics.pattern):
+            self.pattern[k] += light
+        for axis, squares in caustics.stray2.items():
+            self.stray2[axis] += squares
+
+
+@dataclass
 class _Beam:
     """The direct light from the projector at a vertex."""
 
     wo: mi.Vector3f  # to the lens, local frame
     odds: mi.Float  # of a path from the projector, without the choice at the vertex
     lit: mi.Bool  # in the field, on the right side, and not in shadow
-    passing: mi.Color3f  # the share that thin walls let through
-    strength: mi.Float  # irradiance on a surface that faces it, of one lookup [W m^-2]
+    strength: mi.Color3f  # irradiance on a surface that faces it, of one lookup [W m^-2]
     count: mi.Float  # lookups that fall on projector pixels
     places: list[mi.Point2f]  # of the lookups, on the projector's grid of pixels
     shining: list[mi.Bool]
@@ -80,11 +117,10 @@ class Tracer:
 
     def __init__(self, stage: Stage, field: ShinyField | None):
         """The field is None where no light comes by a shiny surface, or where that is not asked."""
-        self.stage, self.field = stage, field
+        self.stage, self.field, self.sight = stage, field, stage.sight
         self.quality, self.camera, self.projector = stage.quality, stage.camera, stage.light.optics
         self.ambient = len(stage.world.emitters()) > 0
         self.footprint = self.quality.footprint and self.quality.depth > 1
-        self.sight, self.glass = stage.sight, stage.sight.glass
         self.sharp = self.projector.is_pinhole
         # Where a lookup can miss all pixels, white is no longer 1 at each.
         self.gaps = not self.sharp or self.projector.fill_factor < 1
@@ -116,7 +152,7 @@ class Tracer:
             stray={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
             stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.stage.strays},
             odds=mi.Float(0),
-            passed=mi.UInt32(0) if self.glass else None,
+            passed=mi.UInt32(0) if self.sight.glass else None,
         )
         samples = self.quality.samples
         if on_pass is None:
@@ -141,8 +177,7 @@ class Tracer:
         """One sample of every pixel."""
         p.origin, p.direction = self._camera_ray(p)
         p.throughput, p.vertex, p.alive = mi.Color3f(1), mi.UInt32(0), mi.Bool(True)
-        if self.glass:
-            p.passed = mi.UInt32(0)
+        p.passed = mi.UInt32(0) if self.sight.glass else None
         (p,) = dr.while_loop(state=(p,), cond=lambda p: p.alive, body=lambda p: (self._vertex(p),))
         p.sample += 1
         return p
@@ -150,12 +185,10 @@ class Tracer:
     def _vertex(self, p: Paths) -> Paths:
         """Find the next vertex, gather its light, and sample the next direction."""
         ray = mi.Ray3f(p.origin, p.direction)
-        si, passing, p.rng = self.sight.first(ray, p.rng)
-        if self.sight.thin:
-            p.throughput *= passing
+        si, p.throughput, p.rng = self.sight.first(ray, p.throughput, p.rng)
         hit = si.is_valid()
-        odds_before = p.odds
         fresh, last = p.vertex == 0, p.vertex + 1 >= self.quality.depth
+        before = dr.select(fresh, 0, p.odds)
         if self.field is not None:
             p.odds = odds_on_arrival(p.odds, si, p.direction, fresh)
         beam = self._beam(p, si, hit)
@@ -172,19 +205,18 @@ class Tracer:
         if self.field is not None:
             shiny = self.field.has(si) & ~fresh
             value *= dr.select(shiny, share(p.odds * beam.odds * lens_back), 1)
-        if self.sight.thin:
-            value *= beam.passing
         self._add_projector(p, beam, value)
         if lamp is not None:
             self._add_emission(p, si, fresh)
             weight = dr.select(last | lamp.is_point, 1.0, _power_heuristic(lamp.pdf, lamp_pdf))
             gathered = p.throughput * lamp_value * lamp.radiance * weight
             p.ambient += dr.select(lamp.lit, gathered, 0)
-        if self.glass:
-            last &= ~is_delta(bs)
-        self._go_on(p, si, bs, gain, onward_back, hit & ~last)
-        if self.glass:
-            self._behind_glass(p, bs, odds_before, fresh)
+        delta = self.sight.is_delta(bs)
+        self._go_on(p, si, bs, gain, onward_back, hit & (delta | ~last))
+        if p.passed is not None:
+            p.odds = dr.select(delta, before, p.odds)
+            p.last_pdf = dr.select(delta, DELTA_PDF, p.last_pdf)
+            p.passed, p.alive = counted(p.passed, p.alive, delta)
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
@@ -239,13 +271,13 @@ class Tracer:
         wo = si.to_local(to_lens * dr.sqrt(inverse_square))
         lit = hit & ahead & (count > 0) & (wo.z > 0) & (si.wi.z > 0)
         lit, passing = self.sight.reaches(si, lens, lit)
-        strength = self.stage.light.intensity(q, place) * inverse_square / len(places)
+        strength = passing * (self.stage.light.intensity(q, place) * inverse_square / len(places))
         odds = mi.Float(0)
         if self.field is not None:
             onto = -to_lens * dr.sqrt(inverse_square)
             odds = self.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
         places = [on_pixel(self.projector, one) for one in places]
-        return _Beam(wo, odds, lit, passing, strength, count, places, shining)
+        return _Beam(wo, odds, lit, strength, count, places, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
@@ -316,8 +348,7 @@ class Tracer:
         previous.p, previous.n = p.last_p, p.last_n
         ds = mi.DirectionSample3f(self.stage.world, si, previous)
         light_pdf = self.stage.world.pdf_emitter_direction(previous, ds, ~fresh)
-        alone = fresh | (p.last_pdf == 0) if self.glass else fresh  # no lamp is asked for at glass
-        weight = dr.select(alone, 1.0, _power_heuristic(p.last_pdf, light_pdf))
+        weight = dr.select(fresh, 1.0, _power_heuristic(p.last_pdf, light_pdf))
         p.ambient += p.throughput * si.emitter(self.stage.world).eval(si) * weight
 
     def _lamp(self, p: Paths, si, hit: mi.Bool) -> _Lamp:
@@ -337,9 +368,7 @@ class Tracer:
         """Take the sampled direction, or end the path."""
         p.throughput = dr.select(hit, p.throughput * gain, 0)
         survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
-        playing = p.vertex + 1 >= ROULETTE_FROM
-        if self.glass:  # in which throughput is less by the square of the index, for a while
-            playing &= ~is_delta(bs)
+        playing = (p.vertex + 1 >= ROULETTE_FROM) & ~self.sight.is_delta(bs)
         survival = dr.select(playing | (survival == 0), survival, 1.0)
         alive = hit & (p.rng.next_float32() < survival)
         p.throughput = dr.select(alive, p.throughput / survival, 0)
@@ -348,17 +377,8 @@ class Tracer:
             p.odds = odds_onward(p.odds, back, bs.pdf, si, onward.d, p.vertex == 0)
         p.origin, p.direction = onward.o, onward.d
         p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n
-        p.vertex += 1
+        p.vertex += dr.select(self.sight.is_delta(bs), mi.UInt32(0), 1)
         p.alive = alive
-
-    def _behind_glass(self, p: Paths, bs, odds_before: mi.Float, first: mi.Bool) -> None:
-        """What `mitsuba_sight.py` says of delta vertices; 0 marks their density."""
-        delta = is_delta(bs)
-        p.odds = odds_through(dr.select(first, 0, odds_before), p.odds, delta)
-        p.last_pdf = dr.select(delta, 0, p.last_pdf)
-        p.vertex -= dr.select(delta, mi.UInt32(1), 0)
-        p.passed += dr.select(delta, mi.UInt32(1), 0)
-        p.alive &= p.passed < MOST_GLASS
 
 
 def _side(p: Paths) -> mi.Float:

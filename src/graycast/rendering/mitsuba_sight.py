@@ -1,19 +1,18 @@
 """What rays meet where there may be glass: thin walls are passed on the way, solid glass is met.
 
-A ray passes a thin wall with the probability of the share that goes straight on, and else ends at
-it, to be mirrored. So a wall that is passed is no vertex of a path, and what lies behind is lit and
-seen directly. Shadow rays take each wall's share as a factor.
+A ray passes a thin wall with the probability of the share that goes straight on, or ends at it, to
+be mirrored. So a wall that is passed is no vertex, and what is behind is lit and seen directly.
+Shadow rays take each wall's share as a factor.
 
-Glass has delta distributions, which decide what multiple importance sampling does (E. Veach 1997,
-section 10.3.5). No path can be connected at such a vertex: light whose first surface is glass is
-found from the projector alone, what is seen on or through solid glass from the camera alone, and
-each counts in full; its odds become 0 for good. Between two other vertices both kinds of path take
-the delta vertex with the same probability, Fresnel's is the same from both sides, and with the same
-cosines: the odds stay as they were. The square of the index that refraction adds is left out by
-both, so that the shares of a path still add up to 1. A share of thin walls is left out likewise.
+Glass has delta distributions, at which no path is connected (E. Veach 1997, section 10.3.5). So
+light whose first surface is glass is found from the projector alone, and what is seen by glass from
+the camera alone: each counts in full, with odds of 0 from there on. Between two other vertices both
+kinds of path take the delta vertex with the same probability, for Fresnel's is that of both sides,
+and its cosines cancel: the odds stay as they were. Both leave out the square of the index that
+refraction adds, and the share of thin walls, so that the weights of a path still add up to 1.
 
-A delta vertex does not count for the depth of a path, nor as its first vertex: a path that comes
-through glass goes on as if it had just left the camera.
+A delta vertex counts neither for the depth of a path nor as its first vertex: a path from the
+camera goes on as if it had just started.
 
 Imported only by the other Mitsuba files, after a variant was set.
 """
@@ -24,6 +23,7 @@ import mitsuba as mi
 from .dielectric import Dielectric, ThinDielectric
 
 OFFSET_M = 2e-5  # Rays start so far from glass; Mitsuba's 2e-4 is a tenth of a bottle's wall.
+DELTA_PDF = 1e15  # It stands for infinity, whose square is no number.
 MOST_GLASS = 32  # A path ends that solid glass has sent on so often.
 
 
@@ -34,16 +34,16 @@ class Sight:
         self.world, self.glass, self.thin = world, glass, thin
 
     def first(
-        self, ray: mi.Ray3f, rng: mi.PCG32, *, straight: bool = False
+        self, ray: mi.Ray3f, color: mi.Color3f, rng: mi.PCG32, *, straight: bool = False
     ) -> tuple[mi.SurfaceInteraction3f, mi.Color3f, mi.PCG32]:
-        """The surface at which a ray ends, the colour of the walls before it, and `rng` after that.
+        """The surface at which a ray ends, its `color` behind the walls on the way, and `rng`.
 
         The length `t` is that from the start of the ray. A `straight` ray ends at no thin wall.
         """
         si = self.world.ray_intersect(ray)
         if not self.thin:
-            return si, mi.Color3f(1), rng
-        state = (si, mi.Float(0), mi.Color3f(1), mi.PCG32(rng), si.is_valid())
+            return si, color, rng
+        state = (si, mi.Float(0), mi.Color3f(color), mi.PCG32(rng), si.is_valid())
 
         def passed(si, length, color, rng, going):
             share, own = dr.dispatch(si.bsdf(), _passing, si)
@@ -65,7 +65,7 @@ class Sight:
         if not self.glass:
             si = self.world.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
             return si, mi.Bool(False)
-        si, _, _ = self.first(ray, mi.PCG32(size=dr.width(ray)), straight=True)
+        si, _, _ = self.first(ray, mi.Color3f(1), mi.PCG32(size=dr.width(ray)), straight=True)
         return si, dr.dispatch(si.bsdf(), _is_solid, si)
 
     def reaches(
@@ -91,11 +91,14 @@ class Sight:
         )
         return lit & (dr.max(share) > 0), share
 
+    def is_delta(self, bs: mi.BSDFSample3f) -> mi.Bool:
+        """Whether glass has chosen a direction."""
+        return mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) if self.glass else mi.Bool(False)
+
     def onward(self, si: mi.SurfaceInteraction3f, bs: mi.BSDFSample3f) -> mi.Ray3f:
         """The ray of a path that goes on."""
         ray = si.spawn_ray(si.to_world(bs.wo))
-        if self.glass:
-            ray.o = dr.select(is_delta(bs), _beside(si, ray.d), ray.o)
+        ray.o = dr.select(self.is_delta(bs), _beside(si, ray.d), ray.o)
         return ray
 
     def lamp(
@@ -109,14 +112,10 @@ class Sight:
         return ds, radiance
 
 
-def is_delta(bs: mi.BSDFSample3f) -> mi.Bool:
-    """Whether glass has chosen the direction."""
-    return mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-
-
-def odds_through(before: mi.Float, onward: mi.Float, delta: mi.Bool) -> mi.Float:
-    """Behind a vertex: `onward`, or, of glass, the odds before it (0 where it is the first)."""
-    return dr.select(delta, before, onward)
+def counted(passed: mi.UInt32, alive: mi.Bool, delta: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+    """How often glass has sent a path on, and whether it goes on."""
+    passed = passed + dr.select(delta, mi.UInt32(1), 0)
+    return passed, alive & (passed < MOST_GLASS)
 
 
 def _beside(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Point3f:

@@ -27,7 +27,7 @@ from .radiance import (
     Rendering,
     refuse_other_size,
 )
-from .wavelength import at_projector_wavelength
+from .wavelength import at_projector_wavelength, refuse_glass
 
 CLEARANCE_M = 1e-9  # A shadow ray starts this far from its surface; float64 needs no more.
 
@@ -95,6 +95,7 @@ def _refuse_beyond_limits(
         )
     if any(scene.environment.radiance):
         raise ValueError("the reference renderer has no environment light: set it to 0, 0, 0")
+    refuse_glass(scene, "the reference renderer")
     if quality.depth != 1 or math.isqrt(quality.samples) ** 2 != quality.samples:
         raise ValueError("the reference renderer needs depth 1 and a square number of samples")
     if not (scene.rig.camera.is_pinhole and projector.is_pinhole):
@@ -105,8 +106,6 @@ def _refuse_beyond_limits(
         material = surface.material
         if material.metallic or material.specular or material.texture is not None:
             raise ValueError("the reference renderer is Lambertian: set metallic and specular to 0")
-        if material.transparent is not None:
-            raise ValueError("the reference renderer has no glass: use mitsuba")
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:

@@ -43,6 +43,11 @@ def at_one_wavelength(scene: Scene) -> Scene:
     return _with_materials(scene, lambda material: _in_band(material, band))
 
 
+def refuse_glass(scene: Scene, renderer: str) -> None:
+    if any(material.transparent for material in _materials(scene)):
+        raise ValueError(f"{renderer} cannot render transparent materials: use mitsuba")
+
+
 def _materials(scene: Scene) -> list[Material]:
     materials = [part.material for part in scene.parts]
     materials += [surface.material for surface in scene.surfaces]

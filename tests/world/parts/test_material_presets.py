@@ -218,3 +218,30 @@ def test_another_direction_of_grooves_is_another_part():
     other = replace(part.material, grain=Grain(axis=(0.0, 1.0, 0.0)))
     assert part_digest(part) != part_digest(replace(part, material=other))
     assert part_digest(part) != part_digest(replace(part, material=MATERIALS["steel"].material))
+
+
+@pytest.mark.parametrize(
+    ("name", "index"), [("glass-clear", 1.5168), ("pmma-clear", 1.4906), ("pet-clear", 1.575)]
+)
+def test_what_is_transparent_has_the_index_of_its_source(name, index):
+    """N-BK7 at 588 nm by Schott, PMMA at 589 nm; PET is between the indices of its axes."""
+    assert abs(MATERIALS[name].material.ior - index) < 2e-3
+
+
+def test_glass_is_neither_metal_nor_has_a_texture():
+    for words, name in (({"metallic": 0.5}, "metallic"), ({"texture": TEXTURE}, "texture")):
+        with pytest.raises(ValueError, match=name):
+            Material(transparent="solid", **words)
+    section = MaterialSection(transparent="thin", color_depth_m=0.02)
+    with pytest.raises(ConfigError, match="color_depth_m belongs to transparent: solid"):
+        resolve_material(section, Path())
+    assert retouched(MATERIALS["glass-clear"].material, brightness=1, roughness=0, metallic=0.3)
+
+
+def test_another_depth_of_colour_is_another_part():
+    part = replace(builtin_part("metal_workpiece_1"), material=Material(transparent="solid"))
+    other = replace(part, material=Material(transparent="solid", color_depth_m=0.02))
+    assert len({part_digest(one) for one in (part, other, replace(part, material=Material()))}) == 3
+
+
+TEXTURE = np.zeros((2, 2, 3), dtype=np.uint8)

@@ -62,11 +62,8 @@ def _other(color: Color, roughness: float, density_kg_m3: float, source: str) ->
 
 
 def _clear(color: Color, index: float, density_kg_m3: float, source: str) -> MaterialPreset:
-    material = Material(
-        base_color=color,
-        specular=((index - 1) / (index + 1)) ** 2 / 0.08,
-        transparent="solid",
-    )
+    specular = ((index - 1) / (index + 1)) ** 2 / 0.08
+    material = Material(base_color=color, specular=specular, transparent="solid")
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 

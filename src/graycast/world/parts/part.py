@@ -75,17 +75,12 @@ class Material:
                 f"anisotropy is {self.anisotropy}, which needs metal (metallic above 0) and the "
                 "direction of its grooves (grain or turned)"
             )
-        if self.transparent is not None:
-            self._refuse_opaque()
+        if self.transparent is not None and self.metallic > 0:
+            raise ValueError(f"metallic is {self.metallic} of a transparent material: set it to 0")
+        if self.transparent is not None and self.texture is not None:
+            raise ValueError("a transparent material has a texture: give a base_color instead")
         if self.texture is not None:
             self.texture.flags.writeable = False
-
-    def _refuse_opaque(self) -> None:
-        words = f"a transparent material ({self.transparent}) is clear glass or plastic"
-        if self.metallic > 0:
-            raise ValueError(f"{words}; metallic is {self.metallic}: set it to 0")
-        if self.texture is not None:
-            raise ValueError(f"{words}; it cannot have a texture: give a base_color instead")
 
     def scaled(self, factor: float) -> "Material":
         """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""

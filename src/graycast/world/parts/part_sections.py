@@ -112,14 +112,14 @@ class MaterialSection(Settings):
 
     transparent: Transparent | None = Field(
         None,
-        description="Whether the part is of clear glass or plastic with smooth surfaces: solid, or "
-        "thin, if the mesh is a wall without thickness. The index of refraction n follows from "
-        "specular = 12.5 ((n - 1) / (n + 1))^2. Without this key, the surface is opaque.",
+        description="Clear glass or plastic: solid, or thin for a mesh that is a wall without "
+        "thickness. The index n follows from specular = 12.5 ((n - 1) / (n + 1))^2. Without this "
+        "key, the surface is opaque.",
     )
     color_depth_m: Positive | None = Field(
         None,
-        description="The length in metres of a way through a solid that leaves base_color of the "
-        "light (Beer's law); a thin wall leaves base_color at each pass. The default is 0.01.",
+        description="The way in metres through a solid that leaves base_color of the light; a thin "
+        "wall does at each pass. The default is 0.01.",
     )
 
     @model_validator(mode="after")
@@ -334,7 +334,7 @@ def resolve_material(
     except ValueError as error:
         raise ConfigError(f"material: {error}") from error
     if material.transparent != "solid" and section.color_depth_m is not None:
-        raise ConfigError("material: color_depth_m belongs to transparent solid: remove it")
+        raise ConfigError("material: color_depth_m belongs to transparent: solid; remove it")
     return material
 
 

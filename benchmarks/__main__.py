@@ -237,6 +237,12 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         [file("--out", help, default=picture)],
     )
     add(
+        "caustics",
+        run_caustics,
+        "Print noise and cost of the light that comes by shiny parts, in 10 minutes.",
+        [],
+    )
+    add(
         "sigma",
         run_sigma,
         "Compare the depth errors of simulated scans with the stated sigma.",
@@ -319,6 +325,15 @@ def run_swatches(args: argparse.Namespace) -> int:
     swatches.draw(args.out, show)
     show("")
     print(args.out)
+    return 0
+
+
+def run_caustics(args: argparse.Namespace) -> int:
+    from . import caustics
+
+    for figures in caustics.rows():
+        print(describe(figures), flush=True)
+        print()
     return 0
 
 

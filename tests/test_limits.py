@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "graycast"
 
 # Light paths from the projector took 550 lines, and materials by name with their grooves 380.
 MOST_LINES = 70_230
-MOST_WORDS = 40_200  # in README.md and the pages of docs
+MOST_WORDS = 41_000  # in README.md and the pages of docs; caustics took 500 words
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.

@@ -17,10 +17,12 @@ Both lenses are thin (`Optics`). Paths start all over the camera's pupil. What l
 the projector's is a disc of its picture, so patterns take their mean level over that disc, too. A
 pixel's samples come in pairs that mirror each other: it sees a smooth surface at its exact middle.
 
-Limits: no light passes through a surface; a surface smoother than roughness 0.05 is refused, since
-paths cannot find a small projector lens's mirror image. The shadow ray goes to a random place of
-the projector's lens, but the patterns are averaged over the whole of it: half shadows are as soft
-as they should be, and their stripes are not shifted by the half of the lens that is hidden.
+Where the projector shines on shiny surfaces, paths start from it, too: see `mitsuba_caustics.py`.
+
+Limits: no light passes through a surface; light over two polished surfaces stays noisy. The shadow
+ray goes to a random place of the projector's lens, but the patterns are averaged over the whole of
+it: half shadows are as soft as they should be, and their stripes are not shifted by the half of the
+lens that is hidden.
 """
 
 from dataclasses import dataclass, fields, replace

@@ -77,7 +77,9 @@ class MaterialSection(Settings):
         "default is 0.",
     )
     roughness: Roughness | None = Field(
-        None, description="The roughness: 0.05 is polished, 1 is matt. The default is 0.5."
+        None,
+        description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. "
+        "The default is 0.5.",
     )
     specular: Share | None = Field(
         None,

@@ -149,10 +149,10 @@ def light(
     h, w = camera.height_px, camera.width_px
     stage = Stage(world, scene, pattern, quality)
     field = _shiny_field(stage, world.shiny)
+    caustics = CausticTracer(stage, field).trace(seed) if field is not None else None
     paths = Tracer(stage, field).trace(seed, on_pass)
-    if field is not None:
-        dr.eval(paths)
-        paths.add(CausticTracer(stage, field).trace(seed))
+    if caustics is not None:
+        paths.add(caustics)
 
     # The kernel of the paths also scales the sums and lays them out, with all of its threads.
     falloff = relative_illumination(camera) / quality.samples

@@ -239,8 +239,11 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     add(
         "caustics",
         run_caustics,
-        "Print noise and cost of the light that comes by shiny parts, in 10 minutes.",
-        [],
+        "Print noise and cost of the light that comes by shiny parts, in 10 minutes; or draw it.",
+        [
+            file("--picture", "Draw two pictures side by side into this file instead."),
+            number("--samples", 4096, "Paths from the camera alone in the left picture"),
+        ],
     )
     add(
         "sigma",
@@ -331,6 +334,10 @@ def run_swatches(args: argparse.Namespace) -> int:
 def run_caustics(args: argparse.Namespace) -> int:
     from . import caustics
 
+    if args.picture is not None:
+        caustics.draw(args.picture, args.samples)
+        print(args.picture)
+        return 0
     for figures in caustics.rows():
         print(describe(figures), flush=True)
         print()

@@ -7,10 +7,12 @@ both kinds of path and with those from the camera alone, with some seeds and the
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 from jaxtyping import Bool, Float
+from PIL import Image
 from scipy.ndimage import median_filter
 
 from graycast.rendering import Quality, Renderer, open_renderer
@@ -27,6 +29,7 @@ ROUGHNESS = (0.05, 0.1, 0.2, 0.35, 0.5)
 BASE = 0.7
 FIREFLY, WINDOW_PX = 3.0, 7  # A firefly is above three times the median of its 7 x 7 pixels.
 MATT = "matt"
+CROP = np.s_[70:320, 110:410]  # of the picture in small resolution: the bin's floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,23 @@ def rows() -> Iterator[Figures]:
                 "fireflies": fireflies(both.white[0], bin_alone),
                 "fireflies, camera alone": fireflies(alone.white[0], bin_alone),
             }
+
+
+def draw(file: Path, samples: int) -> None:
+    """White light on parts of roughness 0.1, side by side: many paths from the camera alone, and
+    few of both kinds.
+    """
+    cell = cell_of({"count": PARTS, "rig": "paper", "resolution": "small"})
+    layout = drop(cell.scene, (PARTS,), seed=1, limits=DropLimits())
+    metal = Material(base_color=(BASE,) * 3, metallic=1.0, roughness=0.1)
+    scene, none = _with_material(cell.scene, metal), cell.patterns()[:0]
+    with open_renderer("mitsuba") as renderer:
+        with patch("graycast.rendering.mitsuba._shiny_field", lambda *of: None):
+            alone = renderer.render(scene, layout, none, quality=Quality(samples=samples), seed=0)
+        both = renderer.render(scene, layout, none, quality=Quality(samples=SAMPLES), seed=0)
+    pair = np.hstack([one.radiance.white[CROP] for one in (alone, both)])
+    grey = np.sqrt(np.clip(pair / np.quantile(pair, 0.98), 0, 1))
+    Image.fromarray((255 * grey).astype(np.uint8)).save(file, quality=88)
 
 
 def fireflies(white: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]) -> float:

@@ -73,6 +73,8 @@ by the mirror.
 """
 CODES = """\
 The same heap under the rig of `{scanner}`, each code on both axes, the default `decode`, no filter.
+On the smoothest metal `{best.code}` has the fewest wrong depths, {best_wrong:.1f} %, and
+`{worst.code}` the most, {worst_wrong:.1f} %.
 
 """
 
@@ -128,7 +130,16 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     codes = {key: head for key, head in columns.items() if key[1] in CODECS}
     yield "Presets", _table(rows, presets)
     if codes:
-        yield "Codes", CODES.format(scanner=CODES_OF) + _table(rows, codes)
+        smoothest = [
+            row
+            for row in rows
+            if (row.material, row.place) == (list(MATERIALS)[-1], PARTS_PLACE)
+            and (row.scanner, row.code) in codes
+        ]
+        best, worst = (choose(smoothest, key=lambda row: row.wrong) for choose in (min, max))
+        wrong = {"best_wrong": 100 * best.wrong, "worst_wrong": 100 * worst.wrong}
+        text = CODES.format(scanner=CODES_OF, best=best, worst=worst, **wrong)
+        yield "Codes", text + _table(rows, codes)
     if exposed:
         yield "Exposures", EXPOSED.format(scanner=CODES_OF) + _table(rows, exposed)
     if around := [row for row in rows if row.place == AROUND_PLACE]:

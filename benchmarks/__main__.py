@@ -237,6 +237,15 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         [file("--out", help, default=picture)],
     )
     add(
+        "caustics",
+        run_caustics,
+        "Print noise and cost of the light that comes by shiny parts, in 10 minutes; or draw it.",
+        [
+            file("--picture", "Draw two pictures side by side into this file instead."),
+            number("--samples", 4096, "Paths from the camera alone in the left picture"),
+        ],
+    )
+    add(
         "sigma",
         run_sigma,
         "Compare the depth errors of simulated scans with the stated sigma.",
@@ -319,6 +328,19 @@ def run_swatches(args: argparse.Namespace) -> int:
     swatches.draw(args.out, show)
     show("")
     print(args.out)
+    return 0
+
+
+def run_caustics(args: argparse.Namespace) -> int:
+    from . import caustics
+
+    if args.picture is not None:
+        caustics.draw(args.picture, args.samples)
+        print(args.picture)
+        return 0
+    for figures in caustics.rows():
+        print(describe(figures), flush=True)
+        print()
     return 0
 
 

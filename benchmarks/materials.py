@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -27,6 +28,8 @@ PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of se
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0  # a depth is wrong that is off by more than both
 SCANNERS = ("phoxi-s", "phoxi-m", "phoxi-l", "paper")
 PRESET, BARE = "preset", "without guards"
+EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
+PARTS_PLACE, AROUND_PLACE, AROUND_PX = "parts", "around", 20
 CODES_OF = "phoxi-m"  # the rig with which all codes are compared
 METAL = {"base_color": (0.7, 0.7, 0.7), "metallic": 1.0}
 MATERIALS: Mapping[str, dict[str, Any]] = {
@@ -58,8 +61,20 @@ with another heap of the part.
 **Conclusion.** Up to {bare:.1f} % of the depths are wrong without guards, at most
 {preset:.1f} % with them. The price is depth, above all of metal."""
 
+EXPOSED = """\
+The preset `{scanner}` with other exposures: multiples of the one that the white frame asks for.
+
+"""
+AROUND = """\
+Of what is no part and at most {pixels} pixels from one: the bin where parts shade it and where
+metal throws the projector's light. A pixel in such a caustic gets two columns, one straight and one
+by the mirror.
+
+"""
 CODES = """\
 The same heap under the rig of `{scanner}`, each code on both axes, the default `decode`, no filter.
+On the smoothest metal `{best.code}` has the fewest wrong depths, {best_wrong:.1f} %, and
+`{worst.code}` the most, {worst_wrong:.1f} %.
 
 """
 
@@ -75,6 +90,7 @@ class Worth:
     scanner: str
     code: str
     material: str
+    place: str
     decoded: float
     right: float
     wrong: float
@@ -97,7 +113,11 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     """Headings and texts of docs/measurements/materials.md."""
     guarded = {row.scanner for row in rows if row.code == BARE}
     preset, bare = (
-        max(100 * row.wrong for row in rows if row.code == code and row.scanner in guarded)
+        max(
+            100 * row.wrong
+            for row in rows
+            if row.code == code and row.scanner in guarded and row.place == PARTS_PLACE
+        )
         for code in (PRESET, BARE)
     )
     text = INTRODUCTION.format(preset=preset, bare=bare, **about)
@@ -106,13 +126,32 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
         (row.scanner, row.code): row.scanner if row.code == PRESET else row.code for row in rows
     }
     presets = {key: head for key, head in columns.items() if key[1] in (PRESET, BARE)}
+    exposed = {key: head for key, head in columns.items() if key[1] in EXPOSURES}
+    codes = {key: head for key, head in columns.items() if key[1] in CODECS}
     yield "Presets", _table(rows, presets)
-    if codes := {key: head for key, head in columns.items() if key not in presets}:
-        yield "Codes", CODES.format(scanner=CODES_OF) + _table(rows, codes)
+    if codes:
+        smoothest = [
+            row
+            for row in rows
+            if (row.material, row.place) == (list(MATERIALS)[-1], PARTS_PLACE)
+            and (row.scanner, row.code) in codes
+        ]
+        best, worst = (choose(smoothest, key=lambda row: row.wrong) for choose in (min, max))
+        wrong = {"best_wrong": 100 * best.wrong, "worst_wrong": 100 * worst.wrong}
+        text = CODES.format(scanner=CODES_OF, best=best, worst=worst, **wrong)
+        yield "Codes", text + _table(rows, codes)
+    if exposed:
+        yield "Exposures", EXPOSED.format(scanner=CODES_OF) + _table(rows, exposed)
+    if around := [row for row in rows if row.place == AROUND_PLACE]:
+        near = {key: head for key, head in presets.items() if key[0] in (CODES_OF, "paper")}
+        text = AROUND.format(pixels=AROUND_PX)
+        yield "Around the parts", text + _table(around, near | codes, AROUND_PLACE)
 
 
-def _table(rows: list[Worth], columns: Mapping[tuple[str, str], str]) -> str:
-    found = {(row.scanner, row.code, row.material): row for row in rows}
+def _table(
+    rows: list[Worth], columns: Mapping[tuple[str, str], str], place: str = PARTS_PLACE
+) -> str:
+    found = {(row.scanner, row.code, row.material): row for row in rows if row.place == place}
     rows_of = [[each, *(found[*column, each].words for column in columns)] for each in MATERIALS]
     return table(["decoded; wrong; error/sigma", *columns.values()], rows_of)
 
@@ -131,8 +170,17 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
             own = [keys.index(key) for key in _keys(scanner)]
             light = replace(rendering.radiance, pattern=rendering.radiance.pattern[own])
             depth = measure(scanner, take(scanner, light, seed=SEED))[1]
-            figures = worth(depth, rendering.truth.depth_m, rendering.truth.instance >= 0)
-            yield Worth(scanner=name, code=code, material=material, **figures)
+            own_pixels = rendering.truth.instance >= 0
+            for place, pixels in ((PARTS_PLACE, own_pixels), (AROUND_PLACE, around(own_pixels))):
+                figures = worth(depth, rendering.truth.depth_m, pixels)
+                yield Worth(scanner=name, code=code, material=material, place=place, **figures)
+
+
+def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """What is no part, and near one."""
+    square = np.ones((2 * AROUND_PX + 1,) * 2, np.uint8)
+    near = np.asarray(cv2.dilate(parts.astype(np.uint8), square)) > 0
+    return near & ~parts
 
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
@@ -147,6 +195,8 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
             filters=replace(scanner.filters, edge_px=None),
         )
     if name == CODES_OF:
+        for words, factors in EXPOSURES.items():
+            found[words] = replace(scanner, exposure=replace(scanner.exposure, factors=factors))
         for codec in CODECS:
             code = CodeSpec(codec=codec, axes=("column", "row"))
             found[codec] = replace(scanner, code=code, decode=DecodeSpec(), filters=FilterSpec())
@@ -168,13 +218,13 @@ def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], n
 
 
 def worth(
-    depth: DepthMap, true_m: Float[np.ndarray, "h w"], parts: Bool[np.ndarray, "h w"]
+    depth: DepthMap, true_m: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
     """The figures of `Worth`."""
-    known = parts & np.isfinite(depth.depth_m)
+    known = pixels & np.isfinite(depth.depth_m)
     off_m, sigma_m = np.abs(depth.depth_m - true_m)[known], depth.sigma_m[known]
     wrong = (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * sigma_m)
-    total = max(int(parts.sum()), 1)
+    total = max(int(pixels.sum()), 1)
     return {
         "decoded": len(off_m) / total,
         "right": float((~wrong).sum()) / total,

@@ -35,13 +35,15 @@ def test_every_picture_of_every_code_is_rendered_once():
 def test_the_page_has_a_row_for_every_material():
     own = {"scanner": "phoxi-m", "decoded": 0.5, "right": 0.49, "error_over_sigma": 1.0}
     rows = [
-        Worth(code=code, material=material, wrong=wrong, **own)
+        Worth(code=code, material=material, wrong=wrong, place=place, **own)
+        for place in ("parts", "around")
         for material in MATERIALS
         for code, wrong in (("preset", 0.004), ("without guards", 0.3))
     ]
     about = {"date": "2026-01-02", "commit": "abc", "resolution": "low", "cores": 2, "cpu": "x"}
-    (_, words), (heading, table) = page(rows, **about)
-    assert heading == "Presets"
+    (_, words), (heading, table), (where, beside) = page(rows, **about)
+    assert (heading, where) == ("Presets", "Around the parts")
+    assert len(beside.splitlines()) > len(table.splitlines())
     assert len(table.splitlines()) == 2 + len(MATERIALS)
     assert table.startswith("| decoded; wrong; error/sigma | phoxi-m | without guards |")
     words = words.replace("\n", " ")

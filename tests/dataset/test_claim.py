@@ -7,12 +7,14 @@ import pytest
 from prisms import box_part, make_rig
 
 from graycast.dataset.claim import described_values, fingerprint, make_claim, rig_of
-from graycast.world.parts import Material, Mesh, Part, Symmetry
+from graycast.world.parts import Grain, Material, Mesh, Part, Symmetry
 
 BOX = box_part()
 MESH, MATERIAL, MOTIONS = BOX.mesh, BOX.material, BOX.symmetry
 TURN = MOTIONS.discrete[0]
 AXIS = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+GRAIN = Grain(axis=(1.0, 0.0, 0.0))
+GROOVED = replace(MATERIAL, metallic=1.0, anisotropy=0.5, grain=GRAIN)
 CHANGES = {
     "vertices_m": replace(MESH, vertices_m=MESH.vertices_m + 1e-6),
     "faces": replace(MESH, faces=np.roll(MESH.faces, 1, axis=1)),
@@ -24,6 +26,8 @@ CHANGES = {
     "roughness": replace(MATERIAL, roughness=0.51),
     "specular": replace(MATERIAL, specular=0.0),
     "projector_reflectance": replace(MATERIAL, projector_reflectance=0.5),
+    "anisotropy": replace(GROOVED, anisotropy=0.51),
+    "grain": replace(GROOVED, grain=replace(GRAIN, turned=True)),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -31,6 +35,10 @@ CHANGES = {
     "name": replace(BOX, name="crate"),
     "labelled": replace(BOX, labelled=False),
 }
+
+
+def before(field):
+    return replace(BOX, material=GROOVED) if field in ("anisotropy", "grain") else BOX
 
 
 def changed(field):
@@ -57,9 +65,9 @@ def test_every_field_of_a_part_is_changed_once():
 
 @pytest.mark.parametrize("field", CHANGES)
 def test_a_part_that_changes_is_another_dataset(field):
-    before, after = claimed(BOX), claimed(changed(field))
-    assert before["fingerprint"] != after["fingerprint"]
-    assert before["fingerprint"] == fingerprint(before)
+    old, new = claimed(before(field)), claimed(changed(field))
+    assert old["fingerprint"] != new["fingerprint"]
+    assert old["fingerprint"] == fingerprint(old)
 
 
 def test_where_a_part_came_from_is_told_and_is_no_other_dataset():

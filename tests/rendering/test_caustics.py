@@ -334,3 +334,17 @@ def test_stray_light_of_caustics_is_in_the_path_noise(mitsuba_renderer):
     stray = [(run.pattern[0] - run.white / 2)[caustic] * 2 / straight[caustic] for run in runs]
     measured = np.sqrt(np.var(stray, axis=0, ddof=1).mean())
     assert 0.7 < stated / measured < 1.4, (stated, measured)
+
+
+@pytest.mark.slow
+def test_cycles_finds_the_same_caustic(mitsuba_renderer, cycles_renderer):
+    """Another program, which has the camera's paths alone: the wall in four strips, to 3 %."""
+
+    def strips(renderer, samples):
+        mirror = strip(metal(0.3))
+        (run,) = lit_walls(renderer, mirror, pattern=ramp(RIG), seeds=[1], samples=samples)
+        light = run.white - expected_on_the_wall(RIG, 96, 72)[0]
+        return light[CLEAR].reshape(-1, 4, 7).sum(axis=(0, 2))
+
+    ours, theirs = strips(mitsuba_renderer, 256), strips(cycles_renderer, 1024)
+    assert np.abs(theirs / ours - 1).max() < 0.03

@@ -11,6 +11,7 @@ from typing import final
 import drjit as dr
 import mitsuba as mi
 
+MIRRORED, REFRACTED = int(mi.BSDFFlags.DeltaReflection), int(mi.BSDFFlags.DeltaTransmission)
 BLACK = 1e-12  # A black solid leaves so much, not 0, for 0 times infinity is no number.
 
 
@@ -65,11 +66,7 @@ class Dielectric(_DeltaBSDF):
         bs.wo = dr.select(mirrored, mi.reflect(si.wi), mi.refract(si.wi, cos_t, eta_ti))
         bs.pdf = dr.select(mirrored, reflectance, 1 - reflectance)
         bs.eta = dr.select(mirrored, 1, eta_it)
-        bs.sampled_type = dr.select(
-            mirrored,
-            mi.UInt32(int(mi.BSDFFlags.DeltaReflection)),
-            int(mi.BSDFFlags.DeltaTransmission),
-        )
+        bs.sampled_type = dr.select(mirrored, mi.UInt32(MIRRORED), REFRACTED)
         color = dr.maximum(self.color.eval(si, active), BLACK)
         weight = dr.exp(dr.log(color) * dr.select(cosine < 0, si.t / self.color_depth, 0))
         if context.mode == mi.TransportMode.Radiance:
@@ -95,7 +92,7 @@ class ThinDielectric(_DeltaBSDF):
     def sample(self, context, si, sample1, sample2, active):
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo, bs.pdf, bs.eta = mi.reflect(si.wi), mi.Float(1), 1.0
-        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DeltaReflection))
+        bs.sampled_type = mi.UInt32(MIRRORED)
         return bs, dr.select(active, mi.Color3f(1), 0)
 
     def passing(self, si) -> tuple[mi.Float, mi.Color3f]:

@@ -17,11 +17,12 @@ Both lenses are thin (`Optics`). Paths start all over the camera's pupil. What l
 the projector's is a disc of its picture, so patterns take their mean level over that disc, too. A
 pixel's samples come in pairs that mirror each other: it sees a smooth surface at its exact middle.
 
-Limits: light passes through glass alone (`mitsuba_sight.py`); a surface smoother than roughness
-0.05 is refused, since paths cannot find a small projector lens's mirror image. The shadow ray goes
-to a random place of the projector's lens, but the patterns are averaged over the whole of it: half
-shadows are as soft as they should be, and their stripes are not shifted by the half of the lens
-that is hidden.
+Where the projector shines on shiny surfaces, paths start from it, too: see `mitsuba_caustics.py`.
+
+Limits: light passes through glass alone (`mitsuba_sight.py`); light over two polished surfaces is
+noisy. The shadow ray goes to a random place of the projector's lens, but the patterns are averaged
+over the whole of it: half shadows are as soft as they should be, and their stripes are not shifted
+by the half of the lens that is hidden.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -148,10 +149,10 @@ def light(
     h, w = camera.height_px, camera.width_px
     stage = Stage(world, scene, pattern, quality)
     field = _shiny_field(stage, world.shiny)
+    caustics = CausticTracer(stage, field).trace(seed) if field is not None else None
     paths = Tracer(stage, field).trace(seed, on_pass)
-    if field is not None:
-        dr.eval(paths)
-        paths.add(CausticTracer(stage, field).trace(seed))
+    if caustics is not None:
+        paths.add(caustics)
 
     # The kernel of the paths also scales the sums and lays them out, with all of its threads.
     falloff = relative_illumination(camera) / quality.samples

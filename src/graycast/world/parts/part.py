@@ -39,8 +39,8 @@ class Material:
     diffuse base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is
     an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
     reflectance is the base colour.
-    `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
-    no path finds the mirror image of a projector's lens.
+    `roughness` is perceptual: the GGX alpha is its square. Mirrors (below 0.01) are refused, since
+    the lenses that they would show are no objects.
 
     `anisotropy` makes metal smoother along its `grain` and rougher across it, by Disney's aspect
     `a = sqrt(1 - 0.9 anisotropy)`: GGX has the alpha `roughness^2 a` along and `roughness^2 / a`

@@ -78,8 +78,8 @@ class MaterialSection(Settings):
     )
     roughness: Roughness | None = Field(
         None,
-        description="The roughness: 0.05 is polished, 1 is matt. It is not used if "
-        "the part is transparent. The default is 0.5.",
+        description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. What is "
+        "transparent has none. The default is 0.5.",
     )
     specular: Share | None = Field(
         None,

@@ -1,0 +1,17 @@
+"""The figures of caustics: what a firefly is, and how much of the light it has."""
+
+import numpy as np
+import pytest
+
+from benchmarks.caustics import fireflies
+
+
+def test_a_firefly_has_the_light_beyond_its_neighbours():
+    """Counted by hand: one pixel of eleven times the rest, and one of twice, which is none."""
+    white = np.ones((20, 20))
+    white[10, 10], white[4, 4] = 11.0, 2.0
+    everywhere = np.ones_like(white, dtype=bool)
+    assert fireflies(white, everywhere) == pytest.approx(10 / white.sum())
+    elsewhere = everywhere.copy()
+    elsewhere[10, 10] = False
+    assert fireflies(white, elsewhere) == 0

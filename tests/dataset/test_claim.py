@@ -15,6 +15,7 @@ TURN = MOTIONS.discrete[0]
 AXIS = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 GRAIN = Grain(axis=(1.0, 0.0, 0.0))
 GROOVED = replace(MATERIAL, metallic=1.0, anisotropy=0.5, grain=GRAIN)
+GLASS = replace(MATERIAL, texture=None, metallic=0.0, transparent="solid")
 CHANGES = {
     "vertices_m": replace(MESH, vertices_m=MESH.vertices_m + 1e-6),
     "faces": replace(MESH, faces=np.roll(MESH.faces, 1, axis=1)),
@@ -28,6 +29,8 @@ CHANGES = {
     "projector_reflectance": replace(MATERIAL, projector_reflectance=0.5),
     "anisotropy": replace(GROOVED, anisotropy=0.51),
     "grain": replace(GROOVED, grain=replace(GRAIN, turned=True)),
+    "transparent": replace(GLASS, transparent="thin"),
+    "color_depth_m": replace(GLASS, color_depth_m=0.02),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -38,7 +41,10 @@ CHANGES = {
 
 
 def before(field):
-    return replace(BOX, material=GROOVED) if field in ("anisotropy", "grain") else BOX
+    if field in ("anisotropy", "grain"):
+        return replace(BOX, material=GROOVED)
+    glass = field in ("transparent", "color_depth_m")
+    return replace(BOX, material=GLASS) if glass else BOX
 
 
 def changed(field):

@@ -238,10 +238,4 @@ def test_glass_is_neither_metal_nor_has_a_texture():
     assert retouched(MATERIALS["glass-clear"].material, brightness=1, roughness=0, metallic=0.3)
 
 
-def test_another_depth_of_colour_is_another_part():
-    part = replace(builtin_part("metal_workpiece_1"), material=Material(transparent="solid"))
-    other = replace(part, material=Material(transparent="solid", color_depth_m=0.02))
-    assert len({part_digest(one) for one in (part, other, replace(part, material=Material()))}) == 3
-
-
 TEXTURE = np.zeros((2, 2, 3), dtype=np.uint8)

@@ -34,7 +34,7 @@ _OF_COPPER = "Cu: Johnson & Christy, Phys. Rev. B 6, 4370, 1972"
 _OF_BRASS = "Cu70Zn30: Querry, CRDC-CR-85034, 1985"
 _OF_ZINC = "Zn: Werner et al., J. Phys. Chem. Ref. Data 38, 1013, 2009"
 _OF_GLASS = "n: N-BK7, Schott AG, data sheet 2014"
-_OF_PMMA = "n: PMMA, Beadie et al., Appl. Opt. 54, F139, 2015"
+_OF_PMMA = "n: Sultanova et al., Acta Phys. Pol. A 116, 585, 2009"
 _MEASURED = "measured: physicallybased.info, "
 
 
@@ -95,9 +95,9 @@ MATERIALS: Mapping[str, MaterialPreset] = {
     "pom-white": _other(_grey(0.8), 0.35, 1410, OUR_CHOICE),
     "rubber": _other(_grey(0.023), 0.8, 1150, _MEASURED + "tire, 2022"),
     "cardboard": _other((0.310, 0.224, 0.128), 0.9, 700, _MEASURED + "cardboard, 2026"),
-    "glass-clear": _clear((0.990, 0.995, 0.992), 1.517, 2510, _OF_GLASS),
-    "glass-green": _clear((0.35, 0.75, 0.30), 1.517, 2510, _OF_GLASS),
-    "pmma-clear": _clear(_grey(0.995), 1.492, 1190, _OF_PMMA),
+    "glass-clear": _clear((0.990, 0.995, 0.992), 1.5168, 2510, _OF_GLASS),
+    "glass-green": _clear((0.35, 0.75, 0.30), 1.5168, 2510, _OF_GLASS),
+    "pmma-clear": _clear(_grey(0.995), 1.4906, 1190, _OF_PMMA),
     "pet-clear": _clear(_grey(0.98), 1.575, 1380, OUR_CHOICE),
     "paper": _other((0.817, 0.802, 0.912), 0.9, 800, _MEASURED + "office paper, 2023"),
 }

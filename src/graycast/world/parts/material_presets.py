@@ -48,10 +48,14 @@ class MaterialPreset:
 
 
 def _metal(
-    color: Color, roughness: float, density_kg_m3: float, source: str, grooves: Grooves = (0, None)
+    color: Color,
+    roughness: float,
+    density_kg_m3: float,
+    source: str,
+    grooves: Grooves = (0.0, None),
 ) -> MaterialPreset:
     material = Material(
-        base_color=color, metallic=1, roughness=roughness, anisotropy=grooves[0], grain=grooves[1]
+        base_color=color, metallic=1.0, roughness=roughness, anisotropy=grooves[0], grain=grooves[1]
     )
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
@@ -72,34 +76,34 @@ def _grey(level: float) -> Color:
 
 
 MATERIALS: Mapping[str, MaterialPreset] = {
-    "steel": _metal(_grey(0.4), 0.4, 7850, OUR_CHOICE),
-    "steel-polished": _metal(_IRON, 0.15, 7850, _OF_IRON),
-    "steel-ground": _metal(_IRON, 0.3, 7850, _OF_IRON, _GROUND),
-    "steel-brushed": _metal(_IRON, 0.35, 7850, _OF_IRON, _BRUSHED),
-    "steel-turned": _metal(_IRON, 0.3, 7850, _OF_IRON, _TURNED),
-    "stainless-polished": _metal(_STAINLESS, 0.15, 7700, _OF_STAINLESS),
-    "stainless-brushed": _metal(_STAINLESS, 0.35, 7700, _OF_STAINLESS, _BRUSHED),
-    "aluminium-cast": _metal(_ALUMINIUM, 0.55, 2700, _OF_ALUMINIUM),
-    "aluminium-machined": _metal(_ALUMINIUM, 0.3, 2700, _OF_ALUMINIUM, _GROUND),
-    "aluminium-turned": _metal(_ALUMINIUM, 0.25, 2700, _OF_ALUMINIUM, _TURNED),
-    "chrome": _metal((0.552, 0.555, 0.558), 0.1, 7850, _OF_CHROMIUM),
-    "copper": _metal((0.869, 0.624, 0.550), 0.25, 8940, _OF_COPPER),
-    "brass": _metal((0.864, 0.789, 0.493), 0.25, 8530, _OF_BRASS),
-    "zinc": _metal((0.873, 0.869, 0.859), 0.4, 7140, _OF_ZINC),
-    "steel-black-oxide": _other(_grey(0.03), 0.4, 7850, OUR_CHOICE),
-    "cast-iron": _other((0.027, 0.026, 0.027), 0.6, 7200, _MEASURED + "cast iron, 2026"),
-    "rust": _other((0.152, 0.068, 0.026), 0.9, 7850, _MEASURED + "rust, 2026"),
-    "plastic": _other(_grey(0.3), 0.5, 1100, OUR_CHOICE),
-    "abs-black": _other(_grey(0.04), 0.5, 1050, OUR_CHOICE),
-    "pom-black": _other(_grey(0.04), 0.35, 1410, OUR_CHOICE),
-    "pom-white": _other(_grey(0.8), 0.35, 1410, OUR_CHOICE),
-    "rubber": _other(_grey(0.023), 0.8, 1150, _MEASURED + "tire, 2022"),
-    "cardboard": _other((0.310, 0.224, 0.128), 0.9, 700, _MEASURED + "cardboard, 2026"),
-    "glass-clear": _clear((0.990, 0.995, 0.992), 1.5168, 2510, _OF_GLASS),
-    "glass-green": _clear((0.35, 0.75, 0.30), 1.5168, 2510, _OF_GLASS),
-    "pmma-clear": _clear(_grey(0.995), 1.4906, 1190, _OF_PMMA),
-    "pet-clear": _clear(_grey(0.98), 1.575, 1380, OUR_CHOICE),
-    "paper": _other((0.817, 0.802, 0.912), 0.9, 800, _MEASURED + "office paper, 2023"),
+    "steel": _metal(_grey(0.4), 0.4, 7850.0, OUR_CHOICE),
+    "steel-polished": _metal(_IRON, 0.15, 7850.0, _OF_IRON),
+    "steel-ground": _metal(_IRON, 0.3, 7850.0, _OF_IRON, _GROUND),
+    "steel-brushed": _metal(_IRON, 0.35, 7850.0, _OF_IRON, _BRUSHED),
+    "steel-turned": _metal(_IRON, 0.3, 7850.0, _OF_IRON, _TURNED),
+    "stainless-polished": _metal(_STAINLESS, 0.15, 7700.0, _OF_STAINLESS),
+    "stainless-brushed": _metal(_STAINLESS, 0.35, 7700.0, _OF_STAINLESS, _BRUSHED),
+    "aluminium-cast": _metal(_ALUMINIUM, 0.55, 2700.0, _OF_ALUMINIUM),
+    "aluminium-machined": _metal(_ALUMINIUM, 0.3, 2700.0, _OF_ALUMINIUM, _GROUND),
+    "aluminium-turned": _metal(_ALUMINIUM, 0.25, 2700.0, _OF_ALUMINIUM, _TURNED),
+    "chrome": _metal((0.552, 0.555, 0.558), 0.1, 7850.0, _OF_CHROMIUM),
+    "copper": _metal((0.869, 0.624, 0.550), 0.25, 8940.0, _OF_COPPER),
+    "brass": _metal((0.864, 0.789, 0.493), 0.25, 8530.0, _OF_BRASS),
+    "zinc": _metal((0.873, 0.869, 0.859), 0.4, 7140.0, _OF_ZINC),
+    "steel-black-oxide": _other(_grey(0.03), 0.4, 7850.0, OUR_CHOICE),
+    "cast-iron": _other((0.027, 0.026, 0.027), 0.6, 7200.0, _MEASURED + "cast iron, 2026"),
+    "rust": _other((0.152, 0.068, 0.026), 0.9, 7850.0, _MEASURED + "rust, 2026"),
+    "plastic": _other(_grey(0.3), 0.5, 1100.0, OUR_CHOICE),
+    "abs-black": _other(_grey(0.04), 0.5, 1050.0, OUR_CHOICE),
+    "pom-black": _other(_grey(0.04), 0.35, 1410.0, OUR_CHOICE),
+    "pom-white": _other(_grey(0.8), 0.35, 1410.0, OUR_CHOICE),
+    "rubber": _other(_grey(0.023), 0.8, 1150.0, _MEASURED + "tire, 2022"),
+    "cardboard": _other((0.310, 0.224, 0.128), 0.9, 700.0, _MEASURED + "cardboard, 2026"),
+    "glass-clear": _clear((0.990, 0.995, 0.992), 1.5168, 2510.0, _OF_GLASS),
+    "glass-green": _clear((0.35, 0.75, 0.30), 1.5168, 2510.0, _OF_GLASS),
+    "pmma-clear": _clear(_grey(0.995), 1.4906, 1190.0, _OF_PMMA),
+    "pet-clear": _clear(_grey(0.98), 1.575, 1380.0, OUR_CHOICE),
+    "paper": _other((0.817, 0.802, 0.912), 0.9, 800.0, _MEASURED + "office paper, 2023"),
 }
 
 

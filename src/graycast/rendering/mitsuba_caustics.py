@@ -160,7 +160,7 @@ class CausticTracer:
         if camera.psf_px:
             random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
             place -= camera.psf_px * mi.warp.square_to_uniform_disk_concentric(random)
-        to_camera = stage.R_world_cam @ -ray
+        to_camera = mi.Vector3f(stage.R_world_cam @ -ray)
         lens = mi.Point3f(si.p + to_camera)
         inverse_square = dr.rcp(dr.squared_norm(to_camera))
         to_camera *= dr.sqrt(inverse_square)

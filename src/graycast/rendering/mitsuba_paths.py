@@ -274,7 +274,7 @@ class Tracer:
         strength = passing * (self.stage.light.intensity(q, place) * inverse_square / len(places))
         odds = mi.Float(0)
         if self.field is not None:
-            onto = -to_lens * dr.sqrt(inverse_square)
+            onto = mi.Vector3f(-to_lens * dr.sqrt(inverse_square))
             odds = self.field.density(onto) * dr.abs(dr.dot(si.n, onto)) * inverse_square
         places = [on_pixel(self.projector, one) for one in places]
         return _Beam(wo, odds, lit, strength, count, places, shining)

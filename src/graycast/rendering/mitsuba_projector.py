@@ -102,7 +102,7 @@ class ShinyField:
 
     def density(self, direction: mi.Vector3f) -> mi.Float:
         """Of directions [sr^-1]; 0 where no ray goes."""
-        ray = self.light.R_proj_world @ direction
+        ray = mi.Vector3f(self.light.R_proj_world @ direction)
         place, _, ahead = picture_place(self.light.optics, ray)
         column = dr.floor((place.x + 0.5) / CELL_PX) + 1
         row = dr.floor((place.y + 0.5) / CELL_PX) + 1

@@ -119,7 +119,8 @@ def counted(passed: mi.UInt32, alive: mi.Bool, delta: mi.Bool) -> tuple[mi.UInt3
 
 
 def _beside(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Point3f:
-    return si.p + dr.mulsign(OFFSET_M * mi.Vector3f(si.n), dr.dot(si.n, direction))
+    aside = dr.mulsign(OFFSET_M * mi.Vector3f(si.n), dr.dot(si.n, direction))
+    return mi.Point3f(si.p + aside)
 
 
 def _is_solid(bsdf, si) -> mi.Bool:

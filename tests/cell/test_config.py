@@ -232,19 +232,19 @@ def test_the_rig_hangs_where_the_view_says(tmp_path):
         assert T[:3, :3] @ half + T[:3, 3] == pytest.approx(np.array(middle_m), abs=1e-12)
 
 
-BOX_BIN = {"material": {"texture": "walls.png"}, "floor": {"texture": "floor.png"}}
+BOX_BIN = {"material": {"roughness_map": "walls.png"}, "floor": {"texture": "floor.png"}}
 MESH_BIN = {"mesh": "bin.stl", "unit": "mm"}
 FOLDERS = ("maps/a.hdr", "woods/b.png", "woods/c.jpg", "stones/d.png")
 
 
 def naming_files(folder, box):
     """A configuration that names a file wherever one can be named, and those files' names."""
-    clutter = {"mesh": "clutter.stl", "unit": "mm", "material": {"texture": "clutter.png"}}
+    clutter = {"mesh": "clutter.stl", "unit": "mm", "material": {"roughness_map": "clutter.png"}}
     path = write_cell(
         folder,
         parts=[{"mesh": "box.stl", "unit": "mm", "material": {"texture": "box.png"}}],
         bin=box,
-        table={"texture": "table.png"},
+        table={"texture": "table.png", "roughness_map": "worn.png"},
         light={"environment": {"map": "sky.exr"}},
         domain={
             "kind": "randomized",
@@ -256,6 +256,7 @@ def naming_files(folder, box):
     )
     of_box = [word for words in box.values() for word in words.values()] if box is BOX_BIN else []
     names = ["box.stl", "box.png", "table.png", "sky.exr", "clutter.stl", "clutter.png", *FOLDERS]
+    names += ["worn.png"]
     names += of_box or ["bin.stl"]
     for name in names:
         (folder / name).parent.mkdir(exist_ok=True)
@@ -298,6 +299,7 @@ def test_no_other_setting_names_a_file():
         ("PartSection", "mesh"),
         ("BinSection", "mesh"),
         ("MaterialSection", "texture"),
+        ("MaterialSection", "roughness_map"),
         ("EnvironmentSection", "map"),
         ("EnvironmentRanges", "maps"),
         ("BinRanges", "textures"),

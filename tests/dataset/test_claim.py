@@ -15,6 +15,7 @@ TURN = MOTIONS.discrete[0]
 AXIS = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 GRAIN = Grain(axis=(1.0, 0.0, 0.0))
 GROOVED = replace(MATERIAL, metallic=1.0, anisotropy=0.5, grain=GRAIN)
+VARIED = replace(MATERIAL, roughness_map=np.full((2, 3), 200, dtype=np.uint8))
 GLASS = replace(MATERIAL, texture=None, metallic=0.0, transparent="solid")
 CHANGES = {
     "vertices_m": replace(MESH, vertices_m=MESH.vertices_m + 1e-6),
@@ -31,6 +32,7 @@ CHANGES = {
     "grain": replace(GROOVED, grain=replace(GRAIN, turned=True)),
     "transparent": replace(GLASS, transparent="thin"),
     "color_depth_m": replace(GLASS, color_depth_m=0.02),
+    "roughness_map": replace(VARIED, roughness_map=np.full((3, 2), 200, dtype=np.uint8)),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -43,6 +45,8 @@ CHANGES = {
 def before(field):
     if field in ("anisotropy", "grain"):
         return replace(BOX, material=GROOVED)
+    if field == "roughness_map":
+        return replace(BOX, material=VARIED)
     glass = field in ("transparent", "color_depth_m")
     return replace(BOX, material=GLASS) if glass else BOX
 
@@ -67,6 +71,14 @@ def test_every_field_of_a_part_is_changed_once():
     """A new one is added above, and to what the claim covers."""
     known = {field.name for kind in (Part, Mesh, Material, Symmetry) for field in fields(kind)}
     assert set(CHANGES) == known - {"mesh", "material", "symmetry", "source"}
+
+
+def test_a_map_and_each_of_its_texels_are_claimed():
+    varied = np.full((2, 3), 200, dtype=np.uint8)
+    varied[1, 2] = 201
+    looks = [MATERIAL, VARIED, replace(MATERIAL, roughness_map=varied)]
+    prints = {claimed(replace(BOX, material=look))["fingerprint"] for look in looks}
+    assert len(prints) == 3
 
 
 @pytest.mark.parametrize("field", CHANGES)

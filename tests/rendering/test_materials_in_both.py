@@ -46,7 +46,7 @@ def in_words(material, view_deg, lamp_deg):
     names = ("base_color", "metallic", "roughness", "ior", "anisotropy")
     return {
         "words": {name: getattr(material, name) for name in names}
-        | {"texture": None, "radiance": None},
+        | dict.fromkeys(("texture", "roughness_map", "radiance")),
         "view": np.radians(view_deg),
         "light": None if lamp_deg is None else np.radians(lamp_deg).tolist(),
     }

@@ -317,7 +317,7 @@ def file_digests(config: Config, folder: Path) -> dict[str, str]:
     named.append(config.bin.mesh)
     surfaces = [section.material for section in config.parts]
     surfaces += [config.bin.material, config.bin.floor, config.table]
-    named += [material.texture for material in surfaces if material is not None]
+    named += [path for look in surfaces if look is not None for path in look.files.values()]
     named.append(config.light.environment.map)
     named += domain_files(config.domain, folder)
     digests = {}

@@ -177,6 +177,9 @@ def part_digest(part: Part) -> str:
         look += (material.anisotropy, asdict(material.grain))
     if material.transparent is not None:
         look += (material.transparent, material.color_depth_m)
+    if (roughness_map := material.roughness_map) is not None:
+        content = hashlib.sha256(np.ascontiguousarray(roughness_map).tobytes()).hexdigest()
+        look += ("roughness_map", roughness_map.shape, content)
     discrete = [T.tolist() for T in part.symmetry.discrete]
     body = (part.density_kg_m3, part.friction, discrete, part.symmetry.continuous)
     digest.update(json.dumps(plain([look, body])).encode())

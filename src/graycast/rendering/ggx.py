@@ -14,18 +14,23 @@ Imported only by the BSDFs, after a variant was set.
 """
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from jaxtyping import Float
 
+Alpha: TypeAlias = mi.Float | mi.Vector2f
 TABLE = 128  # A table over a cosine has so many nodes and is linear between them.
+# Where roughness varies, tables have a row for each of these alphas. In their cube root they are
+# linear: the energy of metal changes fastest where it is rough, that of a coat where it is smooth.
+ALPHAS = np.linspace(1e-4 ** (1 / 3), 1, 24) ** 3
 _FACETS = 4096  # With so many, the error of the visible-normal integral is below 2e-4.
 _STEP = 0.5698402909980532  # M. Roberts' R2 sequence spreads the facets over two dimensions.
 
 
-def distribution(half: mi.Vector3f, alpha: mi.Float | mi.Vector2f) -> mi.Float:
+def distribution(half: mi.Vector3f, alpha: Alpha) -> mi.Float:
     """Density of facets, per solid angle and projected area. Keeps digits where alpha is small."""
     if isinstance(alpha, mi.Vector2f):
         length2 = dr.squared_norm(mi.Vector3f(half.x / alpha.x, half.y / alpha.y, half.z))
@@ -35,13 +40,13 @@ def distribution(half: mi.Vector3f, alpha: mi.Float | mi.Vector2f) -> mi.Float:
     return square * dr.inv_pi / dr.square(dr.fma(square, dr.square(half.z), across))
 
 
-def stretched(w: mi.Vector3f, alpha: mi.Float | mi.Vector2f) -> mi.Vector3f:
+def stretched(w: mi.Vector3f, alpha: Alpha) -> mi.Vector3f:
     if isinstance(alpha, mi.Vector2f):
         return mi.Vector3f(alpha.x * w.x, alpha.y * w.y, w.z)
     return mi.Vector3f(alpha * w.x, alpha * w.y, w.z)
 
 
-def sample_visible(wi: mi.Vector3f, alpha: mi.Float | mi.Vector2f, uv: mi.Point2f) -> mi.Vector3f:
+def sample_visible(wi: mi.Vector3f, alpha: Alpha, uv: mi.Point2f) -> mi.Vector3f:
     """A facet's normal, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
     direction = dr.normalize(stretched(wi, alpha))
     z = dr.fma(1 - uv.y, 1 + direction.z, -direction.z)  # the cap that mirrors into the hemisphere
@@ -51,25 +56,40 @@ def sample_visible(wi: mi.Vector3f, alpha: mi.Float | mi.Vector2f, uv: mi.Point2
     return dr.normalize(stretched(half, alpha))
 
 
-def interpolated(table: mi.Float, cosine: mi.Float) -> mi.Float:
-    """A table over the cosines from 0 to 1, linear between its nodes."""
+def interpolated(table: mi.Float, cosine: mi.Float, row: mi.UInt32 | None = None) -> mi.Float:
+    """A table over the cosines from 0 to 1, or a row of several, linear between its nodes."""
     place = dr.clip(cosine, 0, 1) * (TABLE - 1)
     low = mi.UInt32(dr.minimum(place, TABLE - 2))
-    a, b = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
+    first = low if row is None else row * TABLE + low
+    a, b = dr.gather(mi.Float, table, first), dr.gather(mi.Float, table, first + 1)
     return dr.lerp(a, b, place - mi.Float(low))
+
+
+def between_rows(alpha: mi.Float, value: Callable[[mi.UInt32], mi.Float]) -> mi.Float:
+    """What has a value for each of `ALPHAS`, linear between them in the cube root of alpha."""
+    least = float(np.cbrt(ALPHAS[0]))
+    place = (dr.cbrt(alpha) - least) * ((len(ALPHAS) - 1) / (1 - least))
+    row = mi.UInt32(dr.clip(place, 0, len(ALPHAS) - 2))
+    return dr.lerp(value(row), value(row + 1), place - mi.Float(row))
 
 
 class GlossyBSDF(mi.BSDF):
     """What our BSDFs share; `eval_pdf` and `sample` are each one's own.
 
-    Properties: `reflectance` (texture), `alpha` (GGX).
+    Properties: `reflectance` (texture), `alpha` (GGX) or `roughness` (texture), its square root.
     """
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
         self.reflectance = props.get_texture("reflectance")
+        varied = "roughness" in props
+        self.roughness = props.get_texture("roughness") if varied else None
         # Opaque: a literal would be compiled into the kernel, anew for every roughness.
-        self.alpha = dr.opaque(mi.Float, float(props["alpha"]))
+        self.alpha = None if varied else dr.opaque(mi.Float, float(props["alpha"]))
+
+    def alpha_at(self, si, active) -> Alpha:
+        varied = self.roughness
+        return self.alpha if varied is None else dr.square(varied.eval_1(si, active))
 
     def eval(self, context, si, wo, active):
         return self.eval_pdf(context, si, wo, active)[0]
@@ -82,6 +102,8 @@ class GlossyBSDF(mi.BSDF):
 
     def traverse(self, callback):
         callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
+        if self.roughness is not None:
+            callback.put("roughness", self.roughness, mi.ParamFlags.Differentiable)
 
 
 def leaning(cosine: Float[np.ndarray, " n"], azimuth_rad: float = 0.0) -> Float[np.ndarray, "n 3"]:

@@ -114,7 +114,7 @@ def _is_shiny(material: Material) -> bool:
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
     metal = 1.0 if material.texture is not None else max(material.base_color)
     normal = metal * material.metallic + coat * (1 - material.metallic)
-    return normal / (4 * material.roughness**4) > 1
+    return normal / (4 * material.smoothest**4) > 1
 
 
 def _bsdf(material: Material) -> dict[str, object]:
@@ -138,10 +138,16 @@ def _dielectric(material: Material) -> dict[str, object]:
         return {"type": "diffuse", "reflectance": _reflectance(material)}
     return {
         "type": "coated_diffuse",
-        "alpha": material.roughness**2,
         "eta": material.ior,
         "reflectance": _reflectance(material),
-    }
+    } | _width(material)
+
+
+def _width(material: Material) -> dict[str, object]:
+    if material.roughness_map is None:
+        return {"alpha": material.roughness**2}
+    picture = mi.Bitmap(material.local_roughness.astype(np.float32)[..., None])
+    return {"roughness": {"type": "bitmap", "bitmap": picture, "raw": True}}
 
 
 def _glass(material: Material) -> dict[str, object]:
@@ -152,11 +158,11 @@ def _glass(material: Material) -> dict[str, object]:
 
 
 def _conductor(material: Material) -> dict[str, object]:
-    along, across = material.alphas
-    plain = {"type": "rough_conductor", "alpha": along, "reflectance": _reflectance(material)}
+    reflectance = {"reflectance": _reflectance(material)}
     if material.anisotropy == 0:
-        return plain
-    return plain | {"type": "brushed_conductor", "alpha_across": across}
+        return {"type": "rough_conductor"} | _width(material) | reflectance
+    along, across = material.alphas
+    return {"type": "brushed_conductor", "alpha": along, "alpha_across": across} | reflectance
 
 
 def _reflectance(material: Material) -> dict[str, object]:
@@ -202,8 +208,9 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
-    """A rectangle; a mesh where there is a grain, or a texture, which would stand on its head."""
-    if quad.material.texture is None and quad.material.anisotropy == 0:
+    """A rectangle; a mesh where there is a grain, or a picture, which would stand on its head."""
+    material = quad.material
+    if material.texture is material.roughness_map is None and material.anisotropy == 0:
         return _quad(quad)
     return _mesh(name, quad_mesh(quad), quad.material, np.eye(4)[None])
 

@@ -14,6 +14,8 @@ This is also the metal of Blender's Principled BSDF, to 0.3 % wherever we looked
 (`tests/rendering/test_materials_in_both.py`).
 
 With grooves, facets have two widths, along x and y; `brushed_conductor.py` turns the frame there.
+Where roughness varies, `E` is linear between the widths `ggx.ALPHAS`: white metal returns all light
+to 0.4 %.
 
 Leaves out: that light reflected many times leaves in directions of its own, wider than the first
 lobe. Since `E` is taken at one of the two directions, light may not run backwards: the two ways
@@ -40,13 +42,18 @@ from . import ggx
 
 @final
 class RoughConductor(ggx.GlossyBSDF):
-    """Properties: `reflectance` (texture) at normal incidence, `alpha` (GGX).
+    """Properties: `reflectance` (texture) at normal incidence, `alpha` (GGX) or `roughness`.
 
     With a property `alpha_across`, `alpha` is that along x alone, and this that along y.
     """
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
+        self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [int(self.m_flags)]
+        if self.roughness is not None:
+            self.kept, self.mean = map(mi.Float, kept_shares())
+            return
         along = across = float(props["alpha"])
         if "alpha_across" in props:
             across = float(props["alpha_across"])
@@ -54,57 +61,65 @@ class RoughConductor(ggx.GlossyBSDF):
         lost, mean = lost_share(along, across)
         self.mean = dr.opaque(mi.Float, mean)
         self.lost = [mi.Float(table) for table in lost.astype(np.float32)]
-        self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
-        self.m_components = [int(self.m_flags)]
 
     def eval_pdf(self, context, si, wo, active):
         """Value times cosine, and solid-angle density."""
         cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active &= (cos_i > 0) & (cos_o > 0)
+        alpha = self.alpha_at(si, active)
         half = dr.normalize(si.wi + wo)
-        density = 0.5 * ggx.distribution(half, self.alpha)
-        length_i = dr.norm(ggx.stretched(si.wi, self.alpha))
-        length_o = dr.norm(ggx.stretched(wo, self.alpha))
+        density = 0.5 * ggx.distribution(half, alpha)
+        length_i = dr.norm(ggx.stretched(si.wi, alpha))
+        length_o = dr.norm(ggx.stretched(wo, alpha))
         shape = density * cos_o / dr.fma(length_i, cos_o, length_o * cos_i)
-        value = self._reflected(si, dr.dot(si.wi, half), length_i, active) * shape
+        value = self._reflected(si, alpha, dr.dot(si.wi, half), length_i, active) * shape
         pdf = density / (cos_i + length_i)
         return dr.select(active, value, 0), dr.select(active, pdf, 0)
 
     def sample(self, context, si, sample1, sample2, active):
-        half = ggx.sample_visible(si.wi, self.alpha, sample2)
+        alpha = self.alpha_at(si, active)
+        half = ggx.sample_visible(si.wi, alpha, sample2)
         cos_half = dr.dot(si.wi, half)
         wo = dr.fma(2 * cos_half, half, -si.wi)
         cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active &= (cos_i > 0) & (cos_o > 0)
-        length_i = dr.norm(ggx.stretched(si.wi, self.alpha))
-        length_o = dr.norm(ggx.stretched(wo, self.alpha))
+        length_i = dr.norm(ggx.stretched(si.wi, alpha))
+        length_o = dr.norm(ggx.stretched(wo, alpha))
         both = cos_i + length_i
         kept = cos_o * both / dr.fma(length_i, cos_o, length_o * cos_i)  # G2 / G1
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo, bs.eta = wo, 1.0
-        bs.pdf = dr.select(active, 0.5 * ggx.distribution(half, self.alpha) / both, 0)
+        bs.pdf = dr.select(active, 0.5 * ggx.distribution(half, alpha) / both, 0)
         bs.sampled_type, bs.sampled_component = mi.UInt32(self.m_components[0]), mi.UInt32(0)
-        weight = self._reflected(si, cos_half, length_i, active) * kept
+        weight = self._reflected(si, alpha, cos_half, length_i, active) * kept
         return bs, dr.select(active, weight, 0)
 
     def to_string(self):
         return f"RoughConductor[alpha={self.alpha}]"
 
-    def _reflected(self, si, cos_half: mi.Float, length_i: mi.Float, active) -> mi.Color3f:
+    def _reflected(
+        self, si, alpha: ggx.Alpha, cos_half: mi.Float, length_i: mi.Float, active
+    ) -> mi.Color3f:
         """Fresnel's share, and what comes back after the first reflection."""
         normal = self.reflectance.eval(si, active)
         away = 1 - cos_half
         fresnel = dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
         average = dr.fma(normal, 20 / 21, 1 / 21)
-        later = average * self.mean / dr.fma(-average, 1 - self.mean, 1)
-        return fresnel * dr.fma(later, self._lost(si.wi, length_i), 1)
+        mean = self.mean
+        if self.roughness is not None:
+            mean = ggx.between_rows(alpha, lambda row: dr.gather(mi.Float, self.mean, row))
+        later = average * mean / dr.fma(-average, 1 - mean, 1)
+        return fresnel * dr.fma(later, self._lost(si.wi, alpha, length_i), 1)
 
-    def _lost(self, wi: mi.Vector3f, length_i: mi.Float) -> mi.Float:
+    def _lost(self, wi: mi.Vector3f, alpha: ggx.Alpha, length_i: mi.Float) -> mi.Float:
         """`(1 - E) / E`; by the azimuth, too, where grooves make facets wider along y than x."""
         cosine = mi.Frame3f.cos_theta(wi) / length_i
+        if self.roughness is not None:
+            kept = ggx.between_rows(alpha, lambda row: ggx.interpolated(self.kept, cosine, row))
+            return dr.rcp(kept) - 1
         if len(self.lost) == 1:
             return ggx.interpolated(self.lost[0], cosine)
-        x2, y2 = (dr.square(w) for w in ggx.stretched(wi, self.alpha)[:2])
+        x2, y2 = (dr.square(w) for w in ggx.stretched(wi, alpha)[:2])
         twice = (x2 - y2) / dr.maximum(x2 + y2, 1e-12)  # the cosine of twice the azimuth
         middle, slope, bend = (ggx.interpolated(table, cosine) for table in self.lost)
         return dr.fma(dr.fma(bend, twice, slope), twice, middle)
@@ -123,10 +138,26 @@ def lost_share(along: float, across: float) -> tuple[np.ndarray, float]:
         0.8, 0.7 % at 1.2 and 1.4 % at 3.2.
     """
     alphas = along, across
-    x, between, y = (_lost_along(alphas, azimuth_rad) for azimuth_rad in np.pi / 4 * np.arange(3))
-    tables = np.stack([x] if along == across else [between, (x - y) / 2, (x + y) / 2 - between])
+    if along == across:
+        tables = _lost_along(alphas, 0.0)[None]
+    else:
+        x, between, y = (_lost_along(alphas, float(turn)) for turn in np.pi / 4 * np.arange(3))
+        tables = np.stack([between, (x - y) / 2, (x + y) / 2 - between])
     tables.flags.writeable = False  # it is kept for the next scene
     return tables, ggx.mean_albedo(alphas)
+
+
+@lru_cache
+def kept_shares() -> tuple[np.ndarray, np.ndarray]:
+    """`E` of white GGX facets, a row over `lost_share`'s cosine for each of `ggx.ALPHAS`, and its
+    mean for each. The rows follow one another.
+    """
+    tables = [lost_share(alpha, alpha) for alpha in ggx.ALPHAS.tolist()]
+    kept = 1 / (1 + np.concatenate([lost[0] for lost, _ in tables]))
+    shares = kept.astype(np.float32), np.array([mean for _, mean in tables], dtype=np.float32)
+    for table in shares:
+        table.flags.writeable = False  # it is kept for the next scene
+    return shares
 
 
 def _lost_along(alphas: tuple[float, float], azimuth_rad: float) -> np.ndarray:

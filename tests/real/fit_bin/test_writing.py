@@ -5,6 +5,7 @@ import errno
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from graycast.base.errors import ConfigError, GraycastError
 from graycast.base.frames import axis_rotation, rigid
@@ -19,6 +20,8 @@ from graycast.real.fit_bin import (
     write_fit,
 )
 from graycast.real.fit_bin.box import open_box
+from graycast.real.fit_bin.fitting import sections
+from graycast.real.fit_bin.look import BinAppearance
 
 from .empty_bins import BOX, perfect_depth, pose, view, without
 
@@ -159,6 +162,26 @@ def test_an_exact_pose_stands_alone():
 def test_a_configuration_with_a_pose_can_be_read_back_from_a_manifest():
     config = cell(view=VIEW)
     assert Config.model_validate(config.model_dump(mode="json")) == config
+
+
+def test_a_surface_of_another_colour_keeps_its_roughness_map(tmp_path):
+    """Walls, floor and table of three maps; a floor without words is as the walls are."""
+    T, box = pose(), open_box(BOX.inner_m)
+    color = dict.fromkeys(("walls", "floor", "table"), (0.1, 0.2, 0.3))
+    look = BinAppearance(reflectance=color, pixels={}, off=0.0, light_scale=None, exposure=1.0)
+    fit = BinFit(
+        views=("a",), shape=box, pose=settle([view(perfect_depth(T))], box, T), apart=(), look=look
+    )
+    for name in "abc":
+        Image.fromarray(np.zeros((2, 2), dtype=np.uint8)).save(tmp_path / f"{name}.png")
+    walls, floor, table = ({"roughness_map": f"{name}.png"} for name in "abc")
+    for own, of_floor in (({"floor": floor}, "b.png"), ({}, "a.png")):
+        config = cell(bin={"material": walls} | own, table=table)
+        found = sections(fit, resolve_cell(config, tmp_path))
+        box_words = found["bin"]
+        assert box_words["material"]["roughness_map"] == "a.png"
+        assert box_words["floor"]["roughness_map"] == of_floor
+        assert found["table"]["roughness_map"] == "c.png"
 
 
 def test_floor_and_table_have_their_own_look(tmp_path):

@@ -202,10 +202,12 @@ def test_the_list_tells_the_settings_and_scans_nothing(tmp_path, capsys):
 
 
 def test_paths_start_at_the_studys_own_folder(tmp_path, monkeypatch):
-    path = write_study(tmp_path, sweeps=[{"rig": ["rig.yaml"]}])
+    pictures = {"texture": "wood.png", "roughness_map": "worn.png"}
+    path = write_study(tmp_path, sweeps=[{"rig": ["rig.yaml"]}], bins={"a": {"floor": pictures}})
     monkeypatch.chdir("/")
     spec = read_design(path)
     assert spec.cell == tmp_path / "cell.yaml"
     assert spec.sweeps[0].rig == (str(tmp_path / "rig.yaml"),)
+    assert spec.bins["a"].floor.files == {key: tmp_path / name for key, name in pictures.items()}
     with pytest.raises(ConfigError, match="no such file"):
         read_design(tmp_path / "gone.yaml")

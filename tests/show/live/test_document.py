@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from graycast.base.errors import ConfigError
 from graycast.camera import scanner
 from graycast.camera.rig_file import load_scanner
+from graycast.cell.config import Config
+from graycast.cell.resolve import resolve_cell
 from graycast.rig.pair import preset_rig
+from graycast.show.live.controls import described_controls, values_of_files
 from graycast.show.live.document import Document, RigChange, changed, checked, turned_rig, written
 
 WORDS = {"parts": [{"builtin": "metal_workpiece_1"}], "count": 4}
@@ -102,3 +106,22 @@ def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axi
     assert np.degrees(turned.axes_angle_rad - rig.axes_angle_rad) == pytest.approx(3.0, abs=1e-9)
     assert turned.baseline_m == pytest.approx(1.25 * rig.baseline_m)
     assert turned_rig(rig, RigChange()).T_cam_proj.tolist() == rig.T_cam_proj.tolist()
+
+
+def test_a_slider_of_a_surface_leaves_its_roughness_map_alone(tmp_path):
+    """A control sends its whole section; the values that it starts from have the map's name."""
+    Image.fromarray(np.zeros((2, 2), dtype=np.uint8)).save(tmp_path / "worn.png")
+    worn = {"roughness_map": "worn.png", "roughness": 0.4}
+    parts = [{"builtin": "toothpaste", "material": worn}]
+    config = Config.model_validate(
+        {"parts": parts, "bin": {"material": worn}, "table": worn, "rig": "phoxi-m"}
+    )
+    cell = resolve_cell(config, tmp_path)
+    early = described_controls(config, cell.scanner)["values"]
+    for values, keys in (
+        (early, ("bin.material", "table")),
+        (values_of_files(cell), ("bin.material", "table", "parts.0.material")),
+    ):
+        for key in keys:
+            assert values[key]["roughness_map"] == "worn.png"
+            assert values[key]["roughness"] == 0.4

@@ -77,7 +77,7 @@ def test_the_table_tells_sizes_masses_materials_and_symmetries():
         block((0.01, 0.02, 0.03), name="small", symmetry=about_y,
               material=Material(metallic=1.0, roughness=0.3)),
         block((0.1, 0.2, 0.3), name="a_long_name", symmetry=turns,
-              material=Material(texture=print_, roughness=0.7)),
+              material=Material(texture=print_, roughness=0.7, roughness_map=print_[:9, :, 0])),
         block((0.1, 0.1, 0.1), name="matt", material=Material(specular=0.0)),
     )  # fmt: skip
     head, *rows = describe_parts(parts).splitlines()
@@ -86,7 +86,10 @@ def test_the_table_tells_sizes_masses_materials_and_symmetries():
     assert cells[0][:4] == ["small", "10.0 x 20.0 x 30.0", "12 g", "12"]
     assert cells[0][4:6] == ["metal, colour 0.5 0.5 0.5, roughness 0.3", "any turn about y"]
     assert cells[1][:4] == ["a_long_name", "100.0 x 200.0 x 300.0", "12 kg", "12"]
-    assert cells[1][4:6] == ["dielectric, texture 30 x 20, roughness 0.7", "4 equivalent poses"]
+    assert cells[1][4:6] == [
+        "dielectric, texture 30 x 20, roughness 0.7 times a map 30 x 9",
+        "4 equivalent poses",
+    ]
     assert cells[2][4:6] == ["Lambertian, colour 0.5 0.5 0.5", "none"]
     # Columns are flush: every size ends where the head's does.
     ends = {row.index(cell[1]) + len(cell[1]) for row, cell in zip(rows, cells, strict=True)}

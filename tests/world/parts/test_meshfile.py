@@ -450,11 +450,17 @@ def test_three_thousand_cubes_are_one_part(tmp_path):
     assert findings == ("3000 separate bodies are taken as one rigid part.",)
 
 
-def test_a_texture_needs_texture_coordinates(tmp_path):
+@pytest.mark.parametrize(
+    ("look", "instead"),
+    [
+        (Material(texture=np.zeros((4, 4, 3), dtype=np.uint8)), "a base colour"),
+        (Material(roughness_map=np.zeros((4, 4), dtype=np.uint8)), "a roughness"),
+    ],
+)
+def test_a_picture_on_a_mesh_needs_texture_coordinates(tmp_path, look, instead):
     path = exported(box(), tmp_path / "part.stl")
-    painted = Material(texture=np.zeros((4, 4, 3), dtype=np.uint8))
-    with pytest.raises(MeshError, match="no texture coordinates; unwrap it"):
-        load(path, material=painted)
+    with pytest.raises(MeshError, match=f"no texture coordinates; unwrap it .* give {instead}"):
+        load(path, material=look)
 
 
 def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):

@@ -60,7 +60,7 @@ def domain_files(
         path for paths in _folders(section, folder).values() for path in paths
     ]
     for part in (section.distractors and section.distractors.parts) or ():
-        named += [part.mesh, None if part.material is None else part.material.texture]
+        named += [part.mesh, *([] if part.material is None else part.material.files.values())]
     return tuple(dict.fromkeys(path for path in named if path is not None))
 
 

@@ -16,6 +16,7 @@ from ...base.settings import read_text
 from ...cell.config import Config
 from ...cell.resolve import Cell, open_cell_renderer
 from ...world.parts import Material
+from ...world.parts.part_sections import MaterialSection
 from ...world.scene import Bin, bin_of
 from ..depth_file import read_gray
 from ..fitted_config import fitted_text, refuse_there
@@ -199,11 +200,13 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
     if fit.look is None:
         return content
     color, walls = fit.look.reflectance, bin_of(cell.scene).material
-    box["floor"] = _words(bin_of(cell.scene).floor or walls, color["floor"])
+    own = cell.config.bin
+    floor = bin_of(cell.scene).floor or walls
+    box["floor"] = _words(floor, color["floor"], own.floor or own.material)
     if "walls" in color:
-        box["material"] = _words(walls, color["walls"])
+        box["material"] = _words(walls, color["walls"], own.material)
     if "table" in color:
-        content["table"] = _words(cell.scene.table, color["table"])
+        content["table"] = _words(cell.scene.table, color["table"], cell.config.table)
     if fit.look.light_scale is not None:
         content["light"] = _scaled_light(cell.config, fit.look.light_scale)
     return content
@@ -219,7 +222,7 @@ def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any
     words |= {key: value for key, value in box.items() if key not in other}
     material = bin_of(cell.scene).material
     if cell.config.bin.material is None:
-        words["material"] = _words(material, mean_color(material))
+        words["material"] = _words(material, mean_color(material), None)
     return words
 
 
@@ -228,7 +231,9 @@ def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
     return [round(float(value), 9) + 0.0 for value in T.ravel()]
 
 
-def _words(material: Material, color: tuple[float, float, float]) -> dict[str, Any]:
+def _words(
+    material: Material, color: tuple[float, float, float], section: MaterialSection | None
+) -> dict[str, Any]:
     """The material in that colour; what a picture does not tell is the configuration's."""
     words = {
         "base_color": [round(band, 4) for band in color],
@@ -236,6 +241,8 @@ def _words(material: Material, color: tuple[float, float, float]) -> dict[str, A
         "roughness": material.roughness,
         "specular": material.specular,
     }
+    if section is not None and section.roughness_map is not None:
+        words["roughness_map"] = str(section.roughness_map)
     if material.projector_reflectance is not None:
         words["projector_reflectance"] = material.projector_reflectance
     return words

@@ -175,7 +175,7 @@ def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
     fitted = {p.key: p for p in PARAMETERS}
     if box.own_texture or any(m.texture is not None for m in plain):
         del fitted[BIN_COLOR]
-    least, most = min(m.roughness for m in plain), max(m.roughness for m in plain)
+    least, most = min(m.smoothest for m in plain), max(m.roughness for m in plain)
     specular = max(m.specular for m in plain)
     fixed = any(m.metallic > 0 for m in plain) or not specular or BIN_COLOR not in fitted
     if fixed or least - ROUGHER < _SMOOTHEST or most + ROUGHER > 1:

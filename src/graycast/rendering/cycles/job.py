@@ -254,9 +254,14 @@ def _material(
     if material.texture is not None:
         texture = f"texture_{index:03d}.png"
         Image.fromarray(np.asarray(material.texture)).save(folder / texture, compress_level=1)
+    roughness_map = None
+    if material.roughness_map is not None:
+        roughness_map = f"roughness_{index:03d}.npy"
+        np.save(folder / roughness_map, material.local_roughness[..., None])
     return {
         "base_color": material.base_color,
         "texture": texture,
+        "roughness_map": roughness_map,
         "metallic": material.metallic,
         "roughness": material.roughness,
         "anisotropy": material.anisotropy,

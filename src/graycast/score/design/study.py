@@ -174,9 +174,9 @@ def _bin_from(base: Path, section: BinSection) -> BinSection:
         "floor": section.floor,
     }
     for name, material in surfaces.items():
-        if material is not None and material.texture is not None:
-            texture = _from(base, material.texture)
-            changes[name] = material.model_copy(update={"texture": texture})
+        if material is not None:
+            files = {key: _from(base, path) for key, path in material.files.items()}
+            changes[name] = material.model_copy(update=files)
     return section.model_copy(update=changes)
 
 

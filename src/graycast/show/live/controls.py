@@ -11,7 +11,7 @@ from ...cell.resolve import Cell
 from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
 from ...rig.pattern import CODECS
 from ...world.parts import BUILTIN, Material
-from ...world.parts.part_sections import resolve_material
+from ...world.parts.part_sections import MaterialSection, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
@@ -54,12 +54,14 @@ def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 def values_of_files(cell: Cell) -> dict[str, Any]:
     """The values that a configuration may leave to the files that it names."""
-    values: dict[str, Any] = {"table": _material(cell.scene.table)}
-    for index, part in list(enumerate(cell.scene.parts[: len(cell.config.parts)]))[:MOST_PARTS]:
-        values[f"parts.{index}.material"] = _material(part.material)
+    config = cell.config
+    values: dict[str, Any] = {"table": _material(cell.scene.table, config.table)}
+    for index, part in list(enumerate(cell.scene.parts[: len(config.parts)]))[:MOST_PARTS]:
+        look = _material(part.material, config.parts[index].material)
+        values[f"parts.{index}.material"] = look
     if (box := cell.scene.bin) is not None:
-        values["bin.material"] = _material(box.material)
-        values |= _bin_values(cell.config, box.inner_m)
+        values["bin.material"] = _material(box.material, config.bin.material)
+        values |= _bin_values(config, box.inner_m)
     return values
 
 
@@ -254,8 +256,8 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
         values[f"parts.{index}.builtin"] = part.builtin
     for key, surface in stated.items():
         if surface is not None:
-            plain = surface.model_copy(update={"texture": None})
-            values[key] = _material(resolve_material(plain, Path()))
+            plain = surface.model_copy(update=dict.fromkeys(surface.files))
+            values[key] = _material(resolve_material(plain, Path()), surface)
     if config.bin.mesh is None:
         values |= _bin_values(config, config.bin.inner_m)
     if config.fill is None:
@@ -283,13 +285,15 @@ def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str
     return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}
 
 
-def _material(material: Material) -> Mapping[str, Any]:
-    """The words of a surface without its picture, as a configuration says them."""
+def _material(material: Material, section: MaterialSection | None) -> Mapping[str, Any]:
+    """The words of a surface without its texture, as a configuration says them."""
     names = ("metallic", "roughness", "specular")
     words: dict[str, Any] = {name: getattr(material, name) for name in names}
     words["base_color"] = list(material.base_color)
     if material.projector_reflectance is not None:
         words["projector_reflectance"] = material.projector_reflectance
+    if section is not None and section.roughness_map is not None:
+        words["roughness_map"] = str(section.roughness_map)
     if material.transparent is not None:
         words["transparent"] = material.transparent
         if material.transparent == "solid":

@@ -220,6 +220,8 @@ def _material_words(material: Material) -> str:
         colour = f"texture {material.texture.shape[1]} x {material.texture.shape[0]}"
     smooth = kind == "Lambertian" or material.transparent is not None
     shine = "" if smooth else f", roughness {material.roughness:g}"
+    if material.roughness_map is not None and shine:
+        shine += " times a map {1} x {0}".format(*material.roughness_map.shape)
     if material.anisotropy > 0 and material.grain is not None:
         way = "turned about" if material.grain.turned else "brushed along"
         shine += f", {way} {_axis_words(material.grain.axis)} ({material.anisotropy:g})"

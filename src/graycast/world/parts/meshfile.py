@@ -309,11 +309,13 @@ def _size(metres: float) -> str:
 
 def _material(surface: RawMesh, material: Material | None, findings: list[str]) -> Material:
     if material is not None:
-        if material.texture is not None and surface.corner_uv is None:
-            raise Refusal(
-                "the material has a texture, but the mesh has no texture coordinates; unwrap it "
-                "and export OBJ or GLB, or give a base colour"
-            )
+        flat = {"texture": "base colour", "roughness_map": "roughness"}
+        for key in (key for key in flat if getattr(material, key) is not None):
+            if surface.corner_uv is None:
+                raise Refusal(
+                    f"the material has a {key}, but the mesh has no texture coordinates; unwrap it "
+                    f"and export OBJ or GLB, or give a {flat[key]} alone"
+                )
         return material
     if surface.texture is None:
         return Material()

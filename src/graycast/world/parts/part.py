@@ -11,7 +11,8 @@ from pydantic import Field
 from ...base.settings import Positive, Share, Vector, check_fields
 
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
-Roughness = Annotated[float, Field(ge=0.01, le=1)]
+SMOOTHEST = 0.01
+Roughness = Annotated[float, Field(ge=SMOOTHEST, le=1)]
 Transparent = Literal["solid", "thin"]
 
 
@@ -40,7 +41,9 @@ class Material:
     an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
     reflectance is the base colour.
     `roughness` is perceptual: the GGX alpha is its square. Mirrors (below 0.01) are refused, since
-    the lenses that they would show are no objects.
+    the lenses that they would show are no objects. Where a `roughness_map` (8-bit, read as numbers,
+    mapped as a texture is) is given, it varies: 255 stands for `roughness`, 0 for none of it, and
+    nothing is smoother than 0.01. Grooves and what is transparent have no map.
 
     `anisotropy` makes metal smoother along its `grain` and rougher across it, by Disney's aspect
     `a = sqrt(1 - 0.9 anisotropy)`: GGX has the alpha `roughness^2 a` along and `roughness^2 / a`
@@ -67,6 +70,7 @@ class Material:
     grain: Grain | None = None
     transparent: Transparent | None = None
     color_depth_m: Positive = 0.01
+    roughness_map: UInt8[np.ndarray, "rows columns"] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -79,8 +83,12 @@ class Material:
             raise ValueError(f"metallic is {self.metallic} of a transparent material: set it to 0")
         if self.transparent is not None and self.texture is not None:
             raise ValueError("a transparent material has a texture: give a base_color instead")
-        if self.texture is not None:
-            self.texture.flags.writeable = False
+        if self.roughness_map is not None and (self.anisotropy > 0 or self.transparent is not None):
+            what = "is transparent" if self.transparent is not None else "has an anisotropy"
+            raise ValueError(f"a material with a roughness_map {what}: remove one of the two")
+        for picture in (self.texture, self.roughness_map):
+            if picture is not None:
+                picture.flags.writeable = False
 
     def scaled(self, factor: float) -> "Material":
         """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""
@@ -95,6 +103,17 @@ class Material:
         """Widths of GGX along the grain and across it."""
         aspect = math.sqrt(1 - 0.9 * self.anisotropy)
         return self.roughness**2 * aspect, self.roughness**2 / aspect
+
+    @property
+    def local_roughness(self) -> Float[np.ndarray, "rows columns"]:
+        """The roughness at each texel of the map; without one, of all places."""
+        share = np.ones((1, 1)) if self.roughness_map is None else self.roughness_map / 255
+        return np.maximum(self.roughness * share, SMOOTHEST)
+
+    @property
+    def smoothest(self) -> float:
+        """The least roughness of any place."""
+        return float(self.local_roughness.min())
 
     @property
     def ior(self) -> float:

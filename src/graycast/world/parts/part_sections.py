@@ -81,6 +81,11 @@ class MaterialSection(Settings):
         description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. What is "
         "transparent has none. The default is 0.5.",
     )
+    roughness_map: Path | None = Field(
+        None,
+        description="A picture file, grey and read as numbers, of where roughness is less, such as "
+        "in scratches: white is roughness itself, black is polished. It lies as a texture does.",
+    )
     specular: Share | None = Field(
         None,
         description="The strength of the clear coat: 0 is Lambertian, 0.5 is a coat of refractive "
@@ -129,6 +134,12 @@ class MaterialSection(Settings):
         if self.turned is None and self.turned_about_m is not None:
             raise ValueError("turned_about_m belongs to turned: add it, or remove turned_about_m")
         return self
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The pictures that it names, by key."""
+        named = {"texture": self.texture, "roughness_map": self.roughness_map}
+        return {key: path for key, path in named.items() if path is not None}
 
     def own_grain(self) -> Grain | None:
         if self.turned is not None:
@@ -268,6 +279,11 @@ def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]
         if section.builtin not in BUILTIN:
             raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
         own = builtin_part(section.builtin)
+        if look is not None and look.files and own.mesh.corner_uv is None:
+            raise ConfigError(
+                f"the built-in part {section.builtin} has no texture coordinates: remove "
+                f"{' and '.join(look.files)}, or choose another part"
+            )
         return replace(
             own,
             material=own.material
@@ -306,7 +322,7 @@ def _symmetry(section: SymmetrySection | None, mesh: Mesh) -> Symmetry:
 def resolve_material(
     section: MaterialSection, folder: Path, *, own: Material | None = None
 ) -> Material:
-    """A material, its texture read.
+    """A material, its pictures read.
 
     Args:
         own: what a key that is left out keeps, unless the section names a preset; None is the
@@ -329,6 +345,8 @@ def resolve_material(
         changes["texture"] = read_texture(folder / section.texture)
     elif section.base_color is not None:
         changes = {"texture": None, "projector_reflectance": None} | changes
+    if section.roughness_map is not None:
+        changes["roughness_map"] = read_roughness_map(folder / section.roughness_map)
     try:
         material = replace(own, **changes)
     except ValueError as error:
@@ -339,9 +357,25 @@ def resolve_material(
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    return np.array(_opened(path, "texture").convert("RGB"))
+
+
+def read_roughness_map(path: Path) -> UInt8[np.ndarray, "h w"]:
+    picture = _opened(path, "roughness_map")
+    level = np.array(picture.convert("RGB"))
+    if picture.mode not in ("L", "LA", "P", "RGB", "RGBA") or np.ptp(level, axis=2).any():
+        raise ConfigError(
+            f"roughness_map {path} has colours, or is of the kind {picture.mode}: save it with 8 "
+            "bits of grey"
+        )
+    return level[..., 0].copy()
+
+
+def _opened(path: Path, key: str) -> Image.Image:
     try:
-        refuse_large_picture(path, f"texture {path}", ConfigError)
+        refuse_large_picture(path, f"{key} {path}", ConfigError)
         with Image.open(path) as image:
-            return np.array(image.convert("RGB"))
+            image.load()
+            return image
     except (OSError, UnidentifiedImageError) as error:
-        raise ConfigError(f"texture {path}: {error}; give a PNG or JPEG picture") from error
+        raise ConfigError(f"{key} {path}: {error}; give a PNG or JPEG picture") from error

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from blender import Nodes, texture_image
+import numpy as np
+from blender import Nodes, number_image, texture_image
 
 GRAIN = "grain"  # the attribute of a mesh with the direction of its grooves
 NORMAL_OFFSET = 2.0  # It keeps what is shown above 0.
@@ -20,10 +21,11 @@ class Surface:
     def __init__(self, words: dict[str, Any], folder: Path):
         self.material = bpy.data.materials.new("surface")
         self.material.use_nodes = True
+        self.folder = folder
         self.nodes = Nodes(self.material.node_tree)
         self.out = self.nodes.new("ShaderNodeOutputMaterial")
         self.geometry = self.nodes.new("ShaderNodeNewGeometry")
-        base = self._base(words, folder)
+        base = self._base(words)
         self.glow = self._glow(words["radiance"])
         self.ways = {"light": self._light(words, base)} | self._quantities(base)
         # Once and for all: Cycles does not hear of a change between the frames of a job.
@@ -38,12 +40,11 @@ class Surface:
         if self.glow is not None:
             self.glow.inputs["Strength"].default_value = float(glowing)
 
-    def _base(self, words: dict[str, Any], folder: Path) -> object:
+    def _base(self, words: dict[str, Any]) -> object:
         if words["texture"] is None:
             return (*words["base_color"], 1.0)
-        texture = self.nodes.new(
-            "ShaderNodeTexImage", image=texture_image(folder / words["texture"])
-        )
+        image = texture_image(self.folder / words["texture"])
+        texture = self.nodes.new("ShaderNodeTexImage", image=image)
         return texture.outputs["Color"]
 
     def _glow(self, radiance: list[float] | None) -> bpy.types.Node | None:
@@ -67,6 +68,10 @@ class Surface:
         for name, word in (("Metallic", "metallic"), ("Roughness", "roughness"), ("IOR", "ior")):
             node.inputs[name].default_value = words[word]
         self.nodes.put(node.inputs["Base Color"], base)
+        if words["roughness_map"] is not None:
+            image = number_image("roughness", np.load(self.folder / words["roughness_map"]))
+            varied = self.nodes.new("ShaderNodeTexImage", image=image)
+            self.nodes.put(node.inputs["Roughness"], varied.outputs["Color"])
         if words["anisotropy"] > 0:
             node.inputs["Anisotropic"].default_value = words["anisotropy"]
             self.nodes.put(node.inputs["Tangent"], self._across_grain())

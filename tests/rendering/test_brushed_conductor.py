@@ -229,7 +229,7 @@ def origins(places_m):
 def test_grooves_turn_with_each_instance(cpu_device, turned):
     """Two plates at poses of their own; each hit against the formula in its own frame."""
     point_m = (0.02, -0.03, 0.0)
-    grain = Grain(axis=(0.0, 0, 1), turned=True, point_m=point_m)
+    grain = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=point_m)
     grain = grain if turned else Grain(axis=(0.6, 0.8, 0.0))
     rng = np.random.default_rng(4)
     places = np.column_stack([rng.uniform(-0.06, 0.06, (300, 2)), np.zeros(300)])
@@ -276,12 +276,12 @@ def test_a_faced_disc_shows_its_light_on_a_line_through_the_centre(cpu_device):
     line = np.arctan2(half[1], half[0])
     for turn in (0.0, 1.1):
         pose = rigid(axis_rotation("z", turn), np.zeros(3))
-        lathe = Grain(axis=(0.0, 0, 1), turned=True)
+        lathe = Grain(axis=(0.0, 0.0, 1.0), turned=True)
         value = values_at(plate(), lathe, [pose], ring - RAY, RAY, LIGHT)[2]
         off = np.abs(np.sin(angle - line))
         assert off[value > 0.9 * value.max()].max() < 0.1
         assert value[off > 0.7].max() < 0.2 * value.max()
-        even = values_at(plate(), Grain(axis=(1.0, 0, 0)), [pose], ring - RAY, RAY, LIGHT)[2]
+        even = values_at(plate(), Grain(axis=(1.0, 0.0, 0.0)), [pose], ring - RAY, RAY, LIGHT)[2]
         assert np.ptp(even) < 0.01 * even.max()
 
 
@@ -303,7 +303,7 @@ def test_a_turned_cylinder_shines_along_one_line_and_a_drawn_one_across(cpu_devi
     origin = np.stack([0 * across, across, 0 * across + 1.0], axis=1)
     wide = {}
     for turned in (True, False):
-        grain = Grain(axis=(0.0, 0, 1), turned=turned)
+        grain = Grain(axis=(0.0, 0.0, 1.0), turned=turned)
         hit, _, value = values_at(mesh, grain, [pose], origin, ray, light)
         azimuth = np.arcsin(hit[:, 1] / np.linalg.norm(hit[:, 1:], axis=1))
         bright = azimuth[value > 0.5 * value.max()]

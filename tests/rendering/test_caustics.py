@@ -228,6 +228,7 @@ def test_both_kinds_of_path_together_find_what_many_from_the_camera_find(
     assert np.sqrt(np.square(z_of(both, alone)).mean()) < 2.2
 
 
+@pytest.mark.slow
 def test_each_kind_of_path_alone_finds_the_same_energy(mitsuba_renderer, monkeypatch):
     """All light of the shiny surfaces' from the projector's side, and all of it from the camera's;
     the rough metal is one on which both are good.
@@ -260,6 +261,7 @@ def test_a_matt_room_is_the_same_from_both_sides(mitsuba_renderer, monkeypatch):
     assert np.abs(z_of(plain.sum(axis=(2, 3)), both.sum(axis=(2, 3)))).max() < 4
 
 
+@pytest.mark.slow
 def test_light_runs_backwards(mitsuba_renderer):
     """Helmholtz: what a region of the camera's picture gets from one of the projector's is what
     this gets from that when both change places. A black glossy coat may run backwards exactly.

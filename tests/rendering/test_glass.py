@@ -280,6 +280,7 @@ def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer
     assert np.abs(blocks[0] / blocks[1] - 1)[bright].max() < 0.03
 
 
+@pytest.mark.slow
 def test_no_light_by_metal_and_glass_is_counted_twice(mitsuba_renderer, monkeypatch):
     """What the camera's paths find alone is what both kinds find, if none starts at glass. Metal
     lights the wall by a glass ball and a pane; its own reflections are seen through them.

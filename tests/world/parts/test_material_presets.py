@@ -132,7 +132,7 @@ def test_the_door_knows_the_same_names():
 # --- grooves -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("words", [{}, {"metallic": 1.0}, {"grain": Grain(axis=(1.0, 0, 0))}])
+@pytest.mark.parametrize("words", [{}, {"metallic": 1.0}, {"grain": Grain(axis=(1.0, 0.0, 0.0))}])
 def test_anisotropy_needs_metal_and_a_grain(words):
     with pytest.raises(ValueError, match=r"needs metal .* and the direction of its grooves"):
         Material(anisotropy=0.5, **words)
@@ -140,13 +140,13 @@ def test_anisotropy_needs_metal_and_a_grain(words):
 
 def test_a_sphere_has_no_grain():
     with pytest.raises(ValueError, match="a sphere has no grain"):
-        Sphere(center_m=(0, 0, 0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
+        Sphere(center_m=(0.0, 0.0, 0.0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
 
 
 def test_the_widths_are_those_of_burley():
     """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
     for anisotropy in (0.0, 0.6, 1.0):
-        grain = Grain(axis=(1.0, 0, 0))
+        grain = Grain(axis=(1.0, 0.0, 0.0))
         metal = Material(metallic=1.0, roughness=0.3, anisotropy=anisotropy, grain=grain)
         along, across = metal.alphas
         assert abs(along * across - 0.3**4) < 1e-12
@@ -199,7 +199,7 @@ def test_ends_of_a_brushed_box_have_grooves_of_their_own():
     assert np.allclose(way[~ends], [1, 0, 0]) and np.allclose(way[ends], [0, 1, 0])
     lathe = corner_grain(mesh, Grain(axis=(0.0, 0.0, 1.0), turned=True))
     assert np.allclose(lathe, np.cross([0, 0, 1.0], corner_m[faces]))
-    far = corner_grain(mesh, Grain(axis=(0.0, 0, 1), turned=True, point_m=(50.0, 0.0, 0.0)))
+    far = corner_grain(mesh, Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=(50.0, 0.0, 0.0)))
     radial = np.abs(mesh.face_normal[:, 1]) > 0.5  # a keyway's walls, seen from an axis far away
     assert np.allclose(far[radial], [0, 0, 1]) and np.allclose(
         far[ends][..., 0], -corner_m[faces[ends]][..., 1]
@@ -244,7 +244,7 @@ def test_glass_is_neither_metal_nor_has_a_texture():
     section = MaterialSection(transparent="thin", color_depth_m=0.02)
     with pytest.raises(ConfigError, match="color_depth_m belongs to transparent: solid"):
         resolve_material(section, Path())
-    assert retouched(MATERIALS["glass-clear"].material, brightness=1, roughness=0, metallic=0.3)
+    assert retouched(MATERIALS["glass-clear"].material, brightness=1.0, roughness=0.0, metallic=0.3)
 
 
 TEXTURE = np.zeros((2, 2, 3), dtype=np.uint8)

@@ -24,7 +24,7 @@ from .figures import Figures
 from .materials import around
 from .stages import cell_of
 
-PARTS, SAMPLES, SEEDS = 15, 16, (0, 1, 2, 3)
+PARTS, SAMPLES, SEEDS = 15, 16, (0, 1)
 ROUGHNESS = (0.05, 0.1, 0.2, 0.35, 0.5)
 BASE = 0.7
 FIREFLY, WINDOW_PX = 3.0, 7  # A firefly is above three times the median of its 7 x 7 pixels.

@@ -142,10 +142,10 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
         yield "Codes", text + _table(rows, codes)
     if exposed:
         yield "Exposures", EXPOSED.format(scanner=CODES_OF) + _table(rows, exposed)
-    if around := [row for row in rows if row.place == AROUND_PLACE]:
+    if beside := [row for row in rows if row.place == AROUND_PLACE]:
         near = {key: head for key, head in presets.items() if key[0] in (CODES_OF, "paper")}
         text = AROUND.format(pixels=AROUND_PX)
-        yield "Around the parts", text + _table(around, near | codes, AROUND_PLACE)
+        yield "Around the parts", text + _table(beside, near | codes, AROUND_PLACE)
 
 
 def _table(

@@ -51,3 +51,22 @@ def evaluated(bsdf, wi, wo):
 def direction(z, turn):
     across = np.sqrt(1 - z * z)
     return across * np.cos(turn), across * np.sin(turn), z
+
+
+def assert_samples_fall_where_densities_say(bsdf, wi, *, fine, n=200_000):
+    """The density with the share that dips below the surface is 1, and the samples in each of 8 x 8
+    cells are as many as it says (chi-square, one in a million). The grid has `fine`^2 directions.
+    """
+    z, turn = (np.arange(fine) + 0.5) / fine, 2 * np.pi * (np.arange(fine) + 0.5) / fine
+    grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
+    density = evaluated(bsdf, wi, grid)[1].reshape(8, fine // 8, 8, fine // 8)
+    cells = density.sum(axis=(1, 3)) * 2 * np.pi / fine**2
+    wo, _, weight = drawn(bsdf, wi, n)
+    above = weight[0] > 0
+    assert abs(cells.sum() + (~above).mean() - 1) < 0.004
+    place = np.arctan2(wo[1], wo[0])[above] % (2 * np.pi)
+    counts = np.histogram2d(wo[2, above], place, bins=8, range=[[0, 1], [0, 2 * np.pi]])[0]
+    enough = cells * n > 50
+    expected = cells[enough] * n
+    chi2 = ((counts[enough] - expected) ** 2 / (expected + (0.004 * expected) ** 2)).sum()
+    assert chi2 < enough.sum() + 7 * np.sqrt(2 * enough.sum())

@@ -50,3 +50,24 @@ def test_the_page_has_a_row_for_every_material():
     assert "2026-01-02 at commit `abc`" in words
     assert "Up to 30.0 % of the depths are wrong without guards, at most 0.4 %" in words
     assert "| matt | 50; 0.4; 1.00 | 50; 30.0; 1.00 |" in table
+
+
+def test_the_page_names_the_best_and_the_worst_code_on_the_smoothest_metal():
+    own = {"scanner": "phoxi-m", "decoded": 0.5, "right": 0.4, "error_over_sigma": 1.0}
+    wrong = {
+        "preset": 0.0,
+        "without guards": 0.0,
+        "gray": 0.12,
+        "gray_phase": 0.05,
+        "xor_gray": 0.2,
+    }
+    rows = [
+        Worth(code=code, material=material, place=place, wrong=share * (place == "parts"), **own)
+        for place in ("parts", "around")
+        for material in MATERIALS
+        for code, share in wrong.items()
+    ]
+    about = {"date": "2026-01-02", "commit": "abc", "resolution": "low", "cores": 2, "cpu": "x"}
+    words = dict(page(rows, **about))["Codes"].replace("\n", " ")
+    assert "`gray_phase` has the fewest wrong depths, 5.0 %, and" in words
+    assert "and `xor_gray` the most, 20.0 %" in words

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 from backends import slow
-from bsdf_samples import arriving, direction, drawn, evaluated, leaning, upper
+from bsdf_samples import (
+    arriving,
+    assert_samples_fall_where_densities_say,
+    direction,
+    drawn,
+    evaluated,
+    leaning,
+    upper,
+)
 
 from graycast.world.parts import Material
 
@@ -123,23 +131,7 @@ def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
 def test_densities_sum_to_one_and_samples_fall_where_they_say(cpu_device, roughness, angle_deg):
-    """Over a grid of directions: the density with the share that dips below the surface is 1, and
-    the samples in each of 8 x 8 cells are as many as it says (chi-square, one in a million).
-    """
-    bsdf, wi, n, fine = metal(roughness), leaning(angle_deg), 200_000, 512
-    z, turn = (np.arange(fine) + 0.5) / fine, 2 * np.pi * (np.arange(fine) + 0.5) / fine
-    grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
-    density = evaluated(bsdf, wi, grid)[1].reshape(8, fine // 8, 8, fine // 8)
-    cells = density.sum(axis=(1, 3)) * 2 * np.pi / fine**2
-    wo, _, weight = drawn(bsdf, wi, n)
-    above = weight[0] > 0
-    assert abs(cells.sum() + (~above).mean() - 1) < 0.004
-    place = np.arctan2(wo[1], wo[0])[above] % (2 * np.pi)
-    counts = np.histogram2d(wo[2, above], place, bins=8, range=[[0, 1], [0, 2 * np.pi]])[0]
-    enough = cells * n > 50
-    expected = cells[enough] * n
-    chi2 = ((counts[enough] - expected) ** 2 / (expected + (0.004 * expected) ** 2)).sum()
-    assert chi2 < enough.sum() + 7 * np.sqrt(2 * enough.sum())
+    assert_samples_fall_where_densities_say(metal(roughness), leaning(angle_deg), fine=512)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 60])

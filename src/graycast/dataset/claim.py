@@ -173,8 +173,8 @@ def part_digest(part: Part) -> str:
         material.specular,
         material.projector_reflectance,
     )
-    if material.anisotropy > 0 and material.grain is not None:
-        look += (material.anisotropy, asdict(material.grain))
+    if (grain := material.grooves) is not None:
+        look += (material.anisotropy, asdict(grain))
     if material.transparent is not None:
         look += (material.transparent, material.color_depth_m)
     if (roughness_map := material.roughness_map) is not None:

@@ -187,7 +187,7 @@ def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None
 
 def _path_noise(stage: Stage, paths: Paths, scene: Scene) -> PathNoise:
     size = scene.rig.camera.height_px, scene.rig.camera.width_px
-    mean, centre = paths.placed / paths.straight, centre_places(stage.sight, scene)
+    mean, centre = paths.placed / paths.straight, centre_places(stage, scene)
     samples = stage.quality.samples
     stray2 = {
         axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray

@@ -15,8 +15,7 @@ bounce takes the cosines to the true normal that its density lacks, which is Vea
 interpolated normals. Out of focus, the path's place in the projector's picture is one of the disc
 over which the paths from the camera take a mean.
 
-The sums are integers, so that they are the same in whatever order threads add. A path that a pixel
-counts is one of few, so noise is uneven: it is least where shiny faces are smooth.
+The sums are integers, so that they are the same in whatever order threads add.
 
 Source: E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997: sections 5.3,
 9.2 and 10.2 (bidirectional path tracing; this is t = 1 beside s = 1).
@@ -32,22 +31,14 @@ import drjit as dr
 import mitsuba as mi
 
 from ..rig.pattern import Axis
-from .mitsuba_lens import (
-    blur_radius2,
-    camera_place,
-    on_pixel,
-    picture_place,
-    pixel_index,
-    shines,
-)
+from .mitsuba_lens import blur_radius2, camera_place, on_pixel, picture_place, pixel_index, shines
 from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
 from .mitsuba_sight import counted
-from .mitsuba_stage import Stage
+from .mitsuba_stage import ROULETTE_FROM, Stage, survival
 
 LANES = 2_500_000  # At most so many paths run side by side.
 UNIT = 2.0**-32  # of the sums, in light that white paper at one metre returns
 BRIGHTEST = 2.0**24  # in the same light: one path adds no more, so that no sum overflows
-ROULETTE_FROM, MAX_SURVIVAL = 2, 0.95  # as of paths from the camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +96,7 @@ class CausticTracer:
     def _started(self, rng: mi.PCG32, index: mi.UInt32, start: mi.Point2u) -> _LightPaths:
         """Paths that have met their first surface, if that is shiny, and go on from there."""
         light = self.stage.light
-        place = mi.Point2f(rng.next_float32(), rng.next_float32())
-        origin = light.on_lens(mi.warp.square_to_uniform_disk_concentric(place))
+        origin = light.on_lens(_on_disc(rng))
         direction = self.field.direction(self.field.places(index, self.total, start))
         density = self.field.density(direction)
         ray = mi.Ray3f(origin, direction)
@@ -137,9 +127,7 @@ class CausticTracer:
         """The projector's pixel of a path seen at `place`, and whether it shines."""
         optics = self.projector
         if not optics.is_pinhole:
-            disc = mi.Point2f(rng.next_float32(), rng.next_float32())
-            disc = mi.warp.square_to_uniform_disk_concentric(disc)
-            disc *= dr.sqrt(blur_radius2(optics, inverse_z))
+            disc = _on_disc(rng) * dr.sqrt(blur_radius2(optics, inverse_z))
             place += mi.Vector2f(disc.x * optics.fx_px, disc.y * optics.fy_px)
         return pixel_index(optics, on_pixel(optics, place)), shines(optics, place)
 
@@ -153,13 +141,10 @@ class CausticTracer:
             hit &= si.wi.z > 0
         before = p.odds
         p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))
-        random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
-        pupil = mi.warp.square_to_uniform_disk_concentric(random)
         q = stage.T_cam_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
-        place, ray, per_sr, ahead = camera_place(camera, mi.Point3f(q.x, q.y, q.z), pupil)
+        place, ray, per_sr, ahead = camera_place(camera, mi.Point3f(q.x, q.y, q.z), _on_disc(p.rng))
         if camera.psf_px:
-            random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
-            place -= camera.psf_px * mi.warp.square_to_uniform_disk_concentric(random)
+            place -= camera.psf_px * _on_disc(p.rng)
         to_camera = mi.Vector3f(stage.R_world_cam @ -ray)
         lens = mi.Point3f(si.p + to_camera)
         inverse_square = dr.rcp(dr.squared_norm(to_camera))
@@ -197,7 +182,7 @@ class CausticTracer:
             none = mi.Color3f(0)
             return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
         context = self.stage.context
-        bs, gain = bsdf.sample(self.power if self.sight.glass else context, si, pick, uv, True)
+        bs, gain = bsdf.sample(self.power, si, pick, uv, True)
         back, onward = mi.SurfaceInteraction3f(si), mi.SurfaceInteraction3f(si)
         back.wi, onward.wi = to_camera, bs.wo
         value, pdf = bsdf.eval_pdf(context, back, si.wi, True)
@@ -218,10 +203,9 @@ class CausticTracer:
         p.throughput = dr.select(alive, p.throughput * value * factor, 0)
         odds = odds_onward(p.odds, pdf, bs.pdf, si, direction, mi.Bool(before is None))
         p.odds = dr.select(delta, 0 if before is None else before, odds)
-        survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
-        survival = dr.select(p.vertex + 1 >= ROULETTE_FROM, survival, 1.0)
-        p.alive = alive & (p.rng.next_float32() < survival)
-        p.throughput = dr.select(p.alive, p.throughput / survival, 0)
+        share_left = survival(p.throughput, p.vertex + 1 >= ROULETTE_FROM)
+        p.alive = alive & (p.rng.next_float32() < share_left)
+        p.throughput = dr.select(p.alive, p.throughput / share_left, 0)
         onward = self.sight.onward(si, bs)
         p.origin, p.direction = onward.o, onward.d
         return p
@@ -256,3 +240,9 @@ class CausticTracer:
             white=mi.Color3f(*(sums(n + k, unit) for k in range(3))),
             stray2={axis: sums(n + 3 + k, square) for k, axis in enumerate(self.stage.strays)},
         )
+
+
+def _on_disc(rng: mi.PCG32) -> mi.Point2f:
+    """A place of the unit disc."""
+    square = mi.Point2f(rng.next_float32(), rng.next_float32())
+    return mi.Point2f(mi.warp.square_to_uniform_disk_concentric(square))

@@ -24,12 +24,10 @@ from .mitsuba_lens import (
 )
 from .mitsuba_projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
 from .mitsuba_sight import DELTA_PDF, counted
-from .mitsuba_stage import Stage
+from .mitsuba_stage import ROULETTE_FROM, Stage, survival
 from .radiance import OnPass
 
 PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
-ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
-MAX_SURVIVAL = 0.95  # It ends paths between perfect whites.
 PATCH_LOOKUPS = 3  # So many lookups stand for a patch of interreflected light.
 DISC_LOOKUPS = 6  # On a defocused projector's disc they are pairs, so that stripes stay in place.
 
@@ -367,11 +365,10 @@ class Tracer:
     def _go_on(self, p: Paths, si, bs, gain, back: mi.Float, hit: mi.Bool) -> None:
         """Take the sampled direction, or end the path."""
         p.throughput = dr.select(hit, p.throughput * gain, 0)
-        survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
         playing = (p.vertex + 1 >= ROULETTE_FROM) & ~self.sight.is_delta(bs)
-        survival = dr.select(playing | (survival == 0), survival, 1.0)
-        alive = hit & (p.rng.next_float32() < survival)
-        p.throughput = dr.select(alive, p.throughput / survival, 0)
+        share_left = survival(p.throughput, playing | (dr.max(p.throughput) == 0))
+        alive = hit & (p.rng.next_float32() < share_left)
+        p.throughput = dr.select(alive, p.throughput / share_left, 0)
         onward = self.sight.onward(si, bs)
         if self.field is not None:
             p.odds = odds_onward(p.odds, back, bs.pdf, si, onward.d, p.vertex == 0)

@@ -41,11 +41,10 @@ class PackedPatterns:
     def levels(self, pixel: mi.UInt32, lit: mi.Bool) -> list[mi.Float]:
         """What each pattern emits at a pixel, from 0 to 1; 0 where it is not lit."""
         words = [dr.gather(mi.UInt32, word, pixel, lit) for word in self._words]
-        return [
-            mi.Float((words[k // self._per_word] >> shift) & self._most) / self._most
-            for k in range(self.count)
-            for shift in (k % self._per_word * self._bits,)
-        ]
+        shifted = (
+            words[k // self._per_word] >> k % self._per_word * self._bits for k in range(self.count)
+        )
+        return [mi.Float(level & self._most) / self._most for level in shifted]
 
     def add(
         self, sums: list[mi.Float], light: mi.Float, pixels: list[mi.UInt32], lit: list[mi.Bool]

@@ -159,7 +159,7 @@ def _glass(material: Material) -> dict[str, object]:
 
 def _conductor(material: Material) -> dict[str, object]:
     reflectance = {"reflectance": _reflectance(material)}
-    if material.anisotropy == 0:
+    if material.grooves is None:
         return {"type": "rough_conductor"} | _width(material) | reflectance
     along, across = material.alphas
     return {"type": "brushed_conductor", "alpha": along, "alpha_across": across} | reflectance
@@ -197,9 +197,9 @@ def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -
         uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # Mitsuba's v runs down
         parameters["vertex_texcoords"] = _flat(np.broadcast_to(uv, (n, *uv.shape)))
     parameters.update()
-    if material.anisotropy > 0 and material.grain is not None:
-        grain = corner_grain(mesh, material.grain).reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
-        shape.add_attribute(GRAIN, 3, np.ascontiguousarray(grain, dtype=np.float32).ravel())
+    if (grain := material.grooves) is not None:
+        along = corner_grain(mesh, grain).reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
+        shape.add_attribute(GRAIN, 3, _flat(along))
     return shape
 
 
@@ -210,7 +210,7 @@ def _flat(array: np.ndarray) -> mi.Float:
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
     """A rectangle; a mesh where there is a grain, or a picture, which would stand on its head."""
     material = quad.material
-    if material.texture is material.roughness_map is None and material.anisotropy == 0:
+    if material.texture is material.roughness_map is None and material.grooves is None:
         return _quad(quad)
     return _mesh(name, quad_mesh(quad), quad.material, np.eye(4)[None])
 

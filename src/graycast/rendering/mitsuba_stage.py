@@ -3,6 +3,7 @@
 Imported only by the other Mitsuba files, after a variant was set.
 """
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -13,6 +14,9 @@ from .mitsuba_projector import ProjectorLight
 from .mitsuba_scene import MitsubaWorld
 from .mitsuba_sight import Sight
 from .radiance import Quality
+
+ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
+MAX_SURVIVAL = 0.95  # It ends paths between perfect whites.
 
 
 class Stage:
@@ -32,3 +36,8 @@ class Stage:
         self.finest = finest_patterns(pattern, rig)
         self.strays = self.finest if quality.depth > 1 else {}
         self.pixels = rig.camera.width_px * rig.camera.height_px
+
+
+def survival(throughput: mi.Color3f, playing: mi.Bool) -> mi.Float:
+    """The probability with which a path goes on: 1 where it does not play Russian roulette."""
+    return dr.select(playing, dr.minimum(dr.max(throughput), MAX_SURVIVAL), 1.0)

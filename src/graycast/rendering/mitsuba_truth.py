@@ -13,7 +13,7 @@ from ..rig.optics import fold_radius2, project
 from ..world.scene import Layout, Scene
 from .mitsuba_lens import camera_ray, distorted, picture_place
 from .mitsuba_scene import PartShape
-from .mitsuba_sight import Sight
+from .mitsuba_stage import Stage
 from .radiance import GroundTruth, Silhouette
 
 STEP_THROUGH_M = 2e-5  # Float32 errs by less past a surface, and parts that touch overlap by less.
@@ -45,19 +45,16 @@ def truth(
     )
 
 
-def centre_places(sight: Sight, scene: Scene) -> mi.Point2f:
+def centre_places(stage: Stage, scene: Scene) -> mi.Point2f:
     """Where the projector sees the surface at each pixel's centre [px]; NaN where none is.
 
     Thin walls of glass are looked through; what is on or behind solid glass has NaN.
     """
     camera = scene.rig.camera
     ray = _centre_rays(scene, left=0, top=0, width=camera.width_px, height=camera.height_px)
-    si, solid = sight.centre(ray)
-    point = si.t * ray.d + ray.o
-    q = mi.Matrix4f(inverse(scene.T_world_cam @ scene.rig.T_cam_proj)) @ mi.Vector4f(
-        point.x, point.y, point.z, 1
-    )
-    place, _, ahead = picture_place(scene.rig.projector, mi.Point3f(q.x, q.y, q.z))
+    si, solid = stage.sight.centre(ray)
+    q = stage.light.in_own_frame(mi.Point3f(si.t * ray.d + ray.o))
+    place, _, ahead = picture_place(stage.light.optics, q)
     return dr.select(si.is_valid() & ~solid & ahead, place, dr.nan)
 
 

@@ -234,9 +234,8 @@ def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
         arrays["corner_uv"] = placed.mesh.corner_uv.astype(np.float32)
     if placed.mesh.corner_normals is not None:
         arrays["corner_normals"] = placed.mesh.corner_normals.astype(np.float32)
-    material = placed.material
-    if material.anisotropy > 0 and material.grain is not None:
-        arrays["corner_grain"] = corner_grain(placed.mesh, material.grain).astype(np.float32)
+    if (grain := placed.material.grooves) is not None:
+        arrays["corner_grain"] = corner_grain(placed.mesh, grain).astype(np.float32)
     file = f"mesh_{index:03d}.npz"
     np.savez(folder / file, **arrays)
     return {

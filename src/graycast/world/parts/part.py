@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -97,6 +97,29 @@ class Material:
         x, y, z = self.grain.point_m
         grain = replace(self.grain, point_m=(factor * x, factor * y, factor * z))
         return replace(self, grain=grain)
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """The keys of a configuration that say what it is, without its pictures."""
+        words: dict[str, Any] = {"base_color": list(self.base_color)}
+        words |= {name: getattr(self, name) for name in ("metallic", "roughness", "specular")}
+        if self.projector_reflectance is not None:
+            words["projector_reflectance"] = self.projector_reflectance
+        if self.transparent is not None:
+            words["transparent"] = self.transparent
+            if self.transparent == "solid":
+                words["color_depth_m"] = self.color_depth_m
+        if (grain := self.grooves) is not None:
+            words["anisotropy"] = self.anisotropy
+            words["turned" if grain.turned else "grain"] = list(grain.axis)
+            if grain.turned:
+                words["turned_about_m"] = list(grain.point_m)
+        return words
+
+    @property
+    def grooves(self) -> Grain | None:
+        """The grain, where facets are wider across it than along it."""
+        return self.grain if self.anisotropy > 0 else None
 
     @property
     def alphas(self) -> tuple[float, float]:

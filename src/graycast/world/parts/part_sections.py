@@ -329,7 +329,7 @@ def resolve_material(
             default material.
 
     Raises:
-        ConfigError: the texture cannot be read, or keys do not go together.
+        ConfigError: a picture cannot be read, or keys do not go together.
     """
     if section.preset is not None:
         own = material_preset(section.preset).material
@@ -354,6 +354,13 @@ def resolve_material(
     if material.transparent != "solid" and section.color_depth_m is not None:
         raise ConfigError("material: color_depth_m belongs to transparent: solid; remove it")
     return material
+
+
+def material_words(material: Material, section: MaterialSection | None) -> dict[str, Any]:
+    """The keys that say what a material is, without its texture; `section` names its map."""
+    if section is None or section.roughness_map is None:
+        return material.words
+    return material.words | {"roughness_map": str(section.roughness_map)}
 
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:

@@ -41,6 +41,9 @@ def test_plain_parts_get_brighter_to_white_and_rougher_to_matt():
     assert (steel.roughness, steel.metallic) == (1.0, 0.6)
     smooth = retouched(Material(roughness=0.1), brightness=1.0, roughness=-0.2, metallic=-0.2)
     assert (smooth.roughness, smooth.metallic) == (0.05, 0.0)
+    polished = Material(roughness=0.02)
+    for change in (0.0, -0.2):
+        assert retouched(polished, brightness=1.0, roughness=change).roughness == 0.02
 
 
 def test_at_the_projector_s_line_brightness_counts_and_tint_does_not():

@@ -184,6 +184,19 @@ def test_a_surface_of_another_colour_keeps_its_roughness_map(tmp_path):
         assert found["table"]["roughness_map"] == "c.png"
 
 
+def test_a_surface_of_another_colour_keeps_its_grooves(tmp_path):
+    T, box = pose(), open_box(BOX.inner_m)
+    color = {"walls": (0.1, 0.2, 0.3), "floor": (0.1, 0.2, 0.3)}
+    look = BinAppearance(reflectance=color, pixels={}, off=0.0, light_scale=None, exposure=1.0)
+    fit = BinFit(
+        views=("a",), shape=box, pose=settle([view(perfect_depth(T))], box, T), apart=(), look=look
+    )
+    config = cell(bin={"material": "steel-brushed"})
+    words = sections(fit, resolve_cell(config, tmp_path))["bin"]["material"]
+    assert words["base_color"] == [0.1, 0.2, 0.3]
+    assert (words["anisotropy"], words["grain"]) == (0.8, [1.0, 0.0, 0.0])
+
+
 def test_floor_and_table_have_their_own_look(tmp_path):
     walls, floor, table = ({"base_color": [c, c, c], "specular": 0.0} for c in (0.1, 0.2, 0.3))
     scene = resolve_cell(cell(bin={"material": walls, "floor": floor}, table=table), tmp_path).scene

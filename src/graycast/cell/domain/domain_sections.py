@@ -76,7 +76,9 @@ class PartTolerance(Settings):
         description="The largest change of the reflectance, relative to it and equal in all bands.",
     )
     roughness: Share = Field(
-        0.02, description="The largest change of the roughness. The result is limited to 0.05 to 1."
+        0.02,
+        description="The largest change of the roughness. The result is at most 1, and at least "
+        "0.05 or the roughness of a smoother material.",
     )
 
 
@@ -224,7 +226,8 @@ class PartRanges(Settings):
     )
     roughness: Span = Field(
         (-0.1, 0.1),
-        description="The range of the change of the roughness. The result is limited to 0.05 to 1.",
+        description="The range of the change of the roughness. The result is at most 1, and at "
+        "least 0.05 or the roughness of a smoother material.",
     )
     metallic: Span = Field(
         (0.0, 0.0),

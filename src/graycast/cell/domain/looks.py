@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from ...base.color import linear, linear_share, srgb
 from ...world.parts import Material
 
-ROUGHNESS = (0.05, 1.0)  # The roughness of a material lies between these.
+ROUGHNESS = (0.05, 1.0)  # A drawn one ends at these; one of a smoother material, at its own.
 
 Rgb = tuple[float, float, float]
 
@@ -61,6 +61,7 @@ def retouched(
     factor = [brightness * own for own in tint]
     line = material.projector_reflectance
     roughness += material.roughness
+    least = min(ROUGHNESS[0], material.roughness)
     metallic += material.metallic
     red, green, blue = (
         min(1.0, f * level) for f, level in zip(factor, material.base_color, strict=True)
@@ -71,7 +72,7 @@ def retouched(
         base_color=(red, green, blue),
         texture=None if material.texture is None else _multiplied(material.texture, factor),
         projector_reflectance=None if line is None else min(1.0, brightness * line),
-        roughness=min(max(roughness, ROUGHNESS[0]), ROUGHNESS[1]),
+        roughness=min(max(roughness, least), ROUGHNESS[1]),
         metallic=metallic,
         anisotropy=material.anisotropy if metallic > 0 else 0.0,
     )

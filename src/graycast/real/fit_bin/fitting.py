@@ -16,7 +16,7 @@ from ...base.settings import read_text
 from ...cell.config import Config
 from ...cell.resolve import Cell, open_cell_renderer
 from ...world.parts import Material
-from ...world.parts.part_sections import MaterialSection
+from ...world.parts.part_sections import MaterialSection, material_words
 from ...world.scene import Bin, bin_of
 from ..depth_file import read_gray
 from ..fitted_config import fitted_text, refuse_there
@@ -235,17 +235,8 @@ def _words(
     material: Material, color: tuple[float, float, float], section: MaterialSection | None
 ) -> dict[str, Any]:
     """The material in that colour; what a picture does not tell is the configuration's."""
-    words = {
-        "base_color": [round(band, 4) for band in color],
-        "metallic": material.metallic,
-        "roughness": material.roughness,
-        "specular": material.specular,
-    }
-    if section is not None and section.roughness_map is not None:
-        words["roughness_map"] = str(section.roughness_map)
-    if material.projector_reflectance is not None:
-        words["projector_reflectance"] = material.projector_reflectance
-    return words
+    rounded = [round(band, 4) for band in color]
+    return material_words(material, section) | {"base_color": rounded}
 
 
 def _scaled_light(config: Config, scale: float) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The controls of the page: what each one sets, between which bounds, and what it costs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -10,8 +10,8 @@ from ...cell.config import Config
 from ...cell.resolve import Cell
 from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
 from ...rig.pattern import CODECS
-from ...world.parts import BUILTIN, Material
-from ...world.parts.part_sections import MaterialSection, resolve_material
+from ...world.parts import BUILTIN
+from ...world.parts.part_sections import material_words, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
@@ -55,12 +55,12 @@ def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
 def values_of_files(cell: Cell) -> dict[str, Any]:
     """The values that a configuration may leave to the files that it names."""
     config = cell.config
-    values: dict[str, Any] = {"table": _material(cell.scene.table, config.table)}
+    values: dict[str, Any] = {"table": material_words(cell.scene.table, config.table)}
     for index, part in list(enumerate(cell.scene.parts[: len(config.parts)]))[:MOST_PARTS]:
-        look = _material(part.material, config.parts[index].material)
+        look = material_words(part.material, config.parts[index].material)
         values[f"parts.{index}.material"] = look
     if (box := cell.scene.bin) is not None:
-        values["bin.material"] = _material(box.material, config.bin.material)
+        values["bin.material"] = material_words(box.material, config.bin.material)
         values |= _bin_values(config, box.inner_m)
     return values
 
@@ -257,7 +257,7 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
     for key, surface in stated.items():
         if surface is not None:
             plain = surface.model_copy(update=dict.fromkeys(surface.files))
-            values[key] = _material(resolve_material(plain, Path()), surface)
+            values[key] = material_words(resolve_material(plain, Path()), surface)
     if config.bin.mesh is None:
         values |= _bin_values(config, config.bin.inner_m)
     if config.fill is None:
@@ -283,24 +283,3 @@ def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str
     """The bin's sizes, and what the camera looks at in it."""
     target_m = config.view.target_m or (0.0, 0.0, inner_m[2] / 3)
     return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}
-
-
-def _material(material: Material, section: MaterialSection | None) -> Mapping[str, Any]:
-    """The words of a surface without its texture, as a configuration says them."""
-    names = ("metallic", "roughness", "specular")
-    words: dict[str, Any] = {name: getattr(material, name) for name in names}
-    words["base_color"] = list(material.base_color)
-    if material.projector_reflectance is not None:
-        words["projector_reflectance"] = material.projector_reflectance
-    if section is not None and section.roughness_map is not None:
-        words["roughness_map"] = str(section.roughness_map)
-    if material.transparent is not None:
-        words["transparent"] = material.transparent
-        if material.transparent == "solid":
-            words["color_depth_m"] = material.color_depth_m
-    if material.anisotropy > 0 and (grain := material.grain) is not None:
-        words["anisotropy"] = material.anisotropy
-        words["turned" if grain.turned else "grain"] = list(grain.axis)
-        if grain.turned:
-            words["turned_about_m"] = list(grain.point_m)
-    return words

@@ -1,0 +1,60 @@
+"""Images of a dataset that others made, whatever its layout.
+
+Frames: `T_cam_part` takes a model's coordinates [m] to OpenCV's camera frame (x right, y down, z
+forward). Depth is z of that frame in metres.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from ...rig.optics import Optics
+from ...world.parts import Part
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceImage:
+    """One image: what its camera saw, and which objects lie where.
+
+    `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
+    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`.
+    """
+
+    camera: Optics
+    depth_m: Float[np.ndarray, "h w"]
+    rgb: UInt8[np.ndarray, "h w 3"] | None
+    obj_id: Int[np.ndarray, " n"]
+    T_cam_part: Float[np.ndarray, "n 4 4"]
+
+
+class Source(Protocol):
+    """A dataset of others, or one of its splits; images are read when they are asked for.
+
+    Attributes:
+        folder: of the split in BOP's form, or of the whole dataset in another layout.
+        split: its name in the result, such as `train_pbr`.
+        sensor: the camera that is read, "" where the dataset has only one; its files end in
+            `_sensor`.
+        is_bop: its folder has BOP's form, so that the result may link to its files.
+        images: scene and image numbers, in order.
+        parts: the objects by their ids, in metres and with their look; empty without models.
+    """
+
+    folder: Path
+    split: str
+    sensor: str
+    is_bop: bool
+    images: tuple[tuple[int, int], ...]
+    parts: Mapping[int, Part]
+
+    def read(self, scene_id: int, image_id: int) -> SourceImage:
+        """One image.
+
+        Raises:
+            DatasetError: a file is missing, damaged or contradicts another; the text names it.
+        """
+        ...

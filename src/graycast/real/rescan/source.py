@@ -7,7 +7,7 @@ forward). Depth is z of that frame in metres.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -31,6 +31,7 @@ class SourceImage:
     T_cam_part: Float[np.ndarray, "n 4 4"]
 
 
+@runtime_checkable
 class Source(Protocol):
     """A dataset of others, or one of its splits; images are read when they are asked for.
 
@@ -45,13 +46,20 @@ class Source(Protocol):
         plain: the ids of parts whose look nothing states: they are grey.
     """
 
-    folder: Path
-    split: str
-    sensor: str
-    is_bop: bool
-    images: tuple[tuple[int, int], ...]
-    parts: Mapping[int, Part]
-    plain: frozenset[int]
+    @property
+    def folder(self) -> Path: ...
+    @property
+    def split(self) -> str: ...
+    @property
+    def sensor(self) -> str: ...
+    @property
+    def is_bop(self) -> bool: ...
+    @property
+    def images(self) -> tuple[tuple[int, int], ...]: ...
+    @property
+    def parts(self) -> Mapping[int, Part]: ...
+    @property
+    def plain(self) -> frozenset[int]: ...
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

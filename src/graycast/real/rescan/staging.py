@@ -30,7 +30,7 @@ from .source import SourceImage
 
 BACKGROUND = "background"
 _NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth is an object's own if it is off by less than their sum.
-_MOST_BEHIND = 0.2  # If more of the objects' pixels have depth behind them, poses or models are off.
+_MOST_BEHIND = 0.2  # If depth lies behind more of the objects' pixels, the poses are wrong.
 _LEAST_PX = 50  # Fewer pixels of objects say nothing of poses.
 _FINE_M = 2e-4  # Depth in finer steps needs little smoothing.
 _SLOPE = 6.0  # Neighbours that are so many times their distance apart in depth are not joined.
@@ -252,9 +252,9 @@ def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> n
     own = number[free]
     around = np.pad(np.dstack([number, value]), ((1, 1), (1, 1), (0, 0)), constant_values=-2)
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        beside = around[
-            1 + down : 1 + down + free.shape[0], 1 + right : 1 + right + free.shape[1]
-        ][free]
+        beside = around[1 + down : 1 + down + free.shape[0], 1 + right : 1 + right + free.shape[1]][
+            free
+        ]
         other = beside[:, 0].astype(np.int64)
         diagonal += other > -2
         right_side += np.where(other == -1, beside[:, 1], 0.0)

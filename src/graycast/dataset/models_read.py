@@ -42,17 +42,20 @@ def _model(file: Path, info: records.ModelInfo) -> StoredModel:
         mesh = load_mesh(file, unit="mm")[0]
     except MeshError as error:
         raise DatasetError(f"{error}: run graycast validate") from error
-    discrete = [np.array(matrix).reshape(4, 4) for matrix in info.symmetries_discrete]
-    scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
     return StoredModel(
         mesh=mesh,
         diameter_m=info.diameter / MM_PER_M,
-        symmetry=Symmetry(
-            discrete=tuple(T * scale for T in discrete),
-            continuous=tuple(
-                (_three(one.axis), _three([x / MM_PER_M for x in one.offset]))
-                for one in info.symmetries_continuous
-            ),
+        symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
+    )
+
+
+def symmetry_m(discrete: list[list[float]], continuous: list[records.Continuous]) -> Symmetry:
+    """Of `models_info.json`, whose lengths are millimetres."""
+    scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
+    return Symmetry(
+        discrete=tuple(np.reshape(matrix, (4, 4)) * scale for matrix in discrete),
+        continuous=tuple(
+            (_three(one.axis), _three([x / MM_PER_M for x in one.offset])) for one in continuous
         ),
     )
 

@@ -23,6 +23,12 @@ SCANNER = "_sl"  # Our own datasets add this type of camera.
 R = TypeVar("R", bound=BaseModel)
 
 
+def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
+    """The scenes of a split: its folders that have a number as a name and such a file inside."""
+    folders = {file.parent for file in path.glob(f"[0-9]*/{files}")}
+    return sorted(folder for folder in folders if folder.name.isdecimal())
+
+
 def of_sensor(name: str, sensor: str) -> str:
     """What a file or folder is called for one of several scanners, `depth_sl` as `depth_left_sl`.
 
@@ -109,12 +115,17 @@ class _Promised(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class AnyView(_Promised):
-    """One image in `scene_camera.json`; `distortion` is in ours alone."""
+class AnyCamera(_Promised):
+    """One image in `scene_camera.json` of whoever leaves out the scale of depth."""
 
     cam_K: Matrix3
+    distortion: Distortion = [0.0] * 5  # is in ours alone
+
+
+class AnyView(AnyCamera):
+    """One image in `scene_camera.json`."""
+
     depth_scale: Positive
-    distortion: Distortion = [0.0] * 5
 
 
 class AnyScanner(_Promised):

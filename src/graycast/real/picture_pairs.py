@@ -114,7 +114,7 @@ def read_shot(
         DatasetError: a file is damaged, of another size or form, or something was not said.
     """
     for path in shot.files.values():
-        _refuse_damaged(path)
+        refuse_damaged(path)
     rgb = None if shot.rgb is None else read_rgb(shot.rgb)
     gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
     depth_m = None
@@ -206,8 +206,12 @@ def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) ->
             )
 
 
-def _refuse_damaged(path: Path) -> None:
-    """Refuse incomplete pictures, which OpenCV's decoders accept."""
+def refuse_damaged(path: Path) -> None:
+    """Refuse incomplete pictures, which OpenCV's decoders accept.
+
+    Raises:
+        DatasetError: the file is cut off or damaged.
+    """
     if path.suffix.lower() not in PICTURES:
         return
     refuse_large_picture(path, str(path), DatasetError)

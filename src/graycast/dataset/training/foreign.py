@@ -23,7 +23,7 @@ from ...base.file_limits import check_runs, parse_json
 from ..example import Example, metres, pose_m
 from ..records import Images, Positive
 from ..safe_reading import Unreadable
-from ..scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder
+from ..scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
 from .from_bytes import boxes, masks, picture
 
 
@@ -45,7 +45,7 @@ class Foreign:
 
 def is_foreign(path: Path) -> bool:
     """Whether it is a JSON file, or a folder of BOP's scenes."""
-    return path.suffix == ".json" or bool(_bop_scenes(path))
+    return path.suffix == ".json" or bool(scene_folders(path))
 
 
 def open_foreign(path: Path) -> Foreign:
@@ -201,15 +201,10 @@ class _View(AnyView):
     depth_scale: Positive = 1.0
 
 
-def _bop_scenes(path: Path) -> list[Path]:
-    found = (file.parent for file in path.glob("[0-9]*/scene_gt.json"))
-    return sorted(folder for folder in found if folder.name.isdecimal())
-
-
 def _open_bop(path: Path) -> Foreign:
     place: list[tuple[SceneFolder, int]] = []
     obj_ids: set[int] = set()
-    for folder in _bop_scenes(path):
+    for folder in scene_folders(path):
         scene = SceneFolder(folder)
         try:
             annotations = scene.record("scene_gt", Images[list[AnyPose]]).root

@@ -1,4 +1,11 @@
 """A structured-light scan of scenes that others made: perfect depth in, scanner depth out.
 
 source            what every layout gives: images with depth, colours, poses and models
+source_options    what a user says where the files of others leave something open
+source_files      depth, colours, cameras and poses of others, refused where they cannot be
+model_files       models of others as parts, with their look
+bop_source        datasets in BOP's form
+staging           an image as a scene: objects, and all else as a solid behind them
+rescan_folder     the folder of the result: links to what was there, and what the scanner adds
+rescanning        all images, by workers
 """

@@ -42,6 +42,7 @@ class Source(Protocol):
         is_bop: its folder has BOP's form, so that the result may link to its files.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
+        plain: the ids of parts whose look nothing states: they are grey.
     """
 
     folder: Path
@@ -50,6 +51,7 @@ class Source(Protocol):
     is_bop: bool
     images: tuple[tuple[int, int], ...]
     parts: Mapping[int, Part]
+    plain: frozenset[int]
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

@@ -92,7 +92,7 @@ def load_mesh(
     if unit is not None and unit not in UNITS_M:
         raise ValueError(f"unit is {unit!r}; choose one of {', '.join(UNITS_M)}")
     try:
-        surface = _read(path)
+        surface = read_surface(path)
         findings = list(surface.findings)
         surface.check_numbers()
         scale_m = _metres_per_unit(surface.longest, path.suffix.lower(), unit, findings)
@@ -137,7 +137,12 @@ def _quiet() -> Iterator[None]:
         logger.disabled = was_disabled
 
 
-def _read(path: Path) -> RawMesh:
+def read_surface(path: Path) -> RawMesh:
+    """What a file says, in its own unit; whether it can be a part is not judged.
+
+    Raises:
+        Refusal: the file cannot be read as a mesh with triangles.
+    """
     _load_reader()
     import trimesh
 
@@ -239,6 +244,7 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
         faces=np.concatenate(faces),
         corner_uv=corner_uv,
         texture=distinct[0] if distinct else None,
+        face_color=_face_color(pieces),
         other_materials=len(distinct) - 1 + bare if distinct else 0,
         shares_vertices=shares_vertices,
         findings=tuple(findings),
@@ -267,6 +273,13 @@ def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
     except OSError as error:
         reason = f"its texture is unreadable ({_one_line(error)})"
         raise Refusal(f"{reason}; export it again") from error
+
+
+def _face_color(pieces: Sequence) -> UInt8[np.ndarray, "f 3"] | None:
+    """The sRGB of each face, where every piece has colours of its vertices or faces."""
+    if any(piece.visual.kind not in ("vertex", "face") for piece in pieces):
+        return None
+    return np.concatenate([np.asarray(p.visual.face_colors)[:, :3] for p in pieces])
 
 
 def _has_colours(piece) -> bool:

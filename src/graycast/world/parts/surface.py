@@ -29,6 +29,7 @@ class RawMesh:
     other_materials: int  # materials that the part cannot have beside this texture
     shares_vertices: bool
     findings: tuple[str, ...] = ()
+    face_color: UInt8[np.ndarray, "f 3"] | None = None  # sRGB, of vertices the mean
 
     @property
     def used(self) -> Bool[np.ndarray, " v"]:
@@ -97,6 +98,7 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
         texture=surface.texture,
         other_materials=surface.other_materials,
         shares_vertices=True,
+        face_color=None if surface.face_color is None else surface.face_color[keep],
     )
 
 

@@ -1,0 +1,261 @@
+"""Images of a dataset in BOP's form: a split such as `lm/train_pbr`, of one camera.
+
+A scene has `scene_camera.json`, `scene_gt.json`, `rgb` or `gray`, and `depth`; what is of one of
+several cameras ends in its name, as `depth_photoneo` and `scene_gt_photoneo.json` of IPD. Of the
+pictures, only `rgb`, or `gray` without it, is read, so `aolp` and `dolp` are not. Our own datasets
+are such folders, too: their perfect depth is read, and what our scanner measured (`_sl`) is not.
+BlenderProc's `write_bop` writes `<dataset>/train_pbr` beside `camera.json`, without models.
+
+An image without an entry in `scene_gt.json` is refused, because its objects would be missing
+without a word; an empty list says that there are none.
+
+Sources: github.com/thodan/bop_toolkit, docs/bop_datasets_format.md; github.com/DLR-RM/BlenderProc,
+blenderproc/python/writer/BopWriterUtility.py.
+"""
+
+import os
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...base.errors import DatasetError
+from ...dataset.records import MM_PER_M, Images, Positive
+from ...dataset.safe_reading import Unreadable
+from ...dataset.scene_folder import (
+    SCANNER,
+    AnyCamera,
+    AnyInfo,
+    AnyPose,
+    SceneFolder,
+    of_sensor,
+    scene_folders,
+)
+from ...world.parts import Part
+from .model_files import NO_MODELS, bop_models, read_models
+from .source import SourceImage
+from .source_files import (
+    NO_OBJECTS,
+    camera_of,
+    depth_of_steps,
+    depth_steps,
+    objects_of,
+    picture_rgb,
+    pose_of,
+    refuse_other_size,
+)
+from .source_options import SourceOptions
+
+CAMERAS = "scene_camera*.json"
+_NEAR = 0.02  # The farthest object lies no nearer than this share of the middle depth.
+
+
+class _View(AnyCamera):
+    """A user may give the scale that a dataset leaves out."""
+
+    depth_scale: Positive | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BopSource:
+    """A `Source`; `scenes` are its folders by their numbers."""
+
+    folder: Path
+    split: str
+    sensor: str
+    images: tuple[tuple[int, int], ...]
+    parts: Mapping[int, Part]
+    plain: frozenset[int]
+    scenes: Mapping[int, Path]
+    depth_scale_mm: float | None
+    is_bop: bool = True
+
+    def read(self, scene_id: int, image_id: int) -> SourceImage:
+        if scene_id not in self.scenes:
+            raise DatasetError(f"{self.folder}: has no scene {scene_id}")
+        scene = SceneFolder(self.scenes[scene_id], self.sensor)
+        try:
+            return self._image(scene, image_id)
+        except Unreadable as error:
+            raise DatasetError(_damaged(scene.path, error)) from error
+
+    def _image(self, scene: SceneFolder, image_id: int) -> SourceImage:
+        view = scene.of_image("scene_camera", image_id, _View)
+        where = f"{scene.path}/{of_sensor('scene_camera', self.sensor)}.json: image {image_id}"
+        scale_mm = self.depth_scale_mm or view.depth_scale
+        if scale_mm is None:
+            raise DatasetError(
+                f"{where}: has no depth_scale: give the millimetres of one step of depth, such as "
+                "--depth-scale 0.1"
+            )
+        path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
+        depth_m = depth_of_steps(depth_steps(path), scale_mm, path)
+        colours = scene.find_picture("rgb", image_id) or scene.find_picture("gray", image_id)
+        rgb = None if colours is None else picture_rgb(colours)
+        refuse_other_size(rgb, depth_m, colours or path)
+        rows, columns = depth_m.shape
+        obj_id, T_cam_part = self._objects(scene, image_id, depth_m) if self.parts else NO_OBJECTS
+        return SourceImage(
+            camera=camera_of(view.cam_K, (rows, columns), f"{where}: cam_K", view.distortion),
+            depth_m=depth_m,
+            rgb=rgb,
+            obj_id=obj_id,
+            T_cam_part=T_cam_part,
+        )
+
+    def _objects(
+        self, scene: SceneFolder, image_id: int, depth_m: Float[np.ndarray, "h w"]
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
+        stored = scene.of_instances("scene_gt", image_id, AnyPose)
+        where = f"{scene.path}/{of_sensor('scene_gt', self.sensor)}.json: image {image_id}"
+        obj_id, T_cam_part = objects_of(
+            [one.obj_id for one in stored],
+            [
+                pose_of(
+                    one.cam_R_m2c,
+                    np.array(one.cam_t_m2c) / MM_PER_M,
+                    f"{where}, instance {i}",
+                )
+                for i, one in enumerate(stored)
+            ],
+        )
+        z_m = T_cam_part[:, 2, 3]
+        visible = _visible(scene, image_id, z_m)
+        if (z_m[visible] <= 0).any():
+            i = int(np.flatnonzero(visible & (z_m <= 0))[0])
+            raise DatasetError(
+                f"{where}, instance {i}: lies behind the camera (z is {z_m[i] * MM_PER_M:.4g} mm): "
+                "poses go to OpenCV's frame, whose z points into the scene"
+            )
+        middle_m = float(np.nanmedian(depth_m)) if np.isfinite(depth_m).any() else 0.0
+        if stored and 0 < z_m.max() < _NEAR * middle_m:
+            raise DatasetError(
+                f"{where}: every object lies within {z_m.max() * MM_PER_M:.4g} mm, and the depth "
+                f"is about {middle_m * MM_PER_M:.4g} mm: give cam_t_m2c in millimetres (write_bop "
+                "does with m2mm=True)"
+            )
+        return obj_id, T_cam_part
+
+
+def open_bop(folder: Path, options: SourceOptions) -> BopSource:
+    """Read what a split has, and its models; pictures when they are asked for.
+
+    Raises:
+        DatasetError: there are no images, or several cameras and none is named, or a file is
+            missing, damaged or contradicts another.
+        ConfigError: the materials file is not what it should be.
+    """
+    folder = Path(os.path.abspath(folder))  # models lie beside a link, not beside what it links to
+    folders = scene_folders(folder, CAMERAS)
+    if not folders:
+        raise DatasetError(
+            f"{folder}: has no scenes (folders such as 000000 with scene_camera.json): give a "
+            "split such as lm/train_pbr"
+        )
+    scenes = {int(path.name): path for path in folders}
+    if len(scenes) < len(folders):
+        twice = next(path for path in folders if scenes[int(path.name)] != path)
+        raise DatasetError(f"{twice}: another folder has the same number: rename one of them")
+    sensor = _sensor(folder, folders, options.sensor)
+    depth = of_sensor("depth", sensor)
+    if not any((path / depth).is_dir() for path in folders):
+        raise DatasetError(
+            f"{folder}: its scenes have no folder {depth}: give a split, or a --sensor, with depth"
+        )
+    images: list[tuple[int, int]] = []
+    obj_ids: set[int] = set()
+    for number, path in sorted(scenes.items()):
+        scene = SceneFolder(path, sensor)
+        try:
+            numbers = set(_entries(scene, "scene_camera"))
+            if not options.depth_only:
+                obj_ids |= _objects_of_scene(scene, numbers)
+        except Unreadable as error:
+            raise DatasetError(_damaged(path, error)) from error
+        images += [(number, image) for image in sorted(numbers)]
+    if not images:
+        raise DatasetError(f"{folder}: its scenes have no images: give a split that has some")
+    models = NO_MODELS
+    if not options.depth_only:
+        files = bop_models(folder.parent, options.models)
+        models = read_models(files, obj_ids, options.materials)
+    return BopSource(
+        folder=folder,
+        split=folder.name,
+        sensor=sensor,
+        images=tuple(images),
+        parts=models.parts,
+        plain=models.plain,
+        scenes=scenes,
+        depth_scale_mm=options.depth_scale_mm,
+    )
+
+
+def _sensor(folder: Path, folders: list[Path], request: str) -> str:
+    """The camera that is asked for, or the only one; one without a name is the first."""
+    stems = {file.stem for path in folders for file in path.glob(CAMERAS)}
+    names = {stem.removeprefix("scene_camera").removeprefix("_") for stem in stems}
+    sensors = sorted(name for name in names if not f"_{name}".endswith(SCANNER))
+    if request in sensors:
+        return request
+    if not request and len(sensors) == 1:
+        return sensors[0]
+    listed = ", ".join(name for name in sensors if name)
+    if not listed:
+        raise DatasetError(f"{folder}: has one camera without a name: leave out --sensor {request}")
+    problem = f"no sensor {request}" if request else "several sensors"
+    raise DatasetError(f"{folder}: has {problem}: give --sensor NAME, one of {listed}")
+
+
+def _entries(scene: SceneFolder, name: str) -> Mapping[int, Any]:
+    """What a file says by image; a number that stands in it twice is refused."""
+    path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
+    entries = scene.record(name, Images[Any]).root
+    # JSON's readers take the last of two; no other key in these files is a number.
+    numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
+    if twice := [number for number, count in numbers.items() if count > 1]:
+        raise Unreadable(f"{path.name}: image {twice[0]} is listed twice")
+    return entries
+
+
+def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
+    """The ids of a scene's objects, whose poses are of the right form."""
+    name = f"{of_sensor('scene_gt', scene.sensor)}.json"
+    listed = set(_entries(scene, "scene_gt"))
+    if without := sorted(numbers - listed):
+        raise Unreadable(
+            f"{name} says nothing of image {without[0]} (without objects, give it an empty list; "
+            "to leave out all objects, give --depth-only)"
+        )
+    if without := sorted(listed - numbers):
+        camera = f"{of_sensor('scene_camera', scene.sensor)}.json"
+        raise Unreadable(f"{camera} says nothing of image {without[0]}, which {name} has")
+    poses = scene.record("scene_gt", Images[list[AnyPose]]).root
+    return {one.obj_id for objects in poses.values() for one in objects}
+
+
+def _visible(
+    scene: SceneFolder, image_id: int, z_m: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Which instances an image shows; where a dataset does not say, at least the farthest one.
+
+    Renderers also list what is not in the image, and it may lie behind the camera.
+    """
+    name = f"{of_sensor('scene_gt_info', scene.sensor)}.json"
+    if not (scene.path / name).is_file():
+        return z_m == z_m.max(initial=-np.inf)
+    infos = scene.of_instances("scene_gt_info", image_id, AnyInfo)
+    if len(infos) != len(z_m):
+        counts = f"{len(infos)} instances of image {image_id}, scene_gt has {len(z_m)}"
+        raise Unreadable(f"{name} has {counts}")
+    return np.array([info.px_count_visib > 0 for info in infos], bool)
+
+
+def _damaged(path: Path, error: Unreadable) -> str:
+    return f"{path}/{error}: repair the file, or download it again"

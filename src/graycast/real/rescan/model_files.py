@@ -1,0 +1,247 @@
+"""Models of others as parts, with a look: that of a materials file, or their own, or plain grey.
+
+What is read is lenient, as a model only has to be visible: a reconstructed mesh is open, and one
+face may look the wrong way. So such a part cannot be dropped into a bin. Colours of vertices become
+one colour for each face, in a small texture.
+
+Source: BOP's format, github.com/thodan/bop_toolkit, docs/bop_datasets_format.md: PLY files in
+millimetres, with colours or with a texture, and `models_info.json`.
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from pydantic import BaseModel, ConfigDict, RootModel
+
+from ...base.errors import ConfigError, DatasetError
+from ...base.frames import UNITS_M
+from ...base.settings import check_settings, parse_yaml, read_text
+from ...dataset.models_read import symmetry_m
+from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive
+from ...dataset.safe_reading import Unreadable, read_json
+from ...world.parts import Material, Mesh, Part, Symmetry
+from ...world.parts.builtin import CREASE_RAD
+from ...world.parts.meshfile import SIZE_M, read_surface
+from ...world.parts.normals import crease_normals
+from ...world.parts.part_sections import MaterialSection, resolve_material
+from ...world.parts.surface import RawMesh, Refusal, welded
+
+FOLDERS = ("models", "models_cad", "models_reconst", "models_eval")
+_GREY = Material(base_color=(0.3, 0.3, 0.3))
+_REMEDY = "give their folder with --models DIR, or leave objects out with --depth-only"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelFile:
+    """The mesh of an object, what it is called, and what is known of it."""
+
+    path: Path
+    name: str
+    unit: str
+    diameter_m: float | None = None
+    symmetry: Symmetry = field(default_factory=Symmetry)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Models:
+    """Objects by their ids; `plain` are those whose look nothing states."""
+
+    parts: Mapping[int, Part]
+    plain: frozenset[int]
+
+
+NO_MODELS = Models(parts={}, plain=frozenset())
+
+
+class _ModelInfo(BaseModel):
+    """One model in `models_info.json` of whoever."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    diameter: Positive | None = None
+    name: str | None = None
+    symmetries_discrete: list[Matrix4] = []
+    symmetries_continuous: list[Continuous] = []
+
+
+class _ModelsInfo(RootModel[dict[Count, _ModelInfo]]):
+    pass
+
+
+def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
+    """The models of a dataset in BOP's form, none of them read yet.
+
+    Args:
+        root: the dataset; the first of `FOLDERS` in it that is there is taken.
+        models: a folder that a user gives instead.
+
+    Raises:
+        DatasetError: there are none, or `models_info.json` is damaged.
+    """
+    if models is None:
+        models = next((root / name for name in FOLDERS if (root / name).is_dir()), None)
+        if models is None:
+            raise DatasetError(f"{root}: has no folder {', '.join(FOLDERS)}: {_REMEDY}")
+    files = {
+        int(match[1]): path
+        for path in sorted(models.glob("obj_*.ply"))
+        if (match := re.fullmatch(r"obj_(\d+)\.ply", path.name))
+    }
+    if not files:
+        raise DatasetError(f"{models}: has no models obj_000001.ply and so on: {_REMEDY}")
+    infos: Mapping[int, _ModelInfo] = {}
+    if (models / "models_info.json").is_file():
+        try:
+            infos = read_json(models / "models_info.json", _ModelsInfo).root
+        except Unreadable as error:
+            raise DatasetError(f"{models}/{error}: repair or remove the file") from error
+    return {i: _bop_model(path, infos.get(i, _ModelInfo())) for i, path in files.items()}
+
+
+def _bop_model(path: Path, info: _ModelInfo) -> ModelFile:
+    return ModelFile(
+        path=path,
+        name=info.name or path.stem,
+        unit="mm",
+        diameter_m=None if info.diameter is None else info.diameter / MM_PER_M,
+        symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
+    )
+
+
+def read_models(
+    files: Mapping[int, ModelFile], obj_ids: Collection[int], materials: Path | None
+) -> Models:
+    """The objects of a dataset that its images have.
+
+    Args:
+        files: all models of the dataset.
+        obj_ids: those that are read.
+        materials: a YAML file: under the id or name of an object, or under `default`, the name of
+            a material or a section of its keys. An object that it leaves out, where there is no
+            default, keeps its own colours.
+
+    Raises:
+        DatasetError: an object has no model, or its file is damaged or of another unit.
+        ConfigError: the materials file is not what it should be.
+    """
+    looks = {} if materials is None else _looks(materials, files)
+    if missing := sorted(set(obj_ids) - set(files)):
+        raise DatasetError(
+            f"{next(iter(files.values())).path.parent}: has no model obj_{missing[0]:06d}.ply, and "
+            f"an image has the object {missing[0]}: add the model, or {_REMEDY}"
+        )
+    parts, plain = {}, set()
+    for obj_id in sorted(obj_ids):
+        mesh, material = _read_model(files[obj_id], looks.get(obj_id))
+        if material is None:
+            plain.add(obj_id)
+        parts[obj_id] = Part(
+            name=files[obj_id].name,
+            mesh=mesh,
+            material=material or _GREY,
+            density_kg_m3=1000.0,
+            friction=0.4,
+            symmetry=files[obj_id].symmetry,
+            source=files[obj_id].path.name,
+        )
+    return Models(parts=parts, plain=frozenset(plain))
+
+
+def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, Material]:
+    """The materials of the objects that a file names, and of all others where it has a default."""
+    looks: dict[int, Material] = {}
+    default = None
+    by_name = {file.name: obj_id for obj_id, file in files.items()}
+    for key, words in parse_yaml(read_text(path), path).items():
+        obj_id = by_name.get(key, int(key) if re.fullmatch(r"\d+", str(key)) else None)
+        if key != "default" and obj_id not in files:
+            names = [f"{i}" if file.name == file.path.stem else f"{i} ({file.name})"
+                     for i, file in files.items()]  # fmt: skip
+            raise ConfigError(
+                f"{path}: no object has the id or name {key}: choose default, {', '.join(names)}"
+            )
+        section = check_settings(
+            {"preset": words} if isinstance(words, str) else words,
+            MaterialSection,
+            Path(f"{path}: {key}"),
+        )
+        try:
+            material = resolve_material(section, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {key}: {error}") from error
+        if obj_id is None:
+            default = material
+        elif obj_id in looks:
+            raise ConfigError(f"{path}: object {obj_id} has two materials: remove one of them")
+        else:
+            looks[obj_id] = material
+    return looks if default is None else dict.fromkeys(files, default) | looks
+
+
+def _read_model(file: ModelFile, look: Material | None) -> tuple[Mesh, Material | None]:
+    """A mesh [m] and its material; None where neither a user nor the file states one."""
+    try:
+        surface = read_surface(file.path)
+        surface.check_numbers()
+        _refuse_other_unit(file, surface.longest)
+        surface = welded(surface, [])
+        uv, texture = _texture(surface)
+        if look is None and texture is None and _names_texture(file.path):
+            raise Refusal("its header names a TextureFile that is missing or damaged; add it")
+        if look is not None and look.texture is not None and surface.corner_uv is None:
+            raise Refusal("has no texture coordinates; give it a material with a base_color")
+    except Refusal as refusal:
+        raise DatasetError(f"{file.path}: {refusal}") from refusal
+    vertices_m = surface.vertices * UNITS_M[file.unit]
+    mesh = Mesh(
+        vertices_m=vertices_m,
+        faces=surface.faces,
+        corner_uv=uv if look is None else surface.corner_uv,
+        corner_normals=crease_normals(vertices_m, surface.faces, CREASE_RAD),
+    )
+    return mesh, look or (None if texture is None else Material(texture=texture))
+
+
+def _refuse_other_unit(file: ModelFile, longest: float) -> None:
+    """The diameter of a box is at least its longest side, and at most that times the root of 3."""
+    size_m = longest * UNITS_M[file.unit]
+    low, high = SIZE_M if file.diameter_m is None else (0.57 * file.diameter_m, file.diameter_m)
+    if 0.99 * low <= size_m <= 1.01 * high:
+        return
+    fits = [unit for unit, m in UNITS_M.items() if 0.99 * low <= longest * m <= 1.01 * high]
+    whose = "a part has" if file.diameter_m is None else "models_info.json says"
+    unit = f"; it seems to be in {fits[0]}" if len(fits) == 1 or file.diameter_m else ""
+    raise Refusal(
+        f"its longest side is {longest:.4g} {file.unit}, {whose} {low / UNITS_M['mm']:.4g} to "
+        f"{high / UNITS_M['mm']:.4g} mm{unit}; export it in {file.unit}"
+    )
+
+
+def _names_texture(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return b"TextureFile" in stream.read(4096).partition(b"end_header")[0]
+
+
+def _texture(
+    surface: RawMesh,
+) -> tuple[Float[np.ndarray, "f 3 2"] | None, UInt8[np.ndarray, "h w 3"] | None]:
+    """The file's own texture; else a pixel for each face, which its corners have the centre of."""
+    if surface.texture is not None and surface.corner_uv is not None:
+        return surface.corner_uv, surface.texture
+    if surface.face_color is None:
+        return surface.corner_uv, None
+    count = len(surface.faces)
+    side = math.ceil(math.sqrt(count))
+    row, column = np.divmod(np.arange(count), side)
+    texture = np.zeros((side * side, 3), np.uint8)
+    texture[:count] = surface.face_color
+    uv = np.stack([(column + 0.5) / side, 1 - (row + 0.5) / side], axis=-1)
+    return np.repeat(uv[:, None], 3, axis=1), texture.reshape(side, side, 3)

@@ -1,0 +1,266 @@
+"""Datasets in BOP's form: a cube of known pose is read back, and what is wrong is refused."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from graycast.base.errors import DatasetError
+from graycast.base.frames import axis_rotation, rigid
+from graycast.dataset.training.foreign import open_foreign
+from graycast.real.rescan.bop_source import open_bop
+from graycast.real.rescan.source_options import SourceOptions
+
+from .scene_files import (
+    CAMERA,
+    POSE,
+    SCALE_MM,
+    SIDE_MM,
+    corners,
+    gt_of,
+    png,
+    true_depth_m,
+    write_dataset,
+    write_json,
+    write_models,
+    write_scene,
+)
+
+
+def opened(path, **options):
+    return open_bop(path, SourceOptions(**options))
+
+
+def change(path, **entry):
+    """Other keys of the first image, or of its first instance; None removes a key."""
+    content = json.loads(path.read_text())
+    first = content["0"][0] if isinstance(content["0"], list) else content["0"]
+    for key, value in entry.items():
+        first[key] = value
+        if value is None:
+            del first[key]
+    path.write_text(json.dumps(content))
+
+
+def refusal(path, *words, **options):
+    """Opening and reading ends with one line that has the words."""
+    with pytest.raises(DatasetError) as caught:
+        source = opened(path, **options)
+        for scene_id, image_id in source.images:
+            source.read(scene_id, image_id)
+    text = str(caught.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text
+    return text
+
+
+def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
+    """Oracle: the depth of `rig/meshdepth` at the pose that the file states."""
+    rgb = np.full((48, 64, 3), (200, 90, 40), np.uint8)
+    split = write_dataset(tmp_path, images=(0, 7), rgb=rgb)
+    source = opened(split)
+    assert (source.split, source.sensor, source.is_bop) == ("train_pbr", "", True)
+    assert source.images == ((0, 0), (0, 7))
+    image = source.read(0, 7)
+    assert np.abs(image.depth_m - true_depth_m()).max() <= SCALE_MM / 2e3 * 1.001
+    assert np.abs(image.rgb.astype(int) - rgb).max() <= 2  # a JPEG
+    assert image.camera == CAMERA
+    assert image.obj_id.tolist() == [1]
+    assert np.allclose(image.T_cam_part, POSE, rtol=0, atol=1e-9)
+    assert np.allclose(source.parts[1].mesh.extent_m, SIDE_MM / 1e3)
+    assert source.parts[1].name == "obj_000001"
+    assert source.plain == {1}
+
+
+def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path):
+    """Oracle: the reader of training, which has its own way from the files to arrays."""
+    split = write_dataset(tmp_path, rgb=np.zeros((48, 64, 3), np.uint8))
+    scene = split / "000000"
+    infos = [{"px_count_visib": 9, "visib_fract": 1.0}]
+    write_json(scene / "scene_gt_info.json", {"0": infos})
+    png(scene / "mask_visib/000000_000000.png", np.full((48, 64), 255, np.uint8))
+    example, image = open_foreign(split).read(0), opened(split).read(0, 0)
+    assert np.allclose(example.depth_m, image.depth_m, rtol=0, atol=1e-7)
+    assert np.allclose(example.T_cam_part, image.T_cam_part, rtol=0, atol=1e-12)
+    assert np.array_equal(example.rgb, image.rgb)
+
+
+def test_what_blenderproc_writes_needs_models_or_depth_alone(tmp_path):
+    split = write_dataset(tmp_path / "lm")
+    (tmp_path / "lm/models").rename(tmp_path / "elsewhere")
+    write_json(tmp_path / "lm/camera.json", {"fx": 1.0})
+    refusal(split, "--models", "--depth-only")
+    assert list(opened(split, models=tmp_path / "elsewhere").parts) == [1]
+    source = opened(split, depth_only=True)
+    image = source.read(0, 0)
+    assert source.parts == {} and image.obj_id.shape == (0,)
+    assert image.T_cam_part.shape == (0, 4, 4)
+
+
+def test_models_of_cad_go_before_reconstructed_ones_and_those_for_scores(tmp_path):
+    split = write_dataset(tmp_path)
+    (tmp_path / "models").rename(tmp_path / "models_eval")
+    assert np.allclose(opened(split).parts[1].mesh.extent_m, 0.06)
+    write_models(tmp_path / "models_reconst", side=70.0)
+    assert np.allclose(opened(split).parts[1].mesh.extent_m, 0.07)
+    write_models(tmp_path / "models_cad", side=80.0)
+    assert np.allclose(opened(split).parts[1].mesh.extent_m, 0.08)
+
+
+def test_grey_pictures_have_three_equal_bands(tmp_path):
+    split = write_dataset(tmp_path)
+    level = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) * 21
+    assert cv2.imwrite(str(split / "000000/x.tif"), level)
+    (split / "000000/gray").mkdir()
+    (split / "000000/x.tif").rename(split / "000000/gray/000000.tif")
+    rgb = opened(split).read(0, 0).rgb
+    assert (rgb == (level // 256)[..., None]).all()
+
+
+def test_one_of_several_sensors_is_read_by_its_name(tmp_path):
+    scene = tmp_path / "val/000003"
+    write_scene(scene, "photoneo")
+    write_scene(scene, "cam1")
+    write_scene(scene, "sl")  # what our scanner adds is no sensor
+    (scene / "aolp_cam1").mkdir()
+    write_models(tmp_path / "models")
+    change(scene / "scene_gt_cam1.json", cam_t_m2c=[0.0, 0.0, 700.0])
+    text = refusal(tmp_path / "val", "--sensor NAME", "cam1, photoneo")
+    assert "sl" not in text.partition("one of")[2]
+    refusal(tmp_path / "val", "no sensor xyz", "cam1, photoneo", sensor="xyz")
+    source = opened(tmp_path / "val", sensor="cam1")
+    assert source.sensor == "cam1" and source.images == ((3, 0),)
+    assert source.read(3, 0).T_cam_part[0, 2, 3] == pytest.approx(0.7)
+    for path in scene.glob("*photoneo*"):
+        path.rename(tmp_path / path.name)
+    assert opened(tmp_path / "val").sensor == "cam1"
+    (scene / "depth_cam1").rename(tmp_path / "depth_cam1")
+    refusal(tmp_path / "val", "depth_cam1", "--sensor")
+
+
+def test_a_sensor_is_not_asked_of_a_dataset_with_one_camera(tmp_path):
+    refusal(write_dataset(tmp_path), "leave out --sensor cam1", sensor="cam1")
+
+
+def test_a_scale_of_the_user_goes_before_the_files_own(tmp_path):
+    split = write_dataset(tmp_path)
+    doubled = opened(split, depth_scale_mm=2 * SCALE_MM).read(0, 0).depth_m
+    assert np.allclose(doubled, 2 * opened(split).read(0, 0).depth_m)
+    change(split / "000000/scene_camera.json", depth_scale=None)
+    refusal(split, "scene_camera.json", "image 0", "--depth-scale")
+    assert np.isfinite(opened(split, depth_scale_mm=1.0).read(0, 0).depth_m).all()
+    with pytest.raises(DatasetError, match="--depth-scale is -1"):
+        SourceOptions(depth_scale_mm=-1.0)
+
+
+def test_an_image_without_objects_has_none_only_where_the_file_says_so(tmp_path):
+    split = write_dataset(tmp_path, images=(0, 1))
+    write_json(split / "000000/scene_gt.json", {"0": [gt_of(POSE)], "1": []})
+    assert opened(split).read(0, 1).obj_id.tolist() == []
+    write_json(split / "000000/scene_gt.json", {"0": [gt_of(POSE)]})
+    refusal(split, "scene_gt.json", "image 1", "empty list", "--depth-only")
+    write_json(split / "000000/scene_gt.json", {"0": [], "1": [], "5": []})
+    refusal(split, "scene_camera.json", "image 5")
+
+
+def test_what_lies_behind_the_camera_and_is_not_in_the_image_stays(tmp_path):
+    split = write_dataset(tmp_path)
+    behind = rigid(np.eye(3), np.array([0.0, 0.0, -0.4]))
+    write_json(split / "000000/scene_gt.json", {"0": [gt_of(POSE), gt_of(behind)]})
+    assert opened(split).read(0, 0).T_cam_part[1, 2, 3] == -0.4
+    info = [{"px_count_visib": n, "visib_fract": 0.0} for n in (5, 0)]
+    write_json(split / "000000/scene_gt_info.json", {"0": info})
+    assert len(opened(split).read(0, 0).obj_id) == 2
+    info[1]["px_count_visib"] = 1
+    write_json(split / "000000/scene_gt_info.json", {"0": info})
+    refusal(split, "scene_gt.json", "image 0, instance 1", "behind the camera", "-400 mm")
+    write_json(split / "000000/scene_gt_info.json", {"0": info[:1]})
+    refusal(split, "scene_gt_info.json", "1 instances", "2")
+
+
+def test_rounded_rotations_become_rotations_and_others_are_refused(tmp_path):
+    split = write_dataset(tmp_path)
+    rounded = np.round(POSE[:3, :3], 3).ravel().tolist()
+    change(split / "000000/scene_gt.json", cam_R_m2c=rounded)
+    R = opened(split).read(0, 0).T_cam_part[0, :3, :3]
+    assert np.abs(R @ R.T - np.eye(3)).max() < 1e-12
+    assert np.abs(R - POSE[:3, :3]).max() < 1e-3
+    mirror = (POSE[:3, :3] @ np.diag([1.0, 1.0, -1.0])).ravel().tolist()
+    for wrong in (mirror, (1.02 * POSE[:3, :3]).ravel().tolist(), [0.0] * 9):
+        change(split / "000000/scene_gt.json", cam_R_m2c=wrong)
+        refusal(split, "scene_gt.json", "image 0, instance 0", "rotation")
+
+
+@pytest.mark.parametrize(
+    ("name", "entry", "words"),
+    [
+        ("scene_camera", {"cam_K": None}, ("image 0", "cam_K")),
+        ("scene_camera", {"cam_K": [-90, 0, 31, 0, 90, 24, 0, 0, 1]}, ("cam_K", "fx")),
+        ("scene_camera", {"cam_K": [90, 3, 31, 0, 90, 24, 0, 0, 1]}, ("cam_K", "fx, 0, cx")),
+        ("scene_camera", {"cam_K": [float("nan")] * 9}, ("cam_K", "finite")),
+        ("scene_camera", {"depth_scale": 0}, ("depth_scale", "greater than 0")),
+        ("scene_gt", {"obj_id": 4}, ("no model obj_000004.ply", "object 4", "--depth-only")),
+        ("scene_gt", {"obj_id": "1"}, ("obj_id", "integer")),
+        ("scene_gt", {"cam_t_m2c": [0, 0, -500]}, ("instance 0", "behind", "OpenCV")),
+        ("scene_gt", {"cam_t_m2c": [0, 0, 0.5]}, ("0.5 mm", "m2mm=True")),
+        ("scene_gt", {"cam_t_m2c": [0, float("nan"), 500]}, ("cam_t_m2c", "finite")),
+    ],
+)
+def test_what_a_file_cannot_mean_is_refused_by_its_name(tmp_path, name, entry, words):
+    split = write_dataset(tmp_path)
+    change(split / f"000000/{name}.json", **entry)
+    refusal(split, f"{name}.json" if entry != {"obj_id": 4} else "models", *words)
+
+
+def test_damaged_and_missing_files_are_named(tmp_path):
+    split = write_dataset(tmp_path, rgb=np.zeros((48, 64, 3), np.uint8))
+    scene = split / "000000"
+    depth, gt = scene / "depth/000000.png", scene / "scene_gt.json"
+    content, text = depth.read_bytes(), gt.read_text()
+    depth.write_bytes(content[:-60])
+    refusal(split, str(depth), "cut off or damaged")
+    depth.unlink()
+    refusal(split, str(depth), "no such file")
+    png(depth, np.full((48, 64), 90, np.uint8))
+    refusal(split, str(depth), "uint8", "16 bits")
+    png(depth, np.full((24, 32), 9000, np.uint16))
+    refusal(split, "rgb/000000.jpg", "64 x 48", "32 x 24")
+    png(depth, np.full((48, 64), 9000, np.uint16))
+    gt.write_text(text[:-30])
+    refusal(split, str(gt), "JSON")
+    gt.write_text(text.replace("]}]}", ']}], "00": []}'))
+    refusal(split, str(gt), "image 0", "twice")
+    gt.unlink()
+    refusal(split, str(gt), "missing")
+    assert opened(split, depth_only=True).read(0, 0).depth_m.shape == (48, 64)
+
+
+def test_what_is_no_split_is_refused(tmp_path):
+    split = write_dataset(tmp_path)
+    refusal(tmp_path / "models", "no scenes", "lm/train_pbr")
+    write_json(split / "000000/scene_camera.json", {})
+    write_json(split / "000000/scene_gt.json", {})
+    refusal(split, "no images")
+    write_scene(split / "0")
+    refusal(split, "same number")
+
+
+def test_depth_of_zero_is_not_known(tmp_path):
+    split = write_dataset(tmp_path)
+    steps = np.full((48, 64), 5000, np.uint16)
+    steps[:, 0] = 0
+    png(split / "000000/depth/000000.png", steps)
+    depth_m = opened(split).read(0, 0).depth_m
+    assert np.isnan(depth_m[:, 0]).all() and np.allclose(depth_m[:, 1:], 0.5)
+
+
+def test_the_cube_of_the_test_is_where_its_pose_says():
+    """The test's own geometry: the middle of the cube projects into the cube's depth."""
+    x, y, z = POSE[:3, 3]
+    column = round(CAMERA.fx_px * x / z + CAMERA.cx_px)
+    row = round(CAMERA.fy_px * y / z + CAMERA.cy_px)
+    nearest = np.linalg.norm(corners(SIDE_MM / 1e3)[0])
+    assert z - nearest < true_depth_m()[row, column] < z
+    assert np.allclose(axis_rotation("x", 0.4) @ axis_rotation("z", 0.7), POSE[:3, :3])

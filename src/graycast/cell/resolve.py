@@ -19,6 +19,7 @@ from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
     Config,
+    RenderSection,
     load_config,
     resolve_bin,
     resolve_environment,
@@ -300,7 +301,20 @@ def open_cell_renderer(
 
     `progress` counts the renders of a scene. `on_pass` may end a rendering, which is its use.
     """
-    render = cell.config.render
+    return open_configured(
+        cell.config.render, device=device, threads=threads, progress=progress, on_pass=on_pass
+    )
+
+
+def open_configured(
+    render: RenderSection,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: ProgressMeter = UNWATCHED,
+    on_pass: OnPass | None = None,
+) -> Renderer:
+    """Open the renderer of a section `render`, as `open_cell_renderer`."""
     return open_renderer(
         render.backend,
         device=device,

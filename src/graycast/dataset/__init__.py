@@ -17,12 +17,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
-    from .bop import depth_scale_mm as depth_scale_mm
     from .bop import scene_files as scene_files
     from .checking import Problem as Problem
     from .checking import validate as validate
     from .claim import described_values as described_values
     from .compare import differing_files as differing_files
+    from .picture_bytes import depth_scale_mm as depth_scale_mm
     from .raw import read_capture as read_capture
     from .raw import read_code_maps as read_code_maps
     from .sample import Raw as Raw
@@ -39,7 +39,7 @@ _MODULE = {
     "Sample": "sample",
     "SetAside": "store",
     "Store": "store",
-    "depth_scale_mm": "bop",
+    "depth_scale_mm": "picture_bytes",
     "described_values": "claim",
     "differing_files": "compare",
     "labelled": "sample",

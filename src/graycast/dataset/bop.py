@@ -9,19 +9,14 @@ Lengths are millimetres. A depth picture times `depth_scale` is z of the camera 
 Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
 """
 
-import math
-import struct
-import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8, UInt16
+from jaxtyping import Float, UInt16
 from scipy import ndimage
 
-from ..base.errors import DatasetError
 from ..base.frames import inverse
 from ..base.mask_box import mask_box
 from ..base.streams import OF_IMAGE
@@ -30,34 +25,14 @@ from ..rendering.radiance import Silhouette
 from ..rig.optics import Optics
 from .coco import run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
+from .picture_bytes import depth_steps, mask_png, modulation_steps, png
 from .raw import raw_facts, raw_files
 from .records import MM_PER_M
 from .sample import Sample, labelled
-from .scene_folder import of_sensor, picture_name
+from .scene_folder import SCANNER, of_sensor, picture_name
 from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
 
-_PNG_LEVEL = 2  # Higher ones take twice the time for a hundredth of the size.
-DEPTH_MAX = 65535
-_SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _NOTHING = [-1, -1, -1, -1]  # BOP gives this box to what is invisible.
-
-
-def depth_scale_mm(reach_m: float) -> float:
-    """The millimetres that one step of a depth picture stands for, for depths up to `reach_m`.
-
-    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65535 steps reach so far: 0.02 mm up to
-    1.31 m. So a step is a part in 65535 to 26214 of the depth, well under a scanner's noise, and
-    what it multiplies stays short in decimals. It is one number per dataset.
-
-    Raises:
-        ValueError: `reach_m` is not positive, or beyond 65 m.
-    """
-    if not reach_m > 0:
-        raise ValueError(f"reach_m is {reach_m}; a depth in metres above 0")
-    for scale_mm in _SCALES_MM:
-        if reach_m * MM_PER_M <= scale_mm * DEPTH_MAX:
-            return scale_mm
-    raise ValueError(f"reach_m is {reach_m}; 16-bit depth in millimetres ends at 65.535 m")
 
 
 def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
@@ -89,6 +64,39 @@ def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[st
     """
     scene_record = _SceneRecord()
     yield from sealed(_unsealed_files(samples, scale_mm, scene_record), scene_record.manifest)
+
+
+def scanner_files(
+    sample: Sample, scale_mm: float, obj_ids: Sequence[int]
+) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
+    """What a scanner adds to an image of others: pictures and masks, and entries of JSON files.
+
+    Args:
+        obj_ids: of the labelled parts of the scene, in their order.
+
+    Returns:
+        Pairs of a path inside the scene's folder and its content; and by the name of a JSON file
+        what it says of this image. The entry of `scene_gt_coco_sl` is a whole file of one image.
+
+    Raises:
+        ValueError, DatasetError: as `scene_files`.
+    """
+    _check_shapes(sample, sample.truth.instance.shape)
+    scene_record, coco = _SceneRecord(), dict[str, list[_OfCoco]]()
+    files = [
+        (name, content)
+        for name, content in _image_files(
+            labelled(sample), scale_mm, scene_record, coco, obj_ids=obj_ids
+        )
+        if SCANNER in name
+    ]
+    entries = {
+        name: images[str(sample.image)]
+        for name, images in scene_record.records.items()
+        if name.endswith(SCANNER)
+    }
+    name = f"scene_gt_coco{SCANNER}"
+    return files, entries | {name: _coco(obj_ids, coco[name])}
 
 
 class _SceneRecord:
@@ -128,7 +136,8 @@ def _unsealed_files(
         scene_record.of_manifest(sample)
         known = labelled(sample)
         parts = len(known.scene.parts)
-        yield from _image_files(known, scale_mm, scene_record, coco)
+        ids = range(1, parts + 1)
+        yield from _image_files(known, scale_mm, scene_record, coco, obj_ids=ids)
     for name, records in scene_record.records.items():
         yield f"{name}.json", json_bytes(records)
     for name, images in coco.items():
@@ -136,31 +145,36 @@ def _unsealed_files(
 
 
 def _image_files(
-    sample: Sample, scale_mm: float, scene_record: _SceneRecord, coco: dict[str, list["_OfCoco"]]
+    sample: Sample,
+    scale_mm: float,
+    scene_record: _SceneRecord,
+    coco: dict[str, list["_OfCoco"]],
+    *,
+    obj_ids: Sequence[int],
 ) -> Iterator[tuple[str, bytes]]:
     """Pictures and masks of one image; its entries of JSON files go into `scene_record`."""
     camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
-    truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
+    truth = depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner_depth.reason == Reason.DECODED
-    scanned = _depth_steps(sample.scanner_depth.depth_m, scale_mm, needed=known)
-    modulation, modulation_scale = _modulation_steps(sample.modulation)
+    scanned = depth_steps(sample.scanner_depth.depth_m, scale_mm, needed=known)
+    modulation, modulation_scale = modulation_steps(sample.modulation)
 
     def place(kind: str) -> str:
         return picture_name(kind, number, sample.sensor)
 
-    yield place("rgb"), _png(np.ascontiguousarray(sample.rgb[..., ::-1]))
-    yield place("gray_sl"), _png(sample.gray)
-    yield place("depth"), _png(truth)
-    yield place("depth_sl"), _png(scanned)
-    yield place("reason_sl"), _png(sample.scanner_depth.reason)
-    yield place("modulation_sl"), _png(modulation)
+    yield place("rgb"), png(np.ascontiguousarray(sample.rgb[..., ::-1]))
+    yield place("gray_sl"), png(sample.gray)
+    yield place("depth"), png(truth)
+    yield place("depth_sl"), png(scanned)
+    yield place("reason_sl"), png(sample.scanner_depth.reason)
+    yield place("modulation_sl"), png(modulation)
     for i, instance in enumerate(silhouettes):
-        amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
-        visible = _mask_png(instance.visible, camera.height_px, camera.width_px)
+        amodal = mask_png(instance.inside, camera.height_px, camera.width_px)
+        visible = mask_png(instance.visible, camera.height_px, camera.width_px)
         for suffix in ("", "_sl"):
             for kind, content in ((f"mask{suffix}", amodal), (f"mask_visib{suffix}", visible)):
                 yield f"{of_sensor(kind, sample.sensor)}/{number:06d}_{i:06d}.png", content
-    poses, view = _poses(sample), _view(sample, scale_mm)
+    poses, view = _poses(sample, obj_ids), _view(sample, scale_mm)
     for suffix, depth, image in (("", truth, "rgb"), ("_sl", scanned, "gray_sl")):
         entries = {
             "scene_camera": view,
@@ -170,7 +184,7 @@ def _image_files(
         for name, entry in entries.items():
             scene_record.image(of_sensor(name + suffix, sample.sensor), number, entry)
         of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
-        of_coco.append(_of_coco(sample, silhouettes, place(image)))
+        of_coco.append(_of_coco(sample, silhouettes, place(image), obj_ids))
     scene_record.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
@@ -224,69 +238,6 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
         )
 
 
-def _depth_steps(
-    depth_m: Float[np.ndarray, "h w"], scale_mm: float, *, needed: Bool[np.ndarray, "h w"]
-) -> UInt16[np.ndarray, "h w"]:
-    """Depth in steps of the scale; 0 where unknown, and for unneeded pixels too deep for 16 bits.
-
-    A table without end has no largest depth, so only parts and measurements must fit.
-    """
-    steps = np.rint(depth_m.astype(np.float64) * (MM_PER_M / scale_mm))
-    fits = (steps >= 1) & (steps <= DEPTH_MAX)  # False for NaN
-    if (needed & ~fits).any():
-        worst_m = depth_m[needed & ~fits][0]
-        raise DatasetError(
-            f"a depth of {worst_m:.6g} m does not fit 16 bits in steps of {scale_mm} mm "
-            f"(up to {scale_mm * DEPTH_MAX / MM_PER_M:.3f} m): give a coarser step, such as "
-            f"store: {{depth_step_mm: {_coarser_mm(worst_m)}}}"
-        )
-    return np.where(fits, steps, 0).astype(np.uint16)
-
-
-def _coarser_mm(depth_m: float) -> float:
-    """A step that reaches a depth, or the coarsest."""
-    return next((mm for mm in _SCALES_MM if depth_m * MM_PER_M <= mm * DEPTH_MAX), _SCALES_MM[-1])
-
-
-def _modulation_steps(
-    modulation: Float[np.ndarray, "h w"],
-) -> tuple[UInt16[np.ndarray, "h w"], float]:
-    """16-bit steps and the power of two that, times a step, is the modulation again.
-
-    NaN and what noise has made negative are stored as 0: no modulation.
-    """
-    value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
-    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / DEPTH_MAX))
-    return np.rint(value / scale).astype(np.uint16), scale
-
-
-def _png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:
-    """OpenCV's channel order."""
-    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])[1].tobytes()
-
-
-def _mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
-    """An 8-bit grey PNG, 255 inside the mask.
-
-    Written here because OpenCV tries filters on every row: eight times slower on masks, of which
-    a full bin has 500.
-    """
-    rows = np.zeros((height_px, 1 + width_px), dtype=np.uint8)  # a row starts with its filter, 0
-    bh, bw = crop.mask.shape
-    rows[crop.top_px : crop.top_px + bh, 1 + crop.left_px : 1 + crop.left_px + bw] = (
-        crop.mask.astype(np.uint8) * 255
-    )
-    header = struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)
-    deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    pixels = deflate.compress(rows.tobytes()) + deflate.flush()
-    chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
-    body = [
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(body)
-
-
 def _distortion(camera: Optics) -> dict[str, Any]:
     """BOP has no distortion: readers who ignore the key see an ideal lens."""
     return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
@@ -307,12 +258,12 @@ def _T_cam_part(sample: Sample) -> Float[np.ndarray, "n 4 4"]:
     return inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part
 
 
-def _poses(sample: Sample) -> list[dict[str, Any]]:
+def _poses(sample: Sample, obj_ids: Sequence[int]) -> list[dict[str, Any]]:
     return [
         {
             "cam_R_m2c": T[:3, :3].ravel(),
             "cam_t_m2c": T[:3, 3] * MM_PER_M,
-            "obj_id": int(part) + 1,
+            "obj_id": obj_ids[part],
         }
         for T, part in zip(_T_cam_part(sample), sample.layout.part_index, strict=True)
     ]
@@ -365,7 +316,9 @@ class _OfCoco:
     annotations: list[dict[str, Any]]
 
 
-def _of_coco(sample: Sample, silhouettes: list[_Silhouettes], file_name: str) -> _OfCoco:
+def _of_coco(
+    sample: Sample, silhouettes: list[_Silhouettes], file_name: str, obj_ids: Sequence[int]
+) -> _OfCoco:
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []
@@ -377,7 +330,7 @@ def _of_coco(sample: Sample, silhouettes: list[_Silhouettes], file_name: str) ->
         annotations.append(
             scene_annotation(
                 image_id=sample.image,
-                obj_id=int(part) + 1,
+                obj_id=obj_ids[part],
                 run_length=run_lengths(instance.visible, **size),
                 box=[x, y, w + 1, h + 1],
                 area_px=area_px,

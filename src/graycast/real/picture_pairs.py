@@ -11,7 +11,7 @@ from PIL import Image, UnidentifiedImageError
 
 from ..base.errors import DatasetError
 from ..base.file_limits import refuse_large_picture
-from ..dataset.bop import DEPTH_MAX, depth_scale_mm
+from ..dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
 from ..dataset.safe_reading import Unreadable, read_png
 from ..dataset.scene_folder import PICTURES
 from .depth_file import (

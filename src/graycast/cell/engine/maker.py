@@ -47,7 +47,7 @@ class SceneMaker:
         manifests: list[Mapping[str, Any]] = []
         kept: tuple[Shot, ...] = ()
         files: tuple[tuple[str, bytes], ...] = ()
-        with self._kept.of(task.cell) as renderer:
+        with self._kept.of(task.cell.config.render) as renderer:
             shots = make_images(
                 task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )

@@ -6,7 +6,8 @@ from typing import final
 
 from ...base.progress import ProgressMeter
 from ...rendering import Renderer
-from ..resolve import Cell, open_cell_renderer
+from ..config import RenderSection
+from ..resolve import open_configured
 from .job import is_the_scenes_own, keep_to_threads
 
 
@@ -19,8 +20,8 @@ class KeptRenderer:
         self._open: Renderer | None = None
 
     @contextmanager
-    def of(self, cell: Cell) -> Iterator[Renderer]:
-        """While something is made with it. All cells of a worker have the same renderer.
+    def of(self, render: RenderSection) -> Iterator[Renderer]:
+        """While something is made with it. A worker is given the same section each time.
 
         After an error that is not the scene's own it is closed, since it may hold a lost device or
         the half of a scene, and the next scene opens another.
@@ -28,8 +29,8 @@ class KeptRenderer:
         try:
             if self._open is None:
                 keep_to_threads(self._threads)
-                self._open = open_cell_renderer(
-                    cell, device=self._device, threads=self._threads, progress=self._progress
+                self._open = open_configured(
+                    render, device=self._device, threads=self._threads, progress=self._progress
                 )
             yield self._open
         except BaseException as error:

@@ -13,38 +13,31 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 
 from ...base.color import linear, srgb
 from ...base.errors import GraycastError
 from ...base.frames import transform_points
 from ...rig.meshdepth import visible_surface
-from ...rig.optics import Optics, rays
 from ...world.parts import Material, Mesh, Part
 from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
+from ..depth_solid import Planes, Rounds, from_nearest, solid_of, surfaces
 from ..realism import DepthScan
 
 _THIN_M = 1.5e-3  # A thing stands higher above the bin, whose mesh and noise are off by less.
 _LEAST_BIN = 0.05  # If less of all depth is near the bin, the pose is wrong.
 _LEAST_PX = 30  # A mirror image in a glossy wall has fewer pixels than a thing.
-_STEP_M = 5e-3  # Neighbours whose surfaces are farther apart are not joined.
 _MOST_GAP_PX = 60  # A gap of at most so many pixels is crossed by the surface about it.
 _BENT_M = 4e-3  # The surface about a gap may be this far from a plane, or the gap stays.
 _LEAST_AROUND = 0.8  # This share of what is about a gap must have a surface.
 _MOST_COVERED = 0.95  # A pixel beside a thing is covered by it to this share at most.
-_UNDER_M = 2e-3  # The sides go so deep into the bin.
 _BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of all pictures is darker than this reflectance.
 _DARKEST = 0.03  # Black print and plastic reflect about as much.
 _GREY = 0.5  # It is for a part without a picture.
 _ROUGHNESS = 0.5
-# A round has the radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is
-# near to a surface [m]. A gap of 0.6 mm is three times the noise of dark plastic.
-_ROUNDS = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
-_WIDTHS = 1.7  # A window's radius is so many standard deviations of its weight.
-_RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
-
-Planes = Float[np.ndarray, "h w 3"]  # It is inverse depth [1/m] and its change per pixel in x, y.
+# A gap of 0.6 mm is three times the noise of dark plastic.
+_ROUNDS: Rounds = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
 
 
 def restage(
@@ -73,12 +66,12 @@ def restage(
     for scan, solid, texture in zip(scans, before, textures, strict=True):
         parts: tuple[Part, ...] = ()
         if solid.any():
-            planes = surfaces(scan.depth_m, solid)
+            planes = surfaces(scan.depth_m, solid, _ROUNDS)
             known = np.isfinite(scan.depth_m)
             planes = _without_gaps(planes, known)
             known = known | np.isfinite(planes[..., 0])
             covered = _covered(known, _brightness(texture, scene, known.shape))
-            made = solid_of(planes, covered, bin_m, camera)
+            made = solid_of(planes, bin_m, camera, covered=covered)
             world_m = transform_points(scene.T_world_cam, made.vertices_m)
             parts = (_part(scan.name, replace(made, vertices_m=world_m), texture),)
         staged.append(replace(scene, parts=parts))
@@ -131,179 +124,6 @@ def standing_before(
     large = np.bincount(label.ravel()) >= _LEAST_PX
     large[0] = False
     return large[label]
-
-
-def surfaces(depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"]) -> Planes:
-    """The surface at each pixel of the solid without the noise; NaN elsewhere.
-
-    The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
-    paraboloid of inverse depth that lies nearest to the pixels about it. These count the less the
-    farther they are from the surface of the round before, so that edges stay sharp.
-    """
-    y, x = np.nonzero(solid)
-    z_m = depth_m[y, x]
-    margin = max(radius for radius, _, _ in _ROUNDS)
-    inside = np.pad(solid, margin)
-    value = np.pad(1 / np.where(solid, depth_m, 1.0), margin)
-    fitted = np.zeros((len(y), 6))
-    fitted[:, 0] = 1 / z_m
-    for radius, terms, near_m in _ROUNDS:
-        A, b = np.zeros((len(y), terms, terms)), np.zeros((len(y), terms))
-        A[:, range(1, terms), range(1, terms)] = _RIDGE
-        for dy in range(-radius, radius + 1):
-            for dx in range(-radius, radius + 1):
-                basis = np.array([1, dx, dy, dx * dx, dx * dy, dy * dy], dtype=np.float64)
-                at = y + margin + dy, x + margin + dx
-                off_m = (value[at] - fitted @ basis) * z_m**2
-                weight = inside[at] * np.exp(-np.minimum((off_m / near_m) ** 2, 50.0))
-                weight *= np.exp(-(dx * dx + dy * dy) / 2 * (_WIDTHS / radius) ** 2)
-                A += weight[:, None, None] * np.outer(basis[:terms], basis[:terms])
-                b += (weight * value[at])[:, None] * basis[:terms]
-        lonely = A[:, 0, 0] < 1e-9  # the round before lies near to none: it stays
-        A[lonely] = np.eye(terms)
-        b[lonely] = fitted[lonely, :terms]
-        fitted[:, :terms] = np.linalg.solve(A, b[..., None])[..., 0]
-    planes = np.full((*solid.shape, 3), np.nan)
-    planes[y, x] = fitted[:, :3]
-    return planes
-
-
-def solid_of(
-    planes: Planes,
-    covered: Float[np.ndarray, "h w 4"],
-    bin_m: Float[np.ndarray, "h w"],
-    camera: Optics,
-) -> Mesh:
-    """The solid under the surfaces, closed, in the camera frame; uv are those of the picture.
-
-    Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
-    their surfaces meet there.
-
-    Args:
-        covered: how much of the pixel on its left, right, upper and lower side a pixel's surface
-            covers as well.
-        bin_m: depth of the empty bin, NaN beside it.
-    """
-    height, width = covered.shape[:2]
-    vertex, inverse_m = _corners(planes)
-    place, slope = _places(vertex, planes)
-    moved = _outwards(vertex, covered, len(place))
-    deeper = inverse_m + (slope * moved).sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        joined = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < _STEP_M)
-    pixel = place + np.where(joined[:, None], moved, 0.0)
-    z_m = 1 / np.where(joined, deeper, inverse_m)
-    ray = rays(camera, pixel)
-    faces = _rectangles(vertex, np.isfinite(planes[..., 0]))
-    low_m = np.maximum(_at(bin_m, pixel), z_m) + _UNDER_M
-    rim = _rim(faces, len(z_m))
-    first, second = rim.T
-    sides = [
-        np.stack([second, first, first + len(z_m)], axis=1),
-        np.stack([second, first + len(z_m), second + len(z_m)], axis=1),
-    ]
-    faces = np.concatenate([faces, faces[:, ::-1] + len(z_m), *sides])
-    share = (pixel + 0.5) / [width, height]
-    uv = np.column_stack([share[:, 0], 1 - share[:, 1]])
-    return Mesh(
-        vertices_m=np.concatenate([ray * z_m[:, None], ray * low_m[:, None]]),
-        faces=faces,
-        corner_uv=np.concatenate([uv, uv])[faces],
-    )
-
-
-# --- the mesh ------------------------------------------------------------------------------------
-
-# These are the steps from a corner's row and column to those of the four pixels about it. Corner
-# (i, j) lies above and left of pixel (i, j). It lies a bit aside, as the ray of a pixel's centre
-# would otherwise run along the edge between the two triangles of the pixel, and may miss both.
-_ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
-_CORNER_PX = np.array([-0.45, -0.48])  # It is x and y from the centre of pixel (i, j).
-
-
-def _corners(
-    planes: Planes,
-) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
-    """The vertex of each pixel about each corner, -1 where none is; each one's inverse depth."""
-    height, width = planes.shape[:2]
-    value = np.full((height + 1, width + 1, 4), np.nan)
-    for k, (down, right) in enumerate(_ABOUT):
-        own = planes @ np.array([1.0, *(_CORNER_PX - [right, down])])
-        value[-down : height - down, -right : width - right, k] = own
-    order = np.argsort(-value, axis=-1)  # the nearest one first, NaN last
-    ordered = np.take_along_axis(value, order, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        apart = np.diff(1 / ordered, axis=-1) > _STEP_M  # NaN is not
-    group = np.concatenate([np.zeros_like(apart[..., :1]), apart], axis=-1).cumsum(axis=-1)
-    some = np.isfinite(ordered)
-    name = 4 * np.arange(group[..., 0].size).reshape(group.shape[:2])[..., None] + group
-    _, number = np.unique(name[some], return_inverse=True)
-    total = np.bincount(number, weights=ordered[some]) / np.bincount(number)
-    vertex = np.full(value.shape, -1)
-    vertex[some] = number
-    back = np.argsort(order, axis=-1)
-    return np.take_along_axis(vertex, back, axis=-1), total
-
-
-def _places(
-    vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes
-) -> tuple[Float[np.ndarray, "v 2"], Float[np.ndarray, "v 2"]]:
-    """Where each vertex lies in the picture, and how the inverse depth changes there."""
-    i, j, k = np.nonzero(vertex >= 0)
-    number = vertex[i, j, k]
-    count = np.bincount(number)
-    down, right = np.array(_ABOUT)[k].T
-    slope = planes[i + down, j + right, 1:]
-    place = np.empty((len(count), 2))
-    place[number] = np.column_stack([j, i]) + _CORNER_PX
-    mean = [np.bincount(number, weights=own) / count for own in slope.T]
-    return place, np.column_stack(mean)
-
-
-def _outwards(
-    vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
-) -> Float[np.ndarray, "v 2"]:
-    """By how many pixels each vertex moves, so that its pixel's surface covers what it shall."""
-    most, least = np.zeros((count, 2)), np.zeros((count, 2))
-    for k, (down, right) in enumerate(_ABOUT):
-        i, j = np.nonzero(vertex[..., k] >= 0)
-        number, y, x = vertex[i, j, k], i + down, j + right
-        # A corner is on the pixel's right side where the pixel is on its left, and so on.
-        np.maximum.at(most[:, 0], number, covered[y, x, 1] if right else 0.0)
-        np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
-        np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
-        np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
-    return np.where((most > 0) & (least > 0), 0.0, most - least)  # a thing one pixel wide stays
-
-
-def _rectangles(
-    vertex: Int[np.ndarray, "h1 w1 4"], solid: Bool[np.ndarray, "h w"]
-) -> Int[np.ndarray, "f 3"]:
-    """Two triangles for each pixel, which face the camera."""
-    top_left, top_right = vertex[:-1, :-1, 3][solid], vertex[:-1, 1:, 2][solid]
-    low_left, low_right = vertex[1:, :-1, 1][solid], vertex[1:, 1:, 0][solid]
-    return np.concatenate(
-        [
-            np.stack([top_left, low_left, top_right], axis=1),
-            np.stack([top_right, low_left, low_right], axis=1),
-        ]
-    )
-
-
-def _rim(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, "e 2"]:
-    """The edges that have one face only, in its direction."""
-    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    name, other = edge @ [count, 1], edge @ [1, count]
-    return edge[~np.isin(name, other)]
-
-
-def _at(bin_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
-    """The bin's depth at places of the picture; beside the bin that of its nearest pixel."""
-    beside = ~np.isfinite(bin_m)
-    if beside.all():
-        return np.zeros(len(pixel))
-    filled = _from_nearest(bin_m, beside)
-    return ndimage.map_coordinates(filled, pixel[:, ::-1].T, order=1, mode="nearest")
 
 
 # --- gaps and noise ------------------------------------------------------------------------------
@@ -427,13 +247,7 @@ def _seen(
 ) -> Float[np.ndarray, "_ _ 3"]:
     """With the nearest colour where a picture that was mapped onto the depth has none (black)."""
     black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
-    return value if black.all() else _from_nearest(value, black)
-
-
-def _from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
-    """The image with the value of the nearest pixel that has one where one is missing."""
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return image[tuple(nearest)]
+    return value if black.all() else from_nearest(value, black)
 
 
 def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

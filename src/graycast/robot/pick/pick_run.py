@@ -32,7 +32,7 @@ class BinEmptier:
         """
         start = time.perf_counter()
         task = self._task
-        with self._kept.of(task.cell.cell) as renderer:
+        with self._kept.of(task.cell.cell.config.render) as renderer:
             if self._ready is None:
                 self._ready = make_ready(task.cell, progress=self._progress)
             episode = empty_bin(

@@ -87,7 +87,7 @@ class Comparer:
             for (code, patterns), end in zip(by_code.items(), ends, strict=True)
         }
         self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
-        with self._kept.of(cell) as renderer:
+        with self._kept.of(cell.config.render) as renderer:
             rendering = renderer.render(
                 cell.scene,
                 heap.layout,

@@ -1,0 +1,98 @@
+"""Pictures of a dataset as bytes: depth and modulation in 16-bit steps, masks, and the PNGs."""
+
+import math
+import struct
+import zlib
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8, UInt16
+
+from ..base.errors import DatasetError
+from ..rendering.radiance import Silhouette
+from .records import MM_PER_M
+
+_PNG_LEVEL = 2  # Higher ones take twice the time for a hundredth of the size.
+DEPTH_MAX = 65535
+_SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+def depth_scale_mm(reach_m: float) -> float:
+    """The millimetres that one step of a depth picture stands for, for depths up to `reach_m`.
+
+    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65535 steps reach so far: 0.02 mm up to
+    1.31 m. So a step is a part in 65535 to 26214 of the depth, well under a scanner's noise, and
+    what it multiplies stays short in decimals. It is one number per dataset.
+
+    Raises:
+        ValueError: `reach_m` is not positive, or beyond 65 m.
+    """
+    if not reach_m > 0:
+        raise ValueError(f"reach_m is {reach_m}; a depth in metres above 0")
+    for scale_mm in _SCALES_MM:
+        if reach_m * MM_PER_M <= scale_mm * DEPTH_MAX:
+            return scale_mm
+    raise ValueError(f"reach_m is {reach_m}; 16-bit depth in millimetres ends at 65.535 m")
+
+
+def depth_steps(
+    depth_m: Float[np.ndarray, "h w"], scale_mm: float, *, needed: Bool[np.ndarray, "h w"]
+) -> UInt16[np.ndarray, "h w"]:
+    """Depth in steps of the scale; 0 where unknown, and for unneeded pixels too deep for 16 bits.
+
+    A table without end has no largest depth, so only parts and measurements must fit.
+    """
+    steps = np.rint(depth_m.astype(np.float64) * (MM_PER_M / scale_mm))
+    fits = (steps >= 1) & (steps <= DEPTH_MAX)  # False for NaN
+    if (needed & ~fits).any():
+        worst_m = depth_m[needed & ~fits][0]
+        raise DatasetError(
+            f"a depth of {worst_m:.6g} m does not fit 16 bits in steps of {scale_mm} mm "
+            f"(up to {scale_mm * DEPTH_MAX / MM_PER_M:.3f} m): give a coarser step, such as "
+            f"store: {{depth_step_mm: {_coarser_mm(worst_m)}}}"
+        )
+    return np.where(fits, steps, 0).astype(np.uint16)
+
+
+def _coarser_mm(depth_m: float) -> float:
+    """A step that reaches a depth, or the coarsest."""
+    return next((mm for mm in _SCALES_MM if depth_m * MM_PER_M <= mm * DEPTH_MAX), _SCALES_MM[-1])
+
+
+def modulation_steps(
+    modulation: Float[np.ndarray, "h w"],
+) -> tuple[UInt16[np.ndarray, "h w"], float]:
+    """16-bit steps and the power of two that, times a step, is the modulation again.
+
+    NaN and what noise has made negative are stored as 0: no modulation.
+    """
+    value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
+    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / DEPTH_MAX))
+    return np.rint(value / scale).astype(np.uint16), scale
+
+
+def png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:
+    """OpenCV's channel order."""
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])[1].tobytes()
+
+
+def mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
+    """An 8-bit grey PNG, 255 inside the mask.
+
+    Written here because OpenCV tries filters on every row: eight times slower on masks, of which
+    a full bin has 500.
+    """
+    rows = np.zeros((height_px, 1 + width_px), dtype=np.uint8)  # a row starts with its filter, 0
+    bh, bw = crop.mask.shape
+    rows[crop.top_px : crop.top_px + bh, 1 + crop.left_px : 1 + crop.left_px + bw] = (
+        crop.mask.astype(np.uint8) * 255
+    )
+    header = struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)
+    deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
+    pixels = deflate.compress(rows.tobytes()) + deflate.flush()
+    chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
+    body = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(body)

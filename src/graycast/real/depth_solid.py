@@ -1,0 +1,237 @@
+"""A depth map as a solid: its surface as the top, and sides that run down along the camera's rays.
+
+The camera does not see the sides, and no light passes below the surface. The solid has no bottom:
+nobody looks at it from below.
+"""
+
+import math
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from ..rig.optics import Optics, rays
+from ..world.parts import Mesh
+
+STEP_M = 5e-3  # Neighbours of a scan whose surfaces are farther apart are not joined.
+_UNDER_M = 2e-3  # The sides go so deep into the ground.
+_WIDTHS = 1.7  # A window's radius is so many standard deviations of its weight.
+_RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
+_TERMS = 6
+
+Planes = Float[np.ndarray, "h w 3"]  # It is inverse depth [1/m] and its change per pixel in x, y.
+# A round has the radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is
+# near to a surface [m].
+Rounds = tuple[tuple[int, int, float], ...]
+
+
+def surfaces(
+    depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], rounds: Rounds
+) -> Planes:
+    """The surface at each pixel of the solid without the noise; NaN elsewhere.
+
+    The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
+    paraboloid of inverse depth that lies nearest to the pixels about it. These count the less the
+    farther they are from the surface of the round before, so that edges stay sharp.
+    """
+    value = np.where(solid, 1 / np.where(solid, depth_m, 1.0), np.nan)
+    fitted = np.zeros((*solid.shape, _TERMS))
+    fitted[..., 0] = value
+    for radius, terms, near_m in rounds:
+        fitted = _fitted(value, fitted, radius, terms, near_m)
+    return fitted[..., :3].copy()
+
+
+@numba.njit(cache=True, parallel=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _fitted(value, before, radius, terms, near_m):
+    """A round of `surfaces`: weighted least squares about each pixel that has a value."""
+    height, width = value.shape
+    fitted = before.copy()
+    for i in numba.prange(height):
+        A, b, basis = np.empty((terms, terms)), np.empty(terms), np.ones(_TERMS)
+        for j in range(width):
+            if math.isnan(value[i, j]):
+                fitted[i, j, :] = np.nan
+                continue
+            z2_m2 = 1 / value[i, j] ** 2
+            A[:, :] = 0.0
+            for k in range(1, terms):
+                A[k, k] = _RIDGE
+            b[:] = 0.0
+            for y in range(max(i - radius, 0), min(i + radius + 1, height)):
+                for x in range(max(j - radius, 0), min(j + radius + 1, width)):
+                    if math.isnan(value[y, x]):
+                        continue
+                    dx, dy = float(x - j), float(y - i)
+                    basis[1], basis[2] = dx, dy
+                    basis[3], basis[4], basis[5] = dx * dx, dx * dy, dy * dy
+                    off = value[y, x]
+                    for k in range(_TERMS):
+                        off -= before[i, j, k] * basis[k]
+                    far = (off * z2_m2 / near_m) ** 2
+                    weight = math.exp(
+                        -min(far, 50.0) - (dx * dx + dy * dy) / 2 * (_WIDTHS / radius) ** 2
+                    )
+                    for k in range(terms):
+                        b[k] += weight * value[y, x] * basis[k]
+                        for m in range(terms):
+                            A[k, m] += weight * basis[k] * basis[m]
+            if A[0, 0] > 1e-9:  # else the round before lies near to none: it stays
+                fitted[i, j, :terms] = np.linalg.solve(A, b)
+    return fitted
+
+
+def solid_of(
+    planes: Planes,
+    ground_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    *,
+    step_m: float = STEP_M,
+    covered: Float[np.ndarray, "h w 4"] | None = None,
+) -> Mesh:
+    """The solid under the surfaces, in the camera frame; uv are those of the picture.
+
+    Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
+    their surfaces meet there.
+
+    Args:
+        ground_m: the depth to which the sides run, NaN where nothing is known of it.
+        step_m: neighbours whose surfaces are farther apart do not meet.
+        covered: how much of the pixel on its left, right, upper and lower side a pixel's surface
+            covers as well; None if edges lie between pixels.
+    """
+    height, width = planes.shape[:2]
+    vertex, inverse_m = _corners(planes, step_m)
+    pixel, slope = _places(vertex, planes)
+    if covered is not None:
+        moved = _outwards(vertex, covered, len(pixel))
+        deeper = inverse_m + (slope * moved).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            joined = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < step_m)
+        pixel = pixel + np.where(joined[:, None], moved, 0.0)
+        inverse_m = np.where(joined, deeper, inverse_m)
+    z_m = 1 / inverse_m
+    ray = rays(camera, pixel)
+    corners = _pixel_corners(vertex, np.isfinite(planes[..., 0]))
+    first, second = _rim(corners).T
+    low_m = np.maximum(_at(ground_m, pixel), z_m) + _UNDER_M
+    left_up, left_down, right_down, right_up = corners[corners[..., 0] >= 0].T
+    faces = np.concatenate(
+        [
+            np.stack([left_up, left_down, right_up], axis=1),
+            np.stack([right_up, left_down, right_down], axis=1),
+            np.stack([second, first, first + len(z_m)], axis=1),
+            np.stack([second, first + len(z_m), second + len(z_m)], axis=1),
+        ]
+    )
+    share = (pixel + 0.5) / [width, height]
+    uv = np.column_stack([share[:, 0], 1 - share[:, 1]])
+    return Mesh(
+        vertices_m=np.concatenate([ray * z_m[:, None], ray * low_m[:, None]]),
+        faces=faces,
+        corner_uv=np.concatenate([uv, uv])[faces],
+    )
+
+
+# --- the mesh ------------------------------------------------------------------------------------
+
+# These are the steps from a corner's row and column to those of the four pixels about it. Corner
+# (i, j) lies above and left of pixel (i, j). It lies a bit aside, as the ray of a pixel's centre
+# would otherwise run along the edge between the two triangles of the pixel, and may miss both.
+_ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
+_CORNER_PX = np.array([-0.45, -0.48])  # It is x and y from the centre of pixel (i, j).
+
+
+def _corners(
+    planes: Planes, step_m: float
+) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
+    """The vertex of each pixel about each corner, -1 where none is; each one's inverse depth."""
+    height, width = planes.shape[:2]
+    value = np.full((height + 1, width + 1, 4), np.nan)
+    for k, (down, right) in enumerate(_ABOUT):
+        own = planes @ np.array([1.0, *(_CORNER_PX - [right, down])])
+        value[-down : height - down, -right : width - right, k] = own
+    order = np.argsort(-value, axis=-1)  # the nearest one first, NaN last
+    ordered = np.take_along_axis(value, order, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = np.diff(1 / ordered, axis=-1) > step_m  # NaN is not
+    group = np.concatenate([np.zeros_like(apart[..., :1]), apart], axis=-1).cumsum(axis=-1)
+    some = np.isfinite(ordered)
+    name = (4 * np.arange(group[..., 0].size).reshape(group.shape[:2])[..., None] + group)[some]
+    number = (np.cumsum(np.bincount(name) > 0) - 1)[name]
+    total = np.bincount(number, weights=ordered[some]) / np.bincount(number)
+    vertex = np.full(value.shape, -1)
+    vertex[some] = number
+    back = np.argsort(order, axis=-1)
+    return np.take_along_axis(vertex, back, axis=-1), total
+
+
+def _places(
+    vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes
+) -> tuple[Float[np.ndarray, "v 2"], Float[np.ndarray, "v 2"]]:
+    """Where each vertex lies in the picture, and how the inverse depth changes there."""
+    i, j, k = np.nonzero(vertex >= 0)
+    number = vertex[i, j, k]
+    count = np.bincount(number)
+    down, right = np.array(_ABOUT)[k].T
+    slope = planes[i + down, j + right, 1:]
+    place = np.empty((len(count), 2))
+    place[number] = np.column_stack([j, i]) + _CORNER_PX
+    mean = [np.bincount(number, weights=own) / count for own in slope.T]
+    return place, np.column_stack(mean)
+
+
+def _outwards(
+    vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
+) -> Float[np.ndarray, "v 2"]:
+    """By how many pixels each vertex moves, so that its pixel's surface covers what it shall."""
+    most, least = np.zeros((count, 2)), np.zeros((count, 2))
+    for k, (down, right) in enumerate(_ABOUT):
+        i, j = np.nonzero(vertex[..., k] >= 0)
+        number, y, x = vertex[i, j, k], i + down, j + right
+        # A corner is on the pixel's right side where the pixel is on its left, and so on.
+        np.maximum.at(most[:, 0], number, covered[y, x, 1] if right else 0.0)
+        np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
+        np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
+        np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
+    return np.where((most > 0) & (least > 0), 0.0, most - least)  # a thing one pixel wide stays
+
+
+def _pixel_corners(
+    vertex: Int[np.ndarray, "h1 w1 4"], solid: Bool[np.ndarray, "h w"]
+) -> Int[np.ndarray, "h w 4"]:
+    """The vertices of each pixel, counter-clockwise from its upper left one; -1 without surface."""
+    corners = [vertex[:-1, :-1, 3], vertex[1:, :-1, 1], vertex[1:, 1:, 0], vertex[:-1, 1:, 2]]
+    return np.where(solid[..., None], np.stack(corners, axis=-1), -1)
+
+
+def _rim(corners: Int[np.ndarray, "h w 4"]) -> Int[np.ndarray, "e 2"]:
+    """The sides of pixels that no neighbour shares, in the direction of the pixel's own faces."""
+    around = np.pad(corners, ((1, 1), (1, 1), (0, 0)), constant_values=-1)
+    height, width = corners.shape[:2]
+    rim = []
+    # A side runs from one of the pixel's corners to the next; its neighbour has it the other way.
+    for side, (down, right) in enumerate(((0, -1), (1, 0), (0, 1), (-1, 0))):
+        beside = around[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+        own = corners[..., [side, (side + 1) % 4]]
+        shared = (own == beside[..., [(side + 3) % 4, (side + 2) % 4]]).all(axis=-1)
+        rim.append(own[(own[..., 0] >= 0) & ~shared])
+    return np.concatenate(rim)
+
+
+def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
+    """The ground's depth at places of the picture; where it is not known, the nearest one's."""
+    unknown = ~np.isfinite(ground_m)
+    if unknown.all():
+        return np.zeros(len(pixel))
+    filled = from_nearest(ground_m, unknown) if unknown.any() else ground_m
+    return ndimage.map_coordinates(filled, pixel[:, ::-1].T, order=1, mode="nearest")
+
+
+def from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
+    """The image with the value of the nearest pixel that has one where one is missing."""
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]

@@ -1,0 +1,286 @@
+"""A scene from perfect depth: the objects by their meshes, and all else as one solid behind them.
+
+The world is the frame of the image's camera. What no object covers becomes the top of a solid whose
+sides run along the camera's rays, as far down as the image goes; behind the objects its surface
+goes on as a membrane that hangs at what is known around them.
+
+Leaves out: what neither the models nor the depth show, such as the back of a bin's wall and
+everything outside the picture; light that passes under an overhang; objects that bend or are not
+among the models look as the picture does, and are matt.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import spsolve
+
+from ...base.color import linear, srgb
+from ...base.errors import DatasetError
+from ...base.frames import transform_points
+from ...camera.scanner import Scanner
+from ...rig.meshdepth import rasterize
+from ...rig.optics import Optics
+from ...world.parts import Material, Part
+from ...world.scene import Layout, Scene
+from ..depth_solid import STEP_M, Rounds, solid_of, surfaces
+from .source import SourceImage
+
+BACKGROUND = "background"
+_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth is an object's own if it is off by less than their sum.
+_MOST_BEHIND = 0.2  # If depth lies behind more of the objects' pixels, the poses are wrong.
+_LEAST_PX = 50  # Fewer pixels of objects say nothing of poses.
+_FINE_M = 2e-4  # Depth in finer steps needs little smoothing.
+_SLOPE = 6.0  # Neighbours that are so many times their distance apart in depth are not joined.
+_COARSE = 4  # The membrane is found on blocks of so many pixels.
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of a picture is darker than this reflectance.
+_DARKEST, _MOST = 0.03, 0.9
+_GREY = Material(base_color=(0.4, 0.4, 0.4))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Staged:
+    """An image as a scene; `obj_id` are the ids of the scene's labelled parts, in their order."""
+
+    scene: Scene
+    layout: Layout
+    obj_id: tuple[int, ...]
+
+
+def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
+    """The scanner with another camera in the same place and the same lens.
+
+    The focal length in metres stays, so that the pixels have another pitch.
+    """
+    own = scanner.rig.camera
+    lens = replace(
+        own,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.fx_px,
+        fy_px=camera.fy_px,
+        cx_px=camera.cx_px,
+        cy_px=camera.cy_px,
+        distortion=camera.distortion,
+    )
+    pitch_m = scanner.sensor.pixel_pitch_m * own.fx_px / camera.fx_px
+    return replace(
+        scanner,
+        rig=replace(scanner.rig, camera=lens),
+        sensor=replace(scanner.sensor, pixel_pitch_m=pitch_m),
+    )
+
+
+def stage(
+    image: SourceImage,
+    parts: Mapping[int, Part],
+    scanner: Scanner,
+    *,
+    unknown_look: Collection[int] = (),
+    step_m: float,
+) -> Staged:
+    """The scene of an image, before the scanner.
+
+    Args:
+        parts: by the ids of objects; of an object that is not among them nothing is known but its
+            surface in the depth.
+        unknown_look: ids of parts whose material nobody gave: they get the mean colour that the
+            picture has where they are.
+        step_m: of which the depth is a multiple.
+
+    Raises:
+        DatasetError: the depth contradicts the objects, or there is none.
+    """
+    known = np.isfinite(image.depth_m)
+    if not known.any():
+        raise DatasetError("the depth picture has no depth at all: give perfect depth")
+    modelled = [i for i, obj_id in enumerate(image.obj_id.tolist()) if obj_id in parts]
+    nearest_m, which = _nearest(image, parts, modelled)
+    own = _of_objects(image.depth_m, nearest_m, step_m)
+    _refuse_contradiction(image.depth_m, nearest_m, own)
+    reflectance = None if image.rgb is None else reflectance_of(image.rgb)
+    if reflectance is not None:
+        looks = _looks(reflectance, np.where(own, which, -1), image.obj_id)
+        parts = {
+            obj_id: _with_color(part, looks[obj_id])
+            if obj_id in unknown_look and obj_id in looks
+            else part
+            for obj_id, part in parts.items()
+        }
+    used = sorted({int(image.obj_id[i]) for i in modelled})
+    behind = _background(image, own, nearest_m, reflectance, step_m)
+    scene = Scene(
+        rig=scanner.rig,
+        T_world_cam=np.eye(4),
+        parts=(*(replace(parts[obj_id], labelled=True) for obj_id in used), behind),
+    )
+    index = [used.index(int(image.obj_id[i])) for i in modelled]
+    layout = Layout(
+        T_world_part=np.concatenate([image.T_cam_part[modelled], np.eye(4)[None]]),
+        part_index=np.array([*index, len(used)], dtype=np.int64),
+    )
+    return Staged(scene=scene, layout=layout, obj_id=tuple(used))
+
+
+def _nearest(
+    image: SourceImage, parts: Mapping[int, Part], modelled: Collection[int]
+) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
+    """Depth of the nearest object at each pixel, NaN for none, and which instance it is, or -1."""
+    nearest_m = np.full(image.depth_m.shape, np.inf)
+    which = np.full(image.depth_m.shape, -1)
+    for i in modelled:
+        mesh = parts[int(image.obj_id[i])].mesh
+        vertices_cam = transform_points(image.T_cam_part[i], mesh.vertices_m)
+        _, own_m = rasterize(vertices_cam, mesh.faces, image.camera).over(image.camera)
+        nearer = np.nan_to_num(own_m, nan=np.inf) < nearest_m
+        nearest_m[nearer], which[nearer] = own_m[nearer], i
+    return np.where(which >= 0, nearest_m, np.nan), which
+
+
+def _of_objects(
+    depth_m: Float[np.ndarray, "h w"], nearest_m: Float[np.ndarray, "h w"], step_m: float
+) -> Bool[np.ndarray, "h w"]:
+    """Where the depth is that of an object, or not known."""
+    near_m = _NEAR_M + _NEAR_SHARE * nearest_m + step_m
+    with np.errstate(invalid="ignore"):  # NaN is not <
+        agrees = np.abs(depth_m - nearest_m) < near_m
+    return agrees | (np.isnan(depth_m) & np.isfinite(nearest_m))
+
+
+def _refuse_contradiction(
+    depth_m: Float[np.ndarray, "h w"],
+    nearest_m: Float[np.ndarray, "h w"],
+    own: Bool[np.ndarray, "h w"],
+) -> None:
+    """Depth may lie before an object, which something then hides, but not behind it.
+
+    Raises:
+        DatasetError: it lies behind in many places.
+    """
+    both = np.isfinite(depth_m) & np.isfinite(nearest_m)
+    with np.errstate(invalid="ignore"):
+        behind = both & ~own & (depth_m > nearest_m)
+    if both.sum() >= _LEAST_PX and behind.sum() > _MOST_BEHIND * both.sum():
+        off_m = float(np.median((depth_m - nearest_m)[behind]))
+        raise DatasetError(
+            f"in {behind.sum() / both.sum():.0%} of the pixels where the models lie the depth is "
+            f"farther than they are, by {1e3 * off_m:.0f} mm in the median: check the unit of the "
+            "models, the poses, and the depth_scale"
+        )
+
+
+def _background(
+    image: SourceImage,
+    own: Bool[np.ndarray, "h w"],
+    nearest_m: Float[np.ndarray, "h w"],
+    reflectance: Float[np.ndarray, "h w 3"] | None,
+    step_m: float,
+) -> Part:
+    """What is no object, as a solid in the camera's frame."""
+    known = np.isfinite(image.depth_m) & ~own
+    depth_m = np.where(known, image.depth_m, np.nan)
+    if known.any():
+        depth_m = np.where(own, np.fmax(_membrane(depth_m), nearest_m + _NEAR_M), depth_m)
+    else:  # the objects fill the picture: a wall far behind them stops the light
+        depth_m = np.where(own, 2 * np.nanmax(nearest_m), depth_m)
+    solid = np.isfinite(depth_m)
+    planes = surfaces(depth_m, solid, _rounds(step_m))
+    pixel_m = float(np.nanmedian(depth_m)) / image.camera.fx_px
+    mesh = solid_of(
+        planes,
+        np.full(depth_m.shape, np.nanmax(depth_m)),
+        image.camera,
+        step_m=max(STEP_M, _SLOPE * pixel_m),
+    )
+    material = _GREY
+    if reflectance is not None:
+        around = ndimage.distance_transform_edt(own, return_distances=False, return_indices=True)
+        beside = reflectance[tuple(around)] if known.any() else reflectance
+        material = replace(_GREY, texture=srgb(beside))
+    return Part(
+        name=BACKGROUND,
+        mesh=mesh,
+        material=material,
+        density_kg_m3=1000.0,
+        friction=0.5,
+        source="a depth picture",
+        labelled=False,
+    )
+
+
+def _rounds(step_m: float) -> Rounds:
+    """Depth in coarse steps is smoothed over more pixels; see `surfaces`."""
+    near_m = 3e-4 + 2 * step_m
+    fine: Rounds = ((1, 3, 2 * near_m), (2, 3, near_m))
+    return fine if step_m <= _FINE_M else (*fine, (5, 6, near_m), (5, 6, near_m))
+
+
+def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Depth everywhere: where it is not known, inverse depth is the mean of that around it.
+
+    So a plane goes on as a plane. Laplace's equation is solved on blocks of pixels.
+    """
+    known = np.isfinite(depth_m)
+    rows, columns = (-(-size // _COARSE) for size in depth_m.shape)
+    margin = [(0, n * _COARSE - size) for n, size in zip((rows, columns), known.shape, strict=True)]
+    blocks = (rows, _COARSE, columns, _COARSE)
+
+    def total(value: np.ndarray) -> np.ndarray:
+        return np.pad(value, margin).reshape(blocks).sum(axis=(1, 3))
+
+    count = total(known.astype(np.float64))
+    coarse = total(np.where(known, 1 / np.where(known, depth_m, 1.0), 0.0)) / np.maximum(count, 1)
+    free = count == 0
+    if free.any():
+        coarse[free] = _solved(coarse, free)
+    at = [
+        np.clip((np.arange(size) + 0.5) / _COARSE - 0.5, 0, n - 1)
+        for n, size in zip((rows, columns), known.shape, strict=True)
+    ]
+    fine = ndimage.map_coordinates(coarse, np.meshgrid(*at, indexing="ij"), order=1)
+    return np.where(known, depth_m, 1 / fine)
+
+
+def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
+    """Values of the free blocks, each the mean of its neighbours; the border is mirrored."""
+    number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
+    n = int(free.sum())
+    diagonal, right_side = np.zeros(n), np.zeros(n)
+    rows, columns = [], []
+    own = number[free]
+    around = np.pad(np.dstack([number, value]), ((1, 1), (1, 1), (0, 0)), constant_values=-2)
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        beside = around[1 + down : 1 + down + free.shape[0], 1 + right : 1 + right + free.shape[1]][
+            free
+        ]
+        other = beside[:, 0].astype(np.int64)
+        diagonal += other > -2
+        right_side += np.where(other == -1, beside[:, 1], 0.0)
+        rows.append(own[other >= 0])
+        columns.append(other[other >= 0])
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    A = sparse.csc_matrix((-np.ones(len(i)), (i, j)), shape=(n, n)) + sparse.diags(diagonal)
+    return spsolve(A.tocsc(), right_side)
+
+
+def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    """What a picture says of reflectance: its light, the brightest of it taken to be white."""
+    light = linear(rgb)
+    white = float(np.quantile(light.max(axis=-1), _WHITE_SHARE))
+    return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)
+
+
+def _looks(
+    reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
+) -> dict[int, tuple[float, float, float]]:
+    """The mean reflectance that the picture has of each object in it."""
+    visible = which >= 0
+    of = obj_id[which[visible]]
+    color = reflectance[visible]
+    return {int(i): tuple(map(float, color[of == i].mean(axis=0))) for i in np.unique(of)}
+
+
+def _with_color(part: Part, color: tuple[float, float, float]) -> Part:
+    return replace(part, material=replace(part.material, base_color=color))

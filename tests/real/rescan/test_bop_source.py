@@ -67,11 +67,12 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     assert np.abs(image.depth_m - true_depth_m()).max() <= SCALE_MM / 2e3 * 1.001
     assert np.abs(image.rgb.astype(int) - rgb).max() <= 2  # a JPEG
     assert image.camera == CAMERA
+    assert image.step_m == pytest.approx(SCALE_MM / 1e3)
     assert image.obj_id.tolist() == [1]
     assert np.allclose(image.T_cam_part, POSE, rtol=0, atol=1e-9)
     assert np.allclose(source.parts[1].mesh.extent_m, SIDE_MM / 1e3)
     assert source.parts[1].name == "obj_000001"
-    assert source.plain == {1}
+    assert source.unknown_look == {1}
 
 
 def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path):

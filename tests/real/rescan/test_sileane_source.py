@@ -39,6 +39,7 @@ def check(image):
     """The cube where it is, as `scene_files` has it."""
     assert np.isnan(image.depth_m[0, 0])
     assert np.nanmax(np.abs(image.depth_m - true_depth_m())) <= 0.51 * STEP_M
+    assert image.step_m == pytest.approx(STEP_M)
     assert image.obj_id.tolist() == [1]
     assert np.allclose(image.T_cam_part[0], POSE, rtol=0, atol=1e-6)
 

@@ -78,7 +78,7 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
     for number, path in sorted(scenes.items()):
         scene = SceneFolder(path, sensor)
         try:
-            numbers = set(_entries(scene, "scene_camera"))
+            numbers = set(_entries(scene, "scene_camera", Images[Any]))
             if not options.depth_only:
                 obj_ids |= _objects_of_scene(scene, numbers)
         except Unreadable as error:
@@ -95,7 +95,7 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
         split=folder.name,
         images=tuple(images),
         parts=models.parts,
-        plain=models.plain,
+        unknown_look=models.unknown_look,
         image_of=lambda scene, image: _read(SceneFolder(scenes[scene], sensor), image, options),
         sensor=sensor,
         is_bop=True,
@@ -113,13 +113,14 @@ def _read(scene: SceneFolder, image_id: int, options: SourceOptions) -> SourceIm
                 "--depth-scale 0.1"
             )
         path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
-        depth_m = stored_depth(path, scale_mm / MM_PER_M)
+        depth_m, step_m = stored_depth(path, scale_mm / MM_PER_M)
         return source_image(
             depth_m,
             scene.find_picture("rgb", image_id) or scene.find_picture("gray", image_id),
             (view.cam_K, f"{where}: cam_K"),
             () if options.depth_only else _objects(scene, image_id, depth_m),
-            view.distortion,
+            step_m=step_m,
+            distortion=view.distortion,
         )
     except Unreadable as error:
         raise DatasetError(f"{scene.path}/{error}: {REPAIR}") from error
@@ -170,10 +171,10 @@ def _sensor(folder: Path, folders: list[Path], request: str) -> str:
     raise DatasetError(f"{folder}: has {problem}: give --sensor NAME, one of {listed}")
 
 
-def _entries(scene: SceneFolder, name: str) -> Mapping[int, Any]:
+def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
     """What a file says by image; a number that stands in it twice is refused."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
-    entries = scene.record(name, Images[Any]).root
+    entries = scene.record(name, form).root
     # JSON's readers take the last of two; no other key in these files is a number.
     numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
     if twice := [number for number, count in numbers.items() if count > 1]:
@@ -184,7 +185,8 @@ def _entries(scene: SceneFolder, name: str) -> Mapping[int, Any]:
 def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
     """The ids of a scene's objects, whose poses are of the right form."""
     name = f"{of_sensor('scene_gt', scene.sensor)}.json"
-    listed = set(_entries(scene, "scene_gt"))
+    poses = _entries(scene, "scene_gt", Images[list[AnyPose]])
+    listed = set(poses)
     if without := sorted(numbers - listed):
         raise Unreadable(
             f"{name} says nothing of image {without[0]} (without objects, give it an empty list; "
@@ -193,7 +195,6 @@ def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
     if without := sorted(listed - numbers):
         camera = f"{of_sensor('scene_camera', scene.sensor)}.json"
         raise Unreadable(f"{camera} says nothing of image {without[0]}, which {name} has")
-    poses = scene.record("scene_gt", Images[list[AnyPose]]).root
     return {one.obj_id for objects in poses.values() for one in objects}
 
 

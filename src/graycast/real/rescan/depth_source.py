@@ -39,7 +39,7 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
         split="depth",
         images=tuple((0, i) for i in range(len(shots))),
         parts={},
-        plain=frozenset(),
+        unknown_look=frozenset(),
         image_of=lambda _, image: _read(shots[image], K, scale_m),
     )
 
@@ -47,7 +47,8 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
 def _read(shot: RealPicture, K: Float[np.ndarray, "3 3"], scale_m: float | None) -> SourceImage:
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
-    if scale_m is None and is_whole(shot.depth):
+    whole = is_whole(shot.depth)
+    if scale_m is None and whole:
         raise DatasetError(
             f"{shot.depth}: has whole numbers: give the millimetres of one step, such as "
             "--depth-scale 0.1"
@@ -63,4 +64,5 @@ def _read(shot: RealPicture, K: Float[np.ndarray, "3 3"], scale_m: float | None)
         rgb=rgb,
         obj_id=np.zeros(0, np.int64),
         T_cam_part=np.zeros((0, 4, 4)),
+        step_m=(scale_m or 0.0) if whole else 0.0,
     )

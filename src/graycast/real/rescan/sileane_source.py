@@ -205,7 +205,7 @@ def _source(
         split=folder.name,
         images=tuple(files),
         parts=models.parts,
-        plain=models.plain,
+        unknown_look=models.unknown_look,
         image_of=lambda scene, image: _image(files[scene, image], camera, options.depth_only),
     )
 
@@ -229,4 +229,5 @@ def _image(depth: Path, camera: _Camera, depth_only: bool) -> SourceImage:
         rgb if rgb.is_file() else None,
         (camera.K, str(camera.path)),
         () if depth_only else [(1, T) for T in camera.poses(depth)],
+        step_m=(end_m - start_m) / _WHITE,
     )

@@ -21,7 +21,8 @@ class SourceImage:
     """One image: what its camera saw, and which objects lie where.
 
     `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
-    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`.
+    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Stored
+    depth is rounded to steps of `step_m`; 0 is that of floats.
     """
 
     camera: Optics
@@ -29,6 +30,7 @@ class SourceImage:
     rgb: UInt8[np.ndarray, "h w 3"] | None
     obj_id: Int[np.ndarray, " n"]
     T_cam_part: Float[np.ndarray, "n 4 4"]
+    step_m: float = 0.0
 
 
 @runtime_checkable
@@ -43,7 +45,7 @@ class Source(Protocol):
         is_bop: its folder has BOP's form, so that the result may link to its files.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
-        plain: the ids of parts whose look nothing states: they are grey.
+        unknown_look: the ids of parts whose look nothing states: they are grey.
     """
 
     @property
@@ -59,7 +61,7 @@ class Source(Protocol):
     @property
     def parts(self) -> Mapping[int, Part]: ...
     @property
-    def plain(self) -> frozenset[int]: ...
+    def unknown_look(self) -> frozenset[int]: ...
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

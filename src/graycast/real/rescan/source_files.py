@@ -33,7 +33,7 @@ class FileSource:
     split: str
     images: tuple[tuple[int, int], ...]
     parts: Mapping[int, Part]
-    plain: frozenset[int]
+    unknown_look: frozenset[int]
     image_of: Callable[[int, int], SourceImage]
     sensor: str = ""
     is_bop: bool = False
@@ -57,12 +57,14 @@ def source_image(
     rgb: Path | None,
     camera: tuple[Any, str],
     objects: Sequence[tuple[int, np.ndarray]] = (),
+    *,
+    step_m: float,
     distortion: Sequence[float] = (0.0,) * 5,
 ) -> SourceImage:
     """An image of its depth and its files.
 
     Args:
-        depth_m: as of `stored_depth`.
+        depth_m: as of `stored_depth`, and so is `step_m`.
         rgb: the colour or grey picture.
         camera: the matrix by rows, and where it stands.
         objects: id and pose of each.
@@ -83,6 +85,7 @@ def source_image(
         rgb=colours,
         obj_id=np.array([obj_id for obj_id, _ in objects], np.int64),
         T_cam_part=np.array([T for _, T in objects], float).reshape(-1, 4, 4),
+        step_m=step_m,
     )
 
 
@@ -101,16 +104,17 @@ def stored_steps(path: Path) -> np.ndarray:
     return steps
 
 
-def stored_depth(path: Path, scale_m: float) -> Float[np.ndarray, "h w"]:
-    """Depth [m]; 0 and what is not finite is NaN.
+def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
+    """Depth [m] and the step to which it is rounded; 0 and what is not finite is NaN.
 
     Raises:
         DatasetError: as of `stored_steps`, or depth is negative or too far.
     """
-    depth_m = in_metres(stored_steps(path), scale_m, str(path))
+    steps = stored_steps(path)
+    depth_m = in_metres(steps, scale_m, str(path))
     if (depth_m < 0).any():
         raise DatasetError(f"{path}: has negative depth: give z of the camera frame, which is > 0")
-    return depth_m
+    return depth_m, scale_m if steps.dtype == np.uint16 else 0.0
 
 
 def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:

@@ -1,6 +1,7 @@
 """Folders of depth alone, and which layout a folder has."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
     if not isinstance(content, str):
         text = str(tmp_path / "camera.json")
         (tmp_path / "camera.json").write_text(json.dumps(content))
-    source = opened(folder / "depth", intrinsics=text)
+    source = pickle.loads(pickle.dumps(opened(folder / "depth", intrinsics=text)))
     assert (source.split, source.is_bop, source.parts) == ("depth", False, {})
     assert source.images == ((0, 0), (0, 1))
     assert source.read(0, 0).camera == CAMERA

@@ -16,6 +16,7 @@ blenderproc/python/writer/BopWriterUtility.py.
 import re
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,13 +97,16 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
         images=tuple(images),
         parts=models.parts,
         unknown_look=models.unknown_look,
-        image_of=lambda scene, image: _read(SceneFolder(scenes[scene], sensor), image, options),
+        image_of=partial(_read, scenes, sensor, options),
         sensor=sensor,
         is_bop=True,
     )
 
 
-def _read(scene: SceneFolder, image_id: int, options: SourceOptions) -> SourceImage:
+def _read(
+    scenes: Mapping[int, Path], sensor: str, options: SourceOptions, scene_id: int, image_id: int
+) -> SourceImage:
+    scene = SceneFolder(scenes[scene_id], sensor)
     try:
         view = scene.of_image("scene_camera", image_id, _View)
         where = f"{scene.path}/{of_sensor('scene_camera', scene.sensor)}.json: image {image_id}"

@@ -4,6 +4,8 @@ Whole numbers have a scale; floats in NPY or TIFF are metres. One camera took al
 are the images 0, 1 ... of scene 0 by the order of their names.
 """
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +42,18 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
         images=tuple((0, i) for i in range(len(shots))),
         parts={},
         unknown_look=frozenset(),
-        image_of=lambda _, image: _read(shots[image], K, scale_m),
+        image_of=partial(_read, shots, K, scale_m),
     )
 
 
-def _read(shot: RealPicture, K: Float[np.ndarray, "3 3"], scale_m: float | None) -> SourceImage:
+def _read(
+    shots: Sequence[RealPicture],
+    K: Float[np.ndarray, "3 3"],
+    scale_m: float | None,
+    _: int,
+    image_id: int,
+) -> SourceImage:
+    shot = shots[image_id]
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     whole = is_whole(shot.depth)

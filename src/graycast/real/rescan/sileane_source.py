@@ -19,13 +19,14 @@ what public readers take (PPR-Net). Not verified: that depth of 0 and 65535 is n
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from ...base.errors import DatasetError
@@ -78,16 +79,18 @@ class _Poses(RootModel[list[_Pose]]):
     pass
 
 
+_Files = tuple[Path, Path, Path]  # of an image: depth, colours, which may be missing, and poses
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Camera:
-    """What all images of a folder share; `poses` reads those of an image by its depth file."""
+    """What all images of a folder share."""
 
     path: Path
     K: list[float]
     size_px: tuple[int, int]  # columns and rows
     record: _Record
     unknown: tuple[int, ...]
-    rgb_name: Callable[[Path], Path]
     poses: Callable[[Path], list[np.ndarray]]
 
 
@@ -109,24 +112,26 @@ def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
     w, *xyz = camera.rotation
     R = rotation_from_quaternion(np.array([*xyz, w]) / max(np.linalg.norm(camera.rotation), 1e-9))
     T_cam_world = inverse(rigid(R, np.array(camera.location)))
-
-    def poses(depth: Path) -> list[np.ndarray]:
-        file = folder / "gt" / f"{depth.stem}.json"
-        stored = enumerate(record_of(file, _Poses).root)
-        return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
-
     common = _Camera(
         path=path,
         K=[camera.fu, 0.0, camera.cu, 0.0, camera.fv, camera.cv, 0.0, 0.0, 1.0],
         size_px=(camera.width, camera.height),
         record=camera,
         unknown=(_WHITE,),
-        rgb_name=lambda depth: folder / "rgb" / depth.name,
-        poses=poses,
+        poses=partial(_sileane_poses, T_cam_world),
     )
     name = "depth_gt" if (folder / "depth_gt").is_dir() else "depth"
-    files = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
-    return _source(folder, {(0, i): path for i, path in enumerate(files)}, common, options)
+    depth = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
+    images = {
+        (0, i): (file, folder / "rgb" / file.name, folder / "gt" / f"{file.stem}.json")
+        for i, file in enumerate(depth)
+    }
+    return _source(folder, images, common, options)
+
+
+def _sileane_poses(T_cam_world: Float[np.ndarray, "4 4"], path: Path) -> list[np.ndarray]:
+    stored = enumerate(record_of(path, _Poses).root)
+    return [T_cam_world @ pose_of(one.R, one.t, f"{path}, instance {i}") for i, one in stored]
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
@@ -148,29 +153,24 @@ def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
         (big - 1) / 2 - offset
         for offset in (camera.pixelOffset_X_KoSyTopLeft, camera.pixelOffset_Y_KoSyTopLeft)
     )
-    ending = "_depth_uint16.png"
-
-    def beside(kind: str, depth: Path, end: str) -> Path:
-        return folder / kind / depth.parent.name / (depth.name.removesuffix(ending) + end)
-
     common = _Camera(
         path=path,
         K=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
         size_px=(camera.resolutionX, camera.resolutionY),
         record=camera,
         unknown=(0, _WHITE),
-        rgb_name=lambda depth: beside("p_rgb", depth, "_rgb.png"),
-        poses=lambda depth: [_FROM_IPA @ T for T in _rows(beside("gt", depth, ".csv"))],
+        poses=_ipa_poses,
     )
     images = {}
-    for file in sorted((folder / "p_depth").glob(f"cycle_*/*{ending}")):
-        if match := re.fullmatch(rf"cycle_(\d+)/(\d+){ending}", f"{file.parent.name}/{file.name}"):
-            images[int(match[1]), int(match[2])] = file
+    for file in sorted((folder / "p_depth").glob("cycle_*/*_depth_uint16.png")):
+        cycle, number = file.parent.name, file.name.removesuffix("_depth_uint16.png")
+        if number.isdecimal() and cycle[6:].isdecimal():
+            rgb = folder / "p_rgb" / cycle / f"{number}_rgb.png"
+            images[int(cycle[6:]), int(number)] = file, rgb, folder / "gt" / cycle / f"{number}.csv"
     return _source(folder, images, common, options)
 
 
-def _rows(path: Path) -> list[np.ndarray]:
-    """The poses of a table of IPA, in its frame of the camera."""
+def _ipa_poses(path: Path) -> list[np.ndarray]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]
         rows = [[float(word) for word in line.split(",")] for line in lines if line.strip()]
@@ -179,16 +179,16 @@ def _rows(path: Path) -> list[np.ndarray]:
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
     return [
-        pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
+        _FROM_IPA @ pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
         for row in rows
         if row[0] > 0
     ]
 
 
 def _source(
-    folder: Path, files: Mapping[tuple[int, int], Path], camera: _Camera, options: SourceOptions
+    folder: Path, images: Mapping[tuple[int, int], _Files], camera: _Camera, options: SourceOptions
 ) -> FileSource:
-    if not files:
+    if not images:
         raise DatasetError(f"{folder}: has no depth pictures: download it again")
     models = NO_MODELS
     if not options.depth_only:
@@ -203,14 +203,21 @@ def _source(
     return FileSource(
         folder=folder,
         split=folder.name,
-        images=tuple(files),
+        images=tuple(images),
         parts=models.parts,
         unknown_look=models.unknown_look,
-        image_of=lambda scene, image: _image(files[scene, image], camera, options.depth_only),
+        image_of=partial(_image, images, camera, options.depth_only),
     )
 
 
-def _image(depth: Path, camera: _Camera, depth_only: bool) -> SourceImage:
+def _image(
+    images: Mapping[tuple[int, int], _Files],
+    camera: _Camera,
+    depth_only: bool,
+    scene_id: int,
+    image_id: int,
+) -> SourceImage:
+    depth, rgb, poses = images[scene_id, image_id]
     steps: Any = stored_steps(depth)
     rows, columns = steps.shape
     if steps.dtype != np.uint16 or (columns, rows) != camera.size_px:
@@ -223,11 +230,10 @@ def _image(depth: Path, camera: _Camera, depth_only: bool) -> SourceImage:
     if start_m >= end_m:
         raise DatasetError(f"{camera.path}: clip_start {start_m} is not before clip_end: {REPAIR}")
     depth_m = start_m + (end_m - start_m) * steps / float(_WHITE)
-    rgb = camera.rgb_name(depth)
     return source_image(
         np.where(np.isin(steps, camera.unknown), np.nan, depth_m),
         rgb if rgb.is_file() else None,
         (camera.K, str(camera.path)),
-        () if depth_only else [(1, T) for T in camera.poses(depth)],
+        () if depth_only else [(1, T) for T in camera.poses(poses)],
         step_m=(end_m - start_m) / _WHITE,
     )

@@ -27,7 +27,10 @@ R = TypeVar("R", bound=BaseModel)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileSource:
-    """A `Source` whose images are read by a function of their scene and number."""
+    """A `Source` whose images are read by a function of their scene and number.
+
+    The function can be pickled, so that workers read.
+    """
 
     folder: Path
     split: str
@@ -144,11 +147,11 @@ def camera_of(
         DatasetError: the matrix is that of no camera, or has a skew.
     """
     matrix = np.reshape(K, (3, 3)).astype(float)
-    (fx, skew, _), (zero, fy, _), last = matrix.tolist()
-    if min(fx, fy) <= 0 or max(abs(skew), abs(zero)) > 1e-6 * fx or last != [0.0, 0.0, 1.0]:
+    (fx, skew, _), (zero, _, _), last = matrix.tolist()
+    if max(abs(skew), abs(zero)) > 1e-6 * fx or last != [0.0, 0.0, 1.0]:
         raise DatasetError(
             f"{where}: {matrix.ravel().tolist()} is no camera matrix: give [fx, 0, cx, 0, fy, cy, "
-            "0, 0, 1] with fx and fy greater than 0"
+            "0, 0, 1] with fx greater than 0"
         )
     try:
         return optics_of(matrix, (size_px[0], size_px[1]), distortion)

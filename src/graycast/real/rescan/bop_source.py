@@ -74,7 +74,6 @@ class BopSource:
     plain: frozenset[int]
     scenes: Mapping[int, Path]
     depth_scale_mm: float | None
-    is_bop: bool = True
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         if scene_id not in self.scenes:
@@ -107,6 +106,7 @@ class BopSource:
             rgb=rgb,
             obj_id=obj_id,
             T_cam_part=T_cam_part,
+            step_m=scale_mm / MM_PER_M,
         )
 
     def _objects(

@@ -21,7 +21,8 @@ class SourceImage:
     """One image: what its camera saw, and which objects lie where.
 
     `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
-    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`.
+    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth
+    is a multiple of `step_m`; 0 is for depth in floating-point numbers.
     """
 
     camera: Optics
@@ -29,6 +30,7 @@ class SourceImage:
     rgb: UInt8[np.ndarray, "h w 3"] | None
     obj_id: Int[np.ndarray, " n"]
     T_cam_part: Float[np.ndarray, "n 4 4"]
+    step_m: float = 0.0
 
 
 class Source(Protocol):
@@ -39,19 +41,33 @@ class Source(Protocol):
         split: its name in the result, such as `train_pbr`.
         sensor: the camera that is read, "" where the dataset has only one; its files end in
             `_sensor`.
-        is_bop: its folder has BOP's form, so that the result may link to its files.
+        scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
+            link; empty in another layout.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
         plain: the ids of parts whose look nothing states: they are grey.
     """
 
-    folder: Path
-    split: str
-    sensor: str
-    is_bop: bool
-    images: tuple[tuple[int, int], ...]
-    parts: Mapping[int, Part]
-    plain: frozenset[int]
+    @property
+    def folder(self) -> Path: ...
+
+    @property
+    def split(self) -> str: ...
+
+    @property
+    def sensor(self) -> str: ...
+
+    @property
+    def scenes(self) -> Mapping[int, Path]: ...
+
+    @property
+    def images(self) -> tuple[tuple[int, int], ...]: ...
+
+    @property
+    def parts(self) -> Mapping[int, Part]: ...
+
+    @property
+    def plain(self) -> frozenset[int]: ...
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

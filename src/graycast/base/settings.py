@@ -232,8 +232,8 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: is not a text file: give a YAML file") from error
 
 
-def parse_yaml(text: str, path: Path) -> Mapping[str, Any]:
-    """A YAML mapping; what is none is refused by line."""
+def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
+    """A YAML mapping, also of numbers; what is none is refused by line."""
     try:
         content = yaml.load(text, Loader=_OneOfEachKey)
     except yaml.YAMLError as error:

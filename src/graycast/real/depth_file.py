@@ -75,9 +75,9 @@ def read_depth(
         raise DatasetError(
             f"{path}: has the shape {value.shape}: give a depth map with rows and columns"
         )
-    if value.dtype.kind not in "uif":
+    if value.dtype.kind not in "uif" or value.dtype.itemsize == 1:
         raise DatasetError(
-            f"{path}: has {value.dtype} numbers: give integers or floating-point numbers"
+            f"{path}: has {value.dtype} numbers: give integers of 16 bits or floating-point numbers"
         )
     if value.dtype.kind in "ui" and scale_m is None:
         raise DatasetError(
@@ -152,11 +152,13 @@ def load_json(path: Path) -> dict[str, Any]:
 
 
 def _json_K(content: dict[str, Any] | list[Any]) -> Float[np.ndarray, "rows columns"]:
-    """BOP's `camera.json`, an entry of `scene_camera.json`, or the first of all; or a list."""
+    """BOP's `camera.json`, an entry of `scene_camera.json`, or the first of all; K; or a list."""
     if isinstance(content, list):
         return np.array(content, dtype=np.float64, ndmin=2)
     if "fx" in content:
         fx, fy, cx, cy = (float(content[key]) for key in ("fx", "fy", "cx", "cy"))
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if "K" in content:
+        return np.array(content["K"], dtype=np.float64).reshape(3, 3)
     entry = content if "cam_K" in content else next(iter(content.values()))
     return np.array(entry["cam_K"], dtype=np.float64).reshape(3, 3)

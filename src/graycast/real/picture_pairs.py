@@ -139,7 +139,7 @@ def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float
     reaches the deepest, as simulated depth does.
     """
     depths = [shot.depth for shot in shots if shot.depth is not None]
-    whole = all(_is_whole(path) for path in depths)
+    whole = all(is_whole(path) for path in depths)
     if depths and whole and scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
     try:
@@ -157,7 +157,8 @@ def depth_steps(depth_m: Float[np.ndarray, "h w"], step_mm: float) -> UInt16[np.
     return np.where(np.isnan(depth_m), 0, np.maximum(steps, 1)).astype(np.uint16)
 
 
-def _is_whole(path: Path) -> bool:
+def is_whole(path: Path) -> bool:
+    """Whether a file has whole numbers, which need a scale."""
     if path.suffix.lower() == ".ply":
         return False
     value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)

@@ -61,7 +61,7 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     rgb = np.full((48, 64, 3), (200, 90, 40), np.uint8)
     split = write_dataset(tmp_path, images=(0, 7), rgb=rgb)
     source = opened(split)
-    assert (source.split, source.sensor, source.is_bop) == ("train_pbr", "", True)
+    assert (source.split, source.sensor, len(source.scenes)) == ("train_pbr", "", 1)
     assert source.images == ((0, 0), (0, 7))
     image = source.read(0, 7)
     assert np.abs(image.depth_m - true_depth_m()).max() <= SCALE_MM / 2e3 * 1.001

@@ -13,16 +13,15 @@ Sources: github.com/thodan/bop_toolkit, docs/bop_datasets_format.md; github.com/
 blenderproc/python/writer/BopWriterUtility.py.
 """
 
-import os
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from ...base.errors import DatasetError
 from ...dataset.records import MM_PER_M, Images, Positive
@@ -36,19 +35,9 @@ from ...dataset.scene_folder import (
     of_sensor,
     scene_folders,
 )
-from ...world.parts import Part
 from .model_files import NO_MODELS, bop_models, read_models
 from .source import SourceImage
-from .source_files import (
-    NO_OBJECTS,
-    camera_of,
-    depth_of_steps,
-    depth_steps,
-    objects_of,
-    picture_rgb,
-    pose_of,
-    refuse_other_size,
-)
+from .source_files import REPAIR, FileSource, pose_of, source_image, stored_depth
 from .source_options import SourceOptions
 
 CAMERAS = "scene_camera*.json"
@@ -61,89 +50,7 @@ class _View(AnyCamera):
     depth_scale: Positive | None = None
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BopSource:
-    """A `Source`; `scenes` are its folders by their numbers."""
-
-    folder: Path
-    split: str
-    sensor: str
-    images: tuple[tuple[int, int], ...]
-    parts: Mapping[int, Part]
-    plain: frozenset[int]
-    scenes: Mapping[int, Path]
-    depth_scale_mm: float | None
-
-    def read(self, scene_id: int, image_id: int) -> SourceImage:
-        if scene_id not in self.scenes:
-            raise DatasetError(f"{self.folder}: has no scene {scene_id}")
-        scene = SceneFolder(self.scenes[scene_id], self.sensor)
-        try:
-            return self._image(scene, image_id)
-        except Unreadable as error:
-            raise DatasetError(_damaged(scene.path, error)) from error
-
-    def _image(self, scene: SceneFolder, image_id: int) -> SourceImage:
-        view = scene.of_image("scene_camera", image_id, _View)
-        where = f"{scene.path}/{of_sensor('scene_camera', self.sensor)}.json: image {image_id}"
-        scale_mm = self.depth_scale_mm or view.depth_scale
-        if scale_mm is None:
-            raise DatasetError(
-                f"{where}: has no depth_scale: give the millimetres of one step of depth, such as "
-                "--depth-scale 0.1"
-            )
-        path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
-        depth_m = depth_of_steps(depth_steps(path), scale_mm, path)
-        colours = scene.find_picture("rgb", image_id) or scene.find_picture("gray", image_id)
-        rgb = None if colours is None else picture_rgb(colours)
-        refuse_other_size(rgb, depth_m, colours or path)
-        rows, columns = depth_m.shape
-        obj_id, T_cam_part = self._objects(scene, image_id, depth_m) if self.parts else NO_OBJECTS
-        return SourceImage(
-            camera=camera_of(view.cam_K, (rows, columns), f"{where}: cam_K", view.distortion),
-            depth_m=depth_m,
-            rgb=rgb,
-            obj_id=obj_id,
-            T_cam_part=T_cam_part,
-            step_m=scale_mm / MM_PER_M,
-        )
-
-    def _objects(
-        self, scene: SceneFolder, image_id: int, depth_m: Float[np.ndarray, "h w"]
-    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
-        stored = scene.of_instances("scene_gt", image_id, AnyPose)
-        where = f"{scene.path}/{of_sensor('scene_gt', self.sensor)}.json: image {image_id}"
-        obj_id, T_cam_part = objects_of(
-            [one.obj_id for one in stored],
-            [
-                pose_of(
-                    one.cam_R_m2c,
-                    np.array(one.cam_t_m2c) / MM_PER_M,
-                    f"{where}, instance {i}",
-                )
-                for i, one in enumerate(stored)
-            ],
-        )
-        z_m = T_cam_part[:, 2, 3]
-        visible = _visible(scene, image_id, z_m)
-        if (z_m[visible] <= 0).any():
-            i = int(np.flatnonzero(visible & (z_m <= 0))[0])
-            raise DatasetError(
-                f"{where}, instance {i}: lies behind the camera (z is {z_m[i] * MM_PER_M:.4g} mm): "
-                "poses go to OpenCV's frame, whose z points into the scene"
-            )
-        middle_m = float(np.nanmedian(depth_m)) if np.isfinite(depth_m).any() else 0.0
-        if stored and 0 < z_m.max() < _NEAR * middle_m:
-            raise DatasetError(
-                f"{where}: every object lies within {z_m.max() * MM_PER_M:.4g} mm, and the depth "
-                f"is about {middle_m * MM_PER_M:.4g} mm: give cam_t_m2c in millimetres (write_bop "
-                "does with m2mm=True)"
-            )
-        return obj_id, T_cam_part
-
-
-def open_bop(folder: Path, options: SourceOptions) -> BopSource:
+def open_bop(folder: Path, options: SourceOptions) -> FileSource:
     """Read what a split has, and its models; pictures when they are asked for.
 
     Raises:
@@ -151,7 +58,6 @@ def open_bop(folder: Path, options: SourceOptions) -> BopSource:
             missing, damaged or contradicts another.
         ConfigError: the materials file is not what it should be.
     """
-    folder = Path(os.path.abspath(folder))  # models lie beside a link, not beside what it links to
     folders = scene_folders(folder, CAMERAS)
     if not folders:
         raise DatasetError(
@@ -177,7 +83,7 @@ def open_bop(folder: Path, options: SourceOptions) -> BopSource:
             if not options.depth_only:
                 obj_ids |= _objects_of_scene(scene, numbers)
         except Unreadable as error:
-            raise DatasetError(_damaged(path, error)) from error
+            raise DatasetError(f"{path}/{error}: {REPAIR}") from error
         images += [(number, image) for image in sorted(numbers)]
     if not images:
         raise DatasetError(f"{folder}: its scenes have no images: give a split that has some")
@@ -185,16 +91,72 @@ def open_bop(folder: Path, options: SourceOptions) -> BopSource:
     if not options.depth_only:
         files = bop_models(folder.parent, options.models)
         models = read_models(files, obj_ids, options.materials)
-    return BopSource(
+    return FileSource(
         folder=folder,
         split=folder.name,
-        sensor=sensor,
         images=tuple(images),
         parts=models.parts,
         plain=models.plain,
+        image_of=partial(_image, scenes, sensor, options),
+        sensor=sensor,
         scenes=scenes,
-        depth_scale_mm=options.depth_scale_mm,
     )
+
+
+def _image(
+    scenes: Mapping[int, Path], sensor: str, options: SourceOptions, scene_id: int, image_id: int
+) -> SourceImage:
+    scene = SceneFolder(scenes[scene_id], sensor)
+    try:
+        view = scene.of_image("scene_camera", image_id, _View)
+        where = f"{scene.path}/{of_sensor('scene_camera', scene.sensor)}.json: image {image_id}"
+        scale_mm = options.depth_scale_mm or view.depth_scale
+        if scale_mm is None:
+            raise DatasetError(
+                f"{where}: has no depth_scale: give the millimetres of one step of depth, such as "
+                "--depth-scale 0.1"
+            )
+        path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
+        depth_m = stored_depth(path, scale_mm / MM_PER_M)
+        return source_image(
+            depth_m,
+            scene.find_picture("rgb", image_id) or scene.find_picture("gray", image_id),
+            (view.cam_K, f"{where}: cam_K"),
+            () if options.depth_only else _objects(scene, image_id, depth_m),
+            view.distortion,
+            step_m=scale_mm / MM_PER_M,
+        )
+    except Unreadable as error:
+        raise DatasetError(f"{scene.path}/{error}: {REPAIR}") from error
+
+
+def _objects(
+    scene: SceneFolder, image_id: int, depth_m: Float[np.ndarray, "h w"]
+) -> list[tuple[int, np.ndarray]]:
+    stored = scene.of_instances("scene_gt", image_id, AnyPose)
+    where = f"{scene.path}/{of_sensor('scene_gt', scene.sensor)}.json: image {image_id}"
+    objects = [
+        (
+            one.obj_id,
+            pose_of(one.cam_R_m2c, np.array(one.cam_t_m2c) / MM_PER_M, f"{where}, instance {i}"),
+        )
+        for i, one in enumerate(stored)
+    ]
+    z_m = np.array([T[2, 3] for _, T in objects], float)
+    if (behind := _visible(scene, image_id, z_m) & (z_m <= 0)).any():
+        i = int(np.flatnonzero(behind)[0])
+        raise DatasetError(
+            f"{where}, instance {i}: lies behind the camera (z is {z_m[i] * MM_PER_M:.4g} mm): "
+            "poses go to OpenCV's frame, whose z points into the scene"
+        )
+    middle_m = float(np.nanmedian(depth_m)) if np.isfinite(depth_m).any() else 0.0
+    if objects and 0 < z_m.max() < _NEAR * middle_m:
+        raise DatasetError(
+            f"{where}: every object lies within {z_m.max() * MM_PER_M:.4g} mm, and the depth is "
+            f"about {middle_m * MM_PER_M:.4g} mm: give cam_t_m2c in millimetres (write_bop does "
+            "with m2mm=True)"
+        )
+    return objects
 
 
 def _sensor(folder: Path, folders: list[Path], request: str) -> str:
@@ -255,7 +217,3 @@ def _visible(
         counts = f"{len(infos)} instances of image {image_id}, scene_gt has {len(z_m)}"
         raise Unreadable(f"{name} has {counts}")
     return np.array([info.px_count_visib > 0 for info in infos], bool)
-
-
-def _damaged(path: Path, error: Unreadable) -> str:
-    return f"{path}/{error}: repair the file, or download it again"

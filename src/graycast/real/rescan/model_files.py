@@ -24,13 +24,13 @@ from ...base.frames import UNITS_M
 from ...base.settings import check_settings, parse_yaml, read_text
 from ...dataset.models_read import symmetry_m
 from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive
-from ...dataset.safe_reading import Unreadable, read_json
 from ...world.parts import Material, Mesh, Part, Symmetry
 from ...world.parts.builtin import CREASE_RAD
 from ...world.parts.meshfile import SIZE_M, read_surface
 from ...world.parts.normals import crease_normals
 from ...world.parts.part_sections import MaterialSection, resolve_material
 from ...world.parts.surface import RawMesh, Refusal, welded
+from .source_files import record_of
 
 FOLDERS = ("models", "models_cad", "models_reconst", "models_eval")
 _GREY = Material(base_color=(0.3, 0.3, 0.3))
@@ -99,10 +99,7 @@ def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
         raise DatasetError(f"{models}: has no models obj_000001.ply and so on: {_REMEDY}")
     infos: Mapping[int, _ModelInfo] = {}
     if (models / "models_info.json").is_file():
-        try:
-            infos = read_json(models / "models_info.json", _ModelsInfo).root
-        except Unreadable as error:
-            raise DatasetError(f"{models}/{error}: repair or remove the file") from error
+        infos = record_of(models / "models_info.json", _ModelsInfo).root
     return {i: _bop_model(path, infos.get(i, _ModelInfo())) for i, path in files.items()}
 
 
@@ -191,10 +188,14 @@ def _read_model(file: ModelFile, look: Material | None) -> tuple[Mesh, Material 
     try:
         surface = read_surface(file.path)
         surface.check_numbers()
+        header = _header(file.path)
+        count = re.search(rb"element face (\d+)", header)
+        if count is not None and len(surface.faces) < int(count[1]):
+            raise Refusal(f"has {len(surface.faces)} of {int(count[1])} faces; copy it again")
         _refuse_other_unit(file, surface.longest)
         surface = welded(surface, [])
         uv, texture = _texture(surface)
-        if look is None and texture is None and _names_texture(file.path):
+        if look is None and texture is None and b"TextureFile" in header:
             raise Refusal("its header names a TextureFile that is missing or damaged; add it")
         if look is not None and look.texture is not None and surface.corner_uv is None:
             raise Refusal("has no texture coordinates; give it a material with a base_color")
@@ -218,16 +219,17 @@ def _refuse_other_unit(file: ModelFile, longest: float) -> None:
         return
     fits = [unit for unit, m in UNITS_M.items() if 0.99 * low <= longest * m <= 1.01 * high]
     whose = "a part has" if file.diameter_m is None else "models_info.json says"
-    unit = f"; it seems to be in {fits[0]}" if len(fits) == 1 or file.diameter_m else ""
+    unit = f"; it seems to be in {fits[0]}" if fits and (len(fits) == 1 or file.diameter_m) else ""
     raise Refusal(
         f"its longest side is {longest:.4g} {file.unit}, {whose} {low / UNITS_M['mm']:.4g} to "
         f"{high / UNITS_M['mm']:.4g} mm{unit}; export it in {file.unit}"
     )
 
 
-def _names_texture(path: Path) -> bool:
+def _header(path: Path) -> bytes:
+    """Of a PLY file; of another nothing."""
     with path.open("rb") as stream:
-        return b"TextureFile" in stream.read(4096).partition(b"end_header")[0]
+        return stream.read(4096).partition(b"end_header")[0] if path.suffix == ".ply" else b""
 
 
 def _texture(

@@ -7,7 +7,7 @@ forward). Depth is z of that frame in metres.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -33,6 +33,7 @@ class SourceImage:
     step_m: float = 0.0
 
 
+@runtime_checkable
 class Source(Protocol):
     """A dataset of others, or one of its splits; images are read when they are asked for.
 
@@ -50,22 +51,16 @@ class Source(Protocol):
 
     @property
     def folder(self) -> Path: ...
-
     @property
     def split(self) -> str: ...
-
     @property
     def sensor(self) -> str: ...
-
     @property
     def scenes(self) -> Mapping[int, Path]: ...
-
     @property
     def images(self) -> tuple[tuple[int, int], ...]: ...
-
     @property
     def parts(self) -> Mapping[int, Part]: ...
-
     @property
     def plain(self) -> frozenset[int]: ...
 

@@ -1,24 +1,27 @@
 """Depth, colours, cameras and poses of others: read without trust, and refused in one line."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import final
+from typing import Any, TypeVar, final
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
+from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
-from ...dataset.records import MM_PER_M
+from ...dataset.safe_reading import Unreadable, read_json
 from ...rig.optics import Optics, optics_of
 from ...world.parts import Part
 from ..depth_file import in_metres, read_image
 from ..picture_pairs import refuse_damaged
 from .source import SourceImage
 
-NO_OBJECTS = (np.zeros(0, np.int64), np.zeros((0, 4, 4)))
+REPAIR = "repair the file, or download it again"
 _ROUNDED = 2e-3  # Files with three digits have rotations that are off by half of it.
+
+R = TypeVar("R", bound=BaseModel)
 
 
 @final
@@ -33,7 +36,7 @@ class FileSource:
     plain: frozenset[int]
     image_of: Callable[[int, int], SourceImage]
     sensor: str = ""
-    is_bop: bool = False
+    scenes: Mapping[int, Path] = field(default_factory=dict)
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         if (scene_id, image_id) not in self.images:
@@ -41,7 +44,53 @@ class FileSource:
         return self.image_of(scene_id, image_id)
 
 
-def depth_steps(path: Path) -> np.ndarray:
+def record_of(path: Path, form: type[R]) -> R:
+    """A JSON file as the record that it must be, or a DatasetError."""
+    try:
+        return read_json(path, form)
+    except Unreadable as error:
+        raise DatasetError(f"{path.parent}/{error}: {REPAIR}") from error
+
+
+def source_image(
+    depth_m: Float[np.ndarray, "h w"],
+    rgb: Path | None,
+    camera: tuple[Any, str],
+    objects: Sequence[tuple[int, np.ndarray]] = (),
+    distortion: Sequence[float] = (0.0,) * 5,
+    *,
+    step_m: float,
+) -> SourceImage:
+    """An image of its depth and its files.
+
+    Args:
+        depth_m: as of `stored_depth`.
+        rgb: the colour or grey picture.
+        camera: the matrix by rows, and where it stands.
+        objects: id and pose of each.
+        distortion: of the camera.
+        step_m: of which stored depth is a multiple.
+
+    Raises:
+        DatasetError: the picture is of another size or damaged, or the matrix is that of no camera.
+    """
+    colours = None if rgb is None else _rgb(rgb)
+    if colours is not None and colours.shape[:2] != depth_m.shape:
+        (rows, columns), (h, w) = colours.shape[:2], depth_m.shape
+        raise DatasetError(
+            f"{rgb}: is {columns} x {rows} pixels, its depth {w} x {h}: give both of one camera"
+        )
+    return SourceImage(
+        camera=camera_of(*camera, depth_m.shape, distortion),
+        depth_m=depth_m,
+        rgb=colours,
+        obj_id=np.array([obj_id for obj_id, _ in objects], np.int64),
+        T_cam_part=np.array([T for _, T in objects], float).reshape(-1, 4, 4),
+        step_m=step_m,
+    )
+
+
+def stored_steps(path: Path) -> np.ndarray:
     """Stored depth of one channel: whole numbers of 16 bits, or floats.
 
     Raises:
@@ -49,42 +98,34 @@ def depth_steps(path: Path) -> np.ndarray:
     """
     steps = _picture(path)
     if steps.ndim != 2 or (steps.dtype != np.uint16 and steps.dtype.kind != "f"):
-        shape = " x ".join(str(length) for length in steps.shape)
         raise DatasetError(
-            f"{path}: is {shape} of {steps.dtype}: depth has one channel of 16 bits or of floats: "
-            "export it again without a colour map"
+            f"{path}: is {steps.dtype} {steps.shape}: depth has one channel of 16 bits or of "
+            "floats: export it again without a colour map"
         )
     return steps
 
 
-def depth_of_steps(steps: np.ndarray, scale_mm: float, path: Path) -> Float[np.ndarray, "h w"]:
+def stored_depth(path: Path, scale_m: float) -> Float[np.ndarray, "h w"]:
     """Depth [m]; 0 and what is not finite is NaN.
 
     Raises:
-        DatasetError: depth is negative, or too far for millimetres.
+        DatasetError: as of `stored_steps`, or depth is negative or too far.
     """
-    depth_m = in_metres(steps, scale_mm / MM_PER_M, str(path))
+    depth_m = in_metres(stored_steps(path), scale_m, str(path))
     if (depth_m < 0).any():
         raise DatasetError(f"{path}: has negative depth: give z of the camera frame, which is > 0")
     return depth_m
 
 
-def picture_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """A colour picture, or a grey one with three equal bands; 16 bits become 8.
-
-    Raises:
-        DatasetError: the file is missing, damaged, or of another kind.
-    """
+def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """A colour picture, or a grey one with three equal bands; 16 bits become 8."""
     image = _picture(path)
+    image = image[..., None] if image.ndim == 2 else image
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
-    if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)):
-        raise DatasetError(
-            f"{path}: is {image.dtype} {image.shape}: give 8 or 16 bits of a picture"
-        )
-    if image.ndim == 2 or image.shape[2] == 1:
-        return np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
-    return np.ascontiguousarray(image[..., 2::-1])
+    if image.dtype != np.uint8 or image.shape[2] not in (1, 3, 4):
+        raise DatasetError(f"{path}: is {image.dtype} {image.shape}: give a picture of 8 bits")
+    return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[..., 2::-1].copy()
 
 
 def _picture(path: Path) -> np.ndarray:
@@ -95,57 +136,37 @@ def _picture(path: Path) -> np.ndarray:
 
 
 def camera_of(
-    K: Sequence[float] | Float[np.ndarray, "3 3"],
-    size_px: tuple[int, int],
-    where: str,
-    distortion: Sequence[float] = (0.0,) * 5,
+    K: Any, where: str, size_px: tuple[int, ...], distortion: Sequence[float] = (0.0,) * 5
 ) -> Optics:
-    """The camera of a matrix, by rows.
+    """The camera of a matrix by rows; `size_px` is height and width.
 
     Raises:
         DatasetError: the matrix is that of no camera, or has a skew.
     """
-    (fx, skew, _), (zero, fy, _), last = np.reshape(K, (3, 3)).astype(float).tolist()
+    matrix = np.reshape(K, (3, 3)).astype(float)
+    (fx, skew, _), (zero, fy, _), last = matrix.tolist()
     if min(fx, fy) <= 0 or max(abs(skew), abs(zero)) > 1e-6 * fx or last != [0.0, 0.0, 1.0]:
-        numbers = ", ".join(f"{number:.6g}" for number in np.ravel(K))
         raise DatasetError(
-            f"{where}: [{numbers}] is no camera matrix: give [fx, 0, cx, 0, fy, cy, 0, 0, 1] with "
-            "fx and fy greater than 0"
+            f"{where}: {matrix.ravel().tolist()} is no camera matrix: give [fx, 0, cx, 0, fy, cy, "
+            "0, 0, 1] with fx and fy greater than 0"
         )
     try:
-        return optics_of(np.reshape(K, (3, 3)).astype(float), size_px, distortion)
+        return optics_of(matrix, (size_px[0], size_px[1]), distortion)
     except ValueError as error:
         raise DatasetError(f"{where}: {error}") from error
 
 
-def pose_of(
-    rotation: Sequence[float] | Float[np.ndarray, "3 3"], translation_m: np.ndarray, where: str
-) -> Float[np.ndarray, "4 4"]:
+def pose_of(rotation: Any, translation_m: Any, where: str) -> Float[np.ndarray, "4 4"]:
     """A pose of a file; its rotation is the one nearest to the rounded numbers.
 
     Raises:
         DatasetError: the numbers are no rotation, or are not finite.
     """
-    stored = np.reshape(rotation, (3, 3)).astype(float)
-    if not is_rigid(rigid(stored, np.asarray(translation_m, float)), tolerance=_ROUNDED):
+    T = rigid(np.reshape(rotation, (3, 3)).astype(float), np.asarray(translation_m, float))
+    if not is_rigid(T, tolerance=_ROUNDED):
         raise DatasetError(
             f"{where}: its pose is no rotation and translation: give an orthonormal matrix with "
             "determinant +1, by rows and without a scale"
         )
-    left, _, right = np.linalg.svd(stored)
-    return rigid(left @ right, np.asarray(translation_m, float))
-
-
-def objects_of(
-    obj_id: Sequence[int], poses: Sequence[np.ndarray]
-) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
-    return np.array(obj_id, np.int64), np.array(poses, float).reshape(-1, 4, 4)
-
-
-def refuse_other_size(rgb: np.ndarray | None, depth_m: np.ndarray, path: Path) -> None:
-    """Raises DatasetError where a colour picture is not of the depth's size."""
-    if rgb is not None and rgb.shape[:2] != depth_m.shape:
-        (rows, columns), (h, w) = rgb.shape[:2], depth_m.shape
-        raise DatasetError(
-            f"{path}: is {columns} x {rows} pixels, its depth {w} x {h}: give both of one camera"
-        )
+    left, _, right = np.linalg.svd(T[:3, :3])
+    return rigid(left @ right, T[:3, 3])

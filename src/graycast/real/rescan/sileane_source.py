@@ -1,0 +1,241 @@
+"""Images of the Siléane and of the Fraunhofer IPA Bin-Picking dataset, of one kind of part each.
+
+Depth has 16 bits from one clipping plane to the other, lengths are metres, and the mesh is
+`mesh.ply`. No file of either was at hand: what contradicts this is refused.
+
+Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): poses and the camera, a
+place and a quaternion w x y z, are in one absolute frame; white depth is not known. Real scenes
+have no `depth_gt`, and their `depth` is measured. Source: R. Brégier et al., "Symmetry aware
+evaluation of 3D object detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
+rbregier.github.io/dataset2017. That the quaternion turns the camera's frame into the absolute one
+and that meshes are in metres is what public readers take.
+
+IPA (`parameter.json`, `p_depth/cycle_0000/001_depth_uint16.png`, `gt/cycle_0000/001.csv`, `p_rgb`):
+a picture is cut out of a square one with the axis in its middle; orthographic ones (`o_depth`) are
+no camera's. Poses go to a frame with x left and y up. A row has id, class, translation, the three
+columns of the rotation, and shares that are visible; id 0 is the bin. Source: K. Kleeberger et al.,
+"Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS 2019; the rest is
+what public readers take (PPR-Net). Not verified: that depth of 0 and 65535 is not known.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, RootModel
+
+from ...base.errors import DatasetError
+from ...base.frames import inverse, rigid, rotation_from_quaternion
+from ...dataset.records import Count, Positive, Vector
+from ...dataset.safe_reading import Unreadable, record_as
+from .model_files import NO_MODELS, ModelFile, read_models
+from .source import SourceImage
+from .source_files import REPAIR, FileSource, pose_of, record_of, source_image, stored_steps
+from .source_options import SourceOptions
+
+SILEANE, IPA = "camera_params.txt", "parameter.json"
+_WHITE = 65535
+_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left and y up become x right and y down.
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    clip_start: Positive
+    clip_end: Positive
+
+
+class _CameraParams(_Record):
+    width: Count
+    height: Count
+    fu: Positive
+    fv: Positive
+    cu: float
+    cv: float
+    location: Vector
+    rotation: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Parameter(_Record):
+    perspectiveAngle: Annotated[float, Field(ge=0, lt=180)]  # [deg], of the square picture
+    resolutionX: Count
+    resolutionY: Count
+    resolution_big: Annotated[int, Field(ge=1)]
+    pixelOffset_X_KoSyTopLeft: int
+    pixelOffset_Y_KoSyTopLeft: int
+
+
+class _Pose(BaseModel):
+    R: Annotated[list[Vector], Field(min_length=3, max_length=3)]
+    t: Vector
+
+
+class _Poses(RootModel[list[_Pose]]):
+    pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Camera:
+    """What all images of a folder share; `poses` reads those of an image by its depth file."""
+
+    path: Path
+    K: list[float]
+    size_px: tuple[int, int]  # columns and rows
+    record: _Record
+    unknown: tuple[int, ...]
+    rgb_name: Callable[[Path], Path]
+    poses: Callable[[Path], list[np.ndarray]]
+
+
+def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
+    """The images of one of Siléane's objects; image i is the i-th of the sorted names.
+
+    Raises:
+        DatasetError: a file is missing, damaged or contradicts another.
+    """
+    path = folder / SILEANE
+    try:
+        rows = (line.split() for line in path.read_text(encoding="utf-8").splitlines())
+        numbers = {key: [float(value) for value in values] for key, *values in filter(None, rows)
+                   if key in _CameraParams.model_fields}  # fmt: skip
+        content = {k: v[0] if len(v) == 1 else v for k, v in numbers.items()}
+        camera = record_as(content, _CameraParams, str(path))
+    except (OSError, ValueError, Unreadable) as error:
+        raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
+    w, *xyz = camera.rotation
+    R = rotation_from_quaternion(np.array([*xyz, w]) / max(np.linalg.norm(camera.rotation), 1e-9))
+    T_cam_world = inverse(rigid(R, np.array(camera.location)))
+
+    def poses(depth: Path) -> list[np.ndarray]:
+        file = folder / "gt" / f"{depth.stem}.json"
+        stored = enumerate(record_of(file, _Poses).root)
+        return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
+
+    common = _Camera(
+        path=path,
+        K=[camera.fu, 0.0, camera.cu, 0.0, camera.fv, camera.cv, 0.0, 0.0, 1.0],
+        size_px=(camera.width, camera.height),
+        record=camera,
+        unknown=(_WHITE,),
+        rgb_name=lambda depth: folder / "rgb" / depth.name,
+        poses=poses,
+    )
+    name = "depth_gt" if (folder / "depth_gt").is_dir() else "depth"
+    files = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
+    return _source(folder, {(0, i): path for i, path in enumerate(files)}, common, options)
+
+
+def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
+    """The images of a folder of the IPA dataset; a cycle is a scene.
+
+    Raises:
+        DatasetError: a file is missing, damaged or contradicts another, or is orthographic.
+    """
+    path = folder / IPA
+    camera = record_of(path, _Parameter)
+    if camera.perspectiveAngle == 0 or not (folder / "p_depth").is_dir():
+        raise DatasetError(
+            f"{path}: of orthographic depth, which no camera takes: give a folder with p_depth and "
+            "a perspectiveAngle greater than 0"
+        )
+    big = camera.resolution_big
+    f = big / 2 / math.tan(math.radians(camera.perspectiveAngle) / 2)
+    cx, cy = (
+        (big - 1) / 2 - offset
+        for offset in (camera.pixelOffset_X_KoSyTopLeft, camera.pixelOffset_Y_KoSyTopLeft)
+    )
+    ending = "_depth_uint16.png"
+
+    def beside(kind: str, depth: Path, end: str) -> Path:
+        return folder / kind / depth.parent.name / (depth.name.removesuffix(ending) + end)
+
+    common = _Camera(
+        path=path,
+        K=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
+        size_px=(camera.resolutionX, camera.resolutionY),
+        record=camera,
+        unknown=(0, _WHITE),
+        rgb_name=lambda depth: beside("p_rgb", depth, "_rgb.png"),
+        poses=lambda depth: [_FROM_IPA @ T for T in _rows(beside("gt", depth, ".csv"))],
+    )
+    images = {}
+    for file in sorted((folder / "p_depth").glob(f"cycle_*/*{ending}")):
+        if match := re.fullmatch(rf"cycle_(\d+)/(\d+){ending}", f"{file.parent.name}/{file.name}"):
+            images[int(match[1]), int(match[2])] = file
+    return _source(folder, images, common, options)
+
+
+def _rows(path: Path) -> list[np.ndarray]:
+    """The poses of a table of IPA, in its frame of the camera."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()[1:]
+        rows = [[float(word) for word in line.split(",")] for line in lines if line.strip()]
+        if any(len(row) < 14 for row in rows):
+            raise ValueError("a row has less than 14 numbers")
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
+    return [
+        pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
+        for row in rows
+        if row[0] > 0
+    ]
+
+
+def _source(
+    folder: Path, files: Mapping[tuple[int, int], Path], camera: _Camera, options: SourceOptions
+) -> FileSource:
+    if not files:
+        raise DatasetError(f"{folder}: has no depth pictures: download it again")
+    models = NO_MODELS
+    if not options.depth_only:
+        mesh = options.models or folder
+        mesh = mesh / "mesh.ply" if mesh.is_dir() else mesh
+        if not mesh.is_file():
+            raise DatasetError(
+                f"{mesh}: no such mesh: give --models FILE, or leave objects out with --depth-only"
+            )
+        model = ModelFile(path=mesh, name=folder.name, unit="m")
+        models = read_models({1: model}, {1}, options.materials)
+    return FileSource(
+        folder=folder,
+        split=folder.name,
+        images=tuple(files),
+        parts=models.parts,
+        plain=models.plain,
+        image_of=partial(_image, files, camera, options.depth_only),
+    )
+
+
+def _image(
+    files: Mapping[tuple[int, int], Path],
+    camera: _Camera,
+    depth_only: bool,
+    scene_id: int,
+    image_id: int,
+) -> SourceImage:
+    depth = files[scene_id, image_id]
+    steps: Any = stored_steps(depth)
+    rows, columns = steps.shape
+    if steps.dtype != np.uint16 or (columns, rows) != camera.size_px:
+        w, h = camera.size_px
+        raise DatasetError(
+            f"{depth}: is {steps.dtype}, {columns} x {rows} pixels, and {camera.path.name} says "
+            f"{w} x {h} with 16 bits: download both again"
+        )
+    start_m, end_m = camera.record.clip_start, camera.record.clip_end
+    if start_m >= end_m:
+        raise DatasetError(f"{camera.path}: clip_start {start_m} is not before clip_end: {REPAIR}")
+    depth_m = start_m + (end_m - start_m) * steps / float(_WHITE)
+    rgb = camera.rgb_name(depth)
+    return source_image(
+        np.where(np.isin(steps, camera.unknown), np.nan, depth_m),
+        rgb if rgb.is_file() else None,
+        (camera.K, str(camera.path)),
+        () if depth_only else [(1, T) for T in camera.poses(depth)],
+        step_m=(end_m - start_m) / _WHITE,
+    )

@@ -1,0 +1,113 @@
+"""Folders of depth alone, and which layout a folder has."""
+
+import json
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import DatasetError
+from graycast.real.rescan.open_source import open_source
+from graycast.real.rescan.source_options import SourceOptions
+
+from .scene_files import CAMERA, png, true_depth_m, write_dataset, write_json
+
+K = CAMERA.K.tolist()
+
+
+def opened(path, **options):
+    return open_source(path, SourceOptions(**options))
+
+
+def refusal(path, *words, **options):
+    with pytest.raises(DatasetError) as caught:
+        source = opened(path, **options)
+        for scene_id, image_id in source.images:
+            source.read(scene_id, image_id)
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.fixture
+def intrinsics(tmp_path):
+    write_json(tmp_path / "K.json", {"K": K})
+    return str(tmp_path / "K.json")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"K": K},
+        {"cam_K": np.ravel(K).tolist()},
+        {"fx": 90.0, "fy": 91.0, "cx": 31.0, "cy": 24.5, "width": 64},
+        "90,91,31,24.5",
+    ],
+)
+def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
+    folder = tmp_path / "scans"
+    (folder / "depth").mkdir(parents=True)
+    np.save(folder / "depth/b.npy", true_depth_m())
+    far = true_depth_m() + 0.5
+    far[3, 4] = np.nan
+    np.save(folder / "depth/a.npy", far)
+    text = content
+    if not isinstance(content, str):
+        text = str(tmp_path / "camera.json")
+        (tmp_path / "camera.json").write_text(json.dumps(content))
+    source = opened(folder / "depth", intrinsics=text)
+    assert (source.split, source.scenes, source.parts) == ("depth", {}, {})
+    assert source.images == ((0, 0), (0, 1))
+    assert source.read(0, 0).camera == CAMERA
+    assert np.array_equal(source.read(0, 0).depth_m, far, equal_nan=True)
+    image = source.read(0, 1)
+    assert np.array_equal(image.depth_m, true_depth_m())
+    assert image.rgb is None and len(image.obj_id) == len(image.T_cam_part) == 0
+
+
+def test_whole_numbers_have_the_scale_of_the_user(tmp_path, intrinsics):
+    steps = np.rint(true_depth_m() * 1e4).astype(np.uint16)
+    rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    png(tmp_path / "depth/x.png", steps)
+    png(tmp_path / "rgb/x.png", rgb[..., ::-1])
+    refusal(tmp_path, "x.png", "--depth-scale", intrinsics=intrinsics)
+    image = opened(tmp_path, intrinsics=intrinsics, depth_scale_mm=0.1).read(0, 0)
+    assert np.abs(image.depth_m - true_depth_m()).max() <= 0.51e-4
+    assert np.array_equal(image.rgb, rgb)
+    png(tmp_path / "rgb/x.png", rgb[:20])
+    refusal(tmp_path, "64 x 48", "64 x 20", intrinsics=intrinsics, depth_scale_mm=0.1)
+    png(tmp_path / "depth/x.png", (steps >> 8).astype(np.uint8))
+    refusal(tmp_path, "x.png", "16 bits", intrinsics=intrinsics, depth_scale_mm=0.1)
+
+
+def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
+    (tmp_path / "depth").mkdir()
+    refusal(tmp_path, "--intrinsics")
+    refusal(tmp_path, "depth", intrinsics=intrinsics)
+    np.save(tmp_path / "depth/a.npy", true_depth_m() * 1000)
+    refusal(tmp_path, "a.npy", "millimetres", intrinsics=intrinsics)
+    np.save(tmp_path / "depth/a.npy", -true_depth_m())
+    refusal(tmp_path, "a.npy", "z axis", intrinsics=intrinsics)
+    refusal(tmp_path, "leave out --sensor", intrinsics=intrinsics, sensor="a")
+    write_json(tmp_path / "K.json", {"fx": -90.0, "fy": 91.0, "cx": 31.0, "cy": 24.5})
+    refusal(tmp_path, "K.json", "camera matrix", intrinsics=intrinsics)
+    (tmp_path / "depth/a.npy").rename(tmp_path / "depth/a.exr")
+    write_json(tmp_path / "K.json", {"K": K})
+    refusal(tmp_path, "EXR", "NPY", intrinsics=intrinsics)
+
+
+def test_a_folder_says_which_layout_it_has(tmp_path):
+    split = write_dataset(tmp_path / "lm")
+    assert opened(split).scenes
+    refusal(split, "layout BOP", "leave out --intrinsics", intrinsics="1,1,1,1")
+    refusal(tmp_path / "lm", "whole dataset", "train_pbr")
+    refusal(split / "000000", "one scene", str(split))
+    refusal(tmp_path / "lm/models", "no scenes", "lm/train_pbr")
+    refusal(tmp_path / "nowhere", "no such folder")
+    refusal(tmp_path / "lm/models/obj_000001.ply", "no folder")
+    with pytest.raises(DatasetError, match="no image 5 of scene 0"):
+        opened(split).read(0, 5)
+    link = tmp_path / "lm/linked"
+    (tmp_path / "big").mkdir()
+    split.rename(tmp_path / "big/train_pbr")
+    link.symlink_to(tmp_path / "big/train_pbr")
+    assert list(opened(link).parts) == [1]

@@ -39,6 +39,7 @@ from .source_files import REPAIR, FileSource, pose_of, record_of, source_image, 
 from .source_options import SourceOptions
 
 SILEANE, IPA = "camera_params.txt", "parameter.json"
+_IPA_DEPTH = "_depth_uint16.png"
 _WHITE = 65535
 _FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left and y up become x right and y down.
 
@@ -110,24 +111,28 @@ def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
     w, *xyz = camera.rotation
     R = rotation_from_quaternion(np.array([*xyz, w]) / max(np.linalg.norm(camera.rotation), 1e-9))
     T_cam_world = inverse(rigid(R, np.array(camera.location)))
-
-    def poses(depth: Path) -> list[np.ndarray]:
-        file = folder / "gt" / f"{depth.stem}.json"
-        stored = enumerate(record_of(file, _Poses).root)
-        return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
-
     common = _Camera(
         path=path,
         K=[camera.fu, 0.0, camera.cu, 0.0, camera.fv, camera.cv, 0.0, 0.0, 1.0],
         size_px=(camera.width, camera.height),
         record=camera,
         unknown=(_WHITE,),
-        rgb_name=lambda depth: folder / "rgb" / depth.name,
-        poses=poses,
+        rgb_name=_rgb_of_sileane,
+        poses=partial(_poses_of_sileane, T_cam_world),
     )
     name = "depth_gt" if (folder / "depth_gt").is_dir() else "depth"
     files = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
     return _source(folder, {(0, i): path for i, path in enumerate(files)}, common, options)
+
+
+def _rgb_of_sileane(depth: Path) -> Path:
+    return depth.parents[1] / "rgb" / depth.name
+
+
+def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
+    file = depth.parents[1] / "gt" / f"{depth.stem}.json"
+    stored = enumerate(record_of(file, _Poses).root)
+    return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
@@ -149,25 +154,31 @@ def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
         (big - 1) / 2 - offset
         for offset in (camera.pixelOffset_X_KoSyTopLeft, camera.pixelOffset_Y_KoSyTopLeft)
     )
-    ending = "_depth_uint16.png"
-
-    def beside(kind: str, depth: Path, end: str) -> Path:
-        return folder / kind / depth.parent.name / (depth.name.removesuffix(ending) + end)
-
     common = _Camera(
         path=path,
         K=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
         size_px=(camera.resolutionX, camera.resolutionY),
         record=camera,
         unknown=(0, _WHITE),
-        rgb_name=lambda depth: beside("p_rgb", depth, "_rgb.png"),
-        poses=lambda depth: [_FROM_IPA @ T for T in _rows(beside("gt", depth, ".csv"))],
+        rgb_name=partial(_beside, "p_rgb", "_rgb.png"),
+        poses=_poses_of_ipa,
     )
     images = {}
-    for file in sorted((folder / "p_depth").glob(f"cycle_*/*{ending}")):
-        if match := re.fullmatch(rf"cycle_(\d+)/(\d+){ending}", f"{file.parent.name}/{file.name}"):
+    for file in sorted((folder / "p_depth").glob(f"cycle_*/*{_IPA_DEPTH}")):
+        place = f"{file.parent.name}/{file.name}"
+        if match := re.fullmatch(rf"cycle_(\d+)/(\d+){_IPA_DEPTH}", place):
             images[int(match[1]), int(match[2])] = file
     return _source(folder, images, common, options)
+
+
+def _beside(kind: str, end: str, depth: Path) -> Path:
+    """Another file of the image of a depth picture, in its folder of the same cycle."""
+    name = depth.name.removesuffix(_IPA_DEPTH) + end
+    return depth.parents[2] / kind / depth.parent.name / name
+
+
+def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
+    return [_FROM_IPA @ T for T in _rows(_beside("gt", ".csv", depth))]
 
 
 def _rows(path: Path) -> list[np.ndarray]:

@@ -4,6 +4,7 @@ arguments            the table of the flags that several commands share
 bars                 progress and the time that is left
 start_commands       demo, new, doctor, schema
 scene_commands       preview, generate, live, validate, report, parts
+rescan_command       rescan
 dataset_commands     the group dataset
 detector_commands    the group detector
 robot_commands       the group robot

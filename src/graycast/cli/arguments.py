@@ -235,9 +235,13 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "--device", default="auto")
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
+def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
+    """Add the argument `rig`, or the option `--rig` as a `flag`, and `--resolution`."""
     presets = f"a path to a rig file, or the name of a preset: {', '.join(PRESETS)}"
-    add_option(parser, "rig", str, f"The rig: {presets}.")
+    if flag:
+        add_option(parser, "--rig", str, f"The rig: {presets}.", required=True, metavar="RIG")
+    else:
+        add_option(parser, "rig", str, f"The rig: {presets}.")
     add_shared(parser, "--resolution", usual="low")
 
 

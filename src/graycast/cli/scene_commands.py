@@ -22,6 +22,7 @@ from .arguments import (
     workers_of,
 )
 from .bars import open_bars, open_stages
+from .rescan_command import add_rescan
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -72,6 +73,7 @@ def add_commands(commands) -> None:
     add_shared(generate, "--seed", "--backend", usual="as configured")
     add_device(generate)
     add_workers(generate)
+    add_rescan(commands)
 
     live = add_command(
         commands, "live", _live, "Show a cell in the browser, and change its settings there.",

@@ -19,6 +19,8 @@ from .models import TEXTURE, diameter
 from .places import CLAIM, camera_file, finished_scenes
 from .plain_scene import Model
 from .real import RealClaim, read_claim, real_problems
+from .rescan_check import rescan_problems
+from .rescanned import is_rescanned
 from .safe_reading import Unreadable, read_json
 from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
@@ -50,7 +52,8 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
 
     Grasp labels, where there are any, must be of the dataset's own instances and poses.
 
-    Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
+    Of real pictures only what they hold is checked: pictures, masks, counts and run lengths. Of a
+    rescan, only what the scanner added.
 
     In addition to the digests, the contents of the files must be consistent; `sense/` describes
     these checks and their limits.
@@ -59,11 +62,14 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
         DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
     """
     out = Path(out)
+    if is_rescanned(out):
+        found = rescan_problems(out, fast=fast)
+        return tuple(Problem(scene=scene, what=what) for scene, what in found)
     claim, finished = read_claim(out), sorted(finished_scenes(out))
     if isinstance(claim, RealClaim):
-        found = () if fast else real_problems(out)
+        of_real = () if fast else real_problems(out)
         sums = _sum_problems(out, finished)
-        return (*sums, *(Problem(scene=scene, what=what) for scene, what in found))
+        return (*sums, *(Problem(scene=scene, what=what) for scene, what in of_real))
     problems = [Problem(scene=None, what=what) for what in _leftovers(out)]
     problems += [Problem(scene=None, what=what) for what in _claim_problems(out, claim)]
     problems += _sum_problems(out, finished)

@@ -36,6 +36,7 @@ from .records import (
     SceneCoco,
     split_annotation,
 )
+from .rescanned import is_rescanned
 from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
@@ -122,6 +123,11 @@ def read_claim(out: Path) -> Claim | RealClaim:
     Raises:
         DatasetError: it is missing, damaged or of another version of Graycast.
     """
+    if is_rescanned(out):
+        raise DatasetError(
+            f"{out} has scanner depth for a dataset of others: give the folder of its split, where "
+            "training examples are read, or use graycast validate and graycast report"
+        )
     try:
         if is_real(out):
             return read_json(out / "graycast.json", RealClaim)
@@ -136,6 +142,8 @@ def absent(out: Path) -> tuple[str, ...]:
     Raises:
         DatasetError: as `read_claim`.
     """
+    if is_rescanned(out):
+        return ()
     claim = read_claim(out)
     if isinstance(claim, Claim):
         return ()

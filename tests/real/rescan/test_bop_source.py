@@ -62,7 +62,7 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     rgb = np.full((48, 64, 3), (200, 90, 40), np.uint8)
     split = write_dataset(tmp_path, images=(0, 7), rgb=rgb)
     source = pickle.loads(pickle.dumps(opened(split)))
-    assert (source.split, source.sensor, source.is_bop) == ("train_pbr", "", True)
+    assert (source.split, source.sensor, len(source.scenes)) == ("train_pbr", "", 1)
     assert source.images == ((0, 0), (0, 7))
     image = source.read(0, 7)
     assert np.abs(image.depth_m - true_depth_m()).max() <= SCALE_MM / 2e3 * 1.001
@@ -73,7 +73,7 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     assert np.allclose(image.T_cam_part, POSE, rtol=0, atol=1e-9)
     assert np.allclose(source.parts[1].mesh.extent_m, SIDE_MM / 1e3)
     assert source.parts[1].name == "obj_000001"
-    assert source.unknown_look == {1}
+    assert source.plain == {1}
 
 
 def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path):

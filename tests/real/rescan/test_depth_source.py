@@ -56,7 +56,7 @@ def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
         text = str(tmp_path / "camera.json")
         (tmp_path / "camera.json").write_text(json.dumps(content))
     source = pickle.loads(pickle.dumps(opened(folder / "depth", intrinsics=text)))
-    assert (source.split, source.is_bop, source.parts) == ("depth", False, {})
+    assert (source.split, source.scenes, source.parts) == ("depth", {}, {})
     assert source.images == ((0, 0), (0, 1))
     assert source.read(0, 0).camera == CAMERA
     assert np.array_equal(source.read(0, 0).depth_m, far, equal_nan=True)
@@ -100,7 +100,7 @@ def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
 
 def test_a_folder_says_which_layout_it_has(tmp_path):
     split = write_dataset(tmp_path / "lm")
-    assert opened(split).is_bop
+    assert opened(split).scenes
     refusal(split, "layout BOP", "leave out --intrinsics", intrinsics="1,1,1,1")
     refusal(tmp_path / "lm", "whole dataset", "train_pbr")
     refusal(split / "000000", "one scene", str(split))

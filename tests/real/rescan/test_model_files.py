@@ -58,7 +58,7 @@ def test_colours_of_vertices_become_one_colour_for_each_face(tmp_path):
     colors = np.random.default_rng(0).integers(0, 256, (8, 3))
     write_models(tmp_path, colors=colors)
     models = read(tmp_path)
-    assert models.unknown_look == frozenset()
+    assert models.plain == frozenset()
     mesh, material = models.parts[1].mesh, models.parts[1].material
     pixels, off_centre = looked_up(material, mesh.corner_uv)
     assert material.texture.shape == (4, 4, 3)  # 12 faces
@@ -102,7 +102,7 @@ def test_an_open_mesh_has_normals_and_no_look_of_its_own(tmp_path):
     write_models(tmp_path, faces=FACES[:-2])
     models = read(tmp_path)
     mesh = models.parts[1].mesh
-    assert models.unknown_look == {1} and len(mesh.faces) == 10
+    assert models.plain == {1} and len(mesh.faces) == 10
     assert np.allclose(mesh.corner_normals, mesh.face_normal[:, None], atol=1e-9)
 
 
@@ -145,7 +145,7 @@ def test_materials_go_by_id_by_name_and_by_default(tmp_path):
     assert models.parts[1].material.texture is not None
     assert models.parts[2].material == material_preset("steel-brushed").material
     assert models.parts[3].material.roughness == 0.9
-    assert models.unknown_look == frozenset()
+    assert models.plain == frozenset()
     looks.write_text("default: rubber\nobj_000003: brass\n")
     models = read(tmp_path, looks)
     assert models.parts[1].material == material_preset("rubber").material

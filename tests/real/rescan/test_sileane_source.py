@@ -76,7 +76,7 @@ def test_a_scene_of_sileane_is_in_the_cameras_frame(tmp_path):
     """Oracle: the pose that was taken to the absolute frame by the inverse of that motion."""
     assert np.allclose(inverse(T_WORLD_CAM) @ T_WORLD_CAM @ POSE, POSE)
     source = pickle.loads(pickle.dumps(open_source(write_sileane(tmp_path / "bunny"))))
-    assert (source.split, source.is_bop, source.sensor) == ("bunny", False, "")
+    assert (source.split, source.scenes, source.sensor) == ("bunny", {}, "")
     assert source.images == ((0, 0), (0, 1))
     check(source.read(0, 1))
     empty = source.read(0, 0)

@@ -22,8 +22,9 @@ from ...base.errors import DatasetError
 from ...base.file_limits import check_runs, parse_json
 from ..example import Example, metres, pose_m
 from ..records import Images, Positive
+from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
 from ..safe_reading import Unreadable
-from ..scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
+from ..scene_folder import SCANNER, AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
 from .from_bytes import boxes, masks, picture
 
 
@@ -201,11 +202,23 @@ class _View(AnyView):
     depth_scale: Positive = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """An image of a scene; `perfect` has the same pixels without a scanner's errors, or is None."""
+
+    scene: SceneFolder
+    image: int
+    perfect: SceneFolder | None
+
+
 def _open_bop(path: Path) -> Foreign:
-    place: list[tuple[SceneFolder, int]] = []
+    rescan = read_rescan(path.parent) if is_rescanned(path.parent) else None
+    place: list[_Place] = []
     obj_ids: set[int] = set()
-    for folder in scene_folders(path):
-        scene = SceneFolder(folder)
+    for folder in scene_folders(path) if rescan is None else scene_folders(path, SCANNED_POSES):
+        scene = SceneFolder(folder, "" if rescan is None else SCANNER[1:])
+        alike = rescan is not None and rescan.config["camera"] == "image"
+        perfect = SceneFolder(folder, rescan.config["sensor"]) if rescan and alike else None
         try:
             annotations = scene.record("scene_gt", Images[list[AnyPose]]).root
         except Unreadable as error:
@@ -213,18 +226,18 @@ def _open_bop(path: Path) -> Foreign:
                 f"{folder}/{error}: each key must be the number of an image, and hold the list of "
                 "its objects, each with obj_id (a whole number), cam_R_m2c and cam_t_m2c"
             ) from error
-        place += [(scene, image) for image in sorted(annotations)]
+        place += [_Place(scene, image, perfect) for image in sorted(annotations)]
         obj_ids |= {one.obj_id for objects in annotations.values() for one in objects}
     return Foreign(
-        scene_of=tuple(int(scene.path.name) for scene, _ in place),
+        scene_of=tuple(int(one.scene.path.name) for one in place),
         categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
         read=partial(_bop_example, tuple(place)),
     )
 
 
-def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Example:
-    """BOP has one depth, rendered or measured; it is given as both."""
-    scene, image = place[number]
+def _bop_example(place: tuple[_Place, ...], number: int) -> Example:
+    """BOP has one depth, rendered or measured, which is given as both; a rescan has two."""
+    scene, image, perfect = place[number].scene, place[number].image, place[number].perfect
     try:
         poses = scene.of_instances("scene_gt", image, AnyPose)
         infos = scene.of_instances("scene_gt_info", image, AnyInfo)
@@ -253,14 +266,19 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
             "repair the damaged files, or remove the image from all three"
         ) from error
     pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in instances]
-    depth_m = None if steps is None else metres(steps, camera.depth_scale)
+    scanner_depth_m = None if steps is None else metres(steps, camera.depth_scale)
+    depth_m = None if scanner_depth_m is None else scanner_depth_m.copy()
+    if perfect is not None:
+        rgb, steps = perfect.picture("rgb", image), perfect.picture("depth", image)
+        step_mm = image_record(scene.path, image).perfect_step_mm
+        depth_m = metres(steps, step_mm) if steps is not None and step_mm else None
     return Example(
         scene_id=number,
         K=np.array(camera.cam_K, float).reshape(3, 3),
         rgb=None if rgb is None else np.ascontiguousarray(rgb[..., :3][..., ::-1]),
         gray=gray,
         depth_m=depth_m,
-        scanner_depth_m=None if depth_m is None else depth_m.copy(),
+        scanner_depth_m=scanner_depth_m,
         instance=np.array(instances, np.int64),
         obj_id=np.array([poses[i].obj_id for i in instances], np.int64),
         mask=mask,

@@ -96,10 +96,10 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
         split=folder.name,
         images=tuple(images),
         parts=models.parts,
-        unknown_look=models.unknown_look,
+        plain=models.plain,
         image_of=partial(_read, scenes, sensor, options),
         sensor=sensor,
-        is_bop=True,
+        scenes=scenes,
     )
 
 

@@ -4,7 +4,6 @@ Whole numbers have a scale; floats in NPY or TIFF are metres. One camera took al
 are the images 0, 1 ... of scene 0 by the order of their names.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -41,16 +40,16 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
         split="depth",
         images=tuple((0, i) for i in range(len(shots))),
         parts={},
-        unknown_look=frozenset(),
-        image_of=partial(_read, shots, K, scale_m),
+        plain=frozenset(),
+        image_of=partial(_image, tuple(shots), K, scale_m),
     )
 
 
-def _read(
-    shots: Sequence[RealPicture],
+def _image(
+    shots: tuple[RealPicture, ...],
     K: Float[np.ndarray, "3 3"],
     scale_m: float | None,
-    _: int,
+    scene_id: int,
     image_id: int,
 ) -> SourceImage:
     shot = shots[image_id]

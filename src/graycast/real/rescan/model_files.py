@@ -1,4 +1,4 @@
-"""Models of others as parts, with a look: that of a materials file, or their own, or a grey.
+"""Models of others as parts, with a look: that of a materials file, or their own, or plain grey.
 
 What is read is lenient, as a model only has to be visible: a reconstructed mesh is open, and one
 face may look the wrong way. So such a part cannot be dropped into a bin. Colours of vertices become
@@ -52,13 +52,13 @@ class ModelFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """Objects by their ids; `unknown_look` are those whose look nothing states."""
+    """Objects by their ids; `plain` are those whose look nothing states."""
 
     parts: Mapping[int, Part]
-    unknown_look: frozenset[int]
+    plain: frozenset[int]
 
 
-NO_MODELS = Models(parts={}, unknown_look=frozenset())
+NO_MODELS = Models(parts={}, plain=frozenset())
 
 
 class _ModelInfo(BaseModel):
@@ -135,11 +135,11 @@ def read_models(
             f"{next(iter(files.values())).path.parent}: has no model obj_{missing[0]:06d}.ply, and "
             f"an image has the object {missing[0]}: add the model, or {_REMEDY}"
         )
-    parts, unknown_look = {}, set()
+    parts, plain = {}, set()
     for obj_id in sorted(obj_ids):
         mesh, material = _read_model(files[obj_id], looks.get(obj_id))
         if material is None:
-            unknown_look.add(obj_id)
+            plain.add(obj_id)
         parts[obj_id] = Part(
             name=files[obj_id].name,
             mesh=mesh,
@@ -149,7 +149,7 @@ def read_models(
             symmetry=files[obj_id].symmetry,
             source=files[obj_id].path.name,
         )
-    return Models(parts=parts, unknown_look=frozenset(unknown_look))
+    return Models(parts=parts, plain=frozenset(plain))
 
 
 def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, Material]:

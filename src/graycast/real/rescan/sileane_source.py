@@ -19,6 +19,7 @@ what public readers take (PPR-Net). Not verified: that depth of 0 and 65535 is n
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +27,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from ...base.errors import DatasetError
@@ -39,6 +39,7 @@ from .source_files import REPAIR, FileSource, pose_of, record_of, source_image, 
 from .source_options import SourceOptions
 
 SILEANE, IPA = "camera_params.txt", "parameter.json"
+_IPA_DEPTH = "_depth_uint16.png"
 _WHITE = 65535
 _FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left and y up become x right and y down.
 
@@ -79,18 +80,16 @@ class _Poses(RootModel[list[_Pose]]):
     pass
 
 
-_Files = tuple[Path, Path, Path]  # of an image: depth, colours, which may be missing, and poses
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Camera:
-    """What all images of a folder share."""
+    """What all images of a folder share; `poses` reads those of an image by its depth file."""
 
     path: Path
     K: list[float]
     size_px: tuple[int, int]  # columns and rows
     record: _Record
     unknown: tuple[int, ...]
+    rgb_name: Callable[[Path], Path]
     poses: Callable[[Path], list[np.ndarray]]
 
 
@@ -118,20 +117,22 @@ def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
         size_px=(camera.width, camera.height),
         record=camera,
         unknown=(_WHITE,),
-        poses=partial(_sileane_poses, T_cam_world),
+        rgb_name=_rgb_of_sileane,
+        poses=partial(_poses_of_sileane, T_cam_world),
     )
     name = "depth_gt" if (folder / "depth_gt").is_dir() else "depth"
-    depth = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
-    images = {
-        (0, i): (file, folder / "rgb" / file.name, folder / "gt" / f"{file.stem}.json")
-        for i, file in enumerate(depth)
-    }
-    return _source(folder, images, common, options)
+    files = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
+    return _source(folder, {(0, i): path for i, path in enumerate(files)}, common, options)
 
 
-def _sileane_poses(T_cam_world: Float[np.ndarray, "4 4"], path: Path) -> list[np.ndarray]:
-    stored = enumerate(record_of(path, _Poses).root)
-    return [T_cam_world @ pose_of(one.R, one.t, f"{path}, instance {i}") for i, one in stored]
+def _rgb_of_sileane(depth: Path) -> Path:
+    return depth.parents[1] / "rgb" / depth.name
+
+
+def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
+    file = depth.parents[1] / "gt" / f"{depth.stem}.json"
+    stored = enumerate(record_of(file, _Poses).root)
+    return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
@@ -159,18 +160,29 @@ def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
         size_px=(camera.resolutionX, camera.resolutionY),
         record=camera,
         unknown=(0, _WHITE),
-        poses=_ipa_poses,
+        rgb_name=partial(_beside, "p_rgb", "_rgb.png"),
+        poses=_poses_of_ipa,
     )
     images = {}
-    for file in sorted((folder / "p_depth").glob("cycle_*/*_depth_uint16.png")):
-        cycle, number = file.parent.name, file.name.removesuffix("_depth_uint16.png")
-        if number.isdecimal() and cycle[6:].isdecimal():
-            rgb = folder / "p_rgb" / cycle / f"{number}_rgb.png"
-            images[int(cycle[6:]), int(number)] = file, rgb, folder / "gt" / cycle / f"{number}.csv"
+    for file in sorted((folder / "p_depth").glob(f"cycle_*/*{_IPA_DEPTH}")):
+        place = f"{file.parent.name}/{file.name}"
+        if match := re.fullmatch(rf"cycle_(\d+)/(\d+){_IPA_DEPTH}", place):
+            images[int(match[1]), int(match[2])] = file
     return _source(folder, images, common, options)
 
 
-def _ipa_poses(path: Path) -> list[np.ndarray]:
+def _beside(kind: str, end: str, depth: Path) -> Path:
+    """Another file of the image of a depth picture, in its folder of the same cycle."""
+    name = depth.name.removesuffix(_IPA_DEPTH) + end
+    return depth.parents[2] / kind / depth.parent.name / name
+
+
+def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
+    return [_FROM_IPA @ T for T in _rows(_beside("gt", ".csv", depth))]
+
+
+def _rows(path: Path) -> list[np.ndarray]:
+    """The poses of a table of IPA, in its frame of the camera."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]
         rows = [[float(word) for word in line.split(",")] for line in lines if line.strip()]
@@ -179,16 +191,16 @@ def _ipa_poses(path: Path) -> list[np.ndarray]:
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
     return [
-        _FROM_IPA @ pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
+        pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
         for row in rows
         if row[0] > 0
     ]
 
 
 def _source(
-    folder: Path, images: Mapping[tuple[int, int], _Files], camera: _Camera, options: SourceOptions
+    folder: Path, files: Mapping[tuple[int, int], Path], camera: _Camera, options: SourceOptions
 ) -> FileSource:
-    if not images:
+    if not files:
         raise DatasetError(f"{folder}: has no depth pictures: download it again")
     models = NO_MODELS
     if not options.depth_only:
@@ -203,21 +215,21 @@ def _source(
     return FileSource(
         folder=folder,
         split=folder.name,
-        images=tuple(images),
+        images=tuple(files),
         parts=models.parts,
-        unknown_look=models.unknown_look,
-        image_of=partial(_image, images, camera, options.depth_only),
+        plain=models.plain,
+        image_of=partial(_image, files, camera, options.depth_only),
     )
 
 
 def _image(
-    images: Mapping[tuple[int, int], _Files],
+    files: Mapping[tuple[int, int], Path],
     camera: _Camera,
     depth_only: bool,
     scene_id: int,
     image_id: int,
 ) -> SourceImage:
-    depth, rgb, poses = images[scene_id, image_id]
+    depth = files[scene_id, image_id]
     steps: Any = stored_steps(depth)
     rows, columns = steps.shape
     if steps.dtype != np.uint16 or (columns, rows) != camera.size_px:
@@ -230,10 +242,11 @@ def _image(
     if start_m >= end_m:
         raise DatasetError(f"{camera.path}: clip_start {start_m} is not before clip_end: {REPAIR}")
     depth_m = start_m + (end_m - start_m) * steps / float(_WHITE)
+    rgb = camera.rgb_name(depth)
     return source_image(
         np.where(np.isin(steps, camera.unknown), np.nan, depth_m),
         rgb if rgb.is_file() else None,
         (camera.K, str(camera.path)),
-        () if depth_only else [(1, T) for T in camera.poses(poses)],
+        () if depth_only else [(1, T) for T in camera.poses(depth)],
         step_m=(end_m - start_m) / _WHITE,
     )

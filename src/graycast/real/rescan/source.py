@@ -21,8 +21,8 @@ class SourceImage:
     """One image: what its camera saw, and which objects lie where.
 
     `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
-    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Stored
-    depth is rounded to steps of `step_m`; 0 is that of floats.
+    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth
+    is a multiple of `step_m`; 0 is for depth in floating-point numbers.
     """
 
     camera: Optics
@@ -42,10 +42,11 @@ class Source(Protocol):
         split: its name in the result, such as `train_pbr`.
         sensor: the camera that is read, "" where the dataset has only one; its files end in
             `_sensor`.
-        is_bop: its folder has BOP's form, so that the result may link to its files.
+        scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
+            link; empty in another layout.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
-        unknown_look: the ids of parts whose look nothing states: they are grey.
+        plain: the ids of parts whose look nothing states: they are grey.
     """
 
     @property
@@ -55,13 +56,13 @@ class Source(Protocol):
     @property
     def sensor(self) -> str: ...
     @property
-    def is_bop(self) -> bool: ...
+    def scenes(self) -> Mapping[int, Path]: ...
     @property
     def images(self) -> tuple[tuple[int, int], ...]: ...
     @property
     def parts(self) -> Mapping[int, Part]: ...
     @property
-    def unknown_look(self) -> frozenset[int]: ...
+    def plain(self) -> frozenset[int]: ...
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

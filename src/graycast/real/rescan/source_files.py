@@ -1,7 +1,7 @@
 """Depth, colours, cameras and poses of others: read without trust, and refused in one line."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, final
 
@@ -36,10 +36,10 @@ class FileSource:
     split: str
     images: tuple[tuple[int, int], ...]
     parts: Mapping[int, Part]
-    unknown_look: frozenset[int]
+    plain: frozenset[int]
     image_of: Callable[[int, int], SourceImage]
     sensor: str = ""
-    is_bop: bool = False
+    scenes: Mapping[int, Path] = field(default_factory=dict)
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         if (scene_id, image_id) not in self.images:
@@ -60,9 +60,9 @@ def source_image(
     rgb: Path | None,
     camera: tuple[Any, str],
     objects: Sequence[tuple[int, np.ndarray]] = (),
+    distortion: Sequence[float] = (0.0,) * 5,
     *,
     step_m: float,
-    distortion: Sequence[float] = (0.0,) * 5,
 ) -> SourceImage:
     """An image of its depth and its files.
 
@@ -108,7 +108,7 @@ def stored_steps(path: Path) -> np.ndarray:
 
 
 def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Depth [m] and the step to which it is rounded; 0 and what is not finite is NaN.
+    """Depth [m], and its step, 0 for floats; stored 0 and what is not finite is NaN.
 
     Raises:
         DatasetError: as of `stored_steps`, or depth is negative or too far.

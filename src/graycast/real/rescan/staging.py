@@ -79,7 +79,6 @@ def stage(
     scanner: Scanner,
     *,
     unknown_look: Collection[int] = (),
-    step_m: float,
 ) -> Staged:
     """The scene of an image, before the scanner.
 
@@ -88,7 +87,6 @@ def stage(
             surface in the depth.
         unknown_look: ids of parts whose material nobody gave: they get the mean colour that the
             picture has where they are.
-        step_m: of which the depth is a multiple.
 
     Raises:
         DatasetError: the depth contradicts the objects, or there is none.
@@ -98,7 +96,7 @@ def stage(
         raise DatasetError("the depth picture has no depth at all: give perfect depth")
     modelled = [i for i, obj_id in enumerate(image.obj_id.tolist()) if obj_id in parts]
     nearest_m, which = _nearest(image, parts, modelled)
-    own = _of_objects(image.depth_m, nearest_m, step_m)
+    own = _of_objects(image.depth_m, nearest_m, image.step_m)
     _refuse_contradiction(image.depth_m, nearest_m, own)
     reflectance = None if image.rgb is None else reflectance_of(image.rgb)
     if reflectance is not None:
@@ -110,7 +108,7 @@ def stage(
             for obj_id, part in parts.items()
         }
     used = sorted({int(image.obj_id[i]) for i in modelled})
-    behind = _background(image, own, nearest_m, reflectance, step_m)
+    behind = _background(image, own, nearest_m, reflectance)
     scene = Scene(
         rig=scanner.rig,
         T_world_cam=np.eye(4),
@@ -176,7 +174,6 @@ def _background(
     own: Bool[np.ndarray, "h w"],
     nearest_m: Float[np.ndarray, "h w"],
     reflectance: Float[np.ndarray, "h w 3"] | None,
-    step_m: float,
 ) -> Part:
     """What is no object, as a solid in the camera's frame."""
     known = np.isfinite(image.depth_m) & ~own
@@ -186,7 +183,7 @@ def _background(
     else:  # the objects fill the picture: a wall far behind them stops the light
         depth_m = np.where(own, 2 * np.nanmax(nearest_m), depth_m)
     solid = np.isfinite(depth_m)
-    planes = surfaces(depth_m, solid, _rounds(step_m))
+    planes = surfaces(depth_m, solid, _rounds(image.step_m))
     pixel_m = float(np.nanmedian(depth_m)) / image.camera.fx_px
     mesh = solid_of(
         planes,
@@ -279,7 +276,11 @@ def _looks(
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]
-    return {int(i): tuple(map(float, color[of == i].mean(axis=0))) for i in np.unique(of)}
+    looks: dict[int, tuple[float, float, float]] = {}
+    for i in np.unique(of):
+        red, green, blue = color[of == i].mean(axis=0).tolist()
+        looks[int(i)] = red, green, blue
+    return looks
 
 
 def _with_color(part: Part, color: tuple[float, float, float]) -> Part:

@@ -1,0 +1,129 @@
+"""Checks of what `graycast rescan` added to a dataset of others, by its files only."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from ..base.file_limits import parse_json
+from ..base.mask_box import mask_box
+from ..camera.decode import Reason
+from .places import CLAIM
+from .rescanned import COCO, RECORDS, ImageRecord, RescanClaim, image_records, scene_records
+from .safe_reading import Unreadable, read_json
+from .scene_folder import SceneFolder, scene_folders
+from .seal import sum_problems
+
+_PICTURES = {
+    "gray_sl": np.uint8,
+    "depth_sl": np.uint16,
+    "reason_sl": np.uint8,
+    "modulation_sl": np.uint16,
+}
+_NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
+
+
+def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]]:
+    """All that is wrong with what a scanner added, as (scene or None, what)."""
+    try:
+        claim = read_json(out / CLAIM, RescanClaim)
+    except Unreadable as error:
+        yield None, str(error)
+        return
+    scenes = scene_folders(out / claim.split, RECORDS)
+    if not scenes:
+        yield None, f"{claim.split}/ holds no image with a scan: run graycast rescan again"
+    for folder in scenes:
+        try:
+            for what in _scene_problems(folder, claim, fast=fast):
+                yield int(folder.name), what
+        except Unreadable as error:
+            yield int(folder.name), str(error)
+
+
+def _scene_problems(folder: Path, claim: RescanClaim, *, fast: bool) -> Iterator[str]:
+    records = image_records(folder)
+    for number, record in records.items():
+        yield from sum_problems(folder, record.sha256, listed_in=f"{RECORDS}/{number:06d}.json")
+    for name, must in scene_records(folder).items():
+        try:
+            there = parse_json((folder / f"{name}.json").read_bytes())
+        except (OSError, ValueError):
+            yield f"{name}.json is missing or damaged: run graycast rescan again"
+            continue
+        if there != must:
+            yield f"{name}.json is not what the records of its images say"
+    if not fast:
+        for number, record in records.items():
+            for what in _image_problems(SceneFolder(folder), number, record, claim):
+                yield f"image {number}: {what}"
+
+
+def _image_problems(
+    scene: SceneFolder, number: int, record: ImageRecord, claim: RescanClaim
+) -> Iterator[str]:
+    entries = record.entries
+    image = {name: scene.png(name, number) for name in _PICTURES}
+    size = image["reason_sl"].shape
+    for name, kind in _PICTURES.items():
+        if image[name].shape != size or image[name].dtype != kind:
+            yield f"{name} is {image[name].shape} {image[name].dtype}, reason_sl is {size}"
+            return
+    depth, reason = image["depth_sl"], image["reason_sl"]
+    if wrong := int(((depth > 0) != (reason == Reason.DECODED)).sum()):
+        yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"
+    if entries["scene_camera_sl"]["depth_scale"] != claim.depth_scale_mm:
+        yield f"its depth_scale is not {CLAIM}'s {claim.depth_scale_mm}"
+    yield from _mask_problems(scene, number, entries, depth)
+    if claim.config["camera"] == "image":
+        yield from _depth_problems(scene, number, record, claim, depth * claim.depth_scale_mm)
+
+
+def _mask_problems(
+    scene: SceneFolder, number: int, entries: Mapping[str, Any], depth: np.ndarray
+) -> Iterator[str]:
+    taken = np.zeros(depth.shape, dtype=bool)
+    annotations = iter(entries[COCO]["annotations"])
+    for i, info in enumerate(entries["scene_gt_info_sl"]):
+        whole, visible = (scene.mask(kind, i, number) for kind in ("mask_sl", "mask_visib_sl"))
+        if whole.shape != depth.shape or visible.shape != depth.shape:
+            yield f"the masks of instance {i} are {whole.shape} and {visible.shape}"
+            return
+        if (taken & visible).any():
+            yield f"the visible mask of instance {i} overlaps another's"
+        taken |= visible
+        counts = int(visible.sum()), int((depth[whole] > 0).sum())
+        if counts != (info["px_count_visib"], info["px_count_valid"]):
+            yield f"instance {i} has {counts} visible and valid pixels, scene_gt_info_sl others"
+        if not visible.any():
+            continue
+        x, y, columns, rows = mask_box(visible)
+        if info["bbox_visib"] != [x, y, columns - 1, rows - 1]:
+            yield f"instance {i}: bbox_visib is not its visible mask's"
+        own = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))["counts"]
+        runs = (next(annotations, None) or {}).get("segmentation")
+        if runs is None or coco_mask.frPyObjects(runs, *depth.shape)["counts"] != own:
+            yield f"instance {i}: its segmentation in {COCO} is not its visible mask"
+
+
+def _depth_problems(
+    scene: SceneFolder,
+    number: int,
+    record: ImageRecord,
+    claim: RescanClaim,
+    scanned_mm: np.ndarray,
+) -> Iterator[str]:
+    """Both depths are of the same pixels, and a scanner is not far off in most of them."""
+    perfect = SceneFolder(scene.path, claim.config["sensor"]).picture("depth", number)
+    if perfect is None or perfect.shape != scanned_mm.shape or not record.perfect_step_mm:
+        return
+    perfect_mm = perfect * record.perfect_step_mm
+    both = (perfect_mm > 0) & (scanned_mm > 0)
+    far = np.abs(scanned_mm - perfect_mm)[both] > _NEAR * perfect_mm[both]
+    if both.any() and far.mean() > _MOST_FAR:
+        yield (
+            f"{far.mean():.0%} of its depths are more than {_NEAR:.0%} off the perfect depth: the "
+            "scanner looked at another scene"
+        )

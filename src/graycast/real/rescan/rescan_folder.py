@@ -1,0 +1,162 @@
+"""The folder of a result: what was there, linked or copied, and beside it what the scanner adds.
+
+A scene's folder has the names of the original; what the scanner adds ends in `_sl`, as in our own
+datasets. `scan_sl/000012.json` is written when all pictures of image 12 are there, so that it marks
+the image as finished; the scene's JSON files are made of these records at the end of each run.
+"""
+
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+
+from ...base.errors import DatasetError
+from ...base.folder import claimed_folder, refuse_foreign, write_whole
+from ...dataset.claim import refuse_other
+from ...dataset.json_text import json_bytes
+from ...dataset.models import model_files, models_info
+from ...dataset.picture_bytes import depth_scale_mm, png
+from ...dataset.places import CLAIM
+from ...dataset.records import MM_PER_M
+from ...dataset.rescanned import RECORDS, scene_records
+from ...dataset.scene_folder import SCANNER, picture_name
+from ...dataset.seal import MANIFEST, SUMS, sha256
+from .source import Source, SourceImage
+
+SETASIDE = "set_aside.json"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RescanFolder:
+    """A result that is open for one run; `copies` are made in place of links."""
+
+    out: Path
+    source: Source
+    copies: bool
+
+    def finished(self) -> set[tuple[int, int]]:
+        """Scene and image numbers of what is there."""
+        records = (self.out / self.source.split).glob(f"*/{RECORDS}/*.json")
+        return {(int(path.parents[1].name), int(path.stem)) for path in records}
+
+    def write(self, place: tuple[int, int], files: Iterable[tuple[str, bytes]]) -> None:
+        """One image: its pictures, and at last its record, as `record_file` makes it."""
+        scene = self._scene(place[0])
+        for name, content in files:
+            path = scene / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, content)
+
+    def begin(self) -> None:
+        """What was there: the models, and each scene without what a scanner added to it."""
+        source = self.source
+        if source.scenes:
+            root = source.folder.parent
+            for path in (*root.glob("models*"), root / "camera.json"):
+                if path.exists():
+                    self._bring(path, self.out / path.name)
+        elif source.parts:
+            (self.out / "models").mkdir(exist_ok=True)
+            parts = tuple(source.parts[obj_id] for obj_id in sorted(source.parts))
+            files = model_files(parts) | {"models_info.json": json_bytes(models_info(parts))}
+            for name, content in files.items():
+                write_whole(self.out / "models" / name, content)
+        for scene_id in sorted({scene_id for scene_id, _ in source.images}):
+            scene = self._scene(scene_id)
+            scene.mkdir(exist_ok=True)
+            if source.scenes:
+                for path in sorted(source.scenes[scene_id].iterdir()):
+                    if not path.stem.endswith(SCANNER) and path.name != MANIFEST:
+                        self._bring(path, scene / path.name)
+
+    def finish(self) -> None:
+        """The JSON files of each scene, of all images that are there."""
+        for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
+            scene = self._scene(scene_id)
+            for name, content in scene_records(scene).items():
+                write_whole(scene / f"{name}.json", json_bytes(content))
+
+    def set_aside(self, reasons: Mapping[tuple[int, int], str]) -> None:
+        """Record which images this run gave up, and why; without any, remove the file."""
+        path = self.out / SETASIDE
+        if reasons:
+            named = {f"{scene:06d}/{image:06d}": why for (scene, image), why in reasons.items()}
+            write_whole(path, json_bytes(named))
+        else:
+            path.unlink(missing_ok=True)
+
+    def _scene(self, scene_id: int) -> Path:
+        return self.out / self.source.split / f"{scene_id:06d}"
+
+    def _bring(self, path: Path, place: Path) -> None:
+        if place.is_symlink() or place.exists():
+            return
+        if not self.copies:
+            place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
+        elif path.is_dir():
+            shutil.copytree(path, place)
+        else:
+            shutil.copyfile(path, place)
+
+
+@contextmanager
+def open_rescan(
+    out: Path, source: Source, claim: Mapping[str, Any], *, copies: bool
+) -> Iterator[RescanFolder]:
+    """Make the folder, or go on with one of the same claim; no other run has it meanwhile.
+
+    Raises:
+        GraycastError: the folder holds something else, or lies in the source; another run has it;
+            the disk refuses.
+    """
+    refuse_foreign(out, CLAIM)
+    original = source.folder.resolve()
+    if out.resolve() == original or original in out.resolve().parents:
+        raise DatasetError(f"{out}: lies in {source.folder}, which is not changed: give another")
+    with claimed_folder(out, source.split, ".lock"):
+        if (out / CLAIM).exists():
+            refuse_other(out / CLAIM, claim)
+        else:
+            write_whole(out / CLAIM, json_bytes(claim))
+        folder = RescanFolder(out=out, source=source, copies=copies)
+        try:
+            folder.begin()
+            yield folder
+        except OSError as error:
+            raise DatasetError(
+                f"{out}: cannot be written ({error.strerror or error}): free space, or choose a "
+                "writable folder; finished images are kept"
+            ) from error
+
+
+def record_file(
+    number: int, record: Mapping[str, Any], files: Iterable[tuple[str, bytes]]
+) -> tuple[str, bytes]:
+    """The record of an image, with the SHA-256 of its files, as (path in the scene, content)."""
+    sums = {name: sha256(content) for name, content in files}
+    return f"{RECORDS}/{number:06d}.json", json_bytes({**record, SUMS: sums})
+
+
+def plain_files(image: SourceImage, number: int) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
+    """An image of another layout in BOP's form: pictures, and its entries of JSON files."""
+    scale_mm = depth_scale_mm(float(np.nanmax(image.depth_m)))
+    steps = np.nan_to_num(np.rint(image.depth_m * (MM_PER_M / scale_mm))).astype(np.uint16)
+    files = [(picture_name("depth", number), png(steps))]
+    if image.rgb is not None:
+        files.append((picture_name("rgb", number), png(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR))))
+    poses = [
+        {
+            "cam_R_m2c": T[:3, :3].ravel().tolist(),
+            "cam_t_m2c": (T[:3, 3] * MM_PER_M).tolist(),
+            "obj_id": int(obj_id),
+        }
+        for T, obj_id in zip(image.T_cam_part, image.obj_id, strict=True)
+    ]
+    view = {"cam_K": image.camera.K.ravel().tolist(), "depth_scale": scale_mm}
+    return files, {"scene_camera": view, "scene_gt": poses}

@@ -1,0 +1,330 @@
+"""All images of a dataset of others under a scanner: staged, lit, taken, decoded, written.
+
+An image's result depends on the source, the scanner, the seed and the image's numbers alone.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ... import __version__
+from ...base.errors import ConfigError, DecodeError, one_line
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.streams import image_seeds
+from ...base.usage import rss_bytes
+from ...camera.decode import mean_shares, reason_shares
+from ...camera.picture import gray_picture
+from ...camera.scanner import Scanner, measure, take
+from ...cell.config import RenderSection
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
+from ...cell.generate import described_scanner
+from ...cell.resolve import patterns_of
+from ...cell.simulate import with_field
+from ...dataset import Sample, depth_scale_mm, described_values
+from ...dataset.bop import scanner_files
+from ...dataset.claim import fingerprint, part_digest
+from ...dataset.json_text import plain
+from ...dataset.picture_bytes import DEPTH_MAX
+from ...dataset.records import FORMAT_VERSION, MM_PER_M
+from ...dataset.sample import LEAST_DECODED
+from ...rendering import Quality
+from .rescan_folder import open_rescan, plain_files, record_file
+from .source import Source, SourceImage
+from .staging import stage, with_camera
+
+Whose = Literal["image", "rig"]
+_LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
+_HOPELESS = 3  # If so many images are given up before any comes out, the rest would be, too.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RescanSpec:
+    """How images are scanned: whose camera it is, how light is rendered, and the seed.
+
+    With the `camera` of an 'image', its intrinsics take the place of the rig's; with that of the
+    'rig', the rig's own camera stands where the image's stood. The first `images` are made, or all
+    of them. `copies` are made of the original files in place of links.
+    """
+
+    camera: Whose = "image"
+    seed: int = 0
+    render: RenderSection = field(default_factory=RenderSection)
+    images: int | None = None
+    copies: bool = False
+    device: str = "auto"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RescanSummary:
+    """What a run did: images that it made, that were there, and that it gave up; mean shares."""
+
+    written: int
+    there: int
+    set_aside: Mapping[tuple[int, int], str]
+    seconds: float
+    reasons: dict[str, float]
+    part_reasons: dict[str, float]
+
+
+class ImageScanner:
+    """Scans images of one task; the renderer is kept."""
+
+    def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
+        self._task, self._progress = task, progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+
+    def make(self, scene_id: int) -> TaskResult:
+        """One image, by its place among the images of the source.
+
+        Raises:
+            DatasetError, DecodeError, ValueError: this image cannot be scanned; the next may be.
+        """
+        start = time.perf_counter()
+        task = self._task
+        scene, number = task.source.images[scene_id]
+        image = task.source.read(scene, number)
+        sample, facts = self._scanned(image, scene, number)
+        files, entries = scanner_files(sample, task.depth_scale_mm, self._obj_ids)
+        for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` is nobody else's.
+            del entries["scene_camera_sl"][key]
+        if not task.source.scenes:
+            own_files, own_entries = plain_files(image, number)
+            files, entries = files + own_files, entries | own_entries
+        seconds = time.perf_counter() - start
+        record = facts | {
+            "seconds": seconds,
+            "perfect_step_mm": image.step_m * MM_PER_M,
+            "entries": entries,
+        }
+        return TaskResult(
+            scene_id=scene_id,
+            files=(*files, record_file(number, record, files)),
+            seconds=seconds,
+            reasons=facts["reasons"],
+            part_reasons=facts["part_reasons"],
+            rss_bytes=rss_bytes(),
+        )
+
+    def _scanned(
+        self, image: SourceImage, scene_id: int, number: int
+    ) -> tuple[Sample, dict[str, Any]]:
+        task = self._task
+        refuse_out_of_range(image, task.scanner)
+        scanner = scanner_for(task.scanner, image, task.spec.camera)
+        self._progress.stage("staging the image")
+        staged = stage(image, task.source.parts, scanner, unknown_look=task.source.plain)
+        self._obj_ids = staged.obj_id
+        seeds = image_seeds(task.seed, scene_id, station=0, image=number)
+        render = task.spec.render
+        quality = Quality(samples=render.samples, depth=render.depth)
+        with self._kept.of(render) as renderer:
+            self._progress.stage(f"{renderer.name} renders")
+            rendering = renderer.render(
+                staged.scene,
+                staged.layout,
+                patterns_of(scanner),
+                quality=quality,
+                seed=seeds["render"],
+            )
+        self._progress.stage("decoding the pictures")
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"])
+        codes, depth = measure(scanner, capture)
+        depth = with_field(scanner.rig, rendering.truth, codes, depth)
+        reasons = reason_shares(depth.reason)
+        _refuse_undecoded(reasons)
+        last = len(staged.layout.part_index) - 1  # It is the background.
+        on_part = (rendering.truth.instance >= 0) & (rendering.truth.instance < last)
+        facts = {
+            "seeds": seeds,
+            "exposure_s": capture.reference_s,
+            "reasons": reasons,
+            "part_reasons": reason_shares(depth.reason[on_part]) if on_part.any() else {},
+        }
+        # The staged depth is no file of the result, and where it is deeper than the rig measures it
+        # need not fit into its steps.
+        deepest_m = DEPTH_MAX * task.depth_scale_mm / MM_PER_M
+        truth = replace(
+            rendering.truth, depth_m=np.minimum(rendering.truth.depth_m, np.float32(deepest_m))
+        )
+        camera = scanner.rig.camera
+        sample = Sample(
+            scene=staged.scene,
+            layout=staged.layout,
+            truth=truth,
+            rgb=np.zeros((camera.height_px, camera.width_px, 3), dtype=np.uint8),
+            gray=gray_picture(capture),
+            scanner_depth=depth,
+            modulation=codes.modulation,
+            manifest={},
+            image=number,
+        )
+        return sample, facts
+
+    def close(self) -> None:
+        self._kept.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RescanTask(Job):
+    """What a worker needs to know to scan any image of a source."""
+
+    RUNNER = ImageScanner
+
+    source: Source
+    scanner: Scanner
+    spec: RescanSpec
+    depth_scale_mm: float
+
+
+def rescan(
+    source: Source,
+    scanner: Scanner,
+    out: Path | str,
+    spec: RescanSpec,
+    *,
+    workers: Workers = ALONE,
+    on_result: Callable[[TaskResult], None] = lambda _: None,
+    on_failed: Callable[[Failed], None] = lambda _: None,
+    progress: ProgressMeter = UNWATCHED,
+) -> RescanSummary:
+    """Scan the images of a source that are not in `out` yet.
+
+    An image that cannot be scanned is set aside and the others are made; `set_aside.json` names it,
+    and the next run tries it again.
+
+    Raises:
+        GraycastError, ValueError: nothing can be scanned for this reason; or the folder is another
+            result's, is in use, or the disk refuses.
+    """
+    start = time.perf_counter()
+    task = RescanTask(
+        seed=spec.seed,
+        device=workers.device(spec.render.backend, spec.device),
+        source=source,
+        scanner=scanner,
+        spec=spec,
+        depth_scale_mm=depth_scale_mm(scanner.rig.far_m),
+    )
+    wanted = source.images[: spec.images]
+    reasons: list[dict[str, float]] = []
+    part_reasons: list[dict[str, float]] = []
+    given_up: dict[tuple[int, int], str] = {}
+    with open_rescan(Path(out), source, _claim(task), copies=spec.copies) as folder:
+        there = folder.finished().intersection(wanted)
+        todo = [k for k, place in enumerate(wanted) if place not in there]
+        if todo:
+            _refuse_hopeless(source, wanted[todo[0]], scanner)
+
+        def keep(result: TaskResult) -> None:
+            folder.write(wanted[result.scene_id], result.files)
+            reasons.append(result.reasons)
+            part_reasons.extend([result.part_reasons] if result.part_reasons else [])
+            on_result(result)
+
+        def give_up(failed: Failed) -> None:
+            on_failed(failed)
+            if failed.final:
+                given_up[wanted[failed.scene_id]] = one_line(failed.error)
+                folder.set_aside(given_up)
+                if not reasons and not there and len(given_up) >= _HOPELESS:
+                    raise failed.error
+
+        try:
+            make_missing(
+                task,
+                todo,
+                what="images",
+                total=len(wanted),
+                workers=workers,
+                progress=progress,
+                on_result=keep,
+                on_failed=give_up,
+            )
+        finally:
+            folder.finish()
+        folder.set_aside(given_up)
+    return RescanSummary(
+        written=len(reasons),
+        there=len(there),
+        set_aside=given_up,
+        seconds=time.perf_counter() - start,
+        reasons=mean_shares(reasons),
+        part_reasons=mean_shares(part_reasons),
+    )
+
+
+def scanner_for(scanner: Scanner, image: SourceImage, camera: Whose) -> Scanner:
+    """The scanner that looks at an image's scene."""
+    return with_camera(scanner, image.camera) if camera == "image" else scanner
+
+
+def refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
+    """Refuse an image of which the rig can measure nothing.
+
+    Raises:
+        DecodeError: hardly any depth is within the rig's range.
+    """
+    depth_m = image.depth_m[np.isfinite(image.depth_m)]
+    rig = scanner.rig
+    within = (depth_m >= rig.near_m) & (depth_m <= rig.far_m)
+    if depth_m.size and within.mean() < _LEAST_IN_RANGE:
+        low, middle, high = np.quantile(depth_m, [0.05, 0.5, 0.95])
+        raise DecodeError(
+            f"its depth is {low:.3g} to {high:.3g} m, {middle:.3g} m in the median, and the rig "
+            f"{rig.name} measures from {rig.near_m:.3g} to {rig.far_m:.3g} m: choose another rig "
+            "(graycast rig list), or check the depth scale"
+        )
+
+
+def _refuse_hopeless(source: Source, place: tuple[int, int], scanner: Scanner) -> None:
+    """Before any work: the first image must be one that the rig can measure.
+
+    Raises:
+        ConfigError: it is not, and others of the same camera will not be either.
+    """
+    try:
+        refuse_out_of_range(source.read(*place), scanner)
+    except DecodeError as error:
+        scene_id, image_id = place
+        raise ConfigError(f"scene {scene_id}, image {image_id}: {error}") from error
+
+
+def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
+    if reasons["decoded"] < LEAST_DECODED:
+        most = max(reasons, key=lambda name: reasons[name])
+        raise DecodeError(
+            f"the scanner measures {reasons['decoded']:.2%} of the pixels, and {reasons[most]:.0%} "
+            f"are {most}: choose a rig that sees and lights these scenes (graycast rig list)"
+        )
+
+
+def _claim(task: RescanTask) -> dict[str, Any]:
+    """The content of `graycast.json`: all that the files follow from."""
+    source, spec = task.source, task.spec
+    config = {
+        "split": source.split,
+        "sensor": source.sensor,
+        "camera": spec.camera,
+        "render": spec.render.model_dump(mode="json"),
+        "scanner": described_scanner(task.scanner),
+        "parts": {obj_id: part_digest(part) for obj_id, part in source.parts.items()},
+    }
+    claim: dict[str, Any] = plain(
+        {
+            "format_version": FORMAT_VERSION,
+            "kind": "rescan",
+            "config": config,
+            "seed": task.seed,
+            "depth_scale_mm": task.depth_scale_mm,
+            "rig": described_values(task.scanner.rig),
+        }
+    )
+    return claim | {
+        "fingerprint": fingerprint(claim),
+        "sources": [str(source.folder.resolve())],
+        "versions": {"graycast": __version__},
+    }

@@ -1,0 +1,224 @@
+"""A dataset of others gets scanner depth beside what it had, once, and the same each time."""
+
+import hashlib
+import json
+import pickle
+from collections import Counter
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools import mask as coco_mask
+from pycocotools.coco import COCO
+
+from graycast.base.errors import ConfigError, DatasetError, GraycastError
+from graycast.camera.scanner import preset
+from graycast.cell.config import RenderSection
+from graycast.dataset import validate
+from graycast.dataset.stored import open_dataset
+from graycast.dataset.training.foreign import open_foreign
+from graycast.real.rescan.open_source import open_source
+from graycast.real.rescan.rescanning import RescanSpec, rescan
+from graycast.real.rescan.source_options import SourceOptions
+
+from .scene_files import CAMERA, POSE, gt_of, true_depth_m, write_dataset, write_json, write_scene
+
+FEW = RenderSection(samples=4, depth=2)
+RIG = preset("paper", "small")
+
+
+def spec(**words):
+    return RescanSpec(**{"render": FEW, "seed": 3} | words)
+
+
+def tree(folder):
+    """Every file below a folder, links followed, with its digest."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two scenes of two images and one, the original, and what the scan of it is."""
+    root = tmp_path_factory.mktemp("rescan")
+    rgb = np.full((48, 64, 3), 150, dtype=np.uint8)
+    split = write_dataset(root / "lm", images=(0, 4), rgb=rgb)
+    write_scene(split / "000002", images=(1,))
+    before = tree(root / "lm")
+    summary = rescan(open_source(split), RIG, root / "out", spec())
+    assert tree(root / "lm") == before
+    return root, split, summary
+
+
+def scanned(folder, image):
+    view = json.loads((folder / "scene_camera_sl.json").read_text())[str(image)]
+    steps = cv2.imread(str(folder / f"depth_sl/{image:06d}.png"), cv2.IMREAD_UNCHANGED)
+    return np.where(steps > 0, steps * view["depth_scale"] / 1e3, np.nan), view
+
+
+def test_a_scan_measures_what_was_there(made):
+    root, _, summary = made
+    assert (summary.written, summary.there, summary.set_aside) == (3, 0, {})
+    depth_m, view = scanned(root / "out/train_pbr/000000", 4)
+    assert view["cam_K"] == pytest.approx(CAMERA.K.ravel())
+    assert summary.reasons["decoded"] == pytest.approx(np.isfinite(depth_m).mean(), abs=0.1)
+    assert np.isfinite(depth_m).mean() > 0.4
+    # A pixel sees ten columns of Gray code, each of which stands for 1 to 2 mm.
+    assert np.nanmedian(np.abs(depth_m - true_depth_m())) < 5e-3
+
+
+def test_the_layout_is_that_of_the_original_and_links_to_it(made):
+    root, split, _ = made
+    scene = root / "out/train_pbr/000000"
+    assert (root / "out/models").resolve() == (root / "lm/models").resolve()
+    assert (scene / "rgb").is_symlink() and (scene / "depth").resolve() == split / "000000/depth"
+    own = json.loads((scene / "scene_gt.json").read_text())
+    added = json.loads((scene / "scene_gt_sl.json").read_text())
+    assert list(added) == list(own) == ["0", "4"]
+    assert added["4"][0]["obj_id"] == 1
+    assert added["4"][0]["cam_t_m2c"] == pytest.approx(own["4"][0]["cam_t_m2c"])
+    assert Counter(path.name for path in (root / "out/train_pbr").iterdir()) == Counter(
+        ["000000", "000002"]
+    )
+    info = json.loads((scene / "scene_gt_info_sl.json").read_text())["0"][0]
+    cube = true_depth_m() < 0.8
+    assert info["px_count_visib"] == info["px_count_all"] == cube.sum()
+    coco = COCO(str(scene / "scene_gt_coco_sl.json"))
+    assert [image["id"] for image in coco.loadImgs(coco.getImgIds())] == [0, 4]
+    assert [one["id"] for one in coco.loadAnns(coco.getAnnIds())] == [1, 2]
+    own = coco_mask.encode(np.asfortranarray(cube, dtype=np.uint8))
+    assert coco.annToRLE(coco.loadAnns([2])[0]) == own
+
+
+def test_a_trainer_reads_both_depths(made):
+    root, _, _ = made
+    examples = open_foreign(root / "out/train_pbr")
+    assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "obj_000001"}
+    example = examples.read(1)
+    np.testing.assert_allclose(example.depth_m, true_depth_m(), atol=6e-5)
+    depth_m, _ = scanned(root / "out/train_pbr/000000", 4)
+    np.testing.assert_allclose(example.scanner_depth_m, depth_m, atol=1e-6)
+    assert example.rgb is not None and example.gray is not None and example.mask.sum() > 50
+    with pytest.raises(DatasetError, match="scanner depth for a dataset of others"):
+        open_dataset(root / "out")
+
+
+def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(made, tmp_path):
+    root, split, _ = made
+    first = rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))
+    assert (first.written, first.there) == (1, 0)
+    left = tmp_path / "out/train_pbr/000000/.tmp-000004.json-0"
+    left.write_text("half")
+    again = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert (again.written, again.there) == (2, 1) and not left.exists()
+
+    def without_times(folder):
+        pictures = {k: v for k, v in tree(folder).items() if "scan_sl" not in k}
+        return {k: v for k, v in pictures.items() if not k.startswith("graycast")}
+
+    assert without_times(tmp_path / "out") == without_times(root / "out")
+    other = rescan(open_source(split), RIG, tmp_path / "b", spec(images=1, seed=4))
+    assert other.reasons != first.reasons
+    with pytest.raises(DatasetError, match="differs in seed"):
+        rescan(open_source(split), RIG, tmp_path / "out", spec(seed=4))
+
+
+def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
+    """Of the second image the cube stands before what the depth shows; the third is too far."""
+    split = write_dataset(tmp_path / "lm", images=(0, 1, 2))
+    scene = split / "000000"
+    gt = json.loads((scene / "scene_gt.json").read_text())
+    near = POSE.copy()
+    near[2, 3] -= 0.2
+    write_json(scene / "scene_gt.json", gt | {"1": [gt_of(near)]})
+    views = json.loads((scene / "scene_camera.json").read_text())
+    views["2"]["depth_scale"] = 1.0
+    write_json(scene / "scene_camera.json", views)
+    summary = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert summary.written == 1
+    assert list(summary.set_aside) == [(0, 1), (0, 2)]
+    assert "check the unit of the models" in summary.set_aside[0, 1]
+    listed = json.loads((tmp_path / "out/set_aside.json").read_text())
+    assert list(listed) == ["000000/000001", "000000/000002"]
+    assert "measures from 0.458 to 1.12 m: choose another rig" in listed["000000/000002"]
+    assert validate(tmp_path / "out") == ()
+    write_json(scene / "scene_gt.json", gt)
+    write_json(scene / "scene_camera.json", views | {"2": views["0"]})
+    again = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert (again.written, again.there, again.set_aside) == (2, 1, {})
+    assert not (tmp_path / "out/set_aside.json").exists()
+
+
+def test_a_rig_that_measures_elsewhere_is_refused_before_any_work(tmp_path):
+    split = write_dataset(tmp_path / "lm")
+    far = replace(RIG, rig=replace(RIG.rig, near_m=1.0, far_m=1.2))
+    with pytest.raises(ConfigError, match=r"scene 0, image 0: its depth is .*graycast rig list"):
+        rescan(open_source(split), far, tmp_path / "out", spec())
+    assert not list((tmp_path / "out").rglob("*_sl"))
+
+
+def test_the_original_is_not_written_to(tmp_path):
+    split = write_dataset(tmp_path / "lm")
+    with pytest.raises(GraycastError, match="which is not changed"):
+        rescan(open_source(split), RIG, split / "new", spec())
+    with pytest.raises(GraycastError, match="holds no earlier result"):
+        rescan(open_source(split), RIG, tmp_path / "lm", spec())
+
+
+def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
+    """By the rig's own camera, and with copies: nothing of the result lies elsewhere."""
+    (tmp_path / "in/depth").mkdir(parents=True)
+    np.save(tmp_path / "in/depth/a.npy", true_depth_m().astype(np.float32))
+    K = ",".join(str(v) for v in (CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px))
+    source = open_source(tmp_path / "in", SourceOptions(intrinsics=K))
+    rescan(source, RIG, tmp_path / "out", spec(camera="rig", copies=True))
+    scene = tmp_path / "out/depth/000000"
+    plain = json.loads((scene / "scene_camera.json").read_text())["0"]
+    assert plain["cam_K"] == pytest.approx(CAMERA.K.ravel())
+    steps = cv2.imread(str(scene / "depth/000000.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(steps * plain["depth_scale"] / 1e3, true_depth_m(), atol=2e-5)
+    depth_m, view = scanned(scene, 0)
+    assert depth_m.shape == (386, 516)
+    assert view["cam_K"] == pytest.approx(RIG.rig.camera.K.ravel())
+    assert np.isfinite(depth_m).mean() > 0.2  # the image shows less than the rig's camera
+    assert validate(tmp_path / "out") == ()
+    assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (386, 516)
+
+
+def test_a_source_is_sent_to_workers(made):
+    _, split, _ = made
+    source = open_source(split)
+    copy = pickle.loads(pickle.dumps(source))
+    np.testing.assert_array_equal(copy.read(0, 4).depth_m, source.read(0, 4).depth_m)
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "words"),
+    [
+        ("depth_sl/000004.png", lambda image: np.where(image > 0, image + 1, image), "SHA-256"),
+        ("mask_visib_sl/000000_000000.png", lambda image: 0 * image, "visible"),
+        ("reason_sl/000000.png", lambda image: 0 * image, "disagree"),
+    ],
+)
+def test_validate_finds_what_was_changed(made, tmp_path, file, damage, words):
+    _, split, _ = made
+    out = tmp_path / "out"
+    rescan(open_source(split), RIG, out, spec(images=2))
+    assert validate(out) == () == validate(out, fast=True)
+    path = out / "train_pbr/000000" / file
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(path), damage(image).astype(image.dtype))
+    assert any(words in str(problem) for problem in validate(out))
+    assert validate(out, fast=True)
+
+
+def test_validate_finds_depth_of_another_scene(made, tmp_path):
+    _, split, _ = made
+    out = tmp_path / "out"
+    rescan(open_source(split), RIG, out, spec(images=1))
+    (out / "train_pbr/000000/depth").unlink()
+    steps = np.full((48, 64), 7000, dtype=np.uint16)
+    (out / "train_pbr/000000/depth").mkdir()
+    cv2.imwrite(str(out / "train_pbr/000000/depth/000000.png"), steps)
+    assert ["looked at another scene" in str(problem) for problem in validate(out)] == [True]

@@ -165,6 +165,8 @@ def test_a_scene_of_ipa_is_turned_into_opencvs_frame(tmp_path):
     assert camera.fx_px == pytest.approx(90) and camera.fy_px == pytest.approx(90)
     assert (camera.cx_px, camera.cy_px) == (31.5, 24.5)
     assert source.read(7, 0).obj_id.tolist() == [] and source.read(7, 0).rgb is None
+    (tmp_path / "gear/gt/cycle_0007/000.csv").unlink()
+    assert source.read(7, 0).obj_id.tolist() == []
 
 
 def test_points_of_ipa_are_where_its_own_loop_over_pixels_has_them(tmp_path):

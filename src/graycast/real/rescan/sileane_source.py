@@ -1,21 +1,22 @@
 """Images of the Siléane and of the Fraunhofer IPA Bin-Picking dataset, of one kind of part each.
 
 Depth has 16 bits from one clipping plane to the other, lengths are metres, and the mesh is
-`mesh.ply`. No file of either was at hand: what contradicts this is refused.
+`mesh.ply`. What contradicts this is refused.
 
 Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): poses and the camera, a
-place and a quaternion w x y z, are in one absolute frame; white depth is not known. Real scenes
-have no `depth_gt`, and their `depth` is measured. Source: R. Brégier et al., "Symmetry aware
-evaluation of 3D object detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
-rbregier.github.io/dataset2017. That the quaternion turns the camera's frame into the absolute one
-and that meshes are in metres is what public readers take.
+place and a quaternion w x y z, are in one absolute frame; white depth is not known. Where there is
+no `depth_gt`, depth has noise. Source: R. Brégier et al., "Symmetry aware evaluation of 3D object
+detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
+rbregier.github.io/dataset2017 and the sample in github.com/rbregier/pose_recovery_evaluation. That
+the quaternion turns the camera's frame into the absolute one is what public readers take.
 
 IPA (`parameter.json`, `p_depth/cycle_0000/001_depth_uint16.png`, `gt/cycle_0000/001.csv`, `p_rgb`):
-a picture is cut out of a square one with the axis in its middle; orthographic ones (`o_depth`) are
-no camera's. Poses go to a frame with x left and y up. A row has id, class, translation, the three
-columns of the rotation, and shares that are visible; id 0 is the bin. Source: K. Kleeberger et al.,
-"Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS 2019; the rest is
-what public readers take (PPR-Net). Not verified: that depth of 0 and 65535 is not known.
+a picture is cut out of a square one with the axis in its middle; orthographic ones are no camera's.
+Poses go to a frame with x left and y up. A row has id, class, translation, the three columns of the
+rotation, and shares that are visible; id 0 is the bin, and image 0 the empty bin. Source: K.
+Kleeberger et al., "Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS
+2019; the files are as public readers take them (PPR-Net), and none was at hand. Not verified: that
+depth of 0 and 65535 is not known.
 """
 
 import math
@@ -178,7 +179,10 @@ def _beside(kind: str, end: str, depth: Path) -> Path:
 
 
 def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
-    return [_FROM_IPA @ T for T in _rows(_beside("gt", ".csv", depth))]
+    path = _beside("gt", ".csv", depth)
+    if int(path.stem) == 0 and not path.exists():  # the empty bin that a cycle begins with
+        return []
+    return [_FROM_IPA @ T for T in _rows(path)]
 
 
 def _rows(path: Path) -> list[np.ndarray]:

@@ -1,6 +1,7 @@
 """Datasets in BOP's form: a cube of known pose is read back, and what is wrong is refused."""
 
 import json
+import pickle
 
 import cv2
 import numpy as np
@@ -60,13 +61,14 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     """Oracle: the depth of `rig/meshdepth` at the pose that the file states."""
     rgb = np.full((48, 64, 3), (200, 90, 40), np.uint8)
     split = write_dataset(tmp_path, images=(0, 7), rgb=rgb)
-    source = opened(split)
+    source = pickle.loads(pickle.dumps(opened(split)))
     assert (source.split, source.sensor, len(source.scenes)) == ("train_pbr", "", 1)
     assert source.images == ((0, 0), (0, 7))
     image = source.read(0, 7)
     assert np.abs(image.depth_m - true_depth_m()).max() <= SCALE_MM / 2e3 * 1.001
     assert np.abs(image.rgb.astype(int) - rgb).max() <= 2  # a JPEG
     assert image.camera == CAMERA
+    assert image.step_m == pytest.approx(SCALE_MM / 1e3)
     assert image.obj_id.tolist() == [1]
     assert np.allclose(image.T_cam_part, POSE, rtol=0, atol=1e-9)
     assert np.allclose(source.parts[1].mesh.extent_m, SIDE_MM / 1e3)
@@ -117,6 +119,28 @@ def test_grey_pictures_have_three_equal_bands(tmp_path):
     (split / "000000/x.tif").rename(split / "000000/gray/000000.tif")
     rgb = opened(split).read(0, 0).rgb
     assert (rgb == (level // 256)[..., None]).all()
+    png(split / "000000/rgb/000000.png", np.full((48, 64, 3), (1, 2, 3), np.uint8))
+    assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # colours go first
+
+
+def test_floats_of_a_tiff_have_a_scale_too_and_may_be_unknown(tmp_path):
+    split = write_dataset(tmp_path)
+    (split / "000000/depth/000000.png").unlink()
+    values = (true_depth_m() * 1e3 / SCALE_MM).astype(np.float32)
+    values[2, 3] = np.nan
+    file = split / "000000/depth/000000.tif"
+    assert cv2.imwrite(str(file), values)
+    image = opened(split).read(0, 0)
+    assert np.isnan(image.depth_m[2, 3]) and image.step_m == 0
+    assert np.nanmax(np.abs(image.depth_m - true_depth_m())) < 1e-6
+    assert cv2.imwrite(str(file), -values)
+    refusal(split, "000000.tif", "negative depth")
+
+
+def test_distortion_is_read_where_a_file_states_it(tmp_path):
+    split = write_dataset(tmp_path)
+    change(split / "000000/scene_camera.json", distortion=[0.1, 0, 0, 0.001, 0])
+    assert opened(split).read(0, 0).camera.distortion == (0.1, 0.0, 0.0, 0.001, 0.0)
 
 
 def test_one_of_several_sensors_is_read_by_its_name(tmp_path):
@@ -197,7 +221,12 @@ def test_rounded_rotations_become_rotations_and_others_are_refused(tmp_path):
     ("name", "entry", "words"),
     [
         ("scene_camera", {"cam_K": None}, ("image 0", "cam_K")),
-        ("scene_camera", {"cam_K": [-90, 0, 31, 0, 90, 24, 0, 0, 1]}, ("cam_K", "fx")),
+        (
+            "scene_camera",
+            {"cam_K": [-90, 0, 31, 0, 90, 24, 0, 0, 1]},
+            ("cam_K", "fx greater than 0"),
+        ),
+        ("scene_camera", {"cam_K": [90, 0, 31, 0, 0, 24, 0, 0, 1]}, ("cam_K", "fy_px")),
         ("scene_camera", {"cam_K": [90, 3, 31, 0, 90, 24, 0, 0, 1]}, ("cam_K", "fx, 0, cx")),
         ("scene_camera", {"cam_K": [float("nan")] * 9}, ("cam_K", "finite")),
         ("scene_camera", {"depth_scale": 0}, ("depth_scale", "greater than 0")),
@@ -228,6 +257,10 @@ def test_damaged_and_missing_files_are_named(tmp_path):
     png(depth, np.full((24, 32), 9000, np.uint16))
     refusal(split, "rgb/000000.jpg", "64 x 48", "32 x 24")
     png(depth, np.full((48, 64), 9000, np.uint16))
+    jpeg = (scene / "rgb/000000.jpg").read_bytes()
+    (scene / "rgb/000000.jpg").write_bytes(jpeg[: len(jpeg) // 2])
+    refusal(split, "rgb/000000.jpg", "damaged")
+    (scene / "rgb/000000.jpg").write_bytes(jpeg)
     gt.write_text(text[:-30])
     refusal(split, str(gt), "JSON")
     gt.write_text(text.replace("]}]}", ']}], "00": []}'))

@@ -1,6 +1,7 @@
 """Folders of depth alone, and which layout a folder has."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -54,12 +55,13 @@ def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
     if not isinstance(content, str):
         text = str(tmp_path / "camera.json")
         (tmp_path / "camera.json").write_text(json.dumps(content))
-    source = opened(folder / "depth", intrinsics=text)
+    source = pickle.loads(pickle.dumps(opened(folder / "depth", intrinsics=text)))
     assert (source.split, source.scenes, source.parts) == ("depth", {}, {})
     assert source.images == ((0, 0), (0, 1))
     assert source.read(0, 0).camera == CAMERA
     assert np.array_equal(source.read(0, 0).depth_m, far, equal_nan=True)
     image = source.read(0, 1)
+    assert image.step_m == 0
     assert np.array_equal(image.depth_m, true_depth_m())
     assert image.rgb is None and len(image.obj_id) == len(image.T_cam_part) == 0
 
@@ -72,6 +74,7 @@ def test_whole_numbers_have_the_scale_of_the_user(tmp_path, intrinsics):
     refusal(tmp_path, "x.png", "--depth-scale", intrinsics=intrinsics)
     image = opened(tmp_path, intrinsics=intrinsics, depth_scale_mm=0.1).read(0, 0)
     assert np.abs(image.depth_m - true_depth_m()).max() <= 0.51e-4
+    assert image.step_m == pytest.approx(1e-4)
     assert np.array_equal(image.rgb, rgb)
     png(tmp_path / "rgb/x.png", rgb[:20])
     refusal(tmp_path, "64 x 48", "64 x 20", intrinsics=intrinsics, depth_scale_mm=0.1)

@@ -1,6 +1,7 @@
 """Siléane's and IPA's layouts, with files written as their descriptions say."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ def check(image):
     """The cube where it is, as `scene_files` has it."""
     assert np.isnan(image.depth_m[0, 0])
     assert np.nanmax(np.abs(image.depth_m - true_depth_m())) <= 0.51 * STEP_M
+    assert image.step_m == pytest.approx(STEP_M)
     assert image.obj_id.tolist() == [1]
     assert np.allclose(image.T_cam_part[0], POSE, rtol=0, atol=1e-6)
 
@@ -73,7 +75,7 @@ def write_sileane(folder, name="depth_gt"):
 def test_a_scene_of_sileane_is_in_the_cameras_frame(tmp_path):
     """Oracle: the pose that was taken to the absolute frame by the inverse of that motion."""
     assert np.allclose(inverse(T_WORLD_CAM) @ T_WORLD_CAM @ POSE, POSE)
-    source = open_source(write_sileane(tmp_path / "bunny"))
+    source = pickle.loads(pickle.dumps(open_source(write_sileane(tmp_path / "bunny"))))
     assert (source.split, source.scenes, source.sensor) == ("bunny", {}, "")
     assert source.images == ((0, 0), (0, 1))
     check(source.read(0, 1))
@@ -140,8 +142,10 @@ def write_ipa(folder):
     T = np.diag([-1.0, -1.0, 1.0, 1.0]) @ POSE
     row = [1, 1, *T[:3, 3], *T[:3, :3].T.ravel(), 1.0, 1.0]
     empty = [0, 0, *np.zeros(3), *np.eye(3).ravel(), 0.0, 0.0]
+    depth = steps()
+    depth[1, 1] = 0
     for number, rows in (("000", [empty]), ("001", [empty, row])):
-        png(folder / f"p_depth/cycle_0007/{number}_depth_uint16.png", steps())
+        png(folder / f"p_depth/cycle_0007/{number}_depth_uint16.png", depth)
         (folder / "gt/cycle_0007").mkdir(parents=True, exist_ok=True)
         lines = ["id,class,x,y,z,r", *(",".join(f"{v:.12g}" for v in row) for row in rows)]
         (folder / f"gt/cycle_0007/{number}.csv").write_text("\n".join(lines) + "\n")
@@ -151,10 +155,11 @@ def write_ipa(folder):
 
 
 def test_a_scene_of_ipa_is_turned_into_opencvs_frame(tmp_path):
-    source = open_source(write_ipa(tmp_path / "gear"))
+    source = pickle.loads(pickle.dumps(open_source(write_ipa(tmp_path / "gear"))))
     assert source.images == ((7, 0), (7, 1))
     image = source.read(7, 1)
     check(image)
+    assert np.argwhere(np.isnan(image.depth_m)).tolist() == [[0, 0], [1, 1]]
     assert (image.rgb == (30, 20, 10)).all()
     camera = image.camera
     assert camera.fx_px == pytest.approx(90) and camera.fy_px == pytest.approx(90)

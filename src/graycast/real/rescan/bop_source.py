@@ -79,7 +79,7 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
     for number, path in sorted(scenes.items()):
         scene = SceneFolder(path, sensor)
         try:
-            numbers = set(_entries(scene, "scene_camera"))
+            numbers = set(_entries(scene, "scene_camera", Images[Any]))
             if not options.depth_only:
                 obj_ids |= _objects_of_scene(scene, numbers)
         except Unreadable as error:
@@ -97,13 +97,13 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
         images=tuple(images),
         parts=models.parts,
         plain=models.plain,
-        image_of=partial(_image, scenes, sensor, options),
+        image_of=partial(_read, scenes, sensor, options),
         sensor=sensor,
         scenes=scenes,
     )
 
 
-def _image(
+def _read(
     scenes: Mapping[int, Path], sensor: str, options: SourceOptions, scene_id: int, image_id: int
 ) -> SourceImage:
     scene = SceneFolder(scenes[scene_id], sensor)
@@ -117,14 +117,14 @@ def _image(
                 "--depth-scale 0.1"
             )
         path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
-        depth_m = stored_depth(path, scale_mm / MM_PER_M)
+        depth_m, step_m = stored_depth(path, scale_mm / MM_PER_M)
         return source_image(
             depth_m,
             scene.find_picture("rgb", image_id) or scene.find_picture("gray", image_id),
             (view.cam_K, f"{where}: cam_K"),
             () if options.depth_only else _objects(scene, image_id, depth_m),
-            view.distortion,
-            step_m=scale_mm / MM_PER_M,
+            step_m=step_m,
+            distortion=view.distortion,
         )
     except Unreadable as error:
         raise DatasetError(f"{scene.path}/{error}: {REPAIR}") from error
@@ -175,10 +175,10 @@ def _sensor(folder: Path, folders: list[Path], request: str) -> str:
     raise DatasetError(f"{folder}: has {problem}: give --sensor NAME, one of {listed}")
 
 
-def _entries(scene: SceneFolder, name: str) -> Mapping[int, Any]:
+def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
     """What a file says by image; a number that stands in it twice is refused."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
-    entries = scene.record(name, Images[Any]).root
+    entries = scene.record(name, form).root
     # JSON's readers take the last of two; no other key in these files is a number.
     numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
     if twice := [number for number, count in numbers.items() if count > 1]:
@@ -189,7 +189,8 @@ def _entries(scene: SceneFolder, name: str) -> Mapping[int, Any]:
 def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
     """The ids of a scene's objects, whose poses are of the right form."""
     name = f"{of_sensor('scene_gt', scene.sensor)}.json"
-    listed = set(_entries(scene, "scene_gt"))
+    poses = _entries(scene, "scene_gt", Images[list[AnyPose]])
+    listed = set(poses)
     if without := sorted(numbers - listed):
         raise Unreadable(
             f"{name} says nothing of image {without[0]} (without objects, give it an empty list; "
@@ -198,7 +199,6 @@ def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
     if without := sorted(listed - numbers):
         camera = f"{of_sensor('scene_camera', scene.sensor)}.json"
         raise Unreadable(f"{camera} says nothing of image {without[0]}, which {name} has")
-    poses = scene.record("scene_gt", Images[list[AnyPose]]).root
     return {one.obj_id for objects in poses.values() for one in objects}
 
 

@@ -55,7 +55,8 @@ def _image(
     shot = shots[image_id]
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
-    if scale_m is None and is_whole(shot.depth):
+    whole = is_whole(shot.depth)
+    if scale_m is None and whole:
         raise DatasetError(
             f"{shot.depth}: has whole numbers: give the millimetres of one step, such as "
             "--depth-scale 0.1"
@@ -71,5 +72,5 @@ def _image(
         rgb=rgb,
         obj_id=np.zeros(0, np.int64),
         T_cam_part=np.zeros((0, 4, 4)),
-        step_m=(scale_m or 0.0) if is_whole(shot.depth) else 0.0,
+        step_m=(scale_m or 0.0) if whole else 0.0,
     )

@@ -27,7 +27,10 @@ R = TypeVar("R", bound=BaseModel)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileSource:
-    """A `Source` whose images are read by a function of their scene and number."""
+    """A `Source` whose images are read by a function of their scene and number.
+
+    The function can be pickled, so that workers read.
+    """
 
     folder: Path
     split: str
@@ -64,12 +67,11 @@ def source_image(
     """An image of its depth and its files.
 
     Args:
-        depth_m: as of `stored_depth`.
+        depth_m: as of `stored_depth`, and so is `step_m`.
         rgb: the colour or grey picture.
         camera: the matrix by rows, and where it stands.
         objects: id and pose of each.
         distortion: of the camera.
-        step_m: of which stored depth is a multiple.
 
     Raises:
         DatasetError: the picture is of another size or damaged, or the matrix is that of no camera.
@@ -105,16 +107,17 @@ def stored_steps(path: Path) -> np.ndarray:
     return steps
 
 
-def stored_depth(path: Path, scale_m: float) -> Float[np.ndarray, "h w"]:
-    """Depth [m]; 0 and what is not finite is NaN.
+def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
+    """Depth [m], and its step, 0 for floats; stored 0 and what is not finite is NaN.
 
     Raises:
         DatasetError: as of `stored_steps`, or depth is negative or too far.
     """
-    depth_m = in_metres(stored_steps(path), scale_m, str(path))
+    steps = stored_steps(path)
+    depth_m = in_metres(steps, scale_m, str(path))
     if (depth_m < 0).any():
         raise DatasetError(f"{path}: has negative depth: give z of the camera frame, which is > 0")
-    return depth_m
+    return depth_m, scale_m if steps.dtype == np.uint16 else 0.0
 
 
 def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -144,11 +147,11 @@ def camera_of(
         DatasetError: the matrix is that of no camera, or has a skew.
     """
     matrix = np.reshape(K, (3, 3)).astype(float)
-    (fx, skew, _), (zero, fy, _), last = matrix.tolist()
-    if min(fx, fy) <= 0 or max(abs(skew), abs(zero)) > 1e-6 * fx or last != [0.0, 0.0, 1.0]:
+    (fx, skew, _), (zero, _, _), last = matrix.tolist()
+    if max(abs(skew), abs(zero)) > 1e-6 * fx or last != [0.0, 0.0, 1.0]:
         raise DatasetError(
             f"{where}: {matrix.ravel().tolist()} is no camera matrix: give [fx, 0, cx, 0, fy, cy, "
-            "0, 0, 1] with fx and fy greater than 0"
+            "0, 0, 1] with fx greater than 0"
         )
     try:
         return optics_of(matrix, (size_px[0], size_px[1]), distortion)

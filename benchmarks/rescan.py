@@ -78,10 +78,10 @@ def _rows(name: str, cell: Cell, folder: Path, scenes: int, show: Show) -> Itera
     _strip(folder / "whole", folder / "bare")
     materials = folder / "materials.yaml"
     parts = {i: part.material.words for i, part in enumerate(cell.scene.parts, start=1)}
-    plain = {
-        i: words for i, words in parts.items() if cell.scene.parts[i - 1].material.texture is None
-    }
-    materials.write_text(yaml.safe_dump(plain))
+    for i, words in parts.items():
+        if cell.scene.parts[i - 1].material.texture is not None:
+            del words["base_color"]  # The model brings its own texture.
+    materials.write_text(yaml.safe_dump(parts))
     original = _scans(folder / "whole/train", folder / "whole/train")
     yield {"cell": name, "scan": "generate", "s": whole_s, **_figures(original, original)}
     for label, seed, only in (("rescan", 1, False), ("again", 2, False), ("depth alone", 1, True)):

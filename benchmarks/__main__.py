@@ -119,6 +119,10 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
             number("--seeds", 20, "The number of drops of each kind"),
         ],
     ),
+    "rescan": (
+        "Scan datasets of ours again without their scanner depth: docs/how-to/rescan.md.",
+        [number("--scenes", 4, "The number of scenes of each cell")],
+    ),
     "live": (
         "Measure the response times of graycast live: docs/measurements/live.md.",
         [

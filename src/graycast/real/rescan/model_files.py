@@ -11,7 +11,7 @@ millimetres, with colours or with a texture, and `models_info.json`.
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import final
 
@@ -122,14 +122,15 @@ def read_models(
         files: all models of the dataset.
         obj_ids: those that are read.
         materials: a YAML file: under the id or name of an object, or under `default`, the name of
-            a material or a section of its keys. An object that it leaves out, where there is no
-            default, keeps its own colours.
+            a material or a section of its keys. Keys change what the mesh has, so that
+            `{roughness: 0.3}` keeps its colours; a name replaces it.
 
     Raises:
         DatasetError: an object has no model, or its file is damaged or of another unit.
         ConfigError: the materials file is not what it should be.
     """
     looks = {} if materials is None else _looks(materials, files)
+    folder = Path() if materials is None else materials.parent
     if missing := sorted(set(obj_ids) - set(files)):
         raise DatasetError(
             f"{next(iter(files.values())).path.parent}: has no model obj_{missing[0]:06d}.ply, and "
@@ -137,13 +138,17 @@ def read_models(
         )
     parts, plain = {}, set()
     for obj_id in sorted(obj_ids):
-        mesh, material = _read_model(files[obj_id], looks.get(obj_id))
-        if material is None:
+        look = looks.get(obj_id, MaterialSection())
+        try:
+            mesh, material = _read_model(files[obj_id], look, folder)
+        except ConfigError as error:
+            raise ConfigError(f"{materials}: {obj_id}: {error}") from error
+        if material.texture is None and look.base_color is None and look.preset is None:
             plain.add(obj_id)
         parts[obj_id] = Part(
             name=files[obj_id].name,
             mesh=mesh,
-            material=material or _GREY,
+            material=material,
             density_kg_m3=1000.0,
             friction=0.4,
             symmetry=files[obj_id].symmetry,
@@ -152,9 +157,9 @@ def read_models(
     return Models(parts=parts, plain=frozenset(plain))
 
 
-def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, Material]:
+def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialSection]:
     """The materials of the objects that a file names, and of all others where it has a default."""
-    looks: dict[int, Material] = {}
+    looks: dict[int, MaterialSection] = {}
     default = None
     by_name = {file.name: obj_id for obj_id, file in files.items()}
     for key, words in parse_yaml(read_text(path), path).items():
@@ -170,21 +175,17 @@ def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, Material]
             MaterialSection,
             Path(f"{path}: {key}"),
         )
-        try:
-            material = resolve_material(section, path.parent)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: {key}: {error}") from error
         if obj_id is None:
-            default = material
+            default = section
         elif obj_id in looks:
             raise ConfigError(f"{path}: object {obj_id} has two materials: remove one of them")
         else:
-            looks[obj_id] = material
+            looks[obj_id] = section
     return looks if default is None else dict.fromkeys(files, default) | looks
 
 
-def _read_model(file: ModelFile, look: Material | None) -> tuple[Mesh, Material | None]:
-    """A mesh [m] and its material; None where neither a user nor the file states one."""
+def _read_model(file: ModelFile, look: MaterialSection, folder: Path) -> tuple[Mesh, Material]:
+    """A mesh [m] and its material: its own colours, or grey, changed by what a user states."""
     try:
         surface = read_surface(file.path)
         surface.check_numbers()
@@ -195,9 +196,11 @@ def _read_model(file: ModelFile, look: Material | None) -> tuple[Mesh, Material 
         _refuse_other_unit(file, surface.longest)
         surface = welded(surface, [])
         uv, texture = _texture(surface)
-        if look is None and texture is None and b"TextureFile" in header:
+        material = resolve_material(look, folder, own=replace(_GREY, texture=texture))
+        colored = look.base_color is not None or look.texture is not None or look.preset is not None
+        if not colored and texture is None and b"TextureFile" in header:
             raise Refusal("its header names a TextureFile that is missing or damaged; add it")
-        if look is not None and look.texture is not None and surface.corner_uv is None:
+        if look.texture is not None and surface.corner_uv is None:
             raise Refusal("has no texture coordinates; give it a material with a base_color")
     except Refusal as refusal:
         raise DatasetError(f"{file.path}: {refusal}") from refusal
@@ -205,10 +208,10 @@ def _read_model(file: ModelFile, look: Material | None) -> tuple[Mesh, Material 
     mesh = Mesh(
         vertices_m=vertices_m,
         faces=surface.faces,
-        corner_uv=uv if look is None else surface.corner_uv,
+        corner_uv=surface.corner_uv if colored else uv,
         corner_normals=crease_normals(vertices_m, surface.faces, CREASE_RAD),
     )
-    return mesh, look or (None if texture is None else Material(texture=texture))
+    return mesh, material
 
 
 def _refuse_other_unit(file: ModelFile, longest: float) -> None:

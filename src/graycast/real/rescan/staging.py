@@ -1,6 +1,7 @@
 """A scene from perfect depth: the objects by their meshes, and all else as one solid behind them.
 
-The world is the frame of the image's camera. What no object covers becomes the top of a solid whose
+The world is the frame of the image's camera, which is taken to look down at the scene: a lamp
+stands beside it as over a cell of ours. What no object covers becomes the top of a solid whose
 sides run along the camera's rays, as far down as the image goes; behind the objects its surface
 goes on as a membrane that hangs at what is known around them.
 
@@ -21,10 +22,11 @@ from ...base.color import linear, srgb
 from ...base.errors import DatasetError
 from ...base.frames import transform_points
 from ...camera.scanner import Scanner
+from ...cell.config import LightSection
 from ...rig.meshdepth import rasterize
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
-from ...world.scene import Layout, Scene
+from ...world.scene import Lamp, Layout, Scene
 from ..depth_solid import STEP_M, Rounds, solid_of, surfaces
 from .source import SourceImage
 
@@ -113,6 +115,7 @@ def stage(
         rig=scanner.rig,
         T_world_cam=np.eye(4),
         parts=(*(replace(parts[obj_id], labelled=True) for obj_id in used), behind),
+        lamps=_lamps(float(np.nanmedian(image.depth_m))),
     )
     index = [used.index(int(image.obj_id[i])) for i in modelled]
     layout = Layout(
@@ -120,6 +123,21 @@ def stage(
         part_index=np.array([*index, len(used)], dtype=np.int64),
     )
     return Staged(scene=scene, layout=layout, obj_id=tuple(used))
+
+
+def _lamps(depth_m: float) -> tuple[Lamp, ...]:
+    """The lamps of a cell whose bin's floor lies at this depth, and whose camera looks down."""
+    down = np.array([1.0, -1.0, -1.0])
+    middle = np.array([0.0, 0.0, depth_m])
+
+    def turned(point_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (down * point_m + middle).tolist()
+        return x, y, z
+
+    return tuple(
+        replace(lamp, center_m=turned(lamp.center_m), target_m=turned(lamp.target_m))
+        for lamp in LightSection().lamps
+    )
 
 
 def _nearest(

@@ -101,6 +101,14 @@ def size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def sides_m(text: str) -> tuple[float, float]:
+    try:
+        width, height = map(above_zero, text.lower().split("x"))
+    except (ValueError, argparse.ArgumentTypeError):
+        raise argparse.ArgumentTypeError(f"{text!r} is not two lengths such as 0.6x0.4") from None
+    return width, height
+
+
 def distortion(text: str) -> tuple[float, float, float, float, float]:
     try:
         k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
@@ -114,10 +122,11 @@ def distortion(text: str) -> tuple[float, float, float, float, float]:
 # --- the shared flags: each has one meaning ----------------------------------------------------
 
 _METAVARS: Mapping[object, str] = {
-    whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", Path: "PATH",
-    distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES", "--on": "DATASET",
-    "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--intrinsics": "K",
-    "--scale": "METRES", "--near": "METRES", "--far": "METRES",
+    whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", sides_m: "WxH",
+    Path: "PATH", distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES",
+    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--intrinsics": "K",
+    "--scale": "METRES", "--near": "METRES", "--far": "METRES", "--at": "METRES",
+    "--noise": "METRES",
 }  # fmt: skip
 
 SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
@@ -236,8 +245,8 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    presets = f"a path to a rig file, or the name of a preset: {', '.join(PRESETS)}"
-    add_option(parser, "rig", str, f"The rig: {presets}.")
+    names = f"a name such as {', '.join(PRESETS[:4])}; graycast rig list prints all names"
+    add_option(parser, "rig", str, f"The rig: a path to a rig file, or {names}.")
     add_shared(parser, "--resolution", usual="low")
 
 

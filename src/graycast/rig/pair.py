@@ -21,7 +21,7 @@ from ..base.frames import (
 )
 from ..base.settings import check_fields
 from .optics import Optics, in_picture, project, rays
-from .shelf import SHELF, refusal, shelf_entry
+from .shelf import NAMES, no_rig, shelf_entry
 
 
 def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
@@ -215,7 +215,7 @@ def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
     return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
 
 
-PRESETS = ("paper", *SHELF)
+PRESETS = NAMES
 # So many sensor pixels lie across one of the picture. Summing squares of pixels speeds a camera up.
 BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
 RESOLUTIONS = tuple(BINNING)
@@ -252,11 +252,6 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
         far_m=entry.far_m,
         band_weights=entry.band_weights,
     )
-
-
-def no_rig(name: str) -> str:
-    """The words of an error about a name that is not in `PRESETS`."""
-    return refusal(name) or f"no rig {name!r}: choose one of {', '.join(PRESETS)}"
 
 
 def depth_per_column_m(rig: Rig, z_m: float) -> float:

@@ -23,17 +23,16 @@ SHELF = (
     *("like-zivid-2plus-lr110", "like-mech-eye-nano", "like-mech-eye-pro-s"),
     *("like-mech-eye-pro-m", "lab-lightcrafter-4500", "office-projector"),
 )
+NAMES = ("paper", *SHELF)  # the paper's rig is phoxi-m in another light
 _OTHER_PRINCIPLES: Mapping[str, tuple[str, ...]] = {
     "stereo of two cameras": (
-        *("realsense", "d405", "d415", "d435", "d455", "ensenso", "gemini", "zed", "oak", "visard"),
+        *("realsense", "d405", "d415", "d435", "d455", "ensenso", "orbbec", "gemini", "zed", "oak"),
+        "visard",
     ),
-    "time of flight": (
-        *("kinect", "femto", "helios", "l515", "visionary", "blaze", "cubeeye"),
-    ),
-    "a speckle pattern that never changes": ("astra", "primesense", "xtion", "structure"),
+    "time of flight": (*("kinect", "femto", "helios", "l515", "visionary", "blaze", "cubeeye"),),
+    "a speckle pattern that never changes": ("astra", "primesense", "xtion"),
 }
 _TOO_LITTLE_PUBLIC = ("motioncam", "cognex", "keyence")
-PAGE = "docs/reference/shelf.md"
 
 
 class DeviceSection(Settings):
@@ -152,15 +151,19 @@ def shelf_entry(name: str) -> ShelfEntry:
     return check_settings(parse_yaml(text, Path(file)), ShelfEntry, Path(file))
 
 
-def refusal(name: str) -> str | None:
-    """Why there is no scanner of that name, where more can be said than that there is none."""
+def no_rig(name: str, folder: Path | None = None) -> str:
+    """The words of an error about a name that is not in `NAMES`, nor a file of a folder."""
     words = re.split(r"[^a-z0-9]+", name.lower())
     for principle, others in _OTHER_PRINCIPLES.items():
-        if any(word.startswith(other) for word in words for other in others):
+        if any(word.startswith(others) for word in words):
             return (
                 f"no rig {name!r}: it measures by {principle}, and Graycast simulates only coded "
                 "light of a projector"
             )
-    if any(word.startswith(other) for word in words for other in _TOO_LITTLE_PUBLIC):
-        return f"no rig {name!r}: too little of it is public, and {PAGE} lists what is missing"
-    return None
+    if any(word.startswith(_TOO_LITTLE_PUBLIC) for word in words):
+        return (
+            f"no rig {name!r}: too little of it is public. docs/reference/shelf.md lists what is "
+            "missing; write a rig file of your own"
+        )
+    files = "" if folder is None else f", or name a file in {folder}"
+    return f"no rig {name!r}: choose one of {', '.join(NAMES)}{files}"

@@ -124,7 +124,8 @@ def distortion(text: str) -> tuple[float, float, float, float, float]:
 _METAVARS: Mapping[object, str] = {
     whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", sides_m: "WxH",
     Path: "PATH", distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES",
-    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--intrinsics": "K",
+    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX",
+    "--intrinsics": "K",
     "--scale": "METRES", "--near": "METRES", "--far": "METRES", "--at": "METRES",
     "--noise": "METRES",
 }  # fmt: skip

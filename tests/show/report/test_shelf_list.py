@@ -1,0 +1,70 @@
+"""What sees a field at a distance, with a certain noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graycast.rig.optics import Optics
+from graycast.rig.pair import PRESETS, Rig, preset_rig
+from graycast.rig.shelf import measured
+from graycast.show.report.shelf_list import covers, shelf_lines, stored_noise_m
+
+
+def names(**wish):
+    return [line.split()[0] for line in shelf_lines(**wish)]
+
+
+def parallel_rig():
+    """Both fields are 1 x 0.5 of the depth; the projector is 0.2 m to the right."""
+    lens = Optics(width_px=200, height_px=100, fx_px=200.0, fy_px=200.0, cx_px=99.5, cy_px=49.5)
+    T = np.eye(4)
+    T[0, 3] = 0.2
+    return Rig(name="two", camera=lens, projector=lens, T_cam_proj=T, near_m=0.5, far_m=2.0)
+
+
+@pytest.mark.parametrize(
+    ("field_m", "fits"),
+    [((0.79, 0.49), True), ((0.81, 0.49), False), ((0.79, 0.51), False), ((0.49, 0.79), True)],
+)
+def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
+    """Oracle: 1 m less 0.2 m of baseline is common at one metre, and half a metre of height."""
+    assert covers(parallel_rig(), field_m, 1.0) is fits
+
+
+def test_nothing_fits_where_the_fields_do_not_meet():
+    rig = parallel_rig()
+    T = rig.T_cam_proj.copy()
+    T[0, 3] = 3.0
+    assert not covers(replace(rig, T_cam_proj=T), (0.01, 0.01), 1.0)
+
+
+def test_all_are_listed_without_a_wish():
+    assert names() == list(PRESETS)
+
+
+def test_those_with_a_large_field_at_one_metre_are_listed():
+    """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and less than an XL's
+    nearest place is away. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
+    found = names(field_m=(0.6, 0.4), at_m=1.0)
+    assert {"phoxi-m", "phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(found)
+    assert not {"phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(found)
+    assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
+
+
+def test_noise_is_linear_between_the_measured_distances():
+    own = measured().scanners["phoxi-m"]
+    middle_m = (own.z_m[0] + own.z_m[1]) / 2
+    assert stored_noise_m("phoxi-m", middle_m) == pytest.approx(
+        (own.noise_m[0] + own.noise_m[1]) / 2
+    )
+    assert stored_noise_m("paper", 1.0) is None
+
+
+def test_a_stricter_wish_leaves_fewer():
+    found = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
+    assert found[0] > found[1] > found[2] == set()
+    assert found[0] == set(names(at_m=1.0)) - {"paper"}
+    for name in found[1]:
+        assert stored_noise_m(name, 1.0) <= 1.5e-4
+        assert preset_rig(name).near_m <= 1.0 <= preset_rig(name).far_m

@@ -8,7 +8,7 @@ import yaml
 
 from graycast.camera.scanner import Scanner, preset
 from graycast.rendering import Renderer, open_renderer
-from graycast.rig.shelf import MEASURED, SHELF, Measured, ShelfEntry, measured, shelf_entry
+from graycast.rig.shelf import MEASURED, SHELF, ShelfEntry, ShelfFigures, measured, shelf_entry
 from graycast.score.metrology import Certificate, Scope, certify
 from graycast.show.report import draw_rig
 from graycast.show.report.rig_picture import common_field
@@ -25,24 +25,24 @@ HEAD = (
 
 def measure_all(
     names: list[str], resolution: str, commit: str, show: Callable[[str], None]
-) -> dict[str, Measured]:
+) -> dict[str, ShelfFigures]:
     """The figures of the names, and those of the others as they were stored at this resolution."""
     stored = measured()
     figures = dict(stored.scanners) if stored.resolution == resolution else {}
-    made = f"commit {commit}, python -m benchmarks shelf"
+    origin = f"commit {commit}, python -m benchmarks shelf"
     with open_renderer("mitsuba", device="cpu") as renderer:
         for name in names:
             show(f"{name} is measured")
             figures[name] = _measure(preset(name, resolution), renderer)
-            _store(figures, made, resolution)
+            _store(figures, origin, resolution)
     return figures
 
 
-def _measure(scanner: Scanner, renderer: Renderer) -> Measured:
+def _measure(scanner: Scanner, renderer: Renderer) -> ShelfFigures:
     found: Certificate = certify(scanner, renderer=renderer, seed=0, scope=SCOPE)
     factors = scanner.exposure.factors
     frame_s = found.middle.exposure_s * sum(factors) + READOUT_S * len(factors)
-    return Measured(
+    return ShelfFigures(
         z_m=tuple(round(plane.z_m, 4) for plane in found.facing),
         noise_m=tuple(_rounded(plane.noise_m) for plane in found.facing),
         spacing_m=tuple(_rounded(plane.spacing_m) for plane in found.facing),
@@ -56,12 +56,12 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _store(figures: dict[str, Measured], made: str, resolution: str) -> None:
+def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> None:
     """Into the package, where `graycast rig list --noise` reads them."""
     import graycast.rig.shelf
 
     known = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
-    content = {"made": made, "resolution": resolution, "scanners": known}
+    content = {"origin": origin, "resolution": resolution, "scanners": known}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
     path = Path(graycast.rig.shelf.__file__).with_name(MEASURED)
     path.write_text(f"# Written by python -m benchmarks shelf: docs/reference/shelf.md.\n{text}")
@@ -74,7 +74,7 @@ def draw_all(names: list[str], folder: Path) -> None:
         draw_rig(preset(name, "full").rig, folder / f"{name}.png")
 
 
-def with_table(page: str, figures: dict[str, Measured]) -> str:
+def with_table(page: str, figures: dict[str, ShelfFigures]) -> str:
     """A page with the table between its two marks made anew."""
     before, rest = page.split(START)
     _, after = rest.split(END)
@@ -82,7 +82,7 @@ def with_table(page: str, figures: dict[str, Measured]) -> str:
     return f"{before}{START}\n\n{HEAD}{rows}\n{END}{after}"
 
 
-def _row(name: str, entry: ShelfEntry, own: Measured | None) -> str:
+def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
     rig, claims = preset(name, "full").rig, entry.claims
     near_m, far_m = rig.near_m, rig.far_m
     fields = " / ".join(_field(rig, z_m) for z_m in (near_m, (near_m + far_m) / 2, far_m))

@@ -9,7 +9,7 @@ from ...base.settings import Positive, Settings, check_settings, parse_yaml
 MEASURED = "measured.yaml"
 
 
-class Measured(Settings):
+class ShelfFigures(Settings):
     """Figures of `graycast rig certify` with a small scope, at the distances `z_m`.
 
     `noise_m` is the temporal standard deviation of depth, `spacing_m` the distance of neighbouring
@@ -26,9 +26,9 @@ class Measured(Settings):
 
 
 class _Table(Settings):
-    made: str
+    origin: str
     resolution: str
-    scanners: dict[str, Measured]
+    scanners: dict[str, ShelfFigures]
 
 
 @cache

@@ -333,9 +333,11 @@ def run_sigma(args: argparse.Namespace) -> int:
 
 
 def run_shelf(args: argparse.Namespace) -> int:
+    from graycast.rig.shelf import SHELF
+
     from . import shelf
 
-    names = args.names or list(shelf.SHELF)
+    names = args.names or list(SHELF)
     if args.pictures is not None:
         shelf.draw_all(names, args.pictures)
         print(args.pictures)

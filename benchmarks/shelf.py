@@ -1,13 +1,16 @@
 """The scanners with names beside their makers' figures: what docs/reference/shelf.md has."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import yaml
+from jaxtyping import Float
 
 from graycast.camera.scanner import Scanner, preset
 from graycast.rendering import Renderer, open_renderer
+from graycast.rig import shelf
+from graycast.rig.pair import Rig
 from graycast.rig.shelf import MEASURED, SHELF, ShelfEntry, ShelfFigures, measured, shelf_entry
 from graycast.score.metrology import Certificate, Scope, certify
 from graycast.show.report import draw_rig
@@ -58,12 +61,10 @@ def _rounded(value: float) -> float:
 
 def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> None:
     """Into the package, where `graycast rig list --noise` reads them."""
-    import graycast.rig.shelf
-
     known = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
     content = {"origin": origin, "resolution": resolution, "scanners": known}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
-    path = Path(graycast.rig.shelf.__file__).with_name(MEASURED)
+    path = Path(shelf.__file__).with_name(MEASURED)
     path.write_text(f"# Written by python -m benchmarks shelf: docs/reference/shelf.md.\n{text}")
 
 
@@ -114,10 +115,10 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
     return f"| {' | '.join(cells)} |\n"
 
 
-def _field(rig, z_m: float) -> str:
+def _field(rig: Rig, z_m: float) -> str:
     """The rectangle that encloses the common field."""
     return _size(np.ptp(common_field(rig, z_m), axis=0))
 
 
-def _size(size_m) -> str:
+def _size(size_m: Sequence[float] | Float[np.ndarray, "2"]) -> str:
     return f"{1e3 * size_m[0]:.0f} x {1e3 * size_m[1]:.0f}"

@@ -42,15 +42,15 @@ def measure_all(
 
 
 def _measure(scanner: Scanner, renderer: Renderer) -> ShelfFigures:
-    found: Certificate = certify(scanner, renderer=renderer, seed=0, scope=SCOPE)
+    sheet: Certificate = certify(scanner, renderer=renderer, seed=0, scope=SCOPE)
     factors = scanner.exposure.factors
-    frame_s = found.middle.exposure_s * sum(factors) + READOUT_S * len(factors)
+    frame_s = sheet.middle.exposure_s * sum(factors) + READOUT_S * len(factors)
     return ShelfFigures(
-        z_m=tuple(round(plane.z_m, 4) for plane in found.facing),
-        noise_m=tuple(_rounded(plane.noise_m) for plane in found.facing),
-        spacing_m=tuple(_rounded(plane.spacing_m) for plane in found.facing),
-        plane_std_m=tuple(_rounded(plane.std_m) for plane in found.facing),
-        length_error=_rounded(found.spacing[0].error_m / found.bar_length_m),
+        z_m=tuple(round(plane.z_m, 4) for plane in sheet.facing),
+        noise_m=tuple(_rounded(plane.noise_m) for plane in sheet.facing),
+        spacing_m=tuple(_rounded(plane.spacing_m) for plane in sheet.facing),
+        plane_std_m=tuple(_rounded(plane.std_m) for plane in sheet.facing),
+        length_error=_rounded(sheet.spacing[0].error_m / sheet.bar_length_m),
         capture_s=_rounded(len(scanner.light_code().frames) * frame_s),
     )
 
@@ -61,8 +61,8 @@ def _rounded(value: float) -> float:
 
 def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> None:
     """Into the package, where `graycast rig list --noise` reads them."""
-    known = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
-    content = {"origin": origin, "resolution": resolution, "scanners": known}
+    rows = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
+    content = {"origin": origin, "resolution": resolution, "scanners": rows}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
     path = Path(shelf.__file__).with_name(MEASURED)
     path.write_text(f"# Written by python -m benchmarks shelf: docs/reference/shelf.md.\n{text}")
@@ -87,7 +87,7 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
     rig, claims = preset(name, "full").rig, entry.claims
     near_m, far_m = rig.near_m, rig.far_m
     fields = " / ".join(_field(rig, z_m) for z_m in (near_m, (near_m + far_m) / 2, far_m))
-    stated = "; ".join(
+    field_text = "; ".join(
         f"{_size(claim.size_m)} at {claim.at_m:g} m; {_field(rig, claim.at_m)}"
         for claim in claims.fields
     )
@@ -106,7 +106,7 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
         f"{near_m:g}-{far_m:g}",
         f"{rig.camera.width_px} x {rig.camera.height_px}",
         fields,
-        stated or "?",
+        field_text or "?",
         f"{says}; {noise} at {at_m:.2f} m",
         spacing,
         f"{share}; {'?' if own is None else f'{own.length_error:.3%}'}",

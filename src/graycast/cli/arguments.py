@@ -318,7 +318,8 @@ def resolve_rig_option(options: argparse.Namespace):
     """Return the scanner that the arguments `rig` and `--resolution` name."""
     from ..camera.rig_file import named_scanner
 
-    if options.resolution is not None and options.rig not in PRESETS:
+    own_file = options.rig not in PRESETS and Path(options.rig).is_file()
+    if options.resolution is not None and own_file:
         raise GraycastError(
             f"--resolution applies only to a preset, and the rig file {options.rig} states its "
             "own resolution: remove --resolution"

@@ -15,6 +15,7 @@ from graycast.rig.shelf import MEASURED, SHELF, ShelfEntry, ShelfFigures, measur
 from graycast.score.metrology import Certificate, Scope, certify
 from graycast.show.report import draw_rig
 from graycast.show.report.rig_picture import common_field
+from graycast.show.report.shelf_list import stored_noise_m
 
 SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
 READOUT_S = 0.01  # of a frame, as the design study has it
@@ -92,7 +93,8 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
         for claim in claims.fields
     )
     at_m = claims.noise.at_m if claims.noise else entry.focus_m or (near_m + far_m) / 2
-    noise = "?" if own is None else f"{1e3 * np.interp(at_m, own.z_m, own.noise_m):.3f}"
+    noise_m = stored_noise_m(name, at_m)
+    noise = "?" if own is None or noise_m is None else f"{1e3 * noise_m:.3f}"
     says = f"{1e3 * claims.noise.value_m:g}" if claims.noise else "?"
     spacing = "?"
     if claims.spacing:
@@ -109,7 +111,7 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
         field_text or "?",
         f"{says}; {noise} at {at_m:.2f} m",
         spacing,
-        f"{share}; {'?' if own is None else f'{own.length_error:.3%}'}",
+        f"{share}; {'?' if own is None else f'{round(own.length_error, 5) + 0.0:.3%}'}",
         f"{span}; {'?' if own is None else f'{own.capture_s:.2f}'}",
     ]
     return f"| {' | '.join(cells)} |\n"

@@ -19,7 +19,7 @@ CROSS_BEYOND = {
     "like-zivid-2plus-m60": 0.0079 + 0.1112 / math.tan(0.085),
     "like-zivid-2plus-mr60": 0.0079 + 0.1112 / math.tan(0.085),
 }
-SOURCE = re.compile(r"# (source: |our choice|from memory of )\S*")
+SOURCE = re.compile(r"  # (source: \S|our choice|from memory of \S)")
 
 
 def lines_of(name):

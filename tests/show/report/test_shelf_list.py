@@ -8,6 +8,7 @@ import pytest
 from graycast.rig.optics import Optics
 from graycast.rig.pair import PRESETS, Rig, preset_rig
 from graycast.rig.shelf import measured
+from graycast.show.report import shelf_list
 from graycast.show.report.shelf_list import covers, shelf_lines, stored_noise_m
 
 
@@ -52,13 +53,17 @@ def test_those_with_a_large_field_at_one_metre_are_listed():
     assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
 
 
-def test_noise_is_linear_between_the_measured_distances():
+def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_between(monkeypatch):
+    """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
     own = measured().scanners["phoxi-m"]
-    middle_m = (own.z_m[0] + own.z_m[1]) / 2
-    assert stored_noise_m("phoxi-m", middle_m) == pytest.approx(
-        (own.noise_m[0] + own.noise_m[1]) / 2
-    )
+    for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
+        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(noise_m)
     assert stored_noise_m("paper", 1.0) is None
+    square = own.model_copy(update={"noise_m": tuple(1e-4 * z_m**2 for z_m in own.z_m)})
+    table = measured().model_copy(update={"scanners": {"phoxi-m": square}})
+    monkeypatch.setattr(shelf_list, "measured", lambda: table)
+    for z_m in (0.3, 0.6, 0.9, 1.5):
+        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
 
 
 def test_a_stricter_wish_leaves_fewer():

@@ -60,12 +60,17 @@ def _holds(outline: CrossSection, half_m: Float[np.ndarray, "2"]) -> bool:
 
 
 def stored_noise_m(name: str, z_m: float) -> float | None:
-    """Temporal noise of depth as `measured` has it, linear between its distances.
+    """Temporal noise of depth at a distance, from what `measured` has at three.
 
-    Outside of them it is that of the nearest; None where the scanner was not measured.
+    An error of a place in the projector's picture makes one of depth in proportion to `z^2 / (f b)`
+    (similar triangles), so noise over `z^2` is taken as linear between the three and as constant
+    outside. None where the scanner was not measured.
     """
     own = measured().scanners.get(name)
-    return None if own is None else float(np.interp(z_m, own.z_m, own.noise_m))
+    if own is None:
+        return None
+    at_m = np.array(own.z_m)
+    return float(z_m**2 * np.interp(z_m, at_m, own.noise_m / at_m**2))
 
 
 def _line(scanner: Scanner, z_m: float, noise_m: float | None) -> str:

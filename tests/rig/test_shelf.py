@@ -11,6 +11,7 @@ from graycast.base.frames import inverse, transform_points
 from graycast.rig.optics import in_picture, project, rays
 from graycast.rig.pair import PRESETS, RESOLUTIONS, best_depth_m, preset_rig
 from graycast.rig.shelf import NAMES, SHELF, measured, no_rig, shelf_entry
+from graycast.rig.shelf.entry import DeviceSection
 
 EVERY = pytest.mark.parametrize("name", SHELF)
 # By their makers' angles the axes of these cross beyond the range, at 278 mm and at 1.3 m.
@@ -122,6 +123,15 @@ def test_binning_leaves_what_the_camera_sees(name, resolution):
             for o in (full, binned)
         ]
         np.testing.assert_allclose(*ends, atol=1e-12)
+
+
+def test_binning_leaves_what_a_lens_with_offset_sees():
+    device = DeviceSection(size_px=(8, 8), fx_px=10.0, cy_px=6.0)
+    ends = [
+        rays(device.optics(binning), np.array([[-0.5, -0.5], [8 / binning - 0.5] * 2]))
+        for binning in (1, 2)
+    ]
+    np.testing.assert_allclose(*ends, atol=1e-12)
 
 
 def test_the_mirrors_of_a_dlp4500_are_twice_as_wide_as_high_and_its_picture_is_above_the_axis():

@@ -1,11 +1,13 @@
 """What sees a field at a distance, with a certain noise."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
-from graycast.rig.optics import Optics
+from graycast.base.frames import inverse, transform_points
+from graycast.rig.optics import Optics, in_picture, project
 from graycast.rig.pair import PRESETS, Rig, preset_rig
 from graycast.rig.shelf import measured
 from graycast.show.report import shelf_list
@@ -31,6 +33,32 @@ def parallel_rig():
 def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
     """Oracle: 1 m less 0.2 m of baseline is common at one metre, and half a metre of height."""
     assert covers(parallel_rig(), field_m, 1.0) is fits
+
+
+@pytest.mark.parametrize("ratio", [0.6, 1.0, 2.0])
+def test_a_rectangle_fits_into_a_slanted_field_where_a_search_places_it(ratio):
+    """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.
+
+    Keystone from two sides: no side of this field but the camera's is parallel to another.
+    """
+    rig, z_m = preset_rig("lab-lightcrafter-4500"), 0.8
+    x, y = np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2)
+
+    def placed(width_m, height_m):
+        fits = np.ones(x.shape, dtype=bool)
+        for u, v in product((-0.5, 0.5), repeat=2):
+            corner = np.stack([x + u * width_m, y + v * height_m, np.full_like(x, z_m)], axis=-1)
+            fits &= in_picture(rig.camera, project(rig.camera, corner))
+            beside = transform_points(inverse(rig.T_cam_proj), corner)
+            fits &= in_picture(rig.projector, project(rig.projector, beside))
+        return fits.any()
+
+    scales = np.arange(0.3, 0.6, 0.005)
+    size = (ratio**0.5, ratio**-0.5)
+    largest = max(s for s in scales if placed(s * size[0], s * size[1])
+                  or placed(s * size[1], s * size[0]))  # fmt: skip
+    assert covers(rig, (0.98 * largest * size[0], 0.98 * largest * size[1]), z_m)
+    assert not covers(rig, (1.03 * largest * size[0], 1.03 * largest * size[1]), z_m)
 
 
 def test_nothing_fits_where_the_fields_do_not_meet():

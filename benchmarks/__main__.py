@@ -256,6 +256,16 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         [],
         description=SIGMA,
     )
+    add(
+        "shelf",
+        run_shelf,
+        "Measure the scanners with names for docs/reference/shelf.md, in a quarter of an hour.",
+        [
+            of("names", nargs="*", metavar="NAME", help="The scanners (default: all of them)."),
+            resolution,
+            file("--pictures", "A folder for pictures of the volumes; nothing is measured then."),
+        ],
+    )
     for name, (help, options) in FIGURES.items():
         add(name, partial(run_figures, name), help, [*options, JSON])
     return parser.parse_args(words)
@@ -323,6 +333,25 @@ def run_sigma(args: argparse.Namespace) -> int:
     text = honesty(show)
     show("")
     print(text)
+    return 0
+
+
+def run_shelf(args: argparse.Namespace) -> int:
+    from graycast.rig.shelf import SHELF
+
+    from . import shelf
+
+    names = args.names or list(SHELF)
+    if args.pictures is not None:
+        shelf.draw_all(names, args.pictures)
+        print(args.pictures)
+        return 0
+    commit = git(ROOT, "describe", "--always")
+    figures = shelf.measure_all(names, args.resolution, commit, show)
+    show("")
+    page = ROOT / "docs" / "reference" / "shelf.md"
+    page.write_text(shelf.with_table(page.read_text(), figures))
+    print(page)
     return 0
 
 

@@ -117,6 +117,17 @@ def test_a_mounted_scanner_keeps_its_place_on_the_first(tmp_path):
     )
 
 
+def test_scanners_of_the_shelf_are_carried_to_several_places(tmp_path):
+    """As an eye in hand, by name: each has its own camera, and hangs where the first does."""
+    names = ("like-zivid-2-m70", "like-mech-eye-pro-s")
+    views = [{"distance_m": 0.7}, {"distance_m": 0.7, "tilt_deg": 20}]
+    scanners = [{"name": name, "rig": name} for name in names]
+    cell = resolved(tmp_path, views=views, scanners=scanners)
+    assert [scanner.rig.name for _, scanner in cell.scanners] == list(names)
+    assert [scanner.rig.camera.width_px for _, scanner in cell.scanners] == [486, 480]
+    assert len(cell.images) == 4
+
+
 @pytest.mark.parametrize(
     "views",
     [

@@ -74,7 +74,7 @@ OPTIONS = {
     "robot film": "picks --out --bin --speed --width --files",
     "robot report": "picks --out --workers --width --files",
     "robot score-poses": "results SCORING",
-    "rig list": "",
+    "rig list": "--field --at --noise",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
@@ -449,6 +449,18 @@ def test_the_shelf_has_each_preset_with_its_range_pixels_and_code(capsys):
     lines = run(capsys, "rig", "list").splitlines()
     assert [line.split()[0] for line in lines] == list(PRESETS)
     assert "0.46 to 1.12 m, baseline 350 mm, 2064 x 1544 pixels, code gray_phase" in lines[2]
+
+
+def test_the_shelf_is_searched_by_field_distance_and_noise(capsys):
+    wish = ("--field", "0.6x0.4", "--at", "1")
+    names = {line.split()[0] for line in run(capsys, "rig", "list", *wish).splitlines()}
+    assert {"phoxi-m", "like-zivid-2-m70"} <= names and "phoxi-s" not in names
+    assert "no scanner with a name fits" in run(capsys, "rig", "list", *wish, "--noise", "1e-9")
+    assert main(["rig", "list", "--field", "0.6x0.4"]) == 1
+    assert "add --at" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["rig", "list", "--field", "600", "--at", "1"])
+    assert "'600' is not two lengths such as 0.6x0.4" in capsys.readouterr().err
 
 
 def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):

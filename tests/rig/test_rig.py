@@ -9,7 +9,6 @@ import pytest
 from graycast.base.frames import axis_rotation, inverse, is_rigid, rigid, transform_points
 from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pair import (
-    PRESETS,
     RESOLUTIONS,
     Rig,
     aimed,
@@ -30,7 +29,7 @@ PHOXI = {
     "phoxi-l": (0.550, 9.45, 0.870, 2.150, 2263.0),
     "paper": (0.350, 11.75, 0.458, 1.118, 2269.0),
 }
-EVERY = pytest.mark.parametrize("name", PRESETS)
+EVERY = pytest.mark.parametrize("name", PHOXI)
 
 
 def parallel_rig(along, fx_px=900.0, baseline_m=0.2):

@@ -17,6 +17,7 @@ from ..rendering import PathNoise, Radiance
 from ..rig.optics import points
 from ..rig.pair import BINNING, PRESETS, Rig, preset_rig
 from ..rig.pattern import AXES, Code, CodeSpec
+from ..rig.shelf import shelf_entry
 from .decode import (
     CodeMap,
     DecodeSpec,
@@ -287,16 +288,16 @@ def _effective_reflectance(
 def preset(name: str, resolution: str = "low") -> Scanner:
     """A scanner known by name.
 
-    `paper` is the paper's: plain Gray code, no filter. The PhoXi family shows a phase code, whose
-    laser's line is blurred a little, filters its depth, smooths it and has the faults of a real
-    device. It knows most light that came by way of another surface: by two periods that disagree,
-    by a point off its epipolar line (which takes the code of both axes), and by stripes without
-    contrast; pixels beside edges, which may see two surfaces, have no depth.
-    docs/measurements/materials.md has the shares of wrong depth on eight materials.
+    `paper` is the paper's: plain Gray code, no filter. The others show a phase code, filter their
+    depth and smooth it. They know most light that came by way of another surface: by two periods
+    that disagree, by a point off its epipolar line (which takes the code of both axes), and by
+    stripes without contrast; pixels beside edges, which may see two surfaces, have no depth.
+    docs/measurements/materials.md has the shares of wrong depth on eight materials. A laser's line
+    is blurred a little, and it has speckle and the faults of a real device.
 
     Args:
         name: one of `rig.pair.PRESETS`.
-        resolution: 'small' is 516 x 386, 'low' 1032 x 772, 'full' 2064 x 1544 camera pixels.
+        resolution: 'small', 'low' or 'full', see `rig.pair.preset_rig`.
 
     Raises:
         ValueError: no such preset or resolution.
@@ -304,28 +305,39 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     rig = preset_rig(name, resolution)
     if name == "paper":
         return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
-    pitch_m = _PHOXI_PITCH_M * BINNING[resolution]
-    focus_m = 2 / (1 / rig.near_m + 1 / rig.far_m)  # equal blur at both ends of the range
-    camera = replace(
-        rig.camera,
-        aperture_m=rig.camera.fx_px * pitch_m / _PHOXI_F_NUMBER,
-        focus_m=focus_m,
-        natural_vignetting=True,
+    entry = shelf_entry(name)
+    pitch_m = entry.pixel_pitch_m * BINNING[resolution]
+    # Without a stated focus, blur is equal at both ends of the range.
+    focus_m = entry.focus_m or 2 / (1 / rig.near_m + 1 / rig.far_m)
+    rig = replace(
+        rig,
+        camera=replace(
+            rig.camera,
+            aperture_m=rig.camera.fx_px * pitch_m / entry.f_number,
+            focus_m=focus_m,
+            natural_vignetting=True,
+        ),
+        projector=replace(
+            rig.projector,
+            psf_px=_LASER_PSF_PX if entry.laser else _DLP_PSF_PX,
+            natural_vignetting=True,
+        ),
     )
-    projector = replace(rig.projector, psf_px=1.0, natural_vignetting=True)
-    return Scanner(
-        rig=replace(
+    if entry.laser:
+        rig = replace(
             rig,
-            camera=camera,
-            projector=projector,
             speckle_contrast=_PHOXI_SPECKLE,
             speckle_volume=_PHOXI_VOLUME,
             line_noise=_PHOXI_LINE_NOISE,
             line_noise_length_m=_PHOXI_LINE_M,
-        ),
+        )
+    return Scanner(
+        rig=rig,
         code=CodeSpec(codec="gray_phase", period_px=48.0, fine_period_px=16.0, steps=4),
         exposure=ExposureSpec(factors=(1.0, 4.0)),
-        sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
+        sensor=SensorSpec(
+            pixel_pitch_m=pitch_m, f_number=entry.f_number, wavelength_m=entry.wavelength_m
+        ),
         decode=DecodeSpec(
             min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=0.5
         ),
@@ -338,12 +350,11 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             island_px=30,
             smoothing_px=0.55,
         ),
-        faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution]),
+        faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution] if entry.laser else 0.0),
     )
 
 
-_PHOXI_PITCH_M = 3.45e-6  # Sony's IMX252 and its kin have 2064 x 1544 pixels of this pitch.
-_PHOXI_F_NUMBER = 4.0
+_LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # our choice: a mirror's picture has sharper borders
 # Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
 # It gives phoxi-l the temporal noise that its maker states (docs/measurements/accuracy.md). Over

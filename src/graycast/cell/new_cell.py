@@ -67,7 +67,7 @@ count: [{max(1, most // 2)}, {most}]   # parts in a scene; about {full} fill the
 scenes: {scenes}
 bin:
   inner_m: [{room}]   # length, width and height inside
-rig: {rig_name}   # of {", ".join(RIGS)}: {field}
+rig: {rig_name}   # graycast rig list has others; of {", ".join(RIGS)}: {field}
 resolution: low   # small, low or full
 """
 

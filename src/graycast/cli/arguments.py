@@ -101,6 +101,14 @@ def size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def sides_m(text: str) -> tuple[float, float]:
+    try:
+        width, height = map(above_zero, text.lower().split("x"))
+    except (ValueError, argparse.ArgumentTypeError):
+        raise argparse.ArgumentTypeError(f"{text!r} is not two lengths such as 0.6x0.4") from None
+    return width, height
+
+
 def distortion(text: str) -> tuple[float, float, float, float, float]:
     try:
         k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
@@ -114,10 +122,12 @@ def distortion(text: str) -> tuple[float, float, float, float, float]:
 # --- the shared flags: each has one meaning ----------------------------------------------------
 
 _METAVARS: Mapping[object, str] = {
-    whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", Path: "PATH",
-    distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES", "--on": "DATASET",
-    "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--intrinsics": "K",
-    "--scale": "METRES", "--near": "METRES", "--far": "METRES",
+    whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", sides_m: "WxH",
+    Path: "PATH", distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES",
+    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX",
+    "--intrinsics": "K",
+    "--scale": "METRES", "--near": "METRES", "--far": "METRES", "--at": "METRES",
+    "--noise": "METRES",
 }  # fmt: skip
 
 SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
@@ -237,11 +247,12 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
     """Add the argument `rig`, or the option `--rig` as a `flag`, and `--resolution`."""
-    presets = f"a path to a rig file, or the name of a preset: {', '.join(PRESETS)}"
+    names = f"a name such as {', '.join(PRESETS[:4])}; graycast rig list prints all names"
+    help = f"The rig: a path to a rig file, or {names}."
     if flag:
-        add_option(parser, "--rig", str, f"The rig: {presets}.", required=True, metavar="RIG")
+        add_option(parser, "--rig", str, help, required=True, metavar="RIG")
     else:
-        add_option(parser, "rig", str, f"The rig: {presets}.")
+        add_option(parser, "rig", str, help)
     add_shared(parser, "--resolution", usual="low")
 
 
@@ -312,7 +323,8 @@ def resolve_rig_option(options: argparse.Namespace):
     """Return the scanner that the arguments `rig` and `--resolution` name."""
     from ..camera.rig_file import named_scanner
 
-    if options.resolution is not None and options.rig not in PRESETS:
+    own_file = options.rig not in PRESETS and Path(options.rig).is_file()
+    if options.resolution is not None and own_file:
         raise GraycastError(
             f"--resolution applies only to a preset, and the rig file {options.rig} states its "
             "own resolution: remove --resolution"

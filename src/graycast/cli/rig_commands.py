@@ -6,10 +6,10 @@ from pathlib import Path
 
 from ..base.errors import GraycastError, one_line
 from ..base.folder import refuse_foreign, whole_folder
-from ..rig.pair import PRESETS
 from ..rig.pattern import CODECS
 from .arguments import (
     CONTINUE,
+    above_zero,
     add_command,
     add_device,
     add_group,
@@ -19,6 +19,7 @@ from .arguments import (
     add_shared,
     add_workers,
     resolve_rig_option,
+    sides_m,
     size,
     workers_of,
 )
@@ -39,7 +40,7 @@ def add_commands(commands) -> None:
     group = add_group(
         commands, "rig", "List, draw, write, calibrate, certify, compare and decode scanners."
     )
-    add_command(group, "list", _list, "List the presets, one line each.", example="")
+    _add_list(group)
     show = add_command(
         group, "show", _show, "Print the properties of a rig, and draw it.",
         example="phoxi-m --out rig.png",
@@ -76,6 +77,20 @@ def add_commands(commands) -> None:
     add_shared(design, "--list")
     add_device(design)
     add_workers(design)
+
+
+def _add_list(group) -> None:
+    shelf = add_command(
+        group, "list", _list, "List the scanners with names, or those that fit.",
+        example="--field 0.6x0.4 --at 1 --noise 0.0002",
+        more="With options, the command lists the scanners that see a field at a distance.",
+    )  # fmt: skip
+    sides = "The width and height in metres of a rectangle that the scanner must see and light."
+    add_option(shelf, "--field", sides_m, sides)
+    distance = "The distance from the camera along its axis in metres. --field and --noise need it."
+    add_option(shelf, "--at", above_zero, distance)
+    noise = "The largest temporal noise of depth in metres, one standard deviation, as python -m "
+    add_option(shelf, "--noise", above_zero, f"{noise}benchmarks shelf measured it.")
 
 
 def _add_files(group) -> None:
@@ -166,15 +181,12 @@ def _add_pictures(group) -> None:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from ..camera.scanner import preset
+    from ..show.report import shelf_lines
 
-    for name in PRESETS:
-        scanner = preset(name, "full")
-        rig, code = scanner.rig, scanner.code
-        print(
-            f"{name:8}  {rig.near_m:.2f} to {rig.far_m:.2f} m, baseline {1e3 * rig.baseline_m:.0f} "
-            f"mm, {rig.camera.width_px} x {rig.camera.height_px} pixels, code {code.codec}"
-        )
+    if options.at is None and (options.field, options.noise) != (None, None):
+        raise GraycastError("--field and --noise apply at a distance: add --at")
+    lines = shelf_lines(field_m=options.field, at_m=options.at, noise_m=options.noise)
+    print("\n".join(lines) or "no scanner with a name fits: graycast rig list prints them all")
     return 0
 
 

@@ -6,5 +6,6 @@ Each imports only from those above it:
     optics           camera and projector: distortion and its inverse, thin lens, vignetting
     meshdepth        the depth of a mesh at pixel centres, for checks
     pattern          the frames that a projector shows, and the codes made of them
+    shelf            scanners by name, in files, with the source of each number
     pair             a camera and a projector with fixed relative pose
 """

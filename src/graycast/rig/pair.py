@@ -21,6 +21,7 @@ from ..base.frames import (
 )
 from ..base.settings import check_fields
 from .optics import Optics, in_picture, project, rays
+from .shelf import NAMES, no_rig, shelf_entry
 
 
 def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
@@ -214,29 +215,22 @@ def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
     return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
 
 
-# These are fx at full resolution [px], baseline [m], toe-in of either device [deg] and range [m] of
-# the Photoneo PhoXi family. Secondary sources agree on them; low resolution halves 2064 x 1544.
-# Both devices are read as toed in: only then do the axes cross inside each stated range.
-_PHOXI = {
-    "phoxi-s": (2246.0, 0.230, 15.45, 0.384, 0.520),
-    "phoxi-m": (2269.0, 0.350, 11.75, 0.458, 1.118),
-    "phoxi-l": (2263.0, 0.550, 9.45, 0.870, 2.150),
-}
-_PHOXI_PROJECTOR_FIELD_DEG = (47.5, 36.0)
-_RED_LASER = (1.0, 0.0, 0.0)  # Its 637 nm lie in the red band.
-
-PRESETS = ("paper", *_PHOXI)
+PRESETS = NAMES
 # So many sensor pixels lie across one of the picture. Summing squares of pixels speeds a camera up.
 BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
 RESOLUTIONS = tuple(BINNING)
 
 
 def preset_rig(name: str, resolution: str = "low") -> Rig:
-    """A rig known by name.
+    """A rig known by name, with sharp lenses.
+
+    `paper` is a PhoXi M's camera and baseline with a white Gray-code projector: the paper prints
+    neither intrinsics nor resolution; it names the PhoXi M and L.
 
     Args:
         name: one of `PRESETS`.
-        resolution: 'small' is 516 x 386, 'low' 1032 x 772, 'full' 2064 x 1544 camera pixels.
+        resolution: 'full' has all pixels of the camera, 'low' a quarter of them and 'small' a
+            sixteenth: of a PhoXi 2064 x 1544, 1032 x 772 and 516 x 386.
 
     Raises:
         ValueError: no such preset or resolution.
@@ -244,66 +238,20 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
     if resolution not in RESOLUTIONS:
         raise ValueError(f"no resolution {resolution!r}: choose one of {', '.join(RESOLUTIONS)}")
     if name == "paper":
-        return _paper(resolution)
-    if name not in _PHOXI:
-        raise ValueError(f"no rig preset {name!r}: choose one of {', '.join(PRESETS)}")
-    fx_px, baseline_m, toe_in_deg, near_m, far_m = _PHOXI[name]
+        phoxi = preset_rig("phoxi-m", resolution)
+        return replace(phoxi, name=name, band_weights=(1 / 3, 1 / 3, 1 / 3), picture_level=0.25)
+    if name not in PRESETS:
+        raise ValueError(no_rig(name))
+    entry = shelf_entry(name)
     return Rig(
         name=name,
-        camera=_phoxi_camera(fx_px, resolution),
-        projector=_field_optics(1024, 768, *np.radians(_PHOXI_PROJECTOR_FIELD_DEG)),
-        T_cam_proj=_toed_in(baseline_m, math.radians(toe_in_deg)),
-        near_m=near_m,
-        far_m=far_m,
-        band_weights=_RED_LASER,
+        camera=entry.camera.optics(BINNING[resolution]),
+        projector=entry.projector.optics(),
+        T_cam_proj=entry.T_cam_proj,
+        near_m=entry.near_m,
+        far_m=entry.far_m,
+        band_weights=entry.band_weights,
     )
-
-
-def _paper(resolution: str) -> Rig:
-    """The paper's rig: a PhoXi M's camera and baseline with a white Gray-code projector.
-
-    The paper prints neither intrinsics nor resolution; it names the PhoXi M and L.
-    """
-    return replace(
-        preset_rig("phoxi-m", resolution),
-        name="paper",
-        band_weights=(1 / 3, 1 / 3, 1 / 3),
-        picture_level=0.25,
-    )
-
-
-def _phoxi_camera(fx_full_px: float, resolution: str) -> Optics:
-    binning = BINNING[resolution]
-    width_px, height_px = 2064 // binning, 1544 // binning
-    fx_px = fx_full_px / binning
-    return Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=fx_px,
-        fy_px=fx_px,
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-    )
-
-
-def _field_optics(
-    width_px: int, height_px: int, horizontal_rad: float, vertical_rad: float
-) -> Optics:
-    return Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=width_px / 2 / math.tan(horizontal_rad / 2),
-        fy_px=height_px / 2 / math.tan(vertical_rad / 2),
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-    )
-
-
-def _toed_in(baseline_m: float, toe_in_rad: float) -> Float[np.ndarray, "4 4"]:
-    """Projector to the camera's right; both turned towards each other by `toe_in_rad`."""
-    T_rig_cam = rigid(axis_rotation("y", toe_in_rad), np.array([-baseline_m / 2, 0.0, 0.0]))
-    T_rig_proj = rigid(axis_rotation("y", -toe_in_rad), np.array([baseline_m / 2, 0.0, 0.0]))
-    return inverse(T_rig_cam) @ T_rig_proj
 
 
 def depth_per_column_m(rig: Rig, z_m: float) -> float:

@@ -34,6 +34,12 @@ def test_the_small_cell_itself_is_fine(robots, tmp_path):
     assert made.known[0].grips and made.robot.touches(made.here.q_place, made.here.standing) is None
 
 
+def test_a_robot_picks_under_a_scanner_of_the_shelf(tmp_path):
+    path = write_cell(tmp_path, rig="like-zivid-2-m70", view={"distance_m": 0.8})
+    cell = resolve_pick_cell(load_pick_config(path), tmp_path)
+    assert cell.cell.scanner.rig.name == "like-zivid-2-m70"
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -52,6 +52,14 @@ def test_a_sweep_is_all_combinations_and_a_study_is_all_sweeps(tmp_path):
     assert Setting().name == "cell"
 
 
+def test_scanners_of_the_shelf_are_compared_by_name(tmp_path):
+    rigs = ["like-zivid-2-m70", "lab-lightcrafter-4500"]
+    spec = read_design(write_study(tmp_path, sweeps=[{"rig": rigs, "resolution": ["small"]}]))
+    placed = place_settings(spec, settings_of(spec))
+    assert [one.cell.scene.rig.name for one in placed] == rigs
+    assert [one.cell.scene.rig.camera.width_px for one in placed] == [486, 612]
+
+
 def test_codes_and_exposures_share_their_light(tmp_path):
     sweeps = [
         {"distance_m": [0.6, 0.9], "code": ["gray", "phase"], "exposure": ["one", "two"]},

@@ -48,7 +48,7 @@ def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
     bars = ball_bars(rig, volume, radius_m=0.5 * radius_m)
     assert len(bars) == 7
     assert np.ptp([bar.length_m for bar in bars]) < 1e-12
-    assert bars[0].length_m > 0.3 * volume.diagonal_m
+    assert bars[0].length_m > 0.25 * volume.diagonal_m  # a wide picture has room for less
     assert all(clear(rig, bar.ends_m, bar.radius_m) for bar in bars)
 
 

@@ -15,6 +15,7 @@ from ...base.frames import rigid
 from ...base.settings import Settings, check_settings, parse_yaml, read_text, section_of
 from ...rig.optics import Optics
 from ...rig.pair import PRESETS, RESOLUTIONS, Rig
+from ...rig.shelf import no_rig
 from ..scanner import Scanner, preset
 from .checks import build_optics, build_rig, check_rotation, is_file_storage
 from .scanner_sections import ScannerSections, scanner_of
@@ -133,8 +134,7 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
     path = folder / text
     if path.is_file() or "/" in text or Path(text).suffix in (".yaml", ".yml", ".json"):
         return load_scanner(path)
-    choices = ", ".join(PRESETS)
-    raise ConfigError(f"rig: no rig {text!r}: choose one of {choices}, or name a file in {folder}")
+    raise ConfigError(f"rig: {no_rig(text, folder)}")
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -177,7 +177,8 @@ def where(row: SettingFigures) -> str:
 
 def _title(rig: str) -> str:
     """The name that is printed on a preset's device; any other rig by its own name."""
-    return f"PhoXi-{rig[6:].upper()}" if rig in PRESETS and rig != "paper" else f"The rig {rig}"
+    known = rig in PRESETS and rig.startswith("phoxi-")
+    return f"PhoXi-{rig[6:].upper()}" if known else f"The rig {rig}"
 
 
 _WORDS = {

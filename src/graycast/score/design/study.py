@@ -12,6 +12,7 @@ from ...base.settings import Level, Positive, ReadAs, Settings, read_settings
 from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
 from ...cell.config import BinSection
 from ...rig.pair import PRESETS
+from ...rig.shelf import no_rig
 from ...world.parts.part_sections import MaterialSection
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
@@ -143,10 +144,7 @@ def read_design(path: Path) -> DesignSpec:
         if name in PRESETS:
             return name
         if not (base / name).is_file():
-            raise ConfigError(
-                f"{path}: sweeps: no rig {name!r}: choose one of {', '.join(PRESETS)}, or name a "
-                f"file in {base}"
-            )
+            raise ConfigError(f"{path}: sweeps: {no_rig(name, base)}")
         return str(_from(base, Path(name)))
 
     changes: dict[str, Any] = {

@@ -1,0 +1,126 @@
+"""The scanners with names beside their makers' figures: what docs/reference/shelf.md has."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from graycast.camera.scanner import Scanner, preset
+from graycast.rendering import Renderer, open_renderer
+from graycast.rig import shelf
+from graycast.rig.pair import Rig
+from graycast.rig.shelf import MEASURED, SHELF, ShelfEntry, ShelfFigures, measured, shelf_entry
+from graycast.score.metrology import Certificate, Scope, certify
+from graycast.show.report import draw_rig
+from graycast.show.report.rig_picture import common_field
+from graycast.show.report.shelf_list import stored_noise_m
+
+SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
+READOUT_S = 0.01  # of a frame, as the design study has it
+START, END = "<!-- by python -m benchmarks shelf -->", "<!-- end -->"
+HEAD = (
+    "| scanner | range [m] | points | field near / middle / far [mm] | stated field; here [mm] | "
+    "stated noise; here [mm] | stated spacing; here [mm] | stated trueness; length error here | "
+    "stated capture; here [s] |\n" + "|---" * 9 + "|\n"
+)
+
+
+def measure_all(
+    names: list[str], resolution: str, commit: str, show: Callable[[str], None]
+) -> dict[str, ShelfFigures]:
+    """The figures of the names, and those of the others as they were stored at this resolution."""
+    stored = measured()
+    figures = dict(stored.scanners) if stored.resolution == resolution else {}
+    origin = f"commit {commit}, python -m benchmarks shelf"
+    with open_renderer("mitsuba", device="cpu") as renderer:
+        for name in names:
+            show(f"{name} is measured")
+            figures[name] = _measure(preset(name, resolution), renderer)
+            _store(figures, origin, resolution)
+    return figures
+
+
+def _measure(scanner: Scanner, renderer: Renderer) -> ShelfFigures:
+    sheet: Certificate = certify(scanner, renderer=renderer, seed=0, scope=SCOPE)
+    factors = scanner.exposure.factors
+    frame_s = sheet.middle.exposure_s * sum(factors) + READOUT_S * len(factors)
+    return ShelfFigures(
+        z_m=tuple(round(plane.z_m, 4) for plane in sheet.facing),
+        noise_m=tuple(_rounded(plane.noise_m) for plane in sheet.facing),
+        spacing_m=tuple(_rounded(plane.spacing_m) for plane in sheet.facing),
+        plane_std_m=tuple(_rounded(plane.std_m) for plane in sheet.facing),
+        length_error=_rounded(sheet.spacing[0].error_m / sheet.bar_length_m),
+        capture_s=_rounded(len(scanner.light_code().frames) * frame_s),
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> None:
+    """Into the package, where `graycast rig list --noise` reads them."""
+    rows = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
+    content = {"origin": origin, "resolution": resolution, "scanners": rows}
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
+    path = Path(shelf.__file__).with_name(MEASURED)
+    path.write_text(f"# Written by python -m benchmarks shelf: docs/reference/shelf.md.\n{text}")
+
+
+def draw_all(names: list[str], folder: Path) -> None:
+    """The volume of each scanner, as `graycast rig show` draws it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        draw_rig(preset(name, "full").rig, folder / f"{name}.png")
+
+
+def with_table(page: str, figures: dict[str, ShelfFigures]) -> str:
+    """A page with the table between its two marks made anew."""
+    before, rest = page.split(START)
+    _, after = rest.split(END)
+    rows = "".join(_row(name, shelf_entry(name), figures.get(name)) for name in SHELF)
+    return f"{before}{START}\n\n{HEAD}{rows}\n{END}{after}"
+
+
+def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
+    rig, claims = preset(name, "full").rig, entry.claims
+    near_m, far_m = rig.near_m, rig.far_m
+    fields = " / ".join(_field(rig, z_m) for z_m in (near_m, (near_m + far_m) / 2, far_m))
+    field_text = "; ".join(
+        f"{_size(claim.size_m)} at {claim.at_m:g} m; {_field(rig, claim.at_m)}"
+        for claim in claims.fields
+    )
+    at_m = claims.noise.at_m if claims.noise else entry.focus_m or (near_m + far_m) / 2
+    noise_m = stored_noise_m(name, at_m)
+    noise = "?" if own is None or noise_m is None else f"{1e3 * noise_m:.3f}"
+    says = f"{1e3 * claims.noise.value_m:g}" if claims.noise else "?"
+    spacing = "?"
+    if claims.spacing:
+        here_m = claims.spacing.at_m / rig.camera.fx_px
+        spacing = f"{1e3 * claims.spacing.value_m:g}; {1e3 * here_m:.3f}"
+    share = f"{claims.trueness_share:.1%}" if claims.trueness_share else "?"
+    share = f"{1e3 * claims.trueness.value_m:g} mm" if claims.trueness else share
+    span = "-".join(f"{value:g}" for value in claims.capture_s) if claims.capture_s else "?"
+    cells = [
+        f"`{name}`",
+        f"{near_m:g}-{far_m:g}",
+        f"{rig.camera.width_px} x {rig.camera.height_px}",
+        fields,
+        field_text or "?",
+        f"{says}; {noise} at {at_m:.2f} m",
+        spacing,
+        f"{share}; {'?' if own is None else f'{round(own.length_error, 5) + 0.0:.3%}'}",
+        f"{span}; {'?' if own is None else f'{own.capture_s:.2f}'}",
+    ]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def _field(rig: Rig, z_m: float) -> str:
+    """The rectangle that encloses the common field."""
+    return _size(np.ptp(common_field(rig, z_m), axis=0))
+
+
+def _size(size_m: Sequence[float] | Float[np.ndarray, "2"]) -> str:
+    return f"{1e3 * size_m[0]:.0f} x {1e3 * size_m[1]:.0f}"

@@ -1,0 +1,169 @@
+"""What a file of the shelf says of a scanner, and why a name is not on the shelf."""
+
+import math
+import re
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, model_validator
+
+from ...base.frames import axis_rotation, inverse, rigid
+from ...base.settings import Finite, Positive, PositiveSpan, Settings, check_settings, parse_yaml
+from ..optics import Optics
+
+SHELF = (
+    *("phoxi-s", "phoxi-m", "phoxi-l", "like-phoxi-xs", "like-phoxi-xl"),
+    *("like-zivid-2-m70", "like-zivid-2-l100", "like-zivid-2plus-m60", "like-zivid-2plus-mr60"),
+    *("like-zivid-2plus-m130", "like-zivid-2plus-mr130", "like-zivid-2plus-l110"),
+    *("like-zivid-2plus-lr110", "like-mech-eye-nano", "like-mech-eye-pro-s"),
+    *("like-mech-eye-pro-m", "lab-lightcrafter-4500", "office-projector"),
+)
+NAMES = ("paper", *SHELF)  # the paper's rig is phoxi-m in another light
+_OTHER_PRINCIPLES: Mapping[str, tuple[str, ...]] = {
+    "stereo of two cameras": (
+        *("realsense", "d405", "d415", "d435", "d455", "ensenso", "orbbec", "gemini", "zed", "oak"),
+        "visard",
+    ),
+    "time of flight": (*("kinect", "femto", "helios", "l515", "visionary", "blaze", "cubeeye"),),
+    "a speckle pattern that never changes": ("astra", "primesense", "xtion"),
+}
+_TOO_LITTLE_PUBLIC = ("motioncam", "cognex", "keyence")
+
+
+class DeviceSection(Settings):
+    """A camera or a projector with square or other pixels; its axis is in the middle, or not."""
+
+    size_px: tuple[int, int]
+    fx_px: Positive | None = None
+    fy_px: Positive | None = None  # None: as fx_px
+    field_deg: tuple[Positive, Positive] | None = None
+    cy_px: Finite | None = None  # None: in the middle
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "DeviceSection":
+        if (self.fx_px is None) == (self.field_deg is None):
+            raise ValueError("give either fx_px or field_deg")
+        return self
+
+    def optics(self, binning: int = 1) -> Optics:
+        """A pinhole with `binning` of the pixels summed along each side.
+
+        Pixel borders stay where they were, so `c + 0.5` becomes `(c + 0.5) / binning`.
+        """
+        width_px, height_px = (side // binning for side in self.size_px)
+        if self.field_deg is not None:
+            half_x, half_y = (math.tan(angle / 2) for angle in np.radians(self.field_deg))
+            fx_px, fy_px = width_px / 2 / half_x, height_px / 2 / half_y
+        else:
+            assert self.fx_px is not None  # by _one_of_two
+            fx_px = self.fx_px / binning
+            fy_px = fx_px if self.fy_px is None else self.fy_px / binning
+        middle_px = (height_px - 1) / 2
+        return Optics(
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=fx_px,
+            fy_px=fy_px,
+            cx_px=(width_px - 1) / 2,
+            cy_px=middle_px if self.cy_px is None else (self.cy_px + 0.5) / binning - 0.5,
+        )
+
+
+class FieldClaim(Settings):
+    """The width and height that a maker states at a distance."""
+
+    at_m: Positive
+    size_m: tuple[Positive, Positive]
+
+
+class FigureClaim(Settings):
+    """A length that a maker states at a distance."""
+
+    at_m: Positive
+    value_m: Positive
+
+
+class Claims(Settings):
+    """What a maker states of its device, in its own terms; what is absent is unknown to us."""
+
+    fields: tuple[FieldClaim, ...] = ()
+    noise: FigureClaim | None = None  # temporal noise, point precision or Z repeatability, 1 sigma
+    spacing: FigureClaim | None = None  # of neighbouring points
+    trueness: FigureClaim | None = None
+    trueness_share: Positive | None = None  # of a length that is measured
+    capture_s: PositiveSpan | None = None
+
+
+class ShelfEntry(Settings):
+    """A scanner of the shelf.
+
+    The pose is that of both devices turned to each other about a baseline along x, or that of the
+    projector in the camera's frame, turned about x first and then about y.
+    """
+
+    likeness: str
+    camera: DeviceSection
+    projector: DeviceSection
+    pixel_pitch_m: Positive
+    f_number: Positive
+    baseline_m: Positive | None = None
+    toe_in_deg: tuple[float, float] | None = None  # of the camera, of the projector
+    t_cam_proj_m: tuple[float, float, float] | None = None
+    turn_cam_proj_rad: tuple[float, float] | None = None
+    near_m: Positive
+    far_m: Positive
+    focus_m: Positive | None = None  # None: where blur is alike at both ends of the range
+    laser: bool = False
+    light: Literal["red", "white", "blue"]
+    wavelength_m: Annotated[float, Field(gt=0, lt=1e-5)]
+    claims: Claims = Claims()
+
+    @property
+    def band_weights(self) -> tuple[float, float, float]:
+        """Shares of red, green and blue in the projector's light."""
+        return {"red": (1.0, 0.0, 0.0), "white": (1 / 3,) * 3, "blue": (0.0, 0.0, 1.0)}[self.light]
+
+    @property
+    def T_cam_proj(self) -> Float[np.ndarray, "4 4"]:
+        """Maps projector coordinates to camera coordinates [m]."""
+        if self.t_cam_proj_m is not None and self.turn_cam_proj_rad is not None:
+            x_rad, y_rad = self.turn_cam_proj_rad
+            turn = axis_rotation("y", y_rad) @ axis_rotation("x", x_rad)
+            return rigid(turn, np.array(self.t_cam_proj_m))
+        assert self.baseline_m is not None and self.toe_in_deg is not None
+        camera_rad, projector_rad = (math.radians(angle) for angle in self.toe_in_deg)
+        half_m = self.baseline_m / 2
+        T_rig_cam = rigid(axis_rotation("y", camera_rad), np.array([-half_m, 0.0, 0.0]))
+        T_rig_proj = rigid(axis_rotation("y", -projector_rad), np.array([half_m, 0.0, 0.0]))
+        return inverse(T_rig_cam) @ T_rig_proj
+
+
+@cache
+def shelf_entry(name: str) -> ShelfEntry:
+    """What the file of a name in `SHELF` says."""
+    file = f"{name}.yaml"
+    text = files(__package__).joinpath(file).read_text(encoding="utf-8")
+    return check_settings(parse_yaml(text, Path(file)), ShelfEntry, Path(file))
+
+
+def no_rig(name: str, folder: Path | None = None) -> str:
+    """The words of an error about a name that is not in `NAMES`, nor a file of a folder."""
+    words = re.split(r"[^a-z0-9]+", name.lower())
+    for principle, others in _OTHER_PRINCIPLES.items():
+        if any(word.startswith(others) for word in words):
+            return (
+                f"no rig {name!r}: it measures by {principle}, and Graycast simulates only coded "
+                "light of a projector"
+            )
+    if any(word.startswith(_TOO_LITTLE_PUBLIC) for word in words):
+        return (
+            f"no rig {name!r}: too little of it is public. docs/reference/shelf.md lists what is "
+            "missing; write a rig file of your own"
+        )
+    files = "" if folder is None else f", or name a file in {folder}"
+    return f"no rig {name!r}: choose one of {', '.join(NAMES)}{files}"

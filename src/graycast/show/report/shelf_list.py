@@ -1,0 +1,85 @@
+"""The list of the scanners with names, and those of them that see a certain field well enough."""
+
+import numpy as np
+from jaxtyping import Float
+from manifold3d import CrossSection, FillRule
+
+from ...camera.scanner import Scanner, preset
+from ...rig.pair import PRESETS, Rig
+from ...rig.shelf import measured
+from .rig_picture import common_field
+
+Size = tuple[float, float]
+
+
+def shelf_lines(
+    *, field_m: Size | None = None, at_m: float | None = None, noise_m: float | None = None
+) -> list[str]:
+    """One line for each scanner that fits.
+
+    Args:
+        field_m: sides of a rectangle that camera and projector have in common at `at_m`.
+        at_m: a distance along the camera's axis, inside the working range; the field in a line is
+            that at this distance, and else that in the middle of the range.
+        noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner that was not
+            measured does not fit.
+    """
+    lines = []
+    for name in PRESETS:
+        scanner = preset(name, "full")
+        rig = scanner.rig
+        z_m = (rig.near_m + rig.far_m) / 2 if at_m is None else at_m
+        own_m = None if at_m is None else stored_noise_m(name, at_m)
+        if (
+            rig.near_m <= z_m <= rig.far_m
+            and (field_m is None or covers(rig, field_m, z_m))
+            and (noise_m is None or (own_m is not None and own_m <= noise_m))
+        ):
+            lines.append(_line(scanner, z_m, own_m))
+    return lines
+
+
+def covers(rig: Rig, field_m: Size, z_m: float) -> bool:
+    """Whether a rectangle fits into the common field at a depth, along x or along y.
+
+    A convex field holds the rectangle around a point if it holds its four corners, so the four
+    fields that are displaced by the corners must have a point in common.
+    """
+    field = common_field(rig, z_m)
+    if not len(field):
+        return False
+    outline = CrossSection([field], FillRule.NonZero)
+    return any(_holds(outline, np.array(size) / 2) for size in (field_m, field_m[::-1]))
+
+
+def _holds(outline: CrossSection, half_m: Float[np.ndarray, "2"]) -> bool:
+    common = outline.translate(half_m)
+    for sign in ((1, -1), (-1, 1), (-1, -1)):
+        common = common ^ outline.translate(half_m * sign)
+    return not common.is_empty()
+
+
+def stored_noise_m(name: str, z_m: float) -> float | None:
+    """Temporal noise of depth at a distance, from what `measured` has at three.
+
+    An error of a place in the projector's picture makes one of depth in proportion to `z^2 / (f b)`
+    (similar triangles), so noise over `z^2` is taken as linear between the three and as constant
+    outside. None where the scanner was not measured.
+    """
+    own = measured().scanners.get(name)
+    if own is None:
+        return None
+    at_m = np.array(own.z_m)
+    return float(z_m**2 * np.interp(z_m, at_m, own.noise_m / at_m**2))
+
+
+def _line(scanner: Scanner, z_m: float, noise_m: float | None) -> str:
+    rig, camera = scanner.rig, scanner.rig.camera
+    field = common_field(rig, z_m)
+    width_m, height_m = np.ptp(field, axis=0) if len(field) else (0.0, 0.0)
+    noise = "" if noise_m is None else f", noise {1e3 * noise_m:.3f} mm"
+    return (
+        f"{rig.name:22}  {rig.near_m:.2f} to {rig.far_m:.2f} m, baseline "
+        f"{1e3 * rig.baseline_m:.0f} mm, {camera.width_px} x {camera.height_px} pixels, code "
+        f"{scanner.code.codec}, field {width_m:.2f} x {height_m:.2f} m at {z_m:.2f} m{noise}"
+    )

@@ -1,0 +1,21 @@
+"""The table of the shelf in the documentation is that of the stored figures."""
+
+from pathlib import Path
+
+from benchmarks.shelf import END, START, with_table
+from graycast.rig.shelf import SHELF, measured
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/reference/shelf.md"
+
+
+def test_the_page_has_the_stored_figures():
+    page = PAGE.read_text()
+    assert with_table(page, measured().scanners) == page
+
+
+def test_a_table_has_a_row_for_each_scanner_and_leaves_the_page_around_it():
+    made = with_table(f"before {START} old {END} after", {})
+    assert made.startswith(f"before {START}") and made.endswith(f"{END} after")
+    rows = [line for line in made.splitlines() if line.startswith("| `")]
+    assert [row.split("`")[1] for row in rows] == list(SHELF)
+    assert {row.count("|") for row in rows} == {10}

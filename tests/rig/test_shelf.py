@@ -1,0 +1,194 @@
+"""The shelf: each scanner has its maker's geometry, and each number a source."""
+
+import math
+import re
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from graycast.base.frames import inverse, transform_points
+from graycast.rig.optics import in_picture, project, rays
+from graycast.rig.pair import PRESETS, RESOLUTIONS, best_depth_m, preset_rig
+from graycast.rig.shelf import NAMES, SHELF, measured, no_rig, shelf_entry
+from graycast.rig.shelf.entry import DeviceSection
+
+EVERY = pytest.mark.parametrize("name", SHELF)
+# By their makers' angles the axes of these cross beyond the range, at 278 mm and at 1.3 m.
+CROSS_BEYOND = {
+    "like-phoxi-xs": 0.085 / math.tan(math.radians(17)),
+    "like-zivid-2plus-m60": 0.0079 + 0.1112 / math.tan(0.085),
+    "like-zivid-2plus-mr60": 0.0079 + 0.1112 / math.tan(0.085),
+}
+SOURCE = re.compile(r"  # (source: \S|our choice|from memory of \S)")
+
+
+def lines_of(name):
+    return files("graycast.rig.shelf").joinpath(f"{name}.yaml").read_text().splitlines()
+
+
+def test_there_is_a_file_for_each_name_and_no_other():
+    names = {path.name for path in files("graycast.rig.shelf").iterdir()}
+    own = {name for name in names if name.endswith(".yaml")} - {"measured.yaml"}
+    assert own == {f"{name}.yaml" for name in SHELF}
+    assert PRESETS == NAMES == ("paper", *SHELF)
+
+
+@EVERY
+def test_every_number_has_a_source_or_is_our_choice(name):
+    stated = [line for line in lines_of(name) if re.match(r"^\s*(- )?\w+: *(\[|-?\d)", line)]
+    assert len(stated) >= 10
+    assert [line for line in stated if not SOURCE.search(line)] == []
+    light = [line for line in lines_of(name) if line.startswith("light:")]
+    assert len(light) == 1 and SOURCE.search(light[0])
+    if name.startswith("like-"):
+        assert "not the maker's product" in lines_of(name)[0]
+
+
+def test_a_number_without_a_source_would_be_noticed():
+    assert not SOURCE.search("fx_px: 1785  # a good value")
+    assert not SOURCE.search("fx_px: 1785")
+
+
+def common_box_m(rig, z_m):
+    """Sides of the box around the points at a depth that both devices have in their pictures.
+
+    Oracle: a fine grid of points, projected into both; `show.report` cuts outlines instead.
+    """
+    half_m = 0.75 * z_m
+    x, y = np.meshgrid(*[np.linspace(-half_m, half_m, 401)] * 2)
+    point = np.stack([x, y, np.full_like(x, z_m)], axis=-1).reshape(-1, 3)
+    both = in_picture(rig.camera, project(rig.camera, point))
+    in_projector = transform_points(inverse(rig.T_cam_proj), point)
+    both &= in_picture(rig.projector, project(rig.projector, in_projector))
+    return np.ptp(point[both][:, :2], axis=0)
+
+
+@EVERY
+def test_the_common_field_is_what_the_maker_states(name):
+    """Within 10 %: makers say neither where they measure the field nor whether it is a rectangle.
+
+    The focal lengths are of other sources than the fields, but for the Mech-Eye family, whose focal
+    lengths were chosen for them. The sources of the XS contradict each other.
+    """
+    rig = preset_rig(name, "full")
+    for claim in shelf_entry(name).claims.fields:
+        assert rig.near_m <= claim.at_m <= rig.far_m
+        off = common_box_m(rig, claim.at_m) / claim.size_m - 1
+        if name == "like-phoxi-xs":
+            assert off == pytest.approx([-0.13, -0.01], abs=0.02)
+        else:
+            assert np.abs(off).max() < 0.10
+
+
+@EVERY
+def test_neighbouring_points_are_as_far_apart_as_the_maker_states(name):
+    """Similar triangles; the makers round to 0.01 mm."""
+    claim = shelf_entry(name).claims.spacing
+    if claim is not None:
+        spacing_m = claim.at_m / preset_rig(name, "full").camera.fx_px
+        assert spacing_m == pytest.approx(claim.value_m, abs=0.5e-5)
+
+
+@EVERY
+def test_the_middle_rays_meet_inside_the_range(name):
+    """Or where the maker's angles say, by a triangle."""
+    rig = preset_rig(name, "full")
+    middle = [np.array([[(o.width_px - 1) / 2, (o.height_px - 1) / 2]]) for o in
+              (rig.camera, rig.projector)]  # fmt: skip
+    camera = rays(rig.camera, middle[0])[0]
+    projector = rig.T_cam_proj[:3, :3] @ rays(rig.projector, middle[1])[0]
+    origin = rig.T_cam_proj[:3, 3]
+    along, _, _, _ = np.linalg.lstsq(np.stack([camera, -projector], 1), origin, rcond=None)
+    meeting_m = along[0] * camera[2]
+    gap_m = np.linalg.norm(along[0] * camera - origin - along[1] * projector)
+    assert gap_m < 1e-3 * meeting_m
+    if name in CROSS_BEYOND:
+        assert meeting_m == pytest.approx(CROSS_BEYOND[name], rel=1e-6)
+        assert best_depth_m(rig) == rig.far_m
+    else:
+        assert rig.near_m < meeting_m < rig.far_m
+        assert best_depth_m(rig) == pytest.approx(meeting_m, rel=1e-6)
+
+
+@EVERY
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_binning_leaves_what_the_camera_sees(name, resolution):
+    """The outer borders of the corner pixels keep their rays; no pixel is left over."""
+    full, binned = preset_rig(name, "full").camera, preset_rig(name, resolution).camera
+    assert full.width_px % binned.width_px == full.height_px % binned.height_px == 0
+    for x, y in ((0, 0), (1, 1)):
+        ends = [
+            rays(o, np.array([[x * o.width_px - 0.5, y * o.height_px - 0.5]]))
+            for o in (full, binned)
+        ]
+        np.testing.assert_allclose(*ends, atol=1e-12)
+
+
+def test_binning_leaves_what_a_lens_with_offset_sees():
+    device = DeviceSection(size_px=(8, 8), fx_px=10.0, cy_px=6.0)
+    ends = [
+        rays(device.optics(binning), np.array([[-0.5, -0.5], [8 / binning - 0.5] * 2]))
+        for binning in (1, 2)
+    ]
+    np.testing.assert_allclose(*ends, atol=1e-12)
+
+
+def test_the_mirrors_of_a_dlp4500_are_twice_as_wide_as_high_and_its_picture_is_above_the_axis():
+    """Oracle: a throw ratio of 1.2, 16:10, and an offset of 100 %, on a wall one metre away."""
+    projector = preset_rig("lab-lightcrafter-4500").projector
+    assert projector.fy_px / projector.fx_px == pytest.approx(2, rel=1e-3)
+    corners = np.array([[-0.5, -0.5], [911.5, 1139.5]])
+    upper_left, lower_right = rays(projector, corners)[:, :2]
+    width, height = lower_right - upper_left
+    assert (width, height) == pytest.approx((1 / 1.2, 1 / 1.2 / 1.6), rel=1e-3)
+    assert lower_right[1] == pytest.approx(0, abs=1e-12)
+
+
+def test_an_office_projector_s_lens_is_below_its_picture():
+    """115 % of half the height from the axis to the middle of the picture."""
+    projector = preset_rig("office-projector").projector
+    top, bottom = rays(projector, np.array([[511.5, -0.5], [511.5, 767.5]]))[:, 1]
+    assert -(top + bottom) / (bottom - top) == pytest.approx(1.15, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("realsense-d435", "stereo of two cameras"),
+        ("d435i", "stereo of two cameras"),
+        ("zed2", "stereo of two cameras"),
+        ("Ensenso_N35", "stereo of two cameras"),
+        ("orbbec-gemini-2", "stereo of two cameras"),
+        ("femto", "time of flight"),
+        ("azure-kinect", "time of flight"),
+        ("helios2", "time of flight"),
+        ("motioncam-3d-m", "lists what is missing"),
+        ("cognex-3d-a5000", "lists what is missing"),
+    ],
+)
+def test_what_is_no_coded_light_is_refused_with_the_reason(name, reason):
+    assert reason in no_rig(name)
+    assert "choose one of" not in no_rig(name)
+    with pytest.raises(ValueError, match=reason):
+        preset_rig(name)
+
+
+@pytest.mark.parametrize("name", ["customized", "like-zivid-3", "oval", "structured-light"])
+def test_other_names_are_offered_those_there_are(name):
+    assert f"no rig {name!r}: choose one of paper, phoxi-s" in no_rig(name)
+
+
+def test_the_measured_noise_is_of_the_size_that_makers_state():
+    """Within a factor of three: the code, the lens and the light are our choice.
+
+    A wrong focal length, baseline or unit is further off.
+    """
+    assert set(measured().scanners) == set(SHELF)
+    for name, own in measured().scanners.items():
+        claim = shelf_entry(name).claims.noise
+        if claim is not None:
+            here_m = np.interp(claim.at_m, own.z_m, own.noise_m)
+            assert 1 / 3 < here_m / claim.value_m < 3, name
+        assert own.z_m == tuple(sorted(own.z_m))
+        assert own.noise_m == tuple(sorted(own.noise_m))  # it grows with the distance

@@ -1,0 +1,103 @@
+"""What sees a field at a distance, with a certain noise."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from graycast.base.frames import inverse, transform_points
+from graycast.rig.optics import Optics, in_picture, project
+from graycast.rig.pair import PRESETS, Rig, preset_rig
+from graycast.rig.shelf import measured
+from graycast.show.report import shelf_list
+from graycast.show.report.shelf_list import covers, shelf_lines, stored_noise_m
+
+
+def names(**wish):
+    return [line.split()[0] for line in shelf_lines(**wish)]
+
+
+def parallel_rig():
+    """Both fields are 1 x 0.5 of the depth; the projector is 0.2 m to the right."""
+    lens = Optics(width_px=200, height_px=100, fx_px=200.0, fy_px=200.0, cx_px=99.5, cy_px=49.5)
+    T = np.eye(4)
+    T[0, 3] = 0.2
+    return Rig(name="two", camera=lens, projector=lens, T_cam_proj=T, near_m=0.5, far_m=2.0)
+
+
+@pytest.mark.parametrize(
+    ("field_m", "fits"),
+    [((0.79, 0.49), True), ((0.81, 0.49), False), ((0.79, 0.51), False), ((0.49, 0.79), True)],
+)
+def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
+    """Oracle: 1 m less 0.2 m of baseline is common at one metre, and half a metre of height."""
+    assert covers(parallel_rig(), field_m, 1.0) is fits
+
+
+@pytest.mark.parametrize("ratio", [0.6, 1.0, 2.0])
+def test_a_rectangle_fits_into_a_slanted_field_where_a_search_places_it(ratio):
+    """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.
+
+    Keystone from two sides: no side of this field but the camera's is parallel to another.
+    """
+    rig, z_m = preset_rig("lab-lightcrafter-4500"), 0.8
+    x, y = np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2)
+
+    def placed(width_m, height_m):
+        fits = np.ones(x.shape, dtype=bool)
+        for u, v in product((-0.5, 0.5), repeat=2):
+            corner = np.stack([x + u * width_m, y + v * height_m, np.full_like(x, z_m)], axis=-1)
+            fits &= in_picture(rig.camera, project(rig.camera, corner))
+            beside = transform_points(inverse(rig.T_cam_proj), corner)
+            fits &= in_picture(rig.projector, project(rig.projector, beside))
+        return fits.any()
+
+    scales = np.arange(0.3, 0.6, 0.005)
+    size = (ratio**0.5, ratio**-0.5)
+    largest = max(s for s in scales if placed(s * size[0], s * size[1])
+                  or placed(s * size[1], s * size[0]))  # fmt: skip
+    assert covers(rig, (0.98 * largest * size[0], 0.98 * largest * size[1]), z_m)
+    assert not covers(rig, (1.03 * largest * size[0], 1.03 * largest * size[1]), z_m)
+
+
+def test_nothing_fits_where_the_fields_do_not_meet():
+    rig = parallel_rig()
+    T = rig.T_cam_proj.copy()
+    T[0, 3] = 3.0
+    assert not covers(replace(rig, T_cam_proj=T), (0.01, 0.01), 1.0)
+
+
+def test_all_are_listed_without_a_wish():
+    assert names() == list(PRESETS)
+
+
+def test_those_with_a_large_field_at_one_metre_are_listed():
+    """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and less than an XL's
+    nearest place is away. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
+    found = names(field_m=(0.6, 0.4), at_m=1.0)
+    assert {"phoxi-m", "phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(found)
+    assert not {"phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(found)
+    assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
+
+
+def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_between(monkeypatch):
+    """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
+    own = measured().scanners["phoxi-m"]
+    for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
+        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(noise_m)
+    assert stored_noise_m("paper", 1.0) is None
+    square = own.model_copy(update={"noise_m": tuple(1e-4 * z_m**2 for z_m in own.z_m)})
+    table = measured().model_copy(update={"scanners": {"phoxi-m": square}})
+    monkeypatch.setattr(shelf_list, "measured", lambda: table)
+    for z_m in (0.3, 0.6, 0.9, 1.5):
+        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
+
+
+def test_a_stricter_wish_leaves_fewer():
+    found = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
+    assert found[0] > found[1] > found[2] == set()
+    assert found[0] == set(names(at_m=1.0)) - {"paper"}
+    for name in found[1]:
+        assert stored_noise_m(name, 1.0) <= 1.5e-4
+        assert preset_rig(name).near_m <= 1.0 <= preset_rig(name).far_m

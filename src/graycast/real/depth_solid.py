@@ -17,6 +17,8 @@ from ..world.parts import Mesh
 
 STEP_M = 5e-3  # Neighbours of a scan whose surfaces are farther apart are not joined.
 _UNDER_M = 2e-3  # The sides go so deep into the ground.
+_FLAT_M = 5e-5  # A square of pixels whose surface is off a plane by less is two triangles.
+_LARGEST_PX = 16  # With distortion, the side of a larger square is bent in the picture.
 _WIDTHS = 1.7  # A window's radius is so many standard deviations of its weight.
 _RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
 _TERMS = 6
@@ -95,7 +97,7 @@ def solid_of(
     """The solid under the surfaces, in the camera frame; uv are those of the picture.
 
     Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
-    their surfaces meet there.
+    their surfaces meet there. Where the surface is flat, pixels are joined to larger squares.
 
     Args:
         ground_m: the depth to which the sides run, NaN where nothing is known of it.
@@ -116,9 +118,10 @@ def solid_of(
     z_m = 1 / inverse_m
     ray = rays(camera, pixel)
     corners = _pixel_corners(vertex, np.isfinite(planes[..., 0]))
-    first, second = _rim(corners).T
+    rim, beside_rim = _rim(corners)
+    first, second = rim.T
     low_m = np.maximum(_at(ground_m, pixel), z_m) + _UNDER_M
-    left_up, left_down, right_down, right_up = corners[corners[..., 0] >= 0].T
+    left_up, left_down, right_down, right_up = _blocks(corners, planes, beside_rim).T
     faces = np.concatenate(
         [
             np.stack([left_up, left_down, right_up], axis=1),
@@ -129,9 +132,12 @@ def solid_of(
     )
     share = (pixel + 0.5) / [width, height]
     uv = np.column_stack([share[:, 0], 1 - share[:, 1]])
+    vertices_m = np.concatenate([ray * z_m[:, None], ray * low_m[:, None]])
+    used = np.zeros(len(vertices_m), dtype=bool)
+    used[faces] = True
     return Mesh(
-        vertices_m=np.concatenate([ray * z_m[:, None], ray * low_m[:, None]]),
-        faces=faces,
+        vertices_m=vertices_m[used],
+        faces=(np.cumsum(used) - 1)[faces],
         corner_uv=np.concatenate([uv, uv])[faces],
     )
 
@@ -208,18 +214,69 @@ def _pixel_corners(
     return np.where(solid[..., None], np.stack(corners, axis=-1), -1)
 
 
-def _rim(corners: Int[np.ndarray, "h w 4"]) -> Int[np.ndarray, "e 2"]:
-    """The sides of pixels that no neighbour shares, in the direction of the pixel's own faces."""
+def _rim(
+    corners: Int[np.ndarray, "h w 4"],
+) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, "h w"]]:
+    """The sides of pixels that no neighbour shares, and which pixels have such a side.
+
+    A side has the direction of the pixel's own faces.
+    """
     around = np.pad(corners, ((1, 1), (1, 1), (0, 0)), constant_values=-1)
     height, width = corners.shape[:2]
-    rim = []
+    rim, beside_rim = [], corners[..., 0] < 0
     # A side runs from one of the pixel's corners to the next; its neighbour has it the other way.
     for side, (down, right) in enumerate(((0, -1), (1, 0), (0, 1), (-1, 0))):
         beside = around[1 + down : 1 + down + height, 1 + right : 1 + right + width]
         own = corners[..., [side, (side + 1) % 4]]
-        shared = (own == beside[..., [(side + 3) % 4, (side + 2) % 4]]).all(axis=-1)
-        rim.append(own[(own[..., 0] >= 0) & ~shared])
-    return np.concatenate(rim)
+        lonely = (own != beside[..., [(side + 3) % 4, (side + 2) % 4]]).any(axis=-1)
+        rim.append(own[lonely & (own[..., 0] >= 0)])
+        beside_rim = beside_rim | lonely
+    return np.concatenate(rim), beside_rim
+
+
+def _blocks(
+    corners: Int[np.ndarray, "h w 4"], planes: Planes, beside_rim: Bool[np.ndarray, "h w"]
+) -> Int[np.ndarray, "n 4"]:
+    """The vertices of rectangles that make up the surface: pixels, and blocks where it is flat.
+
+    Squares of 2, 4, ... pixels become one if the four in it are alike: their mean planes lie within
+    `_FLAT_M` of the plane of the square. Where a large square meets small ones, these have vertices
+    on its side, which are off it by as little, along the camera's rays: the camera sees no crack.
+    """
+    rectangles = [corners[beside_rim & (corners[..., 0] >= 0)]]
+    whole, mean, size = ~beside_rim, planes, 1  # They are of the squares of one size.
+    while True:
+        rows, columns = (n // 2 for n in whole.shape)
+        four = [
+            (mean[i : 2 * rows : 2, j : 2 * columns : 2], i - 0.5, j - 0.5)
+            for i in (0, 1)
+            for j in (0, 1)
+        ]
+        larger = sum(one for one, _, _ in four) / 4
+        joined = whole[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2).all(axis=(1, 3))
+        for one, down, right in four:
+            at_px = np.array([1.0, size * right, size * down])
+            with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not <
+                off_m = np.abs(1 / one[..., 0] - 1 / (larger @ at_px))
+                joined &= (off_m < _FLAT_M) & (2 * size <= _LARGEST_PX)
+        left = whole.copy()
+        left[: 2 * rows, : 2 * columns] &= ~np.kron(joined, np.ones((2, 2), dtype=bool))
+        i, j = size * np.array(np.nonzero(left))
+        low, right = i + size - 1, j + size - 1
+        rectangles.append(
+            np.stack(
+                [
+                    corners[i, j, 0],
+                    corners[low, j, 1],
+                    corners[low, right, 2],
+                    corners[i, right, 3],
+                ],
+                axis=-1,
+            )
+        )
+        if not joined.any():
+            return np.concatenate(rectangles)
+        whole, mean, size = joined, larger, 2 * size
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:

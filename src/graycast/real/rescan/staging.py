@@ -2,7 +2,7 @@
 
 The world is the frame of the image's camera, which is taken to look down at the scene: a lamp
 stands beside it as over a cell of ours. What no object covers becomes the top of a solid whose
-sides run along the camera's rays, as far down as the image goes; behind the objects its surface
+sides run along the camera's rays down to the surface beside; behind the objects its surface
 goes on as a membrane that hangs at what is known around them.
 
 Leaves out: what neither the models nor the depth show, such as the back of a bin's wall and
@@ -36,6 +36,7 @@ _MOST_BEHIND = 0.2  # If depth lies behind more of the objects' pixels, the pose
 _LEAST_PX = 50  # Fewer pixels of objects say nothing of poses.
 _FINE_M = 2e-4  # Depth in finer steps needs little smoothing.
 _SLOPE = 6.0  # Neighbours that are so many times their distance apart in depth are not joined.
+_AROUND_PX = 5  # Sides run as deep as the surface is within a square of so many pixels.
 _COARSE = 4  # The membrane is found on blocks of so many pixels.
 _BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of a picture is darker than this reflectance.
 _DARKEST, _MOST = 0.03, 0.9
@@ -205,7 +206,7 @@ def _background(
     pixel_m = float(np.nanmedian(depth_m)) / image.camera.fx_px
     mesh = solid_of(
         planes,
-        np.full(depth_m.shape, np.nanmax(depth_m)),
+        ndimage.maximum_filter(np.where(solid, depth_m, 0.0), _AROUND_PX),
         image.camera,
         step_m=max(STEP_M, _SLOPE * pixel_m),
     )

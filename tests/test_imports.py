@@ -177,7 +177,7 @@ def test_no_files_import_each_other_in_a_circle():
 def test_what_a_real_scanner_brings_shares_files_and_nothing_else():
     """Calibration, bin, labels and figures are folders apart; a twin is judged by figures."""
     folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
-    assert folders == {"calibrate", "fit_bin", "import_real", "realism", "twin"}
+    assert folders == {"calibrate", "fit_bin", "import_real", "realism", "rescan", "twin"}
     known = {"twin": {"twin", "realism"}}
     for name, file, is_folder in modules():
         if name[:1] == ("real",):

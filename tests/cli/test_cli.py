@@ -46,6 +46,8 @@ OPTIONS = {
     "new": "folder --part --builtin --unit --surface",
     "preview": "config --out --scene --image --seed --backend --device",
     "generate": "config --out --scenes --seed --backend --device WORKERS",
+    "rescan": "source --rig --resolution --out --camera --models --materials --sensor "
+    "--depth-scale --intrinsics --depth-only --images --copy --seed --backend --device WORKERS",
     "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
     "report": "dataset --out --workers --detections --width",
@@ -105,7 +107,7 @@ OPTIONS = {
 SHARED_FLAGS = """
 --address --backend --config --device --distortion --engine --far --files --intrinsics --list
 --max-detections --min-score --min-visibility --near --on --one-class --out --resamples
---resolution --rgb --scale --scene --seed --shares --size --split --split-seed --threads --unit
+--resolution --rgb --scale --scene --seed --rig --shares --size --split --split-seed --threads --unit
 --width --workers
 """.split()
 OUT = re.compile(r"The ((PNG|YAML|ONNX|GIF or WebP) file|folder)( to write| of the )")
@@ -178,7 +180,7 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
 
 
 def test_the_list_of_commands_is_short():
-    assert len({name.split()[0] for name in OPTIONS}) <= 16 and len(OPTIONS) <= 40
+    assert len({name.split()[0] for name in OPTIONS}) <= 16 and len(OPTIONS) <= 41
 
 
 def flags_of(name_and_parser):

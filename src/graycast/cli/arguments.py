@@ -124,7 +124,7 @@ def distortion(text: str) -> tuple[float, float, float, float, float]:
 _METAVARS: Mapping[object, str] = {
     whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", sides_m: "WxH",
     Path: "PATH", distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES",
-    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX",
+    "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--rig": "RIG",
     "--intrinsics": "K",
     "--scale": "METRES", "--near": "METRES", "--far": "METRES", "--at": "METRES",
     "--noise": "METRES",
@@ -132,6 +132,9 @@ _METAVARS: Mapping[object, str] = {
 
 SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
     "--seed": (whole, "The seed of all random numbers. The same seed gives the same result."),
+    "--rig": (str,
+        f"The rig: a path to a rig file, or a name such as {', '.join(PRESETS[:4])}; graycast rig "
+        "list prints all names."),
     "--device": (("auto", "cpu", "cuda", "optix"),
         "The device that renders or runs the network. auto uses the GPU if it works and the CPU "
         "otherwise; optix is for Cycles only."),
@@ -247,12 +250,10 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
     """Add the argument `rig`, or the option `--rig` as a `flag`, and `--resolution`."""
-    names = f"a name such as {', '.join(PRESETS[:4])}; graycast rig list prints all names"
-    help = f"The rig: a path to a rig file, or {names}."
     if flag:
-        add_option(parser, "--rig", str, help, required=True, metavar="RIG")
+        add_shared(parser, "--rig", required=True)
     else:
-        add_option(parser, "rig", str, help)
+        add_option(parser, "rig", *SHARED["--rig"])
     add_shared(parser, "--resolution", usual="low")
 
 

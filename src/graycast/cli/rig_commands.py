@@ -162,18 +162,12 @@ def _add_pictures(group) -> None:
     decode = add_command(
         group, "decode", _decode, "Decode a scanner's pictures to depth.",
         example="stack.yaml --rig rig.yaml --out out/cloud",
-        more="Without a rig, the command writes projector coordinates alone.",
+        more="With a rig, the command also writes depth and a point cloud; without one, it writes "
+        "projector coordinates alone.",
     )  # fmt: skip
     stack = "The stack file, which describes each picture, or a folder that holds a stack.yaml."
     add_option(decode, "stack", Path, stack)
-    add_option(
-        decode,
-        "--rig",
-        str,
-        "A rig file or the name of a preset. With a rig, depth and a point cloud are also written.",
-        usual="the rig that the stack file names, if any",
-        metavar="RIG",
-    )
+    add_shared(decode, "--rig", usual="the rig that the stack file names, if any")
     add_shared(decode, "--resolution", usual="low")
     average = "Write one 3D point for each projector pixel instead of each camera pixel."
     add_option(decode, "--average", None, average)

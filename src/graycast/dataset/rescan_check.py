@@ -1,4 +1,4 @@
-"""Checks of what `graycast rescan` added to a dataset of others, by its files only."""
+"""What `graycast rescan` added to a dataset of others: JSON files from its records, and checks."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,12 +10,14 @@ from pycocotools import mask as coco_mask
 from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
 from ..camera.decode import Reason
+from .coco import scene_coco
 from .places import CLAIM
-from .rescanned import COCO, RECORDS, ImageRecord, RescanClaim, image_records, scene_records
+from .rescanned import RECORDS, ImageRecord, RescanClaim, image_records
 from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder, scene_folders
 from .seal import sum_problems
 
+_COCO = "scene_gt_coco_sl"
 _PICTURES = {
     "gray_sl": np.uint8,
     "depth_sl": np.uint16,
@@ -23,6 +25,25 @@ _PICTURES = {
     "modulation_sl": np.uint16,
 }
 _NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
+
+
+def scene_records(scene: Path) -> dict[str, dict[str, Any]]:
+    """What a scene's JSON files must hold by its records; a scene's _COCO file is one for all."""
+    files: dict[str, dict[str, Any]] = {}
+    for number, record in image_records(scene).items():
+        for name, entry in record.entries.items():
+            if name != _COCO:
+                files.setdefault(name, {})[str(number)] = entry
+                continue
+            whole = files.setdefault(name, scene_coco(obj_ids=(), images=[], annotations=[]))
+            known = {category["id"] for category in whole["categories"]}
+            whole["categories"] += [one for one in entry["categories"] if one["id"] not in known]
+            whole["images"] += entry["images"]
+            first = len(whole["annotations"]) + 1
+            whole["annotations"] += [
+                {**annotation, "id": k} for k, annotation in enumerate(entry["annotations"], first)
+            ]
+    return files
 
 
 def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]]:
@@ -85,7 +106,7 @@ def _mask_problems(
     scene: SceneFolder, number: int, entries: Mapping[str, Any], depth: np.ndarray
 ) -> Iterator[str]:
     taken = np.zeros(depth.shape, dtype=bool)
-    annotations = iter(entries[COCO]["annotations"])
+    annotations = iter(entries[_COCO]["annotations"])
     for i, info in enumerate(entries["scene_gt_info_sl"]):
         whole, visible = (scene.mask(kind, i, number) for kind in ("mask_sl", "mask_visib_sl"))
         if whole.shape != depth.shape or visible.shape != depth.shape:
@@ -105,7 +126,7 @@ def _mask_problems(
         own = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))["counts"]
         runs = (next(annotations, None) or {}).get("segmentation")
         if runs is None or coco_mask.frPyObjects(runs, *depth.shape)["counts"] != own:
-            yield f"instance {i}: its segmentation in {COCO} is not its visible mask"
+            yield f"instance {i}: its segmentation in {_COCO} is not its visible mask"
 
 
 def _depth_problems(

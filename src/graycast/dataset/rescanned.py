@@ -10,14 +10,12 @@ from typing import Any, Literal
 
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
-from .coco import scene_coco
 from .places import CLAIM
 from .records import FormatVersion, Positive, Record
 from .safe_reading import Unreadable, read_json
 
 RECORDS = "scan_sl"
 SCANNED_POSES = "scene_gt_sl.json"
-COCO = "scene_gt_coco_sl"
 
 
 class RescanClaim(Record):
@@ -94,22 +92,3 @@ def image_records(scene: Path) -> dict[int, ImageRecord]:
     """
     paths = sorted((scene / RECORDS).glob("[0-9]*.json"))
     return {int(path.stem): read_json(path, ImageRecord) for path in paths}
-
-
-def scene_records(scene: Path) -> dict[str, dict[str, Any]]:
-    """What a scene's JSON files must hold by its records; a scene's COCO file is one for all."""
-    files: dict[str, dict[str, Any]] = {}
-    for number, record in image_records(scene).items():
-        for name, entry in record.entries.items():
-            if name != COCO:
-                files.setdefault(name, {})[str(number)] = entry
-                continue
-            whole = files.setdefault(name, scene_coco(obj_ids=(), images=[], annotations=[]))
-            known = {category["id"] for category in whole["categories"]}
-            whole["categories"] += [one for one in entry["categories"] if one["id"] not in known]
-            whole["images"] += entry["images"]
-            first = len(whole["annotations"]) + 1
-            whole["annotations"] += [
-                {**annotation, "id": k} for k, annotation in enumerate(entry["annotations"], first)
-            ]
-    return files

@@ -245,38 +245,37 @@ def _blocks(
     """
     rectangles = [corners[beside_rim & (corners[..., 0] >= 0)]]
     whole, mean, size = ~beside_rim, planes, 1  # They are of the squares of one size.
-    while True:
-        rows, columns = (n // 2 for n in whole.shape)
-        four = [
-            (mean[i : 2 * rows : 2, j : 2 * columns : 2], i - 0.5, j - 0.5)
-            for i in (0, 1)
-            for j in (0, 1)
-        ]
-        larger = sum(one for one, _, _ in four) / 4
-        joined = whole[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2).all(axis=(1, 3))
-        for one, down, right in four:
-            at_px = np.array([1.0, size * right, size * down])
-            with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not <
-                off_m = np.abs(1 / one[..., 0] - 1 / (larger @ at_px))
-                joined &= (off_m < _FLAT_M) & (2 * size <= _LARGEST_PX)
+    while whole.any():
+        joined, larger = _joined(whole, mean, size)
+        rows, columns = (2 * n for n in joined.shape)
         left = whole.copy()
-        left[: 2 * rows, : 2 * columns] &= ~np.kron(joined, np.ones((2, 2), dtype=bool))
+        left[:rows, :columns] &= ~np.kron(joined, np.ones((2, 2), dtype=bool))
         i, j = size * np.array(np.nonzero(left))
         low, right = i + size - 1, j + size - 1
-        rectangles.append(
-            np.stack(
-                [
-                    corners[i, j, 0],
-                    corners[low, j, 1],
-                    corners[low, right, 2],
-                    corners[i, right, 3],
-                ],
-                axis=-1,
-            )
-        )
-        if not joined.any():
-            return np.concatenate(rectangles)
+        of_pixels = [(i, j, 0), (low, j, 1), (low, right, 2), (i, right, 3)]
+        rectangles.append(np.stack([corners[place] for place in of_pixels], axis=-1))
         whole, mean, size = joined, larger, 2 * size
+    return np.concatenate(rectangles)
+
+
+def _joined(
+    whole: Bool[np.ndarray, "h w"], mean: Planes, size: int
+) -> tuple[Bool[np.ndarray, "h2 w2"], Planes]:
+    """Which fours of squares become one, and the mean plane of each four."""
+    rows, columns = (n // 2 for n in whole.shape)
+    four = mean[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3)
+    larger: np.ndarray = four.mean(axis=(1, 3))
+    squares = whole[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2)
+    joined: np.ndarray = squares.min(axis=(1, 3))
+    if 2 * size > _LARGEST_PX:
+        return np.zeros_like(joined), larger
+    for down in (0, 1):
+        for right in (0, 1):
+            at_px = np.array([1.0, size * (right - 0.5), size * (down - 0.5)])
+            with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not <
+                off_m = np.abs(1 / four[:, down, :, right, 0] - 1 / (larger @ at_px))
+                joined = joined & (off_m < _FLAT_M)
+    return joined, larger
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:

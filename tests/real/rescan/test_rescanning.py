@@ -62,6 +62,8 @@ def test_a_scan_measures_what_was_there(made):
     assert (summary.written, summary.there, summary.set_aside) == (3, 0, {})
     depth_m, view = scanned(root / "out/train_pbr/000000", 4)
     assert view["cam_K"] == pytest.approx(CAMERA.K.ravel())
+    alike, _ = scanned(root / "out/train_pbr/000000", 0)
+    assert not np.array_equal(alike, depth_m, equal_nan=True)  # each image has noise of its own
     assert summary.reasons["decoded"] == pytest.approx(np.isfinite(depth_m).mean(), abs=0.1)
     assert np.isfinite(depth_m).mean() > 0.4
     # A pixel sees ten columns of Gray code, each of which stands for 1 to 2 mm.

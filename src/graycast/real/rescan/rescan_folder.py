@@ -23,7 +23,8 @@ from ...dataset.models import model_files, models_info
 from ...dataset.picture_bytes import depth_scale_mm, png
 from ...dataset.places import CLAIM
 from ...dataset.records import MM_PER_M
-from ...dataset.rescanned import RECORDS, scene_records
+from ...dataset.rescan_check import scene_records
+from ...dataset.rescanned import RECORDS
 from ...dataset.scene_folder import SCANNER, picture_name
 from ...dataset.seal import MANIFEST, SUMS, sha256
 from .source import Source, SourceImage

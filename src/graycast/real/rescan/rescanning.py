@@ -212,7 +212,7 @@ def rescan(
     wanted = source.images[: spec.images]
     reasons: list[dict[str, float]] = []
     part_reasons: list[dict[str, float]] = []
-    given_up: dict[tuple[int, int], str] = {}
+    lost: dict[tuple[int, int], str] = {}
     with open_rescan(Path(out), source, _claim(task), copies=spec.copies) as folder:
         there = folder.finished().intersection(wanted)
         todo = [k for k, place in enumerate(wanted) if place not in there]
@@ -228,9 +228,9 @@ def rescan(
         def give_up(failed: Failed) -> None:
             on_failed(failed)
             if failed.final:
-                given_up[wanted[failed.scene_id]] = one_line(failed.error)
-                folder.set_aside(given_up)
-                if not reasons and not there and len(given_up) >= _HOPELESS:
+                lost[wanted[failed.scene_id]] = one_line(failed.error)
+                folder.set_aside(lost)
+                if not reasons and not there and len(lost) >= _HOPELESS:
                     raise failed.error
 
         try:
@@ -246,11 +246,11 @@ def rescan(
             )
         finally:
             folder.finish()
-        folder.set_aside(given_up)
+        folder.set_aside(lost)
     return RescanSummary(
         written=len(reasons),
         there=len(there),
-        set_aside=given_up,
+        set_aside=lost,
         seconds=time.perf_counter() - start,
         reasons=mean_shares(reasons),
         part_reasons=mean_shares(part_reasons),

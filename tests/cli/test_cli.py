@@ -107,8 +107,8 @@ OPTIONS = {
 SHARED_FLAGS = """
 --address --backend --config --device --distortion --engine --far --files --intrinsics --list
 --max-detections --min-score --min-visibility --near --on --one-class --out --resamples
---resolution --rgb --scale --scene --seed --rig --shares --size --split --split-seed --threads --unit
---width --workers
+--resolution --rgb --rig --scale --scene --seed --shares --size --split --split-seed --threads
+--unit --width --workers
 """.split()
 OUT = re.compile(r"The ((PNG|YAML|ONNX|GIF or WebP) file|folder)( to write| of the )")
 

@@ -314,10 +314,17 @@ def _validate(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from ..dataset.rescanned import is_rescanned
     from ..show.report.page import write_report
+    from ..show.report.rescan_page import write_rescan_page
 
     if (options.dataset / "picks.json").exists():
         raise GraycastError(f"{options.dataset} holds picks: use graycast robot report")
+    if is_rescanned(options.dataset):
+        with open_bars() as bars:
+            made = write_rescan_page(options.dataset, options.out, progress=bars)
+        print(f"{made.images} of {made.of} images are drawn; open {made.page.resolve()}")
+        return 0
     with open_bars() as bars:
         summary = write_report(
             options.dataset,

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+import re
 from collections import Counter
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from graycast.dataset.training.foreign import open_foreign
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
 from graycast.real.rescan.source_options import SourceOptions
+from graycast.show.report.rescan_page import write_rescan_page
 
 from .scene_files import CAMERA, POSE, gt_of, true_depth_m, write_dataset, write_json, write_scene
 
@@ -186,6 +188,22 @@ def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     assert np.isfinite(depth_m).mean() > 0.2  # the image shows less than the rig's camera
     assert validate(tmp_path / "out") == ()
     assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (386, 516)
+
+
+def test_the_page_has_every_image_before_and_after(made, tmp_path):
+    root, _, summary = made
+    page = write_rescan_page(root / "out", tmp_path / "page")
+    assert (page.images, page.of) == (3, 3)
+    text = page.page.read_text()
+    assert text.count("<img") == 18 and f"{summary.reasons['decoded']:.1%}" in text
+    named = set(re.findall(r'src="([^"]+)"', text))
+    assert {path.name for path in (tmp_path / "page/images").iterdir()} == {
+        name.removeprefix("images/") for name in named
+    }
+    scanner = cv2.imread(str(tmp_path / "page/images/000000-000004-3.jpg"))
+    depth_m, _ = scanned(root / "out/train_pbr/000000", 4)
+    # Without depth it is black, up to what a JPEG does to single pixels.
+    assert scanner[np.isfinite(depth_m)].mean() > 2 * scanner[np.isnan(depth_m)].mean()
 
 
 def test_a_source_is_sent_to_workers(made):

@@ -24,7 +24,7 @@ renderer, detector, exporter or gripper goes.
     dataset    ground truth on disk as BOP and COCO: written, checked, read, exported
     cell       a configuration with its files, its scenes, and a dataset of them
     score      scores of detections, poses and depth; certificates; several views; designs
-    real       data of a real scanner: its rig, bin, labels and depth statistics
+    real       data of a real scanner: its rig, bin, labels, depth statistics; others' datasets
     learn      detectors: training, inference and studies
     robot      poses of parts, grips, and a robot that empties the bin
     show       pictures, scenes for scripts, the web page, and a cell in the browser
@@ -88,6 +88,10 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .learn.detect import load_detector as load_detector
     from .learn.detect import pictures_of as pictures_of
     from .learn.detect import train as train
+    from .real.rescan.open_source import open_source as open_source
+    from .real.rescan.rescanning import RescanSpec as RescanSpec
+    from .real.rescan.rescanning import rescan as rescan
+    from .real.rescan.source_options import SourceOptions as SourceOptions
     from .rendering import GroundTruth as GroundTruth
     from .rendering import Quality as Quality
     from .rendering import Radiance as Radiance
@@ -156,6 +160,9 @@ _MODULE = {
         "cell.simulate": "Shot make_images make_scene",
         "cell.views": "ViewSection",
         "score.evaluate": "Protocol Task evaluate",
+        "real.rescan.open_source": "open_source",
+        "real.rescan.rescanning": "RescanSpec rescan",
+        "real.rescan.source_options": "SourceOptions",
         "learn.detect": "TrainSpec detect load_detector pictures_of train",
         "robot.pick": "load_pick_config pick resolve_pick_cell",
         "robot.pose": "find_pose find_poses pose_model",

@@ -385,7 +385,11 @@ def _resolved(rig: str, sections: ScannerSections, resolution: str, folder: Path
 
 
 def resolve_quality(config: Config) -> Quality:
-    render = config.render
+    return quality_of(config.render)
+
+
+def quality_of(render: RenderSection) -> Quality:
+    """The effort of the section's renderer."""
     return Quality(
         samples=render.samples,
         depth=render.depth,

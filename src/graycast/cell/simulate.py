@@ -156,7 +156,7 @@ def _taken(
         "versions": _versions(renderer),
         "exposure_s": capture.reference_s,
         "reasons": reason_shares(depth.reason),
-        "part_reasons": reason_shares(depth.reason[_on_part(scene, layout, rendering.truth)]),
+        "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
     }
@@ -192,7 +192,7 @@ def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) ->
     return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))
 
 
-def _on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
+def on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
     """The pixels that see a part which is labelled."""
     labelled = [scene.parts[kind].labelled for kind in layout.part_index]
     return np.array([*labelled, False])[truth.instance]  # -1 is no part

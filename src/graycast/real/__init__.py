@@ -1,4 +1,4 @@
-"""Data of a real scanner.
+"""Data of a real scanner, and datasets that others made.
 
 Each folder imports only the files listed above it, except `twin`, which also imports `realism`.
 

@@ -19,11 +19,11 @@ from ...base.usage import rss_bytes
 from ...camera.decode import mean_shares, reason_shares
 from ...camera.picture import gray_picture
 from ...camera.scanner import Scanner, measure, take
-from ...cell.config import RenderSection
+from ...cell.config import RenderSection, quality_of
 from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
 from ...cell.generate import described_scanner
 from ...cell.resolve import patterns_of
-from ...cell.simulate import with_field
+from ...cell.simulate import on_part, with_field
 from ...dataset import Sample, depth_scale_mm, described_values
 from ...dataset.bop import scanner_files
 from ...dataset.claim import fingerprint, part_digest
@@ -31,10 +31,9 @@ from ...dataset.json_text import plain
 from ...dataset.picture_bytes import DEPTH_MAX
 from ...dataset.records import FORMAT_VERSION, MM_PER_M
 from ...dataset.sample import LEAST_DECODED
-from ...rendering import Quality
 from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
-from .staging import stage, with_camera
+from .staging import Staged, stage, with_camera
 
 Whose = Literal["image", "rig"]
 _LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
@@ -87,17 +86,24 @@ class ImageScanner:
         task = self._task
         scene, number = task.source.images[scene_id]
         image = task.source.read(scene, number)
-        sample, facts = self._scanned(image, scene, number)
-        files, entries = scanner_files(sample, task.depth_scale_mm, self._obj_ids)
+        refuse_out_of_range(image, task.scanner)
+        scanner = scanner_for(task.scanner, image, task.spec.camera)
+        self._progress.stage("staging the image")
+        staged = stage(image, task.source.parts, scanner, unknown_look=task.source.plain)
+        seeds = image_seeds(task.seed, scene, station=0, image=number)
+        sample, facts = self._scanned(staged, scanner, seeds, number)
+        files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
         for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` is nobody else's.
             del entries["scene_camera_sl"][key]
+        step_mm = image.step_m * MM_PER_M
         if not task.source.scenes:
             own_files, own_entries = plain_files(image, number)
             files, entries = files + own_files, entries | own_entries
+            step_mm = own_entries["scene_camera"]["depth_scale"]
         seconds = time.perf_counter() - start
         record = facts | {
             "seconds": seconds,
-            "perfect_step_mm": image.step_m * MM_PER_M,
+            "perfect_step_mm": step_mm,
             "entries": entries,
         }
         return TaskResult(
@@ -110,24 +116,18 @@ class ImageScanner:
         )
 
     def _scanned(
-        self, image: SourceImage, scene_id: int, number: int
+        self, staged: Staged, scanner: Scanner, seeds: dict[str, int], number: int
     ) -> tuple[Sample, dict[str, Any]]:
+        """The sample of a staged image, and what its record says of it."""
         task = self._task
-        refuse_out_of_range(image, task.scanner)
-        scanner = scanner_for(task.scanner, image, task.spec.camera)
-        self._progress.stage("staging the image")
-        staged = stage(image, task.source.parts, scanner, unknown_look=task.source.plain)
-        self._obj_ids = staged.obj_id
-        seeds = image_seeds(task.seed, scene_id, station=0, image=number)
         render = task.spec.render
-        quality = Quality(samples=render.samples, depth=render.depth)
         with self._kept.of(render) as renderer:
             self._progress.stage(f"{renderer.name} renders")
             rendering = renderer.render(
                 staged.scene,
                 staged.layout,
                 patterns_of(scanner),
-                quality=quality,
+                quality=quality_of(render),
                 seed=seeds["render"],
             )
         self._progress.stage("decoding the pictures")
@@ -136,13 +136,12 @@ class ImageScanner:
         depth = with_field(scanner.rig, rendering.truth, codes, depth)
         reasons = reason_shares(depth.reason)
         _refuse_undecoded(reasons)
-        last = len(staged.layout.part_index) - 1  # It is the background.
-        on_part = (rendering.truth.instance >= 0) & (rendering.truth.instance < last)
+        own = on_part(staged.scene, staged.layout, rendering.truth)
         facts = {
             "seeds": seeds,
             "exposure_s": capture.reference_s,
             "reasons": reasons,
-            "part_reasons": reason_shares(depth.reason[on_part]) if on_part.any() else {},
+            "part_reasons": reason_shares(depth.reason[own]),
         }
         # The staged depth is no file of the result, and where it is deeper than the rig measures it
         # need not fit into its steps.

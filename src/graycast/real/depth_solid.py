@@ -79,11 +79,32 @@ def _fitted(value, before, radius, terms, near_m):
                     )
                     for k in range(terms):
                         b[k] += weight * value[y, x] * basis[k]
-                        for m in range(terms):
+                        for m in range(k + 1):
                             A[k, m] += weight * basis[k] * basis[m]
             if A[0, 0] > 1e-9:  # else the round before lies near to none: it stays
-                fitted[i, j, :terms] = np.linalg.solve(A, b)
+                _solve(A, b)
+                fitted[i, j, :terms] = b
     return fitted
+
+
+@numba.njit(cache=True, inline="always")
+@no_type_check
+def _solve(A, b):
+    """Solve `A x = b` by Cholesky's factors in place; `A` has its lower half, `b` becomes x."""
+    n = len(b)
+    for k in range(n):
+        for m in range(k + 1):
+            left = A[k, m]
+            for p in range(m):
+                left -= A[k, p] * A[m, p]
+            A[k, m] = math.sqrt(left) if k == m else left / A[m, m]
+        for p in range(k):
+            b[k] -= A[k, p] * b[p]
+        b[k] /= A[k, k]
+    for k in range(n - 1, -1, -1):
+        for p in range(k + 1, n):
+            b[k] -= A[p, k] * b[p]
+        b[k] /= A[k, k]
 
 
 def solid_of(

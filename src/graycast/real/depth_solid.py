@@ -128,8 +128,9 @@ def solid_of(
     """
     height, width = planes.shape[:2]
     vertex, inverse_m = _corners(planes, step_m)
-    pixel, slope = _places(vertex, planes)
+    pixel = _places(vertex, len(inverse_m))
     if covered is not None:
+        slope = _slopes(vertex, planes)
         moved = _outwards(vertex, covered, len(pixel))
         deeper = inverse_m + (slope * moved).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -196,19 +197,23 @@ def _corners(
     return np.take_along_axis(vertex, back, axis=-1), total
 
 
-def _places(
-    vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes
-) -> tuple[Float[np.ndarray, "v 2"], Float[np.ndarray, "v 2"]]:
-    """Where each vertex lies in the picture, and how the inverse depth changes there."""
+def _places(vertex: Int[np.ndarray, "h1 w1 4"], count: int) -> Float[np.ndarray, "v 2"]:
+    """Where each vertex lies in the picture."""
+    place = np.empty((count, 2))
+    for k in range(len(_ABOUT)):
+        i, j = np.nonzero(vertex[..., k] >= 0)
+        place[vertex[i, j, k]] = np.column_stack([j, i]) + _CORNER_PX
+    return place
+
+
+def _slopes(vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes) -> Float[np.ndarray, "v 2"]:
+    """How the inverse depth changes at each vertex, per pixel in x and y."""
     i, j, k = np.nonzero(vertex >= 0)
     number = vertex[i, j, k]
     count = np.bincount(number)
     down, right = np.array(_ABOUT)[k].T
     slope = planes[i + down, j + right, 1:]
-    place = np.empty((len(count), 2))
-    place[number] = np.column_stack([j, i]) + _CORNER_PX
-    mean = [np.bincount(number, weights=own) / count for own in slope.T]
-    return place, np.column_stack(mean)
+    return np.column_stack([np.bincount(number, weights=own) / count for own in slope.T])
 
 
 def _outwards(

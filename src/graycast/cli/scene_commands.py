@@ -322,8 +322,8 @@ def _report(options: argparse.Namespace) -> int:
         raise GraycastError(f"{options.dataset} holds picks: use graycast robot report")
     if is_rescanned(options.dataset):
         with open_bars() as bars:
-            made = write_rescan_page(options.dataset, options.out, progress=bars)
-        print(f"{made.images} of {made.of} images are drawn; open {made.page.resolve()}")
+            result = write_rescan_page(options.dataset, options.out, progress=bars)
+        print(f"{result.images} of {result.of} images are drawn; open {result.page.resolve()}")
         return 0
     with open_bars() as bars:
         summary = write_report(

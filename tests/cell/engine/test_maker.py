@@ -32,7 +32,7 @@ def opened_for(task, monkeypatch, *errors):
         assert not renderer.closed
         raise left.pop(0)
 
-    monkeypatch.setattr(worker_renderer, "open_cell_renderer", open_one)
+    monkeypatch.setattr(worker_renderer, "open_configured", open_one)
     monkeypatch.setattr(maker, "make_images", make)
     with SceneMaker(task) as worker:
         for scene_id, error in enumerate(errors):

@@ -18,7 +18,7 @@ from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
 from graycast.dataset import validate
 from graycast.dataset.stored import open_dataset
-from graycast.dataset.training.foreign import open_foreign
+from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
 from graycast.real.rescan.source_options import SourceOptions
@@ -106,6 +106,20 @@ def test_a_trainer_reads_both_depths(made):
     assert example.rgb is not None and example.gray is not None and example.mask.sum() > 50
     with pytest.raises(DatasetError, match="scanner depth for a dataset of others"):
         open_dataset(root / "out")
+
+
+def test_one_of_several_cameras_is_scanned_and_trained_on(tmp_path):
+    """As in IPD, all files have the names of cameras."""
+    split = write_dataset(tmp_path / "ipd", sensor="photoneo")
+    write_scene(split / "000000", sensor="cam1")
+    source = open_source(split, SourceOptions(sensor="photoneo"))
+    rescan(source, RIG, tmp_path / "out", spec())
+    assert validate(tmp_path / "out") == ()
+    out = tmp_path / "out/train_pbr"
+    assert (out / "000000/depth_cam1").is_symlink() and is_foreign(out)
+    example = open_foreign(out).read(0)
+    np.testing.assert_allclose(example.depth_m, true_depth_m(), atol=6e-5)
+    assert np.isfinite(example.scanner_depth_m).mean() > 0.4
 
 
 def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(made, tmp_path):

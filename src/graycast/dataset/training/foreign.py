@@ -46,7 +46,8 @@ class Foreign:
 
 def is_foreign(path: Path) -> bool:
     """Whether it is a JSON file, or a folder of BOP's scenes."""
-    return path.suffix == ".json" or bool(scene_folders(path))
+    is_bop = scene_folders(path) or scene_folders(path, SCANNED_POSES)
+    return path.suffix == ".json" or bool(is_bop)
 
 
 def open_foreign(path: Path) -> Foreign:

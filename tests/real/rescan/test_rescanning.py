@@ -126,7 +126,7 @@ def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(made, tmp_
     root, split, _ = made
     first = rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))
     assert (first.written, first.there) == (1, 0)
-    left = tmp_path / "out/train_pbr/000000/.tmp-000004.json-0"
+    left = tmp_path / "out/train_pbr/000000/depth_sl/.tmp-000004.png-0"
     left.write_text("half")
     again = rescan(open_source(split), RIG, tmp_path / "out", spec())
     assert (again.written, again.there) == (2, 1) and not left.exists()

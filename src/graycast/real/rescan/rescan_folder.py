@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from ...base.errors import DatasetError
-from ...base.folder import claimed_folder, refuse_foreign, write_whole
+from ...base.folder import claimed_folder, refuse_foreign, remove_left, write_whole
 from ...dataset.claim import refuse_other
 from ...dataset.json_text import json_bytes
 from ...dataset.models import model_files, models_info
@@ -71,6 +71,7 @@ class RescanFolder:
         for scene_id in sorted({scene_id for scene_id, _ in source.images}):
             scene = self._scene(scene_id)
             scene.mkdir(exist_ok=True)
+            remove_left(*scene.glob(f"*{SCANNER}"))
             if source.scenes:
                 for path in sorted(source.scenes[scene_id].iterdir()):
                     if not path.stem.endswith(SCANNER) and path.name != MANIFEST:

@@ -22,7 +22,7 @@ _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
 }
 
 
-def open_source(path: Path, options: SourceOptions | None = None) -> Source:
+def open_source(path: Path | str, options: SourceOptions | None = None) -> Source:
     """A dataset of others, by what its folder has; images are read when they are asked for.
 
     Args:

@@ -286,7 +286,7 @@ def _blocks(
 
 def _joined(
     whole: Bool[np.ndarray, "h w"], mean: Planes, size: int
-) -> tuple[Bool[np.ndarray, "h2 w2"], Planes]:
+) -> tuple[Bool[np.ndarray, "h2 w2"], Float[np.ndarray, "h2 w2 3"]]:
     """Which fours of squares become one, and the mean plane of each four."""
     rows, columns = (n // 2 for n in whole.shape)
     four = mean[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3)

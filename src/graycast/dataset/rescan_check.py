@@ -27,10 +27,13 @@ _PICTURES = {
 _NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
 
 
-def scene_records(scene: Path) -> dict[str, dict[str, Any]]:
-    """What a scene's JSON files must hold by its records; a scene's _COCO file is one for all."""
+def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any]]:
+    """What a scene's JSON files must hold by the records of its images.
+
+    A COCO file is one for all images; the others have an entry for each.
+    """
     files: dict[str, dict[str, Any]] = {}
-    for number, record in image_records(scene).items():
+    for number, record in records.items():
         for name, entry in record.entries.items():
             if name != _COCO:
                 files.setdefault(name, {})[str(number)] = entry
@@ -68,7 +71,7 @@ def _scene_problems(folder: Path, claim: RescanClaim, *, fast: bool) -> Iterator
     records = image_records(folder)
     for number, record in records.items():
         yield from sum_problems(folder, record.sha256, listed_in=f"{RECORDS}/{number:06d}.json")
-    for name, must in scene_records(folder).items():
+    for name, must in scene_records(records).items():
         try:
             there = parse_json((folder / f"{name}.json").read_bytes())
         except (OSError, ValueError):

@@ -1,11 +1,14 @@
 """A dataset of others gets scanner depth beside what it had, once, and the same each time."""
 
+import errno
 import hashlib
 import json
 import pickle
 import re
+import shutil
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -19,6 +22,7 @@ from graycast.cell.config import RenderSection
 from graycast.dataset import validate
 from graycast.dataset.stored import open_dataset
 from graycast.dataset.training.foreign import is_foreign, open_foreign
+from graycast.real.rescan import rescan_folder
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
 from graycast.real.rescan.source_options import SourceOptions
@@ -174,6 +178,42 @@ def test_a_rig_that_measures_elsewhere_is_refused_before_any_work(tmp_path):
     with pytest.raises(ConfigError, match=r"scene 0, image 0: its depth is .*graycast rig list"):
         rescan(open_source(split), far, tmp_path / "out", spec())
     assert not list((tmp_path / "out").rglob("*_sl"))
+
+
+def test_an_odd_first_image_does_not_end_the_run(tmp_path):
+    split = write_dataset(tmp_path / "lm", images=(0, 1))
+    file = split / "000000/scene_camera.json"
+    views = json.loads(file.read_text())
+    write_json(file, views | {"0": views["0"] | {"depth_scale": 1.0}})
+    summary = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert summary.written == 1 and list(summary.set_aside) == [(0, 0)]
+    views = json.loads(file.read_text())
+    write_json(file, views | {"0": views["1"]})
+    again = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert (again.written, again.there, again.set_aside) == (1, 1, {})
+
+
+def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(made, tmp_path, monkeypatch):
+    _, split, _ = made
+    copy = shutil.copy2
+
+    def full(path, place, **words):
+        if str(path).endswith("depth/000004.png"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return copy(path, place, **words)
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            rescan_folder.shutil, "copytree", partial(shutil.copytree, copy_function=full)
+        )
+        with pytest.raises(DatasetError, match=r"cannot be written \(.*\): free space"):
+            rescan(open_source(split), RIG, out, spec(images=1, copies=True))
+    assert not (out / "train_pbr/000000/depth").exists()
+    rescan(open_source(split), RIG, out, spec(images=1, copies=True))
+    assert len(list((out / "train_pbr/000000/depth").iterdir())) == 2
+    assert not (out / "train_pbr/000002").exists()
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
 
 
 def test_the_original_is_not_written_to(tmp_path):

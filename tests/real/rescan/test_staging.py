@@ -207,3 +207,8 @@ def test_another_camera_keeps_the_lens():
         assert focal_m == pytest.approx(scanner.rig.camera.fx_px * scanner.sensor.pixel_pitch_m)
     assert own.rig.camera.aperture_m == scanner.rig.camera.aperture_m
     np.testing.assert_array_equal(own.rig.T_cam_proj, scanner.rig.T_cam_proj)
+    blurred = replace(
+        scanner, rig=replace(scanner.rig, camera=replace(scanner.rig.camera, psf_px=2.0))
+    )
+    narrow = with_camera(blurred, CAMERA).rig.camera
+    assert narrow.psf_px / narrow.fx_px == pytest.approx(2.0 / scanner.rig.camera.fx_px)

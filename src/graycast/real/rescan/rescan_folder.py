@@ -16,15 +16,15 @@ import cv2
 import numpy as np
 
 from ...base.errors import DatasetError
-from ...base.folder import claimed_folder, refuse_foreign, remove_left, write_whole
+from ...base.folder import beside, claimed_folder, refuse_foreign, remove_left, write_whole
 from ...dataset.claim import refuse_other
 from ...dataset.json_text import json_bytes
 from ...dataset.models import model_files, models_info
-from ...dataset.picture_bytes import depth_scale_mm, png
+from ...dataset.picture_bytes import depth_scale_mm, depth_steps, png
 from ...dataset.places import CLAIM
 from ...dataset.records import MM_PER_M
 from ...dataset.rescan_check import scene_records
-from ...dataset.rescanned import RECORDS
+from ...dataset.rescanned import RECORDS, image_records
 from ...dataset.scene_folder import SCANNER, picture_name
 from ...dataset.seal import MANIFEST, SUMS, sha256
 from .source import Source, SourceImage
@@ -54,8 +54,8 @@ class RescanFolder:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, content)
 
-    def begin(self) -> None:
-        """What was there: the models, and each scene without what a scanner added to it."""
+    def begin(self, scene_ids: Iterable[int]) -> None:
+        """What was there: the models, and scenes without what a scanner added to them."""
         source = self.source
         if source.scenes:
             root = source.folder.parent
@@ -68,7 +68,7 @@ class RescanFolder:
             files = model_files(parts) | {"models_info.json": json_bytes(models_info(parts))}
             for name, content in files.items():
                 write_whole(self.out / "models" / name, content)
-        for scene_id in sorted({scene_id for scene_id, _ in source.images}):
+        for scene_id in scene_ids:
             scene = self._scene(scene_id)
             scene.mkdir(exist_ok=True)
             remove_left(*scene.glob(f"*{SCANNER}"))
@@ -81,7 +81,7 @@ class RescanFolder:
         """The JSON files of each scene, of all images that are there."""
         for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
             scene = self._scene(scene_id)
-            for name, content in scene_records(scene).items():
+            for name, content in scene_records(image_records(scene)).items():
                 write_whole(scene / f"{name}.json", json_bytes(content))
 
     def set_aside(self, reasons: Mapping[tuple[int, int], str]) -> None:
@@ -101,17 +101,24 @@ class RescanFolder:
             return
         if not self.copies:
             place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
-        elif path.is_dir():
-            shutil.copytree(path, place)
-        else:
-            shutil.copyfile(path, place)
+            return
+        with beside(place) as aside:  # What is there is whole: the next run takes it as it is.
+            (shutil.copytree if path.is_dir() else shutil.copyfile)(path, aside)
 
 
 @contextmanager
 def open_rescan(
-    out: Path, source: Source, claim: Mapping[str, Any], *, copies: bool
+    out: Path,
+    source: Source,
+    claim: Mapping[str, Any],
+    *,
+    scene_ids: Iterable[int],
+    copies: bool,
 ) -> Iterator[RescanFolder]:
     """Make the folder, or go on with one of the same claim; no other run has it meanwhile.
+
+    Args:
+        scene_ids: of the scenes whose original files the folder gets.
 
     Raises:
         GraycastError: the folder holds something else, or lies in the source; another run has it;
@@ -128,7 +135,7 @@ def open_rescan(
             write_whole(out / CLAIM, json_bytes(claim))
         folder = RescanFolder(out=out, source=source, copies=copies)
         try:
-            folder.begin()
+            folder.begin(scene_ids)
             yield folder
         except OSError as error:
             raise DatasetError(
@@ -148,7 +155,7 @@ def record_file(
 def plain_files(image: SourceImage, number: int) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
     """An image of another layout in BOP's form: pictures, and its entries of JSON files."""
     scale_mm = depth_scale_mm(float(np.nanmax(image.depth_m)))
-    steps = np.nan_to_num(np.rint(image.depth_m * (MM_PER_M / scale_mm))).astype(np.uint16)
+    steps = depth_steps(image.depth_m, scale_mm, needed=np.isfinite(image.depth_m))
     files = [(picture_name("depth", number), png(steps))]
     if image.rgb is not None:
         files.append((picture_name("rgb", number), png(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR))))

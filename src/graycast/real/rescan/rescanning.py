@@ -4,7 +4,7 @@ An image's result depends on the source, the scanner, the seed and the image's n
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ... import __version__
-from ...base.errors import ConfigError, DecodeError, one_line
+from ...base.errors import ConfigError, DatasetError, DecodeError, one_line
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import image_seeds
 from ...base.usage import rss_bytes
@@ -212,11 +212,13 @@ def rescan(
     reasons: list[dict[str, float]] = []
     part_reasons: list[dict[str, float]] = []
     lost: dict[tuple[int, int], str] = {}
-    with open_rescan(Path(out), source, _claim(task), copies=spec.copies) as folder:
+    scene_ids = sorted({scene_id for scene_id, _ in wanted})
+    opened = open_rescan(Path(out), source, _claim(task), scene_ids=scene_ids, copies=spec.copies)
+    with opened as folder:
         there = folder.finished().intersection(wanted)
         todo = [k for k, place in enumerate(wanted) if place not in there]
-        if todo:
-            _refuse_hopeless(source, wanted[todo[0]], scanner)
+        if not there:
+            _refuse_hopeless(source, wanted[:_HOPELESS], scanner)
 
         def keep(result: TaskResult) -> None:
             folder.write(wanted[result.scene_id], result.files)
@@ -279,17 +281,22 @@ def refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
         )
 
 
-def _refuse_hopeless(source: Source, place: tuple[int, int], scanner: Scanner) -> None:
-    """Before any work: the first image must be one that the rig can measure.
+def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: Scanner) -> None:
+    """Before any work: the rig must be able to measure one of the first images.
 
     Raises:
-        ConfigError: it is not, and others of the same camera will not be either.
+        ConfigError: it measures none, and will not measure others of the same camera.
     """
-    try:
-        refuse_out_of_range(source.read(*place), scanner)
-    except DecodeError as error:
-        scene_id, image_id = place
-        raise ConfigError(f"scene {scene_id}, image {image_id}: {error}") from error
+    errors = []
+    for scene_id, image_id in first:
+        try:
+            refuse_out_of_range(source.read(scene_id, image_id), scanner)
+            return
+        except DecodeError as error:
+            errors.append(f"scene {scene_id}, image {image_id}: {error}")
+        except DatasetError:  # The run sets it aside, with this reason.
+            return
+    raise ConfigError(errors[0])
 
 
 def _refuse_undecoded(reasons: Mapping[str, float]) -> None:

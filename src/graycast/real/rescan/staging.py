@@ -27,7 +27,7 @@ from ...rig.meshdepth import rasterize
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
 from ...world.scene import Lamp, Layout, Scene
-from ..depth_solid import STEP_M, Rounds, solid_of, surfaces
+from ..depth_solid import STEP_M, Rounds, from_nearest, solid_of, surfaces
 from .source import SourceImage
 
 BACKGROUND = "background"
@@ -67,6 +67,7 @@ def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
         cx_px=camera.cx_px,
         cy_px=camera.cy_px,
         distortion=camera.distortion,
+        psf_px=own.psf_px * camera.fx_px / own.fx_px,  # A blur is an angle.
     )
     pitch_m = scanner.sensor.pixel_pitch_m * own.fx_px / camera.fx_px
     return replace(
@@ -212,8 +213,7 @@ def _background(
     )
     material = _GREY
     if reflectance is not None:
-        around = ndimage.distance_transform_edt(own, return_distances=False, return_indices=True)
-        beside = reflectance[tuple(around)] if known.any() else reflectance
+        beside = from_nearest(reflectance, own) if known.any() else reflectance
         material = replace(_GREY, texture=srgb(beside))
     return Part(
         name=BACKGROUND,

@@ -15,7 +15,6 @@ from pycocotools import mask as coco_mask
 from pydantic import Field
 
 from ..base.errors import DatasetError
-from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
 from .places import finished_scenes
 from .records import (
@@ -36,7 +35,7 @@ from .records import (
     SceneCoco,
     split_annotation,
 )
-from .rescanned import is_rescanned
+from .rescanned import claim_kind, is_rescanned
 from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
@@ -111,10 +110,7 @@ class RealSplitCoco(Record):
 
 def is_real(out: Path) -> bool:
     """Whether a folder's `graycast.json` says that its pictures are real."""
-    try:
-        return parse_json((out / "graycast.json").read_bytes()).get("kind") == "real"
-    except (OSError, ValueError, AttributeError):
-        return False
+    return claim_kind(out) == "real"
 
 
 def read_claim(out: Path) -> Claim | RealClaim:

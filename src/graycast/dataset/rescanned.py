@@ -52,12 +52,17 @@ class ImageRecord(Record):
     sha256: dict[str, str]
 
 
+def claim_kind(out: Path) -> str | None:
+    """The kind that a folder's `graycast.json` states; None of what `generate` made, or of none."""
+    try:
+        return parse_json((out / CLAIM).read_bytes()).get("kind")
+    except (OSError, ValueError, AttributeError):
+        return None
+
+
 def is_rescanned(out: Path) -> bool:
     """Whether a folder's `graycast.json` says that a rescan wrote it."""
-    try:
-        return parse_json((out / CLAIM).read_bytes()).get("kind") == "rescan"
-    except (OSError, ValueError, AttributeError):
-        return False
+    return claim_kind(out) == "rescan"
 
 
 def read_rescan(out: Path) -> RescanClaim:

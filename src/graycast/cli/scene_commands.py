@@ -321,8 +321,12 @@ def _report(options: argparse.Namespace) -> int:
     if (options.dataset / "picks.json").exists():
         raise GraycastError(f"{options.dataset} holds picks: use graycast robot report")
     if is_rescanned(options.dataset):
+        if options.detections is not None:
+            raise GraycastError("--detections applies to a dataset of Graycast: remove it")
         with open_bars() as bars:
-            result = write_rescan_page(options.dataset, options.out, progress=bars)
+            result = write_rescan_page(
+                options.dataset, options.out, width_px=options.width, progress=bars
+            )
         print(f"{result.images} of {result.of} images are drawn; open {result.page.resolve()}")
         return 0
     with open_bars() as bars:

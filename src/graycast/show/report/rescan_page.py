@@ -19,11 +19,12 @@ from ...base.progress import UNWATCHED, ProgressMeter
 from ...camera.decode import Reason, mean_shares
 from ...dataset.rescanned import RECORDS, ImageRecord, RescanClaim, image_records, read_rescan
 from ...dataset.scene_folder import SceneFolder, scene_folders
+from .page import WIDTH_PX
 from .page.packing import jpeg, palette_picture, shrunk
 
 PAGE = "rescan.html"
 _MOST = 60  # So many images are drawn.
-_WIDTH_PX, _QUALITY = 420, 88
+_QUALITY = 88
 _ERROR_MM = 1.0  # The picture of errors has its full colours here.
 _HEADS = (
     "picture",
@@ -51,9 +52,12 @@ class RescanPage:
 
 
 def write_rescan_page(
-    out: Path, folder: Path, *, width_px: int = _WIDTH_PX, progress: ProgressMeter = UNWATCHED
+    out: Path, folder: Path, *, width_px: int = WIDTH_PX, progress: ProgressMeter = UNWATCHED
 ) -> RescanPage:
     """Write the page of the rescan `out` to a folder.
+
+    Args:
+        width_px: the largest width of its pictures.
 
     Raises:
         GraycastError: `out` is no rescan, or damaged; the folder holds something else, or cannot be
@@ -115,7 +119,7 @@ def _pictures(
         white,
         _coloured(perfect_mm, "viridis", span[0], span[1]),
         _coloured(scanned_mm, "viridis", span[0], span[1]),
-        _coloured(error_mm, "RdBu", -_ERROR_MM, _ERROR_MM),
+        _coloured(error_mm, "RdBu_r", -_ERROR_MM, _ERROR_MM),
         reasons,
     )
     return dict(zip(_HEADS, pictures, strict=True)), error_mm[np.isfinite(error_mm)]
@@ -159,7 +163,7 @@ def _page(
         f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
         f"<table>{_rows(facts)}</table><h2>Pixels</h2><table>{_reasons(records)}</table>"
         f"<h2>Images</h2><p>The difference is red where the scanner measures {_ERROR_MM:g} mm too "
-        "near, and blue where it measures as much too far.</p>"
+        "far, and blue where it measures as much too near.</p>"
         f'<table class="images"><tr>{heads}</tr>{"".join(rows)}</table></body></html>\n'
     )
 

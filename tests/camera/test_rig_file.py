@@ -487,7 +487,11 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
 @pytest.mark.parametrize(
     ("text", "resolution", "message"),
     [
-        ("phoxi-z", "low", "no rig 'phoxi-z': choose one of paper, phoxi-s, .* or name a file in"),
+        (
+            "phoxi-z",
+            "low",
+            "no rig 'phoxi-z': choose one of paper, phoxi-s, phoxi-m, phoxi-l, .*, or",
+        ),
         ("gone.yaml", "low", "gone.yaml: no such file"),
         ("paper", "medium", "no resolution 'medium': choose one of small, low, full"),
     ],

@@ -83,10 +83,15 @@ def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
 
 @pytest.mark.slow
 def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
-    train([dataset], tmp_path / "run", SMALL)
-    before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
-    train([dataset], tmp_path / "run", SMALL)
-    assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
+    """What a kill after the last checkpoint left unwritten is written from the checkpoint."""
+    run = tmp_path / "run"
+    train([dataset], run, SMALL)
+    before, history = (run / "checkpoint.pt").stat().st_mtime_ns, (run / "history.csv").read_text()
+    (run / "history.csv").write_text("".join(history.splitlines(keepends=True)[:-1]))
+    (run / "curves.png").unlink()
+    train([dataset], run, SMALL)
+    assert (run / "checkpoint.pt").stat().st_mtime_ns == before
+    assert (run / "history.csv").read_text() == history and (run / "curves.png").is_file()
 
 
 def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
@@ -143,7 +148,7 @@ SMALL_NETWORK = "--model yolov3 --backbone mobilenet-v3-small --longest-side 128
 COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast", "detector", "train"]
 
 
-def command(dataset, out, *, epochs=6):
+def command(dataset, out, *, epochs=8):
     said = f"{SMALL_NETWORK} --batch 2 --shares 0.7,0.3,0"
     return [
         *COMMAND, str(dataset), "--out", str(out), *said.split(), "--epochs", str(epochs),
@@ -161,7 +166,7 @@ def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeyp
             command(dataset, run), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         deadline = time.monotonic() + 120
-        goal = round(6 * share)
+        goal = round(6 * share)  # three epochs remain after the last kill
         while process.poll() is None and time.monotonic() < deadline:
             if _epochs(run) >= goal and (goal or (run / "cache" / "val.npy").exists()):
                 time.sleep(0.15 * killed)

@@ -61,7 +61,7 @@ one exposure; `python -m benchmarks swatches` draws the picture.
 The colour of a metal is the reflectance of its clean, smooth surface at normal incidence, at 610,
 550 and 465 nm, from published indices; a measured colour is the reflectance at these wavelengths.
 The colour of glass, PMMA and PET is what 10 mm leave of the light; their source is of the index.
-Real parts are darker by films of oxide and oil: compare with yours. Roughness and anisotropy are
+Real parts are darker by films of oxide: compare with yours. Roughness and anisotropy are
 our choice.
 
 | name | base color | metallic | roughness | anisotropy | density kg/m³ | source of the colour |
@@ -95,6 +95,8 @@ def _material(name: str, preset: MaterialPreset) -> str:
     if material.grain is not None and material.grain.turned:
         grooves += ", turned"
     rough = "smooth" if material.transparent else f"{material.roughness:g}"
+    if material.film is not None:
+        rough += f", film {material.film:g}"
     numbers = f"{material.metallic:g} | {rough} | {grooves}"
     density = f"{preset.density_kg_m3:g}"
     return f"| `{name}`{{ #{name} }} | {color} | {numbers} | {density} | {preset.source} |\n"

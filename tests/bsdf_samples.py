@@ -33,9 +33,9 @@ def drawn(bsdf, wi, n, seed=0):
 
     rng = np.random.default_rng(seed)
     si = arriving(wi, n)
-    sample, weight = bsdf.sample(
-        mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(rng.random((2, n)).astype("f4")), True
-    )
+    place = mi.Point2f(rng.random((2, n)).astype("f4"))
+    lobe = mi.Float(rng.random(n).astype("f4"))
+    sample, weight = bsdf.sample(mi.BSDFContext(), si, lobe, place, True)
     return np.array(sample.wo, dtype=float), np.array(sample.pdf), np.array(weight, dtype=float)
 
 

@@ -15,6 +15,7 @@ TURN = MOTIONS.discrete[0]
 AXIS = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 GRAIN = Grain(axis=(1.0, 0.0, 0.0))
 GROOVED = replace(MATERIAL, metallic=1.0, anisotropy=0.5, grain=GRAIN)
+METAL = replace(MATERIAL, metallic=1.0)
 VARIED = replace(MATERIAL, roughness_map=np.full((2, 3), 200, dtype=np.uint8))
 GLASS = replace(MATERIAL, texture=None, metallic=0.0, transparent="solid")
 CHANGES = {
@@ -33,6 +34,7 @@ CHANGES = {
     "transparent": replace(GLASS, transparent="thin"),
     "color_depth_m": replace(GLASS, color_depth_m=0.02),
     "roughness_map": replace(VARIED, roughness_map=np.full((3, 2), 200, dtype=np.uint8)),
+    "film": replace(METAL, film=0.05),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -45,6 +47,8 @@ CHANGES = {
 def before(field):
     if field in ("anisotropy", "grain"):
         return replace(BOX, material=GROOVED)
+    if field == "film":
+        return replace(BOX, material=METAL)
     if field == "roughness_map":
         return replace(BOX, material=VARIED)
     glass = field in ("transparent", "color_depth_m")

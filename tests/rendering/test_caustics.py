@@ -154,6 +154,11 @@ CASES = {
         metal(0.35, 0.9),
     ),
     "coat": (CAMERA, PROJECTOR, Material(base_color=(0.0, 0.0, 0.0), roughness=0.25)),
+    "film": (
+        CAMERA,
+        PROJECTOR,
+        Material(base_color=(0.9, 0.7, 0.4), metallic=1.0, roughness=0.35, film=0.3),
+    ),
     "blend": (
         CAMERA,
         PROJECTOR,

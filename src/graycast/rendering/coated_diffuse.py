@@ -59,16 +59,12 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         active &= (cos_i > 0) & (cos_o > 0)
         alpha = self.alpha_at(si, active)
         half = dr.normalize(si.wi + wo)
-        density = 0.5 * ggx.distribution(half, alpha)
-        length_i = dr.norm(ggx.stretched(si.wi, alpha))
-        length_o = dr.norm(ggx.stretched(wo, alpha))
-        fresnel = mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
-        coat = fresnel * density * cos_o / dr.fma(length_i, cos_o, length_o * cos_i)
+        shape, coat_pdf = ggx.single_reflection(si.wi, wo, half, alpha)
+        coat = mi.fresnel(dr.dot(si.wi, half), self.eta)[0] * shape
         base = self.reflectance.eval(si, active)
         share_in, left = self._albedo(cos_i, alpha), 1 - self._albedo(cos_o, alpha)
         matte = base * ((1 - share_in) * left * self._base_scale(alpha) * cos_o)
         share = self._coat_share(share_in, base)
-        coat_pdf = density / (cos_i + length_i)
         pdf = dr.lerp(mi.warp.square_to_cosine_hemisphere_pdf(wo), coat_pdf, share)
         return dr.select(active, coat + matte, 0), dr.select(active, pdf, 0)
 

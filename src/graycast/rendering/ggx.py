@@ -46,6 +46,17 @@ def stretched(w: mi.Vector3f, alpha: Alpha) -> mi.Vector3f:
     return mi.Vector3f(alpha * w.x, alpha * w.y, w.z)
 
 
+def single_reflection(
+    wi: mi.Vector3f, wo: mi.Vector3f, half: mi.Vector3f, alpha: Alpha
+) -> tuple[mi.Float, mi.Float]:
+    """`D G2 / (4 cos cos)` times the cosine of wo, and the density of wo by `sample_visible`."""
+    cos_i, cos_o = mi.Frame3f.cos_theta(wi), mi.Frame3f.cos_theta(wo)
+    density = 0.5 * distribution(half, alpha)
+    length_i, length_o = dr.norm(stretched(wi, alpha)), dr.norm(stretched(wo, alpha))
+    shape = density * cos_o / dr.fma(length_i, cos_o, length_o * cos_i)
+    return shape, density / (cos_i + length_i)
+
+
 def sample_visible(wi: mi.Vector3f, alpha: Alpha, uv: mi.Point2f) -> mi.Vector3f:
     """A facet's normal, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
     direction = dr.normalize(stretched(wi, alpha))
@@ -126,19 +137,22 @@ def directional_albedo(
         alphas: widths of GGX along x and y.
         fresnel: reflectance of a facet by the cosine at which light meets it; all of it by default.
     """
+    met = (facets(w, alphas) for w in wi)
+    return np.array([float((fresnel(cos_half) * left).mean()) for cos_half, _, left in met])
+
+
+def facets(
+    wi: Float[np.ndarray, "3"], alphas: tuple[float, float]
+) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], Float[np.ndarray, " f"]]:
+    """The visible facets of a direction, each with equal weight.
+
+    Returns:
+        The cosine at which light meets each, the cosine to the surface's normal at which it is
+        reflected, and the share that other facets let pass, `G2 / G1`; 0 where it goes downwards.
+    """
     order = np.arange(_FACETS) + 0.5
     turn, height = 2 * np.pi * ((order * _STEP) % 1), order / _FACETS
     widths = np.array([*alphas, 1.0])
-    return np.array([_mean_reflection(w, widths, fresnel, turn, height) for w in wi])
-
-
-def _mean_reflection(
-    wi: Float[np.ndarray, "3"],
-    widths: Float[np.ndarray, "3"],
-    fresnel: Callable[[np.ndarray], np.ndarray],
-    turn: np.ndarray,
-    height: np.ndarray,
-) -> float:
     length = np.linalg.norm(widths * wi)  # of the stretched direction
     x, y, cosine = widths * wi / length
     z = (1 - height) * (1 + cosine) - cosine
@@ -151,7 +165,7 @@ def _mean_reflection(
     length_o = np.linalg.norm(widths[:, None] * wo, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         kept = wo[2] * (wi[2] + length) / (length * wo[2] + length_o * wi[2])
-    return float(np.where(wo[2] > 0, fresnel(cos_half) * kept, 0).mean())
+    return cos_half, wo[2], np.where(wo[2] > 0, kept, 0)
 
 
 def mean_albedo(alphas: tuple[float, float]) -> float:

@@ -27,9 +27,11 @@ from ..world.scene import (
 from .brushed_conductor import GRAIN, BrushedConductor
 from .coated_diffuse import CoatedDiffuse
 from .dielectric import Dielectric, ThinDielectric
+from .filmed_conductor import FilmedConductor
 from .rough_conductor import RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
+mi.register_bsdf("filmed_conductor", FilmedConductor)
 mi.register_bsdf("rough_conductor", RoughConductor)
 mi.register_bsdf("brushed_conductor", BrushedConductor)
 mi.register_bsdf("solid_glass", Dielectric)
@@ -114,7 +116,8 @@ def _is_shiny(material: Material) -> bool:
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
     metal = 1.0 if material.texture is not None else max(material.base_color)
     normal = metal * material.metallic + coat * (1 - material.metallic)
-    return normal / (4 * material.smoothest**4) > 1
+    films = material.film is not None and coat / (4 * material.film**4) > 1
+    return films or normal / (4 * material.smoothest**4) > 1
 
 
 def _bsdf(material: Material) -> dict[str, object]:
@@ -159,6 +162,9 @@ def _glass(material: Material) -> dict[str, object]:
 
 def _conductor(material: Material) -> dict[str, object]:
     reflectance = {"reflectance": _reflectance(material)}
+    if material.film is not None:
+        film = {"film_alpha": material.film**2, "eta": material.ior}
+        return {"type": "filmed_conductor"} | _width(material) | film | reflectance
     if material.grooves is None:
         return {"type": "rough_conductor"} | _width(material) | reflectance
     along, across = material.alphas

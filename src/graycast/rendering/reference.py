@@ -27,7 +27,7 @@ from .radiance import (
     Rendering,
     refuse_other_size,
 )
-from .wavelength import at_projector_wavelength, refuse_glass
+from .wavelength import at_projector_wavelength, refuse_layers
 
 CLEARANCE_M = 1e-9  # A shadow ray starts this far from its surface; float64 needs no more.
 
@@ -95,7 +95,7 @@ def _refuse_beyond_limits(
         )
     if any(scene.environment.radiance):
         raise ValueError("the reference renderer has no environment light: set it to 0, 0, 0")
-    refuse_glass(scene, "the reference renderer")
+    refuse_layers(scene, "the reference renderer")
     if quality.depth != 1 or math.isqrt(quality.samples) ** 2 != quality.samples:
         raise ValueError("the reference renderer needs depth 1 and a square number of samples")
     if not (scene.rig.camera.is_pinhole and projector.is_pinhole):

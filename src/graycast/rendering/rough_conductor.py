@@ -68,12 +68,9 @@ class RoughConductor(ggx.GlossyBSDF):
         active &= (cos_i > 0) & (cos_o > 0)
         alpha = self.alpha_at(si, active)
         half = dr.normalize(si.wi + wo)
-        density = 0.5 * ggx.distribution(half, alpha)
+        shape, pdf = ggx.single_reflection(si.wi, wo, half, alpha)
         length_i = dr.norm(ggx.stretched(si.wi, alpha))
-        length_o = dr.norm(ggx.stretched(wo, alpha))
-        shape = density * cos_o / dr.fma(length_i, cos_o, length_o * cos_i)
         value = self._reflected(si, alpha, dr.dot(si.wi, half), length_i, active) * shape
-        pdf = density / (cos_i + length_i)
         return dr.select(active, value, 0), dr.select(active, pdf, 0)
 
     def sample(self, context, si, sample1, sample2, active):

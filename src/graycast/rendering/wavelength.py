@@ -43,9 +43,12 @@ def at_one_wavelength(scene: Scene) -> Scene:
     return _with_materials(scene, lambda material: _in_band(material, band))
 
 
-def refuse_glass(scene: Scene, renderer: str) -> None:
-    if any(material.transparent for material in _materials(scene)):
-        raise ValueError(f"{renderer} cannot render transparent materials: use mitsuba")
+def refuse_layers(scene: Scene, renderer: str) -> None:
+    """Glass and films: only Mitsuba has our model of them."""
+    for material in _materials(scene):
+        if material.transparent is not None or material.film is not None:
+            what = "transparent materials" if material.film is None else "a film over metal"
+            raise ValueError(f"{renderer} cannot render {what}: use mitsuba")
 
 
 def _materials(scene: Scene) -> list[Material]:

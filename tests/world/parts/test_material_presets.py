@@ -53,16 +53,21 @@ INDICES = {
         (0.551041, 0.9322, 4.9850), (0.619921, 1.1356, 5.6116),
     ),
 }  # fmt: skip
+INDICES["steel-oiled"] = INDICES["steel-polished"]
 
 
 @pytest.mark.parametrize("name", INDICES)
 def test_the_colour_of_a_metal_is_its_reflectance_at_normal_incidence(name):
-    """Oracle: |(N - 1) / (N + 1)|^2 of the complex index N = n + i k, at three wavelengths."""
+    """Oracle: |(N - m) / (N + m)|^2 of the complex index N = n + i k, at three wavelengths; m is 1
+    in air and 1.47 in oil.
+    """
     wavelength_um, n, k = np.array(INDICES[name]).T
     at_um = (0.610, 0.550, 0.465)
     index = np.interp(at_um, wavelength_um, n) + 1j * np.interp(at_um, wavelength_um, k)
-    reflectance = np.abs((index - 1) / (index + 1)) ** 2
     material = MATERIALS[name].material
+    around = 1.0 if material.film is None else 1.47
+    assert material.film is None or abs(material.ior - around) < 1e-9
+    reflectance = np.abs((index - around) / (index + around)) ** 2
     assert np.abs(reflectance - material.base_color).max() < 6e-4  # three digits
     assert material.metallic == 1
 

@@ -75,6 +75,7 @@ def retouched(
         roughness=min(max(roughness, least), ROUGHNESS[1]),
         metallic=metallic,
         anisotropy=material.anisotropy if metallic > 0 else 0.0,
+        film=material.film if metallic > 0 else None,
     )
 
 

@@ -124,6 +124,8 @@ class RunFolder:
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
         """Load the last checkpoint into both; start from the beginning if there is none.
 
+        The history is written anew: a kill between it and its checkpoint would lose its last row.
+
         Raises:
             GraycastError: the checkpoint is damaged.
         """
@@ -134,11 +136,14 @@ class RunFolder:
             checkpoint = torch.load(file, map_location="cpu", weights_only=True)
             network.load_state_dict(checkpoint["network"])
             optimizer.load_state_dict(checkpoint["optimizer"])
-            return Progress(**parse_json(checkpoint["progress"]))
+            progress = Progress(**parse_json(checkpoint["progress"]))
         except Exception as error:  # unpickling raises whatever the bytes lead it to
             raise GraycastError(
                 f"{file}: is damaged: remove it, and the training starts again"
             ) from error
+        if progress.rows:
+            self.tell(progress.rows)
+        return progress
 
     def tell(self, rows: Sequence[Row]) -> None:
         """Write the history as CSV and as a picture, from the rows."""

@@ -259,8 +259,6 @@ class _Training:
         batch = min(recipe.batch, count)
         steps = count // batch
         every = max(1, self.spec.epochs // 25)
-        if progress.rows:  # a kill between the checkpoint and the history loses the last row
-            self.run.tell(progress.rows)
         if self._ended(progress, steps):
             return self._best()
         pictures, judge = self._pictures(), _Judge.of(self)

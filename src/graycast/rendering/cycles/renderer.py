@@ -34,7 +34,7 @@ from ..radiance import (
     Silhouette,
     refuse_other_size,
 )
-from ..wavelength import at_one_wavelength, at_projector_wavelength, refuse_glass
+from ..wavelength import at_one_wavelength, at_projector_wavelength, refuse_layers
 from .job import ALBEDO, LOOK, TRUTH, Render, is_simple, need_renders, pattern_frames, write_job
 from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
@@ -109,7 +109,7 @@ class CyclesRenderer(Renderer):
         quality: Quality,
         seed: int,
     ) -> Rendering:
-        refuse_glass(scene, "Cycles")
+        refuse_layers(scene, "Cycles")
         self._refuse(scene.rig, pattern, quality)
         look, measured, bands = scene, at_projector_wavelength(scene), scene.rig.band_weights
         if self._in_grey(scene.rig, quality):

@@ -8,7 +8,9 @@ is transparent is what 10 mm leave of the light; the source is that of the index
 every roughness and anisotropy, is our choice: a start, until the user knows those of the part.
 Brushed and ground metal has its grooves along x of the mesh, turned metal about z.
 
-Leaves out: oxide films, oil and scratches, which make real metal darker than a pure one; `steel`
+`steel-oiled` is the same formula with `n - 1.47` and `n + 1.47`, the metal in oil.
+
+Leaves out: oxide films and scratches, which make real metal darker than a pure one; `steel`
 stands for such a surface. Densities are of the usual alloy or grade, for `graycast new`.
 """
 
@@ -26,6 +28,7 @@ _TURNED: Grooves = (0.8, Grain(axis=(0.0, 0.0, 1.0), turned=True))
 _IRON = (0.525, 0.512, 0.500)
 _STAINLESS = (0.599, 0.588, 0.573)
 _ALUMINIUM = (0.910, 0.915, 0.921)
+_OIL_INDEX = 1.47  # mineral oil
 _OF_IRON = "Fe: Johnson & Christy, Phys. Rev. B 9, 5056, 1974"
 _OF_STAINLESS = "ferritic steel: Karlsson & Ribbing, J. Appl. Phys. 53, 6340, 1982"
 _OF_ALUMINIUM = "Al: Rakić, Appl. Opt. 34, 4755, 1995"
@@ -60,15 +63,24 @@ def _metal(
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 
+def _oiled(color: Color, density_kg_m3: float, source: str) -> MaterialPreset:
+    specular = _specular(_OIL_INDEX)
+    material = Material(base_color=color, metallic=1.0, roughness=0.3, specular=specular, film=0.05)
+    return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
+
+
 def _other(color: Color, roughness: float, density_kg_m3: float, source: str) -> MaterialPreset:
     material = Material(base_color=color, roughness=roughness)
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
 
 
 def _clear(color: Color, index: float, density_kg_m3: float, source: str) -> MaterialPreset:
-    specular = ((index - 1) / (index + 1)) ** 2 / 0.08
-    material = Material(base_color=color, specular=specular, transparent="solid")
+    material = Material(base_color=color, specular=_specular(index), transparent="solid")
     return MaterialPreset(material=material, density_kg_m3=density_kg_m3, source=source)
+
+
+def _specular(index: float) -> float:
+    return ((index - 1) / (index + 1)) ** 2 / 0.08
 
 
 def _grey(level: float) -> Color:
@@ -80,6 +92,7 @@ MATERIALS: Mapping[str, MaterialPreset] = {
     "steel-polished": _metal(_IRON, 0.15, 7850.0, _OF_IRON),
     "steel-ground": _metal(_IRON, 0.3, 7850.0, _OF_IRON, _GROUND),
     "steel-brushed": _metal(_IRON, 0.35, 7850.0, _OF_IRON, _BRUSHED),
+    "steel-oiled": _oiled((0.398, 0.383, 0.373), 7850.0, f"{_OF_IRON}; in oil of index 1.47"),
     "steel-turned": _metal(_IRON, 0.3, 7850.0, _OF_IRON, _TURNED),
     "stainless-polished": _metal(_STAINLESS, 0.15, 7700.0, _OF_STAINLESS),
     "stainless-brushed": _metal(_STAINLESS, 0.35, 7700.0, _OF_STAINLESS, _BRUSHED),

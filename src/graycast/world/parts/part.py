@@ -57,7 +57,11 @@ class Material:
     law); each pass through a `thin` wall, whose mesh has no thickness, does, whatever the angle.
     `projector_reflectance` is that at the projector's wavelength.
 
-    Leaves out: translucency, anisotropic coats, spectra finer than three bands and that one line.
+    `film` is the roughness of a clear film over metal, such as oil or lacquer, of the index that
+    `specular` gives. `base_color` is then the metal's reflectance in the film, less than in air.
+
+    Leaves out: translucency, films over grooves or a map, anisotropic coats, spectra finer than
+    three bands and that one line.
     """
 
     base_color: Color = (0.5, 0.5, 0.5)
@@ -71,6 +75,7 @@ class Material:
     transparent: Transparent | None = None
     color_depth_m: Positive = 0.01
     roughness_map: UInt8[np.ndarray, "rows columns"] | None = None
+    film: Roughness | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -86,9 +91,19 @@ class Material:
         if self.roughness_map is not None and (self.anisotropy > 0 or self.transparent is not None):
             what = "is transparent" if self.transparent is not None else "has an anisotropy"
             raise ValueError(f"a material with a roughness_map {what}: remove one of the two")
+        if self.film is not None:
+            self._check_film()
         for picture in (self.texture, self.roughness_map):
             if picture is not None:
                 picture.flags.writeable = False
+
+    def _check_film(self) -> None:
+        if self.metallic == 0 or self.specular == 0:
+            key = "metallic" if self.metallic == 0 else "specular"
+            raise ValueError(f"a material with a film has {key} 0: set it above 0, or remove film")
+        if self.anisotropy > 0 or self.roughness_map is not None:
+            what = "an anisotropy" if self.anisotropy > 0 else "a roughness_map"
+            raise ValueError(f"a material with a film has {what}: remove one of the two")
 
     def scaled(self, factor: float) -> "Material":
         """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""
@@ -109,6 +124,8 @@ class Material:
             words["transparent"] = self.transparent
             if self.transparent == "solid":
                 words["color_depth_m"] = self.color_depth_m
+        if self.film is not None:
+            words["film"] = self.film
         if (grain := self.grooves) is not None:
             words["anisotropy"] = self.anisotropy
             words["turned" if grain.turned else "grain"] = list(grain.axis)

@@ -115,6 +115,12 @@ class MaterialSection(Settings):
         "default is its origin.",
     )
 
+    film: Roughness | None = Field(
+        None,
+        description="The roughness of a clear film over metal, such as oil or lacquer; its index "
+        "follows from specular, and base_color is the reflectance in it. Without this key, metal "
+        "is bare.",
+    )
     transparent: Transparent | None = Field(
         None,
         description="Clear glass or plastic: solid, or thin for a mesh that is a wall without "

@@ -1,0 +1,147 @@
+"""A rough metal under a clear film, such as oil or lacquer, as a Mitsuba BSDF.
+
+The film's own surface reflects as the coat of `coated_diffuse.py` does: a share `E_c` of the light.
+The rest `T = 1 - E_c` is refracted into the film of index n, meets the metal's facets there, and is
+refracted out again, so the lobe of the metal is about n times as wide as in air:
+
+    f = f_coat + K(i) T(o) f_1(i', o') / n^2,    K = T + F_ms T (1 - S) / S,
+
+with directions i', o' inside, the metal's single reflection `f_1` of `rough_conductor.py`, and the
+share `S(i)` of light that leaves white metal and film after it. What facets or film send back comes
+out later, in the same lobe, as `F_ms = F_avg S_2 / (1 - F_avg (1 - S_2))` of it, with the share
+`S_2` of such light that leaves after its second reflection. White metal returns all light. Where
+both are smooth, this is the sum of all reflections between two planes, `T^2 R / (1 - R E_c)`.
+
+The metal's reflectance is that in the film, where it is less than in air: iron's in oil is 0.38
+instead of 0.51.
+
+Leaves out: absorption and interference in the film, so it is clear and thicker than a few
+micrometres; that light reflected many times leaves in a wider lobe. Since `K` is taken at one
+direction, light may not run backwards.
+
+Sources: A. Weidlich & A. Wilkie, "Arbitrarily Layered Micro-Facet Surfaces", GRAPHITE 2007
+(refracted lobe); E. Turquin, 2019, and C. Kulla & A. Conty, 2017, as in `rough_conductor.py`.
+
+Imported only by `mitsuba_scene.py`, after a variant was set.
+"""
+
+from functools import lru_cache
+from typing import final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import ggx
+from .coated_diffuse import coat_albedo
+
+
+@final
+class FilmedConductor(ggx.GlossyBSDF):
+    """Properties: `reflectance` (texture) and `alpha` of the metal; `film_alpha` and `eta`."""
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        alpha, film_alpha, eta = (float(props[key]) for key in ("alpha", "film_alpha", "eta"))
+        coat, later, second = film_shares(alpha, film_alpha, eta)
+        self.coat, self.later = mi.Float(coat), mi.Float(later)
+        self.film_alpha, self.eta, self.second = (
+            dr.opaque(mi.Float, value) for value in (film_alpha, eta, second)
+        )
+        self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [int(self.m_flags), int(self.m_flags)]
+
+    def eval_pdf(self, context, si, wo, active):
+        """Value times cosine, and solid-angle density."""
+        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+        active &= (cos_i > 0) & (cos_o > 0)
+        half = dr.normalize(si.wi + wo)
+        film, film_pdf = ggx.single_reflection(si.wi, wo, half, self.film_alpha)
+        film *= mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
+        inside_i, inside_o = self._refracted(si.wi), self._refracted(wo)
+        half = dr.normalize(inside_i + inside_o)
+        metal, metal_pdf = ggx.single_reflection(inside_i, inside_o, half, self.alpha)
+        # The solid angle is n^2 cos / cos_inside times as large above the film as in it.
+        narrower = cos_o / (dr.square(self.eta) * mi.Frame3f.cos_theta(inside_o))
+        metal *= (1 - ggx.interpolated(self.coat, cos_o)) * narrower
+        normal = self.reflectance.eval(si, active)
+        share = _film_share(ggx.interpolated(self.coat, cos_i), normal)
+        value = self._returned(normal, dr.dot(inside_i, half), cos_i) * metal + film
+        pdf = dr.lerp(metal_pdf * narrower, film_pdf, share)
+        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+
+    def sample(self, context, si, sample1, sample2, active):
+        cos_i = mi.Frame3f.cos_theta(si.wi)
+        normal = self.reflectance.eval(si, active)
+        of_film = sample1 < _film_share(ggx.interpolated(self.coat, cos_i), normal)
+        inside = self._refracted(si.wi)
+        off_film = mi.reflect(si.wi, ggx.sample_visible(si.wi, self.film_alpha, sample2))
+        off_metal = mi.reflect(inside, ggx.sample_visible(inside, self.alpha, sample2))
+        x, y = self.eta * off_metal.x, self.eta * off_metal.y
+        up2 = 1 - dr.square(x) - dr.square(y)  # it is negative where light stays in the film
+        active &= (cos_i > 0) & (of_film | ((off_metal.z > 0) & (up2 > 0)))
+        wo = dr.select(of_film, off_film, mi.Vector3f(x, y, dr.safe_sqrt(up2)))
+        value, pdf = self.eval_pdf(context, si, wo, active)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, 1.0
+        bs.sampled_type = mi.UInt32(self.m_components[0])
+        bs.sampled_component = dr.select(of_film, mi.UInt32(0), 1)
+        active &= pdf > 0
+        return bs, dr.select(active, value / pdf, 0)
+
+    def to_string(self):
+        return f"FilmedConductor[alpha={self.alpha}, film_alpha={self.film_alpha}, eta={self.eta}]"
+
+    def _refracted(self, w: mi.Vector3f) -> mi.Vector3f:
+        """A direction above the film, continued inside it; both point away from the metal."""
+        x, y = w.x / self.eta, w.y / self.eta
+        return mi.Vector3f(x, y, dr.safe_sqrt(1 - dr.square(x) - dr.square(y)))
+
+    def _returned(self, normal: mi.Color3f, cos_half: mi.Float, cos_i: mi.Float) -> mi.Color3f:
+        """Fresnel's share of the metal times `K`."""
+        away = 1 - cos_half
+        fresnel = dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
+        average = dr.fma(normal, 20 / 21, 1 / 21)
+        again = average * self.second / dr.fma(-average, 1 - self.second, 1)
+        later = ggx.interpolated(self.later, cos_i)
+        return fresnel * dr.fma(again, later, 1 - ggx.interpolated(self.coat, cos_i))
+
+
+def _film_share(coat_i: mi.Float, normal: mi.Color3f) -> mi.Float:
+    """Probability of sampling the film's own reflection: its share of what is reflected in all."""
+    return coat_i / (coat_i + (1 - coat_i) * dr.mean(normal))
+
+
+@lru_cache
+def film_shares(
+    alpha: float, film_alpha: float, eta: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """What a film does to the light of white metal.
+
+    Returns:
+        `E_c` and `T (1 - S) / S`, one value for each of `ggx.TABLE` cosines from 0 to 1 above the
+        film; and `S_2`.
+    """
+    cosine = np.linspace(0, 1, ggx.TABLE)
+    coat = coat_albedo(film_alpha, eta)
+
+    def leaving(cos_inside: np.ndarray) -> np.ndarray:
+        """Share that the film's surface lets out at an angle; it reflects flat rays totally."""
+        up2 = 1 - eta**2 * (1 - cos_inside**2)
+        out = np.interp(np.sqrt(np.maximum(up2, 0)), cosine, 1 - coat)
+        return np.where(up2 > 0, out, 0.0)
+
+    def once(inside: np.ndarray) -> np.ndarray:
+        """Share that leaves after one reflection of the metal, of light from these directions."""
+        met = (ggx.facets(w, (alpha, alpha)) for w in inside)
+        return np.array([(leaving(up) * passed).mean() for _, up, passed in met])
+
+    inside = ggx.leaning(np.sqrt(1 - (1 - cosine**2) / eta**2))
+    first, of_inside = once(inside), once(ggx.leaning(cosine))
+    # What was sent back meets the metal at about the angle at which it had left it.
+    weight = cosine * (1 - coat)
+    met = [ggx.facets(w, (alpha, alpha))[1:] for w in inside]
+    stays = np.array([1 - leaving(up) * passed for up, passed in met])
+    again = np.array([np.interp(np.abs(up), cosine, of_inside) for up, _ in met])
+    second = float((weight @ (stays * again)).sum() / (weight @ stays).sum())
+    return coat, (1 - coat) * (1 - first) / first, second

@@ -60,8 +60,9 @@ def add_rescan(commands) -> None:
     )  # fmt: skip
     add_option(
         rescan, "--materials", Path,
-        "A YAML file with the material of each object, by its id or name. Without one, an object "
-        "looks as its mesh says, or has the mean colour of the pictures.",
+        "A YAML file with the material of each object, by its id or name, and of all that is no "
+        "object under background. Without one, an object looks as its mesh says, or has the mean "
+        "colour of the pictures, and all else looks as the pictures do.",
     )  # fmt: skip
     add_option(rescan, "--sensor", str, "The camera, where a dataset has several.", metavar="NAME")
     add_option(

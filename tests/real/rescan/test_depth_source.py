@@ -6,9 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
-from graycast.base.errors import DatasetError
+from graycast.base.errors import ConfigError, DatasetError
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.source_options import SourceOptions
+from graycast.world.parts.material_presets import material_preset
 
 from .scene_files import CAMERA, png, true_depth_m, write_dataset, write_json
 
@@ -96,6 +97,23 @@ def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
     (tmp_path / "depth/a.npy").rename(tmp_path / "depth/a.exr")
     write_json(tmp_path / "K.json", {"K": K})
     refusal(tmp_path, "EXR", "NPY", intrinsics=intrinsics)
+
+
+def test_depth_alone_has_a_background_and_no_objects(tmp_path, intrinsics):
+    (tmp_path / "depth").mkdir()
+    np.save(tmp_path / "depth/a.npy", true_depth_m())
+    looks = tmp_path / "looks.yaml"
+    assert opened(tmp_path, intrinsics=intrinsics).background is None
+    looks.write_text("background: rubber")
+    source = opened(tmp_path, intrinsics=intrinsics, materials=looks)
+    assert source.background == material_preset("rubber").material
+    looks.write_text("background: {base_color: [0.1, 0.1, 0.1]}\nnut: brass")
+    with pytest.raises(ConfigError, match="no object has the id or name nut: choose default, back"):
+        opened(tmp_path, intrinsics=intrinsics, materials=looks)
+    for words, message in (("texture: a.png", "cannot have texture"), ("rough: 1", "background")):
+        looks.write_text(f"background: {{{words}}}")
+        with pytest.raises(ConfigError, match=message):
+            opened(tmp_path, intrinsics=intrinsics, materials=looks)
 
 
 def test_a_folder_says_which_layout_it_has(tmp_path):

@@ -156,7 +156,7 @@ def test_materials_go_by_id_by_name_and_by_default(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("screw: brass", ("screw", "choose default, 1")),
+        ("screw: brass", ("screw", "choose default, background, 1")),
         ("7: brass", ("name 7", "choose default")),
         ("1: steel-brushd", ("looks.yaml: 1", "steel-brushed")),
         ("1:\n  rougness: 0.3", ("looks.yaml: 1", "roughness")),

@@ -98,6 +98,13 @@ def test_every_pixel_has_the_depth_that_it_had():
     np.testing.assert_allclose(depth_of(made, kinds=("cube",))[own], cube_m()[own], atol=1e-9)
 
 
+def test_a_stated_background_replaces_what_the_picture_shows():
+    source = image(rgb=np.full((*plane_m().shape, 3), 90, np.uint8))
+    assert staged(source).scene.parts[-1].material.texture is not None
+    stated = Material(base_color=(0.2, 0.3, 0.4), roughness=0.7)
+    assert staged(source, background=stated).scene.parts[-1].material == stated
+
+
 def test_behind_an_object_the_floor_goes_on():
     """A membrane that hangs at a plane is that plane, behind the cube as well."""
     behind_m = depth_of(staged(), kinds=(BACKGROUND,))

@@ -14,6 +14,7 @@ from ...base.errors import DatasetError
 from ...dataset.records import MM_PER_M
 from ..depth_file import read_intrinsics
 from ..picture_pairs import RealPicture, find_shots, is_whole, read_shot
+from .model_files import read_models
 from .source import SourceImage
 from .source_files import FileSource, camera_of
 from .source_options import SourceOptions
@@ -31,6 +32,7 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
             "fx,fy,cx,cy"
         )
     K = read_intrinsics(options.intrinsics)
+    read_models({}, (), options.materials)  # which refuses names of objects
     if any(path.suffix.lower() == ".exr" for path in (folder / "depth").iterdir()):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)

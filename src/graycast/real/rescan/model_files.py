@@ -13,7 +13,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -33,6 +33,7 @@ from ...world.parts.surface import RawMesh, Refusal, welded
 from .source_files import record_of
 
 FOLDERS = ("models", "models_cad", "models_reconst", "models_eval")
+_BACKGROUND = "background"  # the key of a materials file for what is no object
 _GREY = Material(base_color=(0.3, 0.3, 0.3))
 _REMEDY = "give their folder with --models DIR, or leave objects out with --depth-only"
 
@@ -157,24 +158,44 @@ def read_models(
     return Models(parts=parts, plain=frozenset(plain))
 
 
+def read_background(materials: Path) -> Material | None:
+    """The material of what is no object, where the file has one under `background`.
+
+    Raises:
+        ConfigError: the file is not what it should be.
+    """
+    words = parse_yaml(read_text(materials), materials).get(_BACKGROUND)
+    if words is None:
+        return None
+    section = _section(words, materials, _BACKGROUND)
+    if section.files or section.transparent is not None:
+        what = next(iter(section.files), "transparent")
+        raise ConfigError(f"{materials}: {_BACKGROUND}: it cannot have {what}: remove this key")
+    return resolve_material(section, Path())
+
+
+def _section(words: Any, path: Path, key: str) -> MaterialSection:
+    section = {"preset": words} if isinstance(words, str) else words
+    return check_settings(section, MaterialSection, Path(f"{path}: {key}"))
+
+
 def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialSection]:
     """The materials of the objects that a file names, and of all others where it has a default."""
     looks: dict[int, MaterialSection] = {}
     default = None
     by_name = {file.name: obj_id for obj_id, file in files.items()}
     for key, words in parse_yaml(read_text(path), path).items():
+        if key == _BACKGROUND:
+            continue
         obj_id = by_name.get(key, int(key) if re.fullmatch(r"\d+", str(key)) else None)
         if key != "default" and obj_id not in files:
             names = [f"{i}" if file.name == file.path.stem else f"{i} ({file.name})"
                      for i, file in files.items()]  # fmt: skip
             raise ConfigError(
-                f"{path}: no object has the id or name {key}: choose default, {', '.join(names)}"
+                f"{path}: no object has the id or name {key}: choose "
+                + ", ".join(["default", _BACKGROUND, *names])
             )
-        section = check_settings(
-            {"preset": words} if isinstance(words, str) else words,
-            MaterialSection,
-            Path(f"{path}: {key}"),
-        )
+        section = _section(words, path, key)
         if obj_id is None:
             default = section
         elif obj_id in looks:

@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from ...base.errors import DatasetError
 from ...dataset.scene_folder import scene_folders
 from .bop_source import CAMERAS, open_bop
 from .depth_source import open_depth
+from .model_files import read_background
 from .sileane_source import IPA, SILEANE, open_ipa, open_sileane
 from .source import Source
 from .source_files import FileSource
@@ -18,7 +20,7 @@ _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
     "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm"}),
     "Siléane": (open_sileane, {"models", "materials"}),
     "Fraunhofer IPA": (open_ipa, {"models", "materials"}),
-    "depth alone": (open_depth, {"depth_scale_mm", "intrinsics"}),
+    "depth alone": (open_depth, {"materials", "depth_scale_mm", "intrinsics"}),
 }
 
 
@@ -48,7 +50,10 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         if getattr(options, name) and name not in fitting:
             option = name.removesuffix("_mm").replace("_", "-")
             raise DatasetError(f"{path}: is of the layout {layout}: leave out --{option}")
-    return opener(folder, options)
+    source = opener(folder, options)
+    if options.materials is None:
+        return source
+    return replace(source, background=read_background(options.materials))
 
 
 def _layout(folder: Path) -> str:

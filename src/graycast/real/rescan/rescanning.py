@@ -89,7 +89,13 @@ class ImageScanner:
         refuse_out_of_range(image, task.scanner)
         scanner = scanner_for(task.scanner, image, task.spec.camera)
         self._progress.stage("staging the image")
-        staged = stage(image, task.source.parts, scanner, unknown_look=task.source.plain)
+        staged = stage(
+            image,
+            task.source.parts,
+            scanner,
+            unknown_look=task.source.plain,
+            background=task.source.background,
+        )
         seeds = image_seeds(task.seed, scene, station=0, image=number)
         sample, facts = self._scanned(staged, scanner, seeds, number)
         files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
@@ -318,6 +324,7 @@ def _claim(task: RescanTask) -> dict[str, Any]:
         "render": spec.render.model_dump(mode="json"),
         "scanner": described_scanner(task.scanner),
         "parts": {obj_id: part_digest(part) for obj_id, part in source.parts.items()},
+        "background": None if source.background is None else source.background.words,
     }
     claim: dict[str, Any] = plain(
         {

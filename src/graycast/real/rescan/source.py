@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ...rig.optics import Optics
-from ...world.parts import Part
+from ...world.parts import Material, Part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +47,7 @@ class Source(Protocol):
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
         plain: the ids of parts whose look nothing states: they are grey.
+        background: the material of what is no object; with None, it looks as the pictures do.
     """
 
     @property
@@ -63,6 +64,8 @@ class Source(Protocol):
     def parts(self) -> Mapping[int, Part]: ...
     @property
     def plain(self) -> frozenset[int]: ...
+    @property
+    def background(self) -> Material | None: ...
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

@@ -13,7 +13,7 @@ from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
 from ...dataset.safe_reading import Unreadable, read_json
 from ...rig.optics import Optics, optics_of
-from ...world.parts import Part
+from ...world.parts import Material, Part
 from ..depth_file import in_metres, read_image
 from ..picture_pairs import refuse_damaged
 from .source import SourceImage
@@ -40,6 +40,7 @@ class FileSource:
     image_of: Callable[[int, int], SourceImage]
     sensor: str = ""
     scenes: Mapping[int, Path] = field(default_factory=dict)
+    background: Material | None = None
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         if (scene_id, image_id) not in self.images:

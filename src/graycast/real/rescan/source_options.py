@@ -13,7 +13,8 @@ class SourceOptions:
     Attributes:
         sensor: the camera, where a dataset has several.
         models: the folder of models, or the mesh of the only object; None looks beside the images.
-        materials: a YAML file with a material for each object; see `model_files.read_models`.
+        materials: a YAML file with a material for each object and for what is none; see
+            `model_files.read_models` and `read_background`.
         depth_scale_mm: millimetres of one step of stored depth; it goes before what files say.
         intrinsics: a file or `fx,fy,cx,cy`, where a dataset is depth alone.
         depth_only: whether objects are left out: no models are needed, and no poses are read.

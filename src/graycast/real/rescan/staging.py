@@ -83,6 +83,7 @@ def stage(
     scanner: Scanner,
     *,
     unknown_look: Collection[int] = (),
+    background: Material | None = None,
 ) -> Staged:
     """The scene of an image, before the scanner.
 
@@ -91,6 +92,7 @@ def stage(
             surface in the depth.
         unknown_look: ids of parts whose material nobody gave: they get the mean colour that the
             picture has where they are.
+        background: the material of what is no object; None is matt and looks as the picture does.
 
     Raises:
         DatasetError: the depth contradicts the objects, or there is none.
@@ -112,7 +114,7 @@ def stage(
             for obj_id, part in parts.items()
         }
     used = sorted({int(image.obj_id[i]) for i in modelled})
-    behind = _background(image, own, nearest_m, reflectance)
+    behind = _background(image, own, nearest_m, reflectance, background)
     scene = Scene(
         rig=scanner.rig,
         T_world_cam=np.eye(4),
@@ -194,6 +196,7 @@ def _background(
     own: Bool[np.ndarray, "h w"],
     nearest_m: Float[np.ndarray, "h w"],
     reflectance: Float[np.ndarray, "h w 3"] | None,
+    material: Material | None,
 ) -> Part:
     """What is no object, as a solid in the camera's frame."""
     known = np.isfinite(image.depth_m) & ~own
@@ -211,10 +214,11 @@ def _background(
         image.camera,
         step_m=max(STEP_M, _SLOPE * pixel_m),
     )
-    material = _GREY
-    if reflectance is not None:
-        beside = from_nearest(reflectance, own) if known.any() else reflectance
-        material = replace(_GREY, texture=srgb(beside))
+    if material is None:
+        material = _GREY
+        if reflectance is not None:
+            beside = from_nearest(reflectance, own) if known.any() else reflectance
+            material = replace(_GREY, texture=srgb(beside))
     return Part(
         name=BACKGROUND,
         mesh=mesh,

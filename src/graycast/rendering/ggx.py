@@ -128,22 +128,22 @@ def directional_albedo(
     """
     order = np.arange(_FACETS) + 0.5
     turn, height = 2 * np.pi * ((order * _STEP) % 1), order / _FACETS
-    widths = np.array([*alphas, 1.0])
-    return np.array([_mean_reflection(w, widths, fresnel, turn, height) for w in wi])
+    around, widths = np.stack([np.cos(turn), np.sin(turn)]), np.array([*alphas, 1.0])
+    return np.array([_mean_reflection(w, widths, fresnel, around, height) for w in wi])
 
 
 def _mean_reflection(
     wi: Float[np.ndarray, "3"],
     widths: Float[np.ndarray, "3"],
     fresnel: Callable[[np.ndarray], np.ndarray],
-    turn: np.ndarray,
-    height: np.ndarray,
+    around: Float[np.ndarray, "2 m"],
+    height: Float[np.ndarray, " m"],
 ) -> float:
     length = np.linalg.norm(widths * wi)  # of the stretched direction
     x, y, cosine = widths * wi / length
     z = (1 - height) * (1 + cosine) - cosine
     across = np.sqrt(np.maximum(1 - z * z, 0))
-    half = np.stack([across * np.cos(turn) + x, across * np.sin(turn) + y, z + cosine])
+    half = np.stack([across * around[0] + x, across * around[1] + y, z + cosine])
     half *= widths[:, None]
     half /= np.linalg.norm(half, axis=0)
     cos_half = np.minimum(wi @ half, 1)

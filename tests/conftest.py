@@ -18,10 +18,15 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 gc.set_threshold(100_000, 20, 100)
 
 # Workers side by side (-n) that each took all cores would wait for each other: a third of the
-# processor time. NumPy's threads are told before it is loaded, the others below.
+# processor time. NumPy's threads are told before it is loaded, the others below. PyTorch's, also of
+# what tests start, wait by spinning: beside others two of them took eight times one's time. The
+# denoiser's would sit on the same cores in each worker.
 BESIDE_OTHERS = "PYTEST_XDIST_WORKER" in os.environ
 if BESIDE_OTHERS:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OIDN_NUM_THREADS", "1")
+    os.environ.setdefault("OIDN_SET_AFFINITY", "0")
 
 
 def pytest_addoption(parser):

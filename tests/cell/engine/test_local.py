@@ -189,7 +189,7 @@ def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path,
     assert list(temporary.iterdir()) == []
 
 
-SCENES, WORKER_KILLS, RUN_KILLS = 200, 20, 5
+SCENES, WORKER_KILLS, RUN_KILLS = 100, 20, 5
 
 
 @pytest.mark.slow

@@ -8,6 +8,9 @@ demo: setup
 	$(GRAYCAST) validate out/demo
 	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
 
+# Bytecode is kept also where the environment forbids it: pytest writes assertions anew into every
+# file of tests otherwise, in both workers, which is a third of the time until the first test.
+test test-slow: export PYTHONDONTWRITEBYTECODE =
 test: setup-test
 	.venv/bin/ruff check src tests examples benchmarks studies docs/*.py
 	.venv/bin/ruff format --check src tests examples benchmarks studies docs/*.py

@@ -1,6 +1,7 @@
 """What tests share: the render device of the process, and the data beside the repository."""
 
 import gc
+import logging
 import os
 import shutil
 import signal
@@ -17,10 +18,15 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 gc.set_threshold(100_000, 20, 100)
 
 # Workers side by side (-n) that each took all cores would wait for each other: a third of the
-# processor time. NumPy's threads are told before it is loaded, the others below.
+# processor time. NumPy's threads are told before it is loaded, the others below. PyTorch's, also of
+# what tests start, wait by spinning: beside others two of them took eight times one's time. The
+# denoiser's would sit on the same cores in each worker.
 BESIDE_OTHERS = "PYTEST_XDIST_WORKER" in os.environ
 if BESIDE_OTHERS:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OIDN_NUM_THREADS", "1")
+    os.environ.setdefault("OIDN_SET_AFFINITY", "0")
 
 
 def pytest_addoption(parser):
@@ -83,6 +89,20 @@ def one_compiler_beside_others(tmp_path_factory):
     folder.mkdir(exist_ok=True)
     with one_compiler_a_kernel(folder):
         yield
+
+
+@pytest.fixture
+def log_records(monkeypatch):
+    """What is logged meanwhile, from debug messages on; pytest's collector is off for all tests."""
+    records, root = [], logging.getLogger()
+    listener = logging.Handler()
+    monkeypatch.setattr(listener, "emit", records.append)
+    root.addHandler(listener)
+    level = root.level
+    root.setLevel(logging.DEBUG)
+    yield records
+    root.setLevel(level)
+    root.removeHandler(listener)
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
+from backends import slow
 from drawn import axes_of, drawn_by
 from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
@@ -420,7 +421,7 @@ def test_hulls_that_are_coarse_are_told_by_all_who_use_them(capsys, made, tmp_pa
 
 
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("resolution", ["low", "full"])
+@pytest.mark.parametrize("resolution", ["low", slow("full")])
 def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resolution):
     path = tmp_path / "rig.yaml"
     run(capsys, "rig", "write", name, "--resolution", resolution, "--out", path)

@@ -12,10 +12,13 @@ from graycast.cli.doctor import Diagnosis, Finding, describe, examine
 from graycast.rendering.device import CudaState
 from graycast.rendering.trial import Trial
 
+# The picture that it renders in a child takes seconds: test_device.py has that one.
 PROGRAM = """
 import json, sys
-from graycast.cli.doctor import examine
-found = {finding.name: finding.found for finding in examine().findings}
+from graycast.cli import doctor
+from graycast.rendering.trial import Trial
+doctor.try_device = lambda device: Trial(device="llvm", seconds=0.0, denoiser="cpu")
+found = {finding.name: finding.found for finding in doctor.examine().findings}
 heavy = sorted({"mitsuba", "drjit", "numba", "rapier3d", "pyoidn"} & set(sys.modules))
 llvm = "libLLVM" in open("/proc/self/maps").read()
 import drjit, mitsuba, numba, numpy, platform
@@ -32,7 +35,7 @@ def examined():
 
 @pytest.fixture
 def no_trial(monkeypatch):
-    """A picture rendered in a child process takes seconds; `examined` has one."""
+    """A picture rendered in a child process takes seconds."""
     trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
     monkeypatch.setattr(doctor, "try_device", lambda device: trial)
 

@@ -52,7 +52,7 @@ def test_there_are_more_faults_than_were_once_tried():
     assert len({*SENSED, *SUMS_ALONE, *OF_SUMS}) >= 80
 
 
-@pytest.mark.parametrize("fault", some([*SENSED, *SUMS_ALONE], 10))
+@pytest.mark.parametrize("fault", some([*SENSED, *SUMS_ALONE], 20))
 def test_a_changed_file_has_another_sum(copy, fault):
     """In the moment that hashing takes: neither pictures nor models are read."""
     do = SUMS_ALONE[fault] if fault in SUMS_ALONE else SENSED[fault][0]
@@ -67,7 +67,7 @@ def test_a_changed_file_has_another_sum(copy, fault):
     assert any(sign in what for sign in signs for what in found), found
 
 
-@pytest.mark.parametrize("fault", some(SENSED, 16))
+@pytest.mark.parametrize("fault", some(SENSED, 32))
 def test_a_fault_whose_sums_were_made_anew_makes_no_sense(copy, fault):
     do, words = SENSED[fault]
     do(copy)

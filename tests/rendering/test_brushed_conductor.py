@@ -58,7 +58,7 @@ def one_reflection(wi, wo, along, across):
 
 
 @pytest.mark.parametrize(("roughness", "anisotropy", "limit"), CASES)
-@pytest.mark.parametrize("turn_deg", [0, 30, slow(45), 70, slow(90)])
+@pytest.mark.parametrize("turn_deg", [0, 30, slow(45), slow(70), slow(90)])
 @pytest.mark.parametrize("angle_deg", [slow(0), 45, 80, slow(88)])
 def test_white_grooves_return_all_light(
     cpu_device, roughness, anisotropy, limit, turn_deg, angle_deg
@@ -86,7 +86,7 @@ def test_the_shape_is_that_of_the_published_formula(cpu_device, roughness, aniso
     ratio /= one_reflection(wi[:, None], wo, along, across)
     assert wo.shape[1] > 300
     assert np.abs(ratio / np.median(ratio) - 1).max() < 0.002
-    z, turn = (np.arange(1500) + 0.5) / 1500, 2 * np.pi * (np.arange(1500) + 0.5) / 1500
+    z, turn = (np.arange(500) + 0.5) / 500, 2 * np.pi * (np.arange(500) + 0.5) / 500
     grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
     kept = 2 * np.pi * (one_reflection(wi[:, None], grid, along, across) * grid[2]).mean()
     assert abs(np.median(ratio) * kept - 1) < 0.004

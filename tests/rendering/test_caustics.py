@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import slow
 from scipy.ndimage import binary_erosion
 from stage import (
     centred,
@@ -95,7 +96,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
     ]
 
 
-@pytest.mark.parametrize("roughness", [0.01, 0.05])
+@pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
 def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_renderer, roughness):
     """Irradiance, edges and columns in closed form; facets blur the edges by a pixel or two."""
     mirror = strip(metal(roughness))

@@ -58,10 +58,10 @@ def common_box_m(rig, z_m):
     half_m = 0.75 * z_m
     x, y = np.meshgrid(*[np.linspace(-half_m, half_m, 401)] * 2)
     point = np.stack([x, y, np.full_like(x, z_m)], axis=-1).reshape(-1, 3)
-    both = in_picture(rig.camera, project(rig.camera, point))
+    point = point[in_picture(rig.camera, project(rig.camera, point))]
     in_projector = transform_points(inverse(rig.T_cam_proj), point)
-    both &= in_picture(rig.projector, project(rig.projector, in_projector))
-    return np.ptp(point[both][:, :2], axis=0)
+    point = point[in_picture(rig.projector, project(rig.projector, in_projector))]
+    return np.ptp(point[:, :2], axis=0)
 
 
 @EVERY

@@ -14,6 +14,7 @@ Imported only by the BSDFs, after a variant was set.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeAlias
 
 import drjit as dr
@@ -150,14 +151,13 @@ def facets(
         The cosine at which light meets each, the cosine to the surface's normal at which it is
         reflected, and the share that other facets let pass, `G2 / G1`; 0 where it goes downwards.
     """
-    order = np.arange(_FACETS) + 0.5
-    turn, height = 2 * np.pi * ((order * _STEP) % 1), order / _FACETS
+    around, height = _spread()
     widths = np.array([*alphas, 1.0])
     length = np.linalg.norm(widths * wi)  # of the stretched direction
     x, y, cosine = widths * wi / length
     z = (1 - height) * (1 + cosine) - cosine
     across = np.sqrt(np.maximum(1 - z * z, 0))
-    half = np.stack([across * np.cos(turn) + x, across * np.sin(turn) + y, z + cosine])
+    half = np.stack([across * around[0] + x, across * around[1] + y, z + cosine])
     half *= widths[:, None]
     half /= np.linalg.norm(half, axis=0)
     cos_half = np.minimum(wi @ half, 1)
@@ -166,6 +166,14 @@ def facets(
     with np.errstate(divide="ignore", invalid="ignore"):
         kept = wo[2] * (wi[2] + length) / (length * wo[2] + length_o * wi[2])
     return cos_half, wo[2], np.where(wo[2] > 0, kept, 0)
+
+
+@lru_cache
+def _spread() -> tuple[Float[np.ndarray, "2 f"], Float[np.ndarray, " f"]]:
+    """Cosines and sines of the facets' azimuths, and their places from 0 to 1 along the cap."""
+    order = np.arange(_FACETS) + 0.5
+    turn = 2 * np.pi * ((order * _STEP) % 1)
+    return np.stack([np.cos(turn), np.sin(turn)]), order / _FACETS
 
 
 def mean_albedo(alphas: tuple[float, float]) -> float:

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.base.errors import ConfigError
 from graycast.camera.stack import decode_stack
@@ -40,11 +41,11 @@ def said(result):
 
 HARD = Look(squares=0.05, shadow=0.2, indirect=0.1, gain=0.1, read_dn=1.5)
 CASES = [
-    (FOUR, -1, 0.0),
+    slow(FOUR, -1, 0.0),
     (FOUR, -1, 1.0),
-    (FOUR, 1, 2.0),
+    slow(FOUR, 1, 2.0),
     (THREE, -1, 0.75),  # a sine that runs backwards
-    (THREE, 1, 0.75),
+    slow(THREE, 1, 0.75),
     (EIGHT, 1, 1.0),
     (EIGHT, -1, 3.5),
     (LINE, -1, 0.0),

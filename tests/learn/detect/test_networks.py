@@ -201,7 +201,7 @@ def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
         assert ignored < unlabelled
 
 
-@pytest.mark.parametrize("channels", [1, 4])
+@pytest.mark.parametrize("channels", [pytest.param(1, marks=pytest.mark.slow), 4])
 @EVERY
 def test_every_channel_of_a_picture_is_seen(model, channels):
     network = opened(model, channels=channels).eval()

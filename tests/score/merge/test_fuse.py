@@ -14,7 +14,7 @@ def noisy(depth_m, rng, sigma_m=SIGMA_M):
     return depth_m + sigma_m * rng.standard_normal(depth_m.shape)
 
 
-@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow), 5])
 def test_sigma_of_equal_views_falls_with_the_root_of_their_number(count):
     """Oracle: the law of the mean of independent measurements, stated and as it scatters."""
     T, rng = from_above(0.0), np.random.default_rng(count)

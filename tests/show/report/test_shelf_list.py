@@ -42,21 +42,22 @@ def test_a_rectangle_fits_into_a_slanted_field_where_a_search_places_it(ratio):
     Keystone from two sides: no side of this field but the camera's is parallel to another.
     """
     rig, z_m = preset_rig("lab-lightcrafter-4500"), 0.8
-    x, y = np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2)
+    middles = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2), axis=-1).reshape(-1, 2)
 
     def placed(width_m, height_m):
-        fits = np.ones(x.shape, dtype=bool)
+        fitting = np.column_stack([middles, np.full(len(middles), z_m)])
         for u, v in product((-0.5, 0.5), repeat=2):
-            corner = np.stack([x + u * width_m, y + v * height_m, np.full_like(x, z_m)], axis=-1)
-            fits &= in_picture(rig.camera, project(rig.camera, corner))
-            beside = transform_points(inverse(rig.T_cam_proj), corner)
-            fits &= in_picture(rig.projector, project(rig.projector, beside))
-        return fits.any()
+            aside = np.array([u * width_m, v * height_m, 0.0])
+            corner = fitting + aside
+            fitting = fitting[in_picture(rig.camera, project(rig.camera, corner))]
+            beside = transform_points(inverse(rig.T_cam_proj), fitting + aside)
+            fitting = fitting[in_picture(rig.projector, project(rig.projector, beside))]
+        return len(fitting) > 0
 
     scales = np.arange(0.3, 0.6, 0.005)
     size = (ratio**0.5, ratio**-0.5)
-    largest = max(s for s in scales if placed(s * size[0], s * size[1])
-                  or placed(s * size[1], s * size[0]))  # fmt: skip
+    largest = next(s for s in scales[::-1] if placed(s * size[0], s * size[1])
+                   or placed(s * size[1], s * size[0]))  # fmt: skip
     assert covers(rig, (0.98 * largest * size[0], 0.98 * largest * size[1]), z_m)
     assert not covers(rig, (1.03 * largest * size[0], 1.03 * largest * size[1]), z_m)
 

@@ -74,7 +74,7 @@ def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_h
     assert len(ring_hulls) <= 40
 
 
-@pytest.mark.parametrize("thickness_m", [0.4e-3, 0.8e-3])
+@pytest.mark.parametrize("thickness_m", [0.4e-3, pytest.param(0.8e-3, marks=pytest.mark.slow)])
 def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
     """Its bore is nowhere deeper under the hull than half the thickness, but it is 8 mm wide."""
     mesh = mesh_of(trimesh.creation.annulus(4e-3, 8e-3, thickness_m, sections=48))

@@ -1,4 +1,3 @@
-import logging
 import os
 import signal
 import subprocess
@@ -178,15 +177,14 @@ def test_colours_that_are_not_used_are_reported(tmp_path):
     assert part.material == Material()
 
 
-def test_nothing_is_printed_or_logged(tmp_path, capfd, caplog):
-    caplog.set_level(logging.DEBUG)
+def test_nothing_is_printed_or_logged(tmp_path, capfd, log_records):
     textured_box()[0].export(tmp_path / "block.obj")
     (tmp_path / "material.mtl").unlink()
-    caplog.clear()
+    log_records.clear()
     part, findings = load(tmp_path / "block.obj", unit="m")
     assert any("no picture was read with it" in finding for finding in findings)
     assert part.material.texture is None
-    assert caplog.records == [] and capfd.readouterr() == ("", "")
+    assert log_records == [] and capfd.readouterr() == ("", "")
     assert not trimesh.util.log.disabled
 
 

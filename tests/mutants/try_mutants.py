@@ -23,6 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutants.txt")
 KERNELS = "*.nb[ic]"
+SLOW = "slow"  # Before the tests of a bug, this word asks their slow ones.
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +64,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="graycast-mutants-") as folder:
         copy = Path(folder)
         copy_tree(copy)
-        sound = sorted({test for bug in chosen for test in bug.tests.split()})
         print(f"{len(chosen)} bugs; first their tests without any", flush=True)
-        failed = failing_test(copy, sound)
-        if failed is not None:
-            sys.exit(f"the tests fail without any bug: {failed}")
+        asked_of = [bug.tests.split() for bug in chosen]
+        for slow in (False, True):
+            sound = {test for tests in asked_of if (SLOW in tests) == slow for test in tests}
+            if sound and (failed := failing_test(copy, sorted(sound))) is not None:
+                sys.exit(f"the tests fail without any bug: {failed}")
         survivors = [bug for bug in chosen if not noticed(copy, bug, all_tests=asked.all_tests)]
     print(f"{len(chosen) - len(survivors)} of {len(chosen)} bugs are noticed")
     for bug in survivors:
@@ -130,7 +132,8 @@ def failing_test(copy: Path, tests: list[str]) -> str | None:
     """The first test that fails, if any does."""
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-x", "-rfE", "--tb=no", "-p", "no:cacheprovider"]
-        + [str(Path("tests", test)) for test in tests],
+        + (["-m", "slow and not gpu"] if SLOW in tests else [])
+        + [str(Path("tests", test)) for test in tests if test != SLOW],
         cwd=copy,
         env=os.environ | {"PYTHONPATH": str(copy / "src")},
         capture_output=True,

@@ -1,7 +1,6 @@
 """What tests share: the render device of the process, and the data beside the repository."""
 
 import gc
-import logging
 import os
 import shutil
 import signal
@@ -89,20 +88,6 @@ def one_compiler_beside_others(tmp_path_factory):
     folder.mkdir(exist_ok=True)
     with one_compiler_a_kernel(folder):
         yield
-
-
-@pytest.fixture
-def log_records(monkeypatch):
-    """What is logged meanwhile, from debug messages on; pytest's collector is off for all tests."""
-    records, root = [], logging.getLogger()
-    listener = logging.Handler()
-    monkeypatch.setattr(listener, "emit", records.append)
-    root.addHandler(listener)
-    level = root.level
-    root.setLevel(logging.DEBUG)
-    yield records
-    root.setLevel(level)
-    root.removeHandler(listener)
 
 
 @pytest.fixture(scope="session")

@@ -26,13 +26,11 @@ def test_noise_goes_light_stays_and_another_size_gets_a_network_of_its_own():
         assert np.array_equal(result, pyoidn.denoise(*inputs, hdr=True))
 
 
-def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(
-    monkeypatch, log_records
-):
+def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(monkeypatch, caplog):
     monkeypatch.setattr(pyoidn.Device, "is_cuda_available", staticmethod(lambda: False))
     by = open_denoiser("cuda")
     assert isinstance(by, OpenImageDenoise) and by.device == "cpu"
-    (record,) = log_records
+    (record,) = caplog.records
     assert "denoised on the processor, because the GPU cannot" in record.getMessage()
     open_denoiser("cpu")
-    assert len(log_records) == 1
+    assert len(caplog.records) == 1

@@ -1,3 +1,4 @@
+import logging
 import os
 import signal
 import subprocess
@@ -177,14 +178,15 @@ def test_colours_that_are_not_used_are_reported(tmp_path):
     assert part.material == Material()
 
 
-def test_nothing_is_printed_or_logged(tmp_path, capfd, log_records):
+def test_nothing_is_printed_or_logged(tmp_path, capfd, caplog):
+    caplog.set_level(logging.DEBUG)
     textured_box()[0].export(tmp_path / "block.obj")
     (tmp_path / "material.mtl").unlink()
-    log_records.clear()
+    caplog.clear()
     part, findings = load(tmp_path / "block.obj", unit="m")
     assert any("no picture was read with it" in finding for finding in findings)
     assert part.material.texture is None
-    assert log_records == [] and capfd.readouterr() == ("", "")
+    assert caplog.records == [] and capfd.readouterr() == ("", "")
     assert not trimesh.util.log.disabled
 
 

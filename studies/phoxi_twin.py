@@ -6,7 +6,13 @@ graycast detector study out/phoxi/study.yaml --out out/phoxi/study
 
 The first command writes the twin's configuration and the scans as a dataset, and `cell.yaml` for
 `graycast real twin`; the last one trains in the twin on four inputs and scores on the twin and on
-the scans. Bin, household meshes and scans are in ../shared/data, which is no part of the project.
+the scans. `rescanned.yaml` is the study of the page's rescans, of 140 scenes:
+
+graycast rescan out/phoxi/twin/train --rig out/phoxi/rig.yaml --out out/phoxi/rescanned
+graycast rescan out/phoxi/twin/train --rig out/phoxi/rig.yaml --materials out/phoxi/bin.yaml \\
+    --out out/phoxi/rescanned_bin
+
+Bin, household meshes and scans are in ../shared/data, which is no part of the project.
 """
 
 import argparse
@@ -276,6 +282,23 @@ STUDY = {
 }
 
 
+RESCANNED = {
+    "title": "Perfect depth, scanner depth and rescanned depth of one set of scenes",
+    "models": [{"model": "mask-rcnn", "backbone": "resnet18"}],
+    "inputs": ["depth_sl", "depth"],
+    "training": {
+        "generated": ["twin"],
+        "rescanned": ["rescanned/train"],
+        "rescanned_bin": ["rescanned_bin/train"],
+    },
+    "tests": {"real": {"datasets": ["real"]}},
+    "split": [0.9, 0.1, 0.0],
+    "one_class": True,
+    "epochs": 14,
+    "longest_px": 320,
+}
+
+
 def _refuse_without_data() -> None:
     needed = (REAL / "bin.obj", REAL / "instances_draft.json", DATA / "meshes" / "kit")
     missing = [str(path) for path in needed if not path.exists()]
@@ -313,6 +336,7 @@ def main() -> None:
     pose = write_bent_bin(scanner().rig.camera, arguments.scans, bin_file)
     cell = cell_to_fit(content, write_cartons(meshes, CARTONS), bin_file, pose)
     written = {"twin.yaml": content, "cell.yaml": cell, "study.yaml": STUDY}
+    written |= {"rescanned.yaml": RESCANNED, "bin.yaml": {"background": content["bin"]["material"]}}
     for name, value in written.items():
         (out / name).write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")
     write_real(out)

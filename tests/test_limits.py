@@ -19,8 +19,9 @@ SOURCE = ROOT / "src" / "graycast"
 # Scanner depth for datasets of others took 2,750 lines: readers of four layouts and their models
 # 1,080, staging 330, the run and its folder 480, checks and records 270, the command 140, its page
 # 170, and 100 for a solid with few triangles. The shelf of scanners took 300, mostly its search.
-# Metal under oil took 210: a material of its own for Mitsuba has 140 of them.
-MOST_LINES = 74_085
+# Metal under oil took 210: a material of its own for Mitsuba has 140 of them. A stated background of
+# rescans took 45, and a history that follows its checkpoint 5.
+MOST_LINES = 74_140
 # These are the words in README.md and the pages of docs. Of the last 2,900 the shelf's table with
 # its sources has 1,700, and the page of rescans 1,050.
 MOST_WORDS = 44_400

@@ -75,7 +75,8 @@ def test_every_material_has_a_row_with_its_numbers(reference):
         material = preset.material
         assert tuple(map(float, color.split())) == material.base_color
         assert float(metallic) == material.metallic
-        assert roughness == ("smooth" if material.transparent else f"{material.roughness:g}")
+        film = "" if material.film is None else f", film {material.film:g}"
+        assert roughness == ("smooth" if material.transparent else f"{material.roughness:g}{film}")
         assert float(grooves.removesuffix(", turned") or 0) == material.anisotropy
         turned = material.grain is not None and material.grain.turned
         assert grooves.endswith("turned") == turned

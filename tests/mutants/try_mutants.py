@@ -23,18 +23,22 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutants.txt")
 KERNELS = "*.nb[ic]"
-SLOW = "slow"  # Before the tests of a bug, this word asks their slow ones.
+SLOW = "slow "  # Before the tests of a bug, this word asks their slow ones.
 
 
 @dataclass(frozen=True, slots=True)
 class Bug:
-    """`text` stands once in `src/graycast/FILE`; `tests` are arguments of pytest under `tests/`."""
+    """`text` stands once in `src/graycast/FILE`; `tests` are arguments of pytest under `tests/`.
+
+    `slow` is whether the slow ones of these tests are asked, and not the quick ones.
+    """
 
     bug: str
     file: str
     text: str
     replaced_by: str
     tests: str
+    slow: bool
 
 
 def planted() -> list[Bug]:
@@ -47,7 +51,9 @@ def planted() -> list[Bug]:
             gone, come = ([line[2:] for line in lines[2:] if line[0] == sign] for sign in "-+")
             end = "" if come else "\n"
             text, other = "\n".join(gone) + end, "\n".join(come)
-            found.append(Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests))
+            slow, tests = tests.startswith(SLOW), tests.removeprefix(SLOW)
+            bug = Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests, slow=slow)
+            found.append(bug)
     return found
 
 
@@ -65,10 +71,9 @@ def main() -> int:
         copy = Path(folder)
         copy_tree(copy)
         print(f"{len(chosen)} bugs; first their tests without any", flush=True)
-        asked_of = [bug.tests.split() for bug in chosen]
         for slow in (False, True):
-            sound = {test for tests in asked_of if (SLOW in tests) == slow for test in tests}
-            if sound and (failed := failing_test(copy, sorted(sound))) is not None:
+            sound = {test for bug in chosen if bug.slow == slow for test in bug.tests.split()}
+            if sound and (failed := failing_test(copy, sorted(sound), slow=slow)) is not None:
                 sys.exit(f"the tests fail without any bug: {failed}")
         survivors = [bug for bug in chosen if not noticed(copy, bug, all_tests=asked.all_tests)]
     print(f"{len(chosen) - len(survivors)} of {len(chosen)} bugs are noticed")
@@ -103,7 +108,7 @@ def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
     forget(kernels)
     start = time.monotonic()
     try:
-        failed = failing_test(copy, bug.tests.split())
+        failed = failing_test(copy, bug.tests.split(), slow=bug.slow)
         if failed is None and all_tests:
             failed = failing_test(copy, [""])
     finally:
@@ -128,12 +133,12 @@ def forget(kernels: Iterable[Path]) -> None:
         kernel.unlink()
 
 
-def failing_test(copy: Path, tests: list[str]) -> str | None:
+def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | None:
     """The first test that fails, if any does."""
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-x", "-rfE", "--tb=no", "-p", "no:cacheprovider"]
-        + (["-m", "slow and not gpu"] if SLOW in tests else [])
-        + [str(Path("tests", test)) for test in tests if test != SLOW],
+        + (["-m", "slow and not gpu"] if slow else [])
+        + [str(Path("tests", test)) for test in tests],
         cwd=copy,
         env=os.environ | {"PYTHONPATH": str(copy / "src")},
         capture_output=True,

@@ -35,6 +35,11 @@ class RescanClaim(Record):
     def split(self) -> str:
         return str(self.config["split"])
 
+    @property
+    def names(self) -> dict[int, str]:
+        """Of the objects, by their ids."""
+        return {int(obj_id): name for obj_id, name in self.config["names"].items()}
+
 
 class ImageRecord(Record):
     """The record of one image; `entries` by the names of the scene's JSON files.

@@ -6,6 +6,7 @@ import pickle
 import cv2
 import numpy as np
 import pytest
+import simulated_dataset
 
 from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, rigid
@@ -74,6 +75,15 @@ def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
     assert np.allclose(source.parts[1].mesh.extent_m, SIDE_MM / 1e3)
     assert source.parts[1].name == "obj_000001"
     assert source.plain == {1}
+
+
+def test_parts_of_a_dataset_of_ours_keep_their_names(tmp_path):
+    simulated_dataset.write_dataset(tmp_path / "ours", (0,))
+    claim = json.loads((tmp_path / "ours/graycast.json").read_text())
+    names = {part["obj_id"]: part["name"] for part in claim["parts"]}
+    parts = opened(tmp_path / "ours/train").parts
+    assert {obj_id: part.name for obj_id, part in parts.items()} == names
+    assert not any(name.startswith("obj_") for name in names.values())
 
 
 def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path):

@@ -51,6 +51,7 @@ def made(tmp_path_factory):
     rgb = np.full((48, 64, 3), 150, dtype=np.uint8)
     split = write_dataset(root / "lm", images=(0, 4), rgb=rgb)
     write_scene(split / "000002", images=(1,))
+    write_json(root / "lm/models/models_info.json", {"1": {"name": "nut"}})
     before = tree(root / "lm")
     summary = rescan(open_source(split), RIG, root / "out", spec())
     assert tree(root / "lm") == before
@@ -102,7 +103,7 @@ def test_the_layout_is_that_of_the_original_and_links_to_it(made):
 def test_a_trainer_reads_both_depths(made):
     root, _, _ = made
     examples = open_foreign(root / "out/train_pbr")
-    assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "obj_000001"}
+    assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "nut"}
     example = examples.read(1)
     np.testing.assert_allclose(example.depth_m, true_depth_m(), atol=6e-5)
     depth_m, _ = scanned(root / "out/train_pbr/000000", 4)

@@ -229,9 +229,10 @@ def _open_bop(path: Path) -> Foreign:
             ) from error
         place += [_Place(scene, image, perfect) for image in sorted(annotations)]
         obj_ids |= {one.obj_id for objects in annotations.values() for one in objects}
+    names = {} if rescan is None else rescan.names
     return Foreign(
         scene_of=tuple(int(one.scene.path.name) for one in place),
-        categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
+        categories={i: names.get(i, f"obj_{i:06d}") for i in sorted(obj_ids)},
         read=partial(_bop_example, tuple(place)),
     )
 

@@ -23,7 +23,10 @@ from ...base.errors import ConfigError, DatasetError
 from ...base.frames import UNITS_M
 from ...base.settings import check_settings, parse_yaml, read_text
 from ...dataset.models_read import symmetry_m
+from ...dataset.places import CLAIM
+from ...dataset.real import read_claim
 from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive
+from ...dataset.rescanned import claim_kind
 from ...world.parts import Material, Mesh, Part, Symmetry
 from ...world.parts.builtin import CREASE_RAD
 from ...world.parts.meshfile import SIZE_M, read_surface
@@ -101,13 +104,23 @@ def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
     infos: Mapping[int, _ModelInfo] = {}
     if (models / "models_info.json").is_file():
         infos = record_of(models / "models_info.json", _ModelsInfo).root
-    return {i: _bop_model(path, infos.get(i, _ModelInfo())) for i, path in files.items()}
+    names = _own_names(root)
+    return {
+        i: _bop_model(path, infos.get(i, _ModelInfo()), names.get(i)) for i, path in files.items()
+    }
 
 
-def _bop_model(path: Path, info: _ModelInfo) -> ModelFile:
+def _own_names(root: Path) -> Mapping[int, str]:
+    """Of the parts of a dataset that `generate` made: BOP's files have no place for them."""
+    if not (root / CLAIM).is_file() or claim_kind(root) is not None:
+        return {}
+    return {part.obj_id: part.name for part in read_claim(root).parts}
+
+
+def _bop_model(path: Path, info: _ModelInfo, name: str | None) -> ModelFile:
     return ModelFile(
         path=path,
-        name=info.name or path.stem,
+        name=name or info.name or path.stem,
         unit="mm",
         diameter_m=None if info.diameter is None else info.diameter / MM_PER_M,
         symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),

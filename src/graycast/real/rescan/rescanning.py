@@ -324,6 +324,7 @@ def _claim(task: RescanTask) -> dict[str, Any]:
         "render": spec.render.model_dump(mode="json"),
         "scanner": described_scanner(task.scanner),
         "parts": {obj_id: part_digest(part) for obj_id, part in source.parts.items()},
+        "names": {obj_id: part.name for obj_id, part in source.parts.items()},
         "background": None if source.background is None else source.background.words,
     }
     claim: dict[str, Any] = plain(

@@ -144,4 +144,6 @@ def film_shares(
     stays = np.array([1 - leaving(up) * passed for up, passed in met])
     again = np.array([np.interp(np.abs(up), cosine, of_inside) for up, _ in met])
     second = float((weight @ (stays * again)).sum() / (weight @ stays).sum())
-    return coat, (1 - coat) * (1 - first) / first, second
+    later = (1 - coat) * (1 - first) / first
+    later.flags.writeable = False  # it is kept for the next scene
+    return coat, later, second

@@ -187,7 +187,7 @@ def read_background(materials: Path) -> Material | None:
     return resolve_material(section, Path())
 
 
-def _section(words: Any, path: Path, key: str) -> MaterialSection:
+def _section(words: Any, path: Path, key: str | int) -> MaterialSection:
     section = {"preset": words} if isinstance(words, str) else words
     return check_settings(section, MaterialSection, Path(f"{path}: {key}"))
 

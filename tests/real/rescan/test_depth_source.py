@@ -107,9 +107,10 @@ def test_depth_alone_has_a_background_and_no_objects(tmp_path, intrinsics):
     looks.write_text("background: rubber")
     source = opened(tmp_path, intrinsics=intrinsics, materials=looks)
     assert source.background == material_preset("rubber").material
-    looks.write_text("background: {base_color: [0.1, 0.1, 0.1]}\nnut: brass")
-    with pytest.raises(ConfigError, match="no object has the id or name nut: choose default, back"):
-        opened(tmp_path, intrinsics=intrinsics, materials=looks)
+    for name in ("nut", "default"):
+        looks.write_text(f"background: {{base_color: [0.1, 0.1, 0.1]}}\n{name}: brass")
+        with pytest.raises(ConfigError, match=f"the id or name {name}: choose background$"):
+            opened(tmp_path, intrinsics=intrinsics, materials=looks)
     for words, message in (("texture: a.png", "cannot have texture"), ("rough: 1", "background")):
         looks.write_text(f"background: {{{words}}}")
         with pytest.raises(ConfigError, match=message):

@@ -201,12 +201,12 @@ def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialS
         if key == _BACKGROUND:
             continue
         obj_id = by_name.get(key, int(key) if re.fullmatch(r"\d+", str(key)) else None)
-        if key != "default" and obj_id not in files:
+        if obj_id not in files and not (key == "default" and files):
             names = [f"{i}" if file.name == file.path.stem else f"{i} ({file.name})"
                      for i, file in files.items()]  # fmt: skip
             raise ConfigError(
                 f"{path}: no object has the id or name {key}: choose "
-                + ", ".join(["default", _BACKGROUND, *names])
+                + ", ".join([*(["default"] if files else []), _BACKGROUND, *names])
             )
         section = _section(words, path, key)
         if obj_id is None:

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
 from torchvision.models.detection.image_list import ImageList
@@ -22,7 +22,7 @@ from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 
 DEFAULT_BACKBONE = "resnet18"
 _PYRAMID = 128
@@ -35,11 +35,11 @@ _HIDDEN_SHARE = 0.5  # An anchor is no negative if more than this share lies in 
 
 
 @final
-class MaskRcnn(nn.Module):
+class MaskRcnn(Network):
     """Boxes in two stages, then a mask of 28 x 28 in each box."""
 
     finds_masks = True
-    recipe = Recipe(optimizer="adamw", learning_rate=4e-4, batch=4, weight_decay=0.05)
+    recipe = Recipe(learning_rate=4e-4, batch=4, weight_decay=0.05)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
@@ -149,7 +149,7 @@ def _torchvision_target(target: Target) -> dict[str, Tensor]:
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),
-        "masks": target.drawn().to(torch.uint8),
+        "masks": target.masks().to(torch.uint8),
     }
 
 

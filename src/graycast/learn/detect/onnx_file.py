@@ -27,9 +27,9 @@ class _OnePicture(nn.Module):
         self.network, self.most, self.least_score = network, most, least_score
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        found = self.network.find(image, most=self.most, least_score=self.least_score)[0]
-        outputs = (found.box, found.label, found.score)
-        return outputs if found.mask is None else (*outputs, found.mask)
+        output = self.network.find(image, most=self.most, least_score=self.least_score)[0]
+        tensors = (output.box, output.label, output.score)
+        return tensors if output.mask is None else (*tensors, output.mask)
 
 
 def write_onnx(

@@ -17,7 +17,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, interpolate
 from torchvision.ops import box_iou
 
 from .backbones import Convolution, open_backbone
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # These widths and heights are in pixels of a picture of 416 x 416, from the coarsest scale to the
@@ -35,11 +35,11 @@ LEAST_SHARE = 1e-6  # A share of a cell or of an anchor is at least this: zero h
 
 
 @final
-class Yolov3(nn.Module):
+class Yolov3(Network):
     """Finds boxes. Backbones: the wide ones carry the paper's neck, the small ones 96 channels."""
 
     finds_masks = False
-    recipe = Recipe(optimizer="adamw", learning_rate=1e-3, batch=8, weight_decay=0.01)
+    recipe = Recipe(learning_rate=1e-3, batch=8, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]

@@ -69,8 +69,8 @@ def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentPa
         _write_cell(options.out, builtin=DEMO_PART, scenes=3)
     for command, product in (("generate", "dataset"), ("preview", "preview.png")):
         words = (str(cell), "--out", str(options.out / product), *device)
-        chosen = parsers[command].parse_args(words)
-        if code := chosen.run(chosen):
+        inner = parsers[command].parse_args(words)
+        if code := inner.run(inner):
             return code
     print(f"\nOpen {options.out / 'preview.png'}, and look at the commands in {cell}.")
     return 0

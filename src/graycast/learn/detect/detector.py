@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
@@ -91,7 +91,7 @@ class About:
             "graycast": __version__,
             "model": self.model,
             "backbone": self.backbone,
-            "encoding": self.encoding.as_dict(),
+            "encoding": asdict(self.encoding),
             "names": list(self.names),
             "trained": dict(self.trained),
         }

@@ -5,7 +5,7 @@ The encoding is stored with the weights, so that training and detection use the 
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, final
 
 import cv2
@@ -161,12 +161,9 @@ class Encoding:
         full[: layer.shape[0], : layer.shape[1]] = layer
         return full
 
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 def encoding_from(record: Mapping[str, Any]) -> Encoding:
-    """What `Encoding.as_dict` gave, read back from JSON."""
+    """The encoding of which JSON holds the fields."""
     return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 

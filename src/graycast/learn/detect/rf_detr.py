@@ -48,18 +48,11 @@ class RfDetr(Network):
             raise GraycastError(
                 f"model rf-detr needs rfdetr ({error}): run pip install 'graycast[rf-detr]'"
             ) from error
-        match backbone or "nano":
-            case "nano":
-                size = config.RFDETRNanoConfig
-            case "small":
-                size = config.RFDETRSmallConfig
-            case "medium":
-                size = config.RFDETRMediumConfig
-            case "large":
-                size = config.RFDETRLargeConfig
-            case other:
-                choices = ", ".join(SIZES)
-                raise GraycastError(f"model rf-detr has no backbone {other!r}: choose {choices}")
+        name = backbone or "nano"
+        if name not in SIZES:
+            choices = ", ".join(SIZES)
+            raise GraycastError(f"model rf-detr has no backbone {name!r}: choose {choices}")
+        size = getattr(config, f"RFDETR{name.capitalize()}Config")
         # The library adds a class to the number that it gets. A name of weights, which it does not
         # read here, keeps it from downloading its own.
         described = size(

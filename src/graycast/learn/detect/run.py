@@ -1,8 +1,6 @@
 """The folder of a training: its settings, progress and history."""
 
-import csv
 import hashlib
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +12,7 @@ import torch
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
+from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_csv, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
 
@@ -147,12 +145,8 @@ class RunFolder:
 
     def tell(self, rows: Sequence[Row]) -> None:
         """Write the history as CSV and as a picture, from the rows."""
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        table = csv.DictWriter(text, names, lineterminator="\n")
-        table.writeheader()
-        table.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
-        write_whole(self.path / _HISTORY, text.getvalue().encode())
+        texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
+        write_csv(self.path / _HISTORY, texts)
         _draw(rows, self.path / _CURVES)
 
 

@@ -101,9 +101,8 @@ class TrainingPictures(torch.utils.data.Dataset):
         self.encoding, self.seed, self.augmentation = encoding, seed, augmentation
         self.file = file
         self.epoch = 0
-        shape = (encoding.channels, *encoding.size_px)
-        self.shape = (sum(len(each) for each, _ in examples), *shape)
-        data = room_for(file, self.shape)
+        count = sum(len(each) for each, _ in examples)
+        data = room_for(file, (count, encoding.channels, *encoding.size_px))
         labelled: list[_Labelled] = []
         for of_set, class_of in examples:
             for example in of_set:

@@ -1,12 +1,10 @@
 """A study's figures as tables for readers, spreadsheets and papers, and as a picture."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...base.folder import write_whole
+from ...base.folder import write_csv, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
 from ..study_file import StudySpec
@@ -29,12 +27,9 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
         for result in results
         for row in _rows(spec, result, (number, name))
     ]
-    for name, text in (
-        ("table.md", _markdown(spec, means, parts)),
-        ("table.csv", _csv(means + parts)),
-        ("table.tex", _latex(spec, means)),
-    ):
-        write_whole(out / name, text.encode())
+    write_whole(out / "table.md", _markdown(spec, means, parts).encode())
+    write_csv(out / "table.csv", means + parts)
+    write_whole(out / "table.tex", _latex(spec, means).encode())
     content = {"title": spec.title, "figure": "AP50", "rows": means + parts}
     write_whole(out / "study.json", json_bytes(content))
     _draw(spec, means, out / "gaps.png")
@@ -126,15 +121,6 @@ def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
     lines = [" | ".join(row) for row in (heads, *cells)]
     lines = [f"| {line} |" for line in lines]
     return "\n".join([lines[0], "|" + "---|" * len(heads), *lines[1:]]) + "\n"
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    table = csv.DictWriter(text, names, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
 
 
 def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from ..base.errors import GraycastError
+from ..learn.detect.networks import HOLES, INPUTS, MODELS
 from .arguments import (
     CONTINUE,
     above_zero,
@@ -23,10 +24,6 @@ from .arguments import (
 )
 from .bars import open_bars
 
-# Torch takes seconds to import and may be missing: a test compares these copies of its names.
-MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
-INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
-HOLES = ("channel", "zero", "far")
 _NOTES = 5  # At most this many notes are printed.
 
 TRAIN = """\

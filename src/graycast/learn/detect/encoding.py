@@ -14,9 +14,7 @@ from jaxtyping import Float32, UInt8
 
 from ...base.errors import GraycastError
 from ...dataset.example import Example
-
-INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
-HOLES = ("channel", "zero", "far")
+from .networks import HOLES, INPUTS
 
 # The published backbones were trained with these means and deviations of photographs.
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)

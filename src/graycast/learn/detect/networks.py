@@ -1,15 +1,21 @@
-"""Which networks there are; each is imported when it is asked for.
+"""Which networks there are, and what they see; the command line has the names from here.
 
-The command line repeats their names, since this module imports PyTorch.
+PyTorch, which takes seconds to load and may be missing, is imported with a network.
 """
 
+from typing import TYPE_CHECKING
+
 from ...base.errors import GraycastError
-from .network import Network
+
+if TYPE_CHECKING:
+    from .network import Network
 
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
+INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
+HOLES = ("channel", "zero", "far")  # how missing depth is encoded
 
 
-def network_class(model: str) -> type[Network]:
+def network_class(model: str) -> "type[Network]":
     """The class of a model's networks; to make one raises GraycastError if its library is missing.
 
     Raises:

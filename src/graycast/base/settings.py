@@ -176,15 +176,12 @@ def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
 def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
     """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
     config = ConfigDict(strict=True, allow_inf_nan=False)
-    return {
-        name: (TypeAdapter(hint, config=config), default, _meaning(info))
-        for name, hint, info, default in _declared(dataclass)
-        if _says_more(hint)
-    }
-
-
-def _meaning(info: FieldInfo) -> str:
-    return f" ({info.description.rstrip('.')})" if info.description else ""
+    limits = {}
+    for name, hint, info, default in _declared(dataclass):
+        if _says_more(hint):
+            meaning = f" ({info.description.rstrip('.')})" if info.description else ""
+            limits[name] = (TypeAdapter(hint, config=config), default, meaning)
+    return limits
 
 
 def _says_more(hint: Any) -> bool:

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..base.errors import GraycastError, one_line
@@ -201,8 +202,7 @@ def _write(options: argparse.Namespace) -> None:
 
 
 def _import(options: argparse.Namespace) -> None:
-    from ..camera.rig_file import import_opencv, missing_distortions, save_scanner
-    from ..camera.scanner import Scanner
+    from ..camera.rig_file import import_opencv, missing_distortions
     from ..show.report import describe_rig
 
     rig = import_opencv(
@@ -213,11 +213,18 @@ def _import(options: argparse.Namespace) -> None:
         camera_size_px=options.camera_size,
         projector_size_px=options.projector_size,
     )
-    save_scanner(Scanner(rig=rig), options.out)
-    print(describe_rig(rig))
-    for missing in missing_distortions(options.calibration):
-        print(f"graycast: warning: {missing}", file=sys.stderr)
-    print(options.out)
+    _save(rig, options.out, describe_rig(rig), missing_distortions(options.calibration))
+
+
+def _save(rig, out: Path, text: str, warnings: Iterable[str]) -> None:
+    from ..camera.rig_file import save_scanner
+    from ..camera.scanner import Scanner
+
+    save_scanner(Scanner(rig=rig), out)
+    print(text)
+    for warning in warnings:
+        print(f"graycast: warning: {warning}", file=sys.stderr)
+    print(out)
 
 
 def _patterns(options: argparse.Namespace) -> None:
@@ -256,8 +263,6 @@ def _patterns(options: argparse.Namespace) -> None:
 
 
 def _calibrate(options: argparse.Namespace) -> None:
-    from ..camera.rig_file import save_scanner
-    from ..camera.scanner import Scanner
     from ..real.calibrate import calibrate_rig, describe_calibration, parse_board, read_view
 
     board = parse_board(options.board)
@@ -282,11 +287,8 @@ def _calibrate(options: argparse.Namespace) -> None:
         far_m=options.far,
         radial_terms=options.radial_terms,
     )
-    save_scanner(Scanner(rig=calibration.rig), options.out)
-    print(describe_calibration(calibration))
-    for warning in calibration.warnings:
-        print(f"graycast: warning: {warning}", file=sys.stderr)
-    print(options.out)
+    text = describe_calibration(calibration)
+    _save(calibration.rig, options.out, text, calibration.warnings)
 
 
 def _decode(options: argparse.Namespace) -> None:

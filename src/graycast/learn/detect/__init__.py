@@ -7,8 +7,8 @@
     detector, detecting           a trained detector, and its use on pictures
     onnx_file                     a detector for other programs
 
-A public name is imported from its module when it is first asked for, as the encoding of a picture
-needs no PyTorch.
+A public name is imported from its module when it is first asked for, as the command line and the
+encoding of a picture need no PyTorch.
 """
 
 from importlib import import_module

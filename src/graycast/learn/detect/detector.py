@@ -316,14 +316,6 @@ def autocast(device: torch.device):
 
     On a processor that has to emulate bfloat16 it would be slower than plain numbers.
     """
-    return torch.autocast(
-        device.type,
-        torch.bfloat16,
-        enabled=device.type == "cuda" or _processor_has_bfloat16(),
-    )
-
-
-def _processor_has_bfloat16() -> bool:
-    # Older releases of torch do not tell.
-    can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
-    return bool(can.get("avx512_bf16") or can.get("amx_bf16"))
+    can = getattr(torch.cpu, "get_capabilities", dict)()  # older releases of torch do not tell
+    fast = device.type == "cuda" or can.get("avx512_bf16") or can.get("amx_bf16")
+    return torch.autocast(device.type, torch.bfloat16, enabled=bool(fast))

@@ -24,7 +24,6 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 from .backbones import open_backbone
 from .network import Network, NetworkOutput, Recipe, Target
 
-DEFAULT_BACKBONE = "resnet18"
 _PYRAMID = 128
 _HEAD = 512
 _LEVELS = ("0", "1", "2", "3")
@@ -45,7 +44,7 @@ class MaskRcnn(Network):
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
     ) -> None:
         super().__init__()
-        self.body = open_backbone(backbone or DEFAULT_BACKBONE, channels=channels)
+        self.body = open_backbone(backbone or "resnet18", channels=channels)
         self.pyramid = FeaturePyramidNetwork(
             list(self.body.channels), _PYRAMID, extra_blocks=LastLevelMaxPool()
         )

@@ -65,7 +65,11 @@ class RunFolder:
         with self._locked():
             remove_left(self.path)
             if file.is_file() and (self.path / CHECKPOINT).is_file():
-                self._compare(_json(file), parse_json(json_bytes(content)))
+                try:
+                    settings = parse_json(file.read_bytes())
+                except (OSError, ValueError) as error:
+                    raise GraycastError(f"{file}: is damaged: choose another --out") from error
+                self._compare(settings, parse_json(json_bytes(content)))
             else:
                 write_whole(file, json_bytes(content))
             yield
@@ -148,13 +152,6 @@ class RunFolder:
         texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
         write_csv(self.path / _HISTORY, texts)
         _draw(rows, self.path / _CURVES)
-
-
-def _json(file: Path) -> Any:
-    try:
-        return parse_json(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise GraycastError(f"{file}: is damaged: choose another --out") from error
 
 
 def _short(value: Any) -> str:

@@ -142,7 +142,9 @@ class Solov2(Network):
         inside = mask > 0.5
         area = inside.sum(dim=(1, 2))
         fill = (mask * inside).sum(dim=(1, 2)) / area.clamp(min=1)
-        index = (area > _least_area(score.device)[cell]).nonzero()[:, 0]
+        cells = torch.tensor([grid * grid for grid in GRIDS])
+        least_area = torch.tensor(LEAST_AREA).repeat_interleave(cells).to(score.device)
+        index = (area > least_area[cell]).nonzero()[:, 0]
         index = index[(best * fill)[index].argsort(descending=True, stable=True)]
         best, label = (best * fill)[index], label[index]
         best = best * _decay(inside[index].flatten(1).float(), label)
@@ -262,11 +264,6 @@ def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classe
         highest = max_pool2d(square[None], 2, stride=1, padding=1)[0, :, :-1, :-1]
         out.append((square * (highest == square)).flatten(1).T)
     return torch.cat(out)
-
-
-def _least_area(device: torch.device) -> Int64[Tensor, " cells"]:
-    cells = torch.tensor([grid * grid for grid in GRIDS])
-    return torch.tensor(LEAST_AREA).repeat_interleave(cells).to(device)
 
 
 def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -56,16 +56,11 @@ class Yolov3(Network):
         scale = (size_px[0] * size_px[1]) ** 0.5 / 416
         anchor_px = torch.tensor(ANCHORS_416_PX, dtype=torch.float32) * scale
         self.register_buffer("anchor_px", anchor_px, persistent=False)
-        self._expect_few()
-
-    def _expect_few(self) -> None:
-        """Start from an objectness of 0.01, because nearly all anchors are empty."""
-        for end in self.ends:
-            with torch.no_grad():
+        with torch.no_grad():  # from an objectness of 0.01, because nearly all anchors are empty
+            for end in self.ends:
                 end.last.weight.normal_(std=0.01)
-                bias = end.last.bias.view(-1, 5 + self.classes)
-                bias.zero_()
-                bias[:, 4] = -4.6
+                end.last.bias.zero_()
+                end.last.bias.view(-1, 5 + classes)[:, 4] = -4.6
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b anchors values"]:
         """Raw answer of every anchor: centre (logits), size (logarithms), objectness, classes."""

@@ -1,7 +1,7 @@
 """Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`.
 
+    networks, network             which networks there are; what all have in common
     encoding, training_pictures   pictures as a network takes them
-    network, networks             what all networks have in common; which there are
     mask_rcnn, yolov3, solov2, yolov7, rf_detr, backbones, suppression   the networks
     run, training                 the folder of a training, and its loop
     detector, detecting           a trained detector, and its use on pictures

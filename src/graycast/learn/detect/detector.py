@@ -316,6 +316,7 @@ def autocast(device: torch.device):
 
     On a processor that has to emulate bfloat16 it would be slower than plain numbers.
     """
-    can = getattr(torch.cpu, "get_capabilities", dict)()  # older releases of torch do not tell
+    # Older releases of torch do not tell.
+    can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     fast = device.type == "cuda" or can.get("avx512_bf16") or can.get("amx_bf16")
     return torch.autocast(device.type, torch.bfloat16, enabled=bool(fast))

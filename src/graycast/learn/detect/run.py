@@ -171,23 +171,11 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
     left.set_yscale("log")
     caption(left, "Loss on the training set", "epoch")
     left.legend(fontsize=7, frameon=False)
-    for name, ink in (
-        ("box_ap", ACCENT),
-        ("box_ap50", INK),
-        ("mask_ap", SECOND),
-        ("mask_ap50", SOFT),
-    ):
-        measured = [row for row in rows if name in row]
-        if measured:
-            right.plot(
-                [row["epoch"] for row in measured],
-                [row[name] for row in measured],
-                color=ink,
-                lw=1.2,
-                marker="o",
-                ms=3,
-                label=name,
-            )
+    inks = {"box_ap": ACCENT, "box_ap50": INK, "mask_ap": SECOND, "mask_ap50": SOFT}
+    for name, ink in inks.items():
+        points = [(row["epoch"], row[name]) for row in rows if name in row]
+        if points:
+            right.plot(*zip(*points, strict=True), "o-", color=ink, lw=1.2, ms=3, label=name)
     right.set_ylim(0, 1)
     caption(right, "Average precision on the validation set", "epoch")
     if right.get_lines():

@@ -68,11 +68,11 @@ def out(page: str) -> Option:
 
 
 def stages(text: str) -> list[str]:
-    chosen = text.split(",")
-    if unknown := set(chosen) - set(STAGES):
+    names = text.split(",")
+    if unknown := set(names) - set(STAGES):
         message = f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}"
         raise argparse.ArgumentTypeError(message)
-    return chosen
+    return names
 
 
 JSON = file("--json", "A file to which all figures are written.")
@@ -273,9 +273,9 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
 
 def run_figures(name: str, args: argparse.Namespace) -> int:
     words = {key: value for key, value in vars(args).items() if key not in ("run", "json", "plot")}
-    found = importlib.import_module(f"{__package__}.{name}").measure(**words, show=show)
+    own = importlib.import_module(f"{__package__}.{name}").measure(**words, show=show)
     show("")
-    figures = {"benchmark": name} | circumstances() | found | {"peak_rss_bytes": peak_rss_bytes()}
+    figures = {"benchmark": name} | circumstances() | own | {"peak_rss_bytes": peak_rss_bytes()}
     print(describe(figures))
     if args.json:
         args.json.write_text(json.dumps(figures, indent=2) + "\n")
@@ -394,10 +394,10 @@ def main(words: list[str] | None = None) -> int:
 
 
 def run_compare(args: argparse.Namespace) -> int:
-    chosen = {"stages": args.stages, "minutes": args.minutes, "path": args.path}
+    settings = {"stages": args.stages, "minutes": args.minutes, "path": args.path}
     present = {"here": git(ROOT, "rev-parse", "HEAD"), "changed": git(ROOT, "status", "--short")}
     try:
-        records = compare(ROOT, args.rev, **chosen, on_progress=show)
+        records = compare(ROOT, args.rev, **settings, on_progress=show)
     except CompareError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

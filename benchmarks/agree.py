@@ -17,14 +17,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from graycast.base.errors import GraycastError
-from graycast.camera.scanner import Scanner
+from graycast.camera.scanner import Scan, scan
 from graycast.cell.resolve import Cell
 from graycast.rendering import Quality, Renderer, Rendering
 from graycast.world.scene import Layout
 
 from .cells import dropped, exposed_alike, materials_cell, opened
-from .decoded import Decoded as DecodedStack
-from .decoded import decoded
+from .decoded import valid
 from .figures import Figures, Show
 
 SCENES, SIZE_PX = 5, (172, 130)
@@ -43,11 +42,11 @@ VALID_ALIKE_SHARE = 0.97
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Decoded:
-    """One scene by one renderer, decoded."""
+class View:
+    """One scene by one renderer, and its scan."""
 
     rendering: Rendering
-    result: DecodedStack
+    scan: Scan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,9 +56,9 @@ class Pair:
     `fewer` is by the first renderer with the second's number of samples.
     """
 
-    first: Decoded
-    second: Decoded
-    fewer: Decoded
+    first: View
+    second: View
+    fewer: View
     kind: Int[np.ndarray, "h w"]
 
 
@@ -118,14 +117,13 @@ def _pair(
         for one, each, own in plans
     ]
     scanner = exposed_alike(cell.scanner, renderings[0].radiance)
-    views = [_view(scanner, rendering) for rendering in renderings]
+    views = [
+        View(rendering=rendering, scan=scan(scanner, rendering.radiance, seed=0))
+        for rendering in renderings
+    ]
     instance = renderings[0].truth.instance
     kind = np.where(instance < 0, len(cell.scene.parts), layout.part_index[instance])
     return Pair(first=views[0], second=views[1], fewer=views[2], kind=kind)
-
-
-def _view(scanner: Scanner, rendering: Rendering) -> Decoded:
-    return Decoded(rendering=rendering, result=decoded(scanner, rendering.radiance, seed=0))
 
 
 def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
@@ -153,7 +151,7 @@ def _lit(
 
     A selection by the picture of one renderer would be biased by its noise.
     """
-    found = []
+    lights = []
     for pair in pairs:
         one, other = (
             getattr(view.rendering.radiance, light).astype(np.float64)
@@ -161,8 +159,8 @@ def _lit(
         )
         mean = 0.5 * (one + other)
         enough = (pair.kind == kind) & (mean > LIT_SHARE * np.percentile(mean, 99))
-        found.append((one[enough], other[enough]))
-    first, second = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        lights.append((one[enough], other[enough]))
+    first, second = (np.concatenate(arrays) for arrays in zip(*lights, strict=True))
     return first, second
 
 
@@ -183,13 +181,14 @@ def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
     """The second renderer's decoded depth minus the first's, and the differences in columns."""
     columns, depth_mm, alike, only = [], [], [], {"first": 0, "second": 0}
     for pair in pairs:
-        one, other = pair.first.result, pair.second.result
-        both = one.valid & other.valid
+        one, other = pair.first.scan, pair.second.scan
+        first, second = valid(one), valid(other)
+        both = first & second
         columns.append((other.codes.column - one.codes.column)[both])
         depth_mm.append(1e3 * (other.depth.depth_m - one.depth.depth_m)[both])
-        alike.append(float((one.valid == other.valid).mean()))
-        only["first"] += int((one.valid & ~other.valid).sum())
-        only["second"] += int((other.valid & ~one.valid).sum())
+        alike.append(float((first == second).mean()))
+        only["first"] += int((first & ~second).sum())
+        only["second"] += int((second & ~first).sum())
     off, off_mm = np.concatenate(columns), np.concatenate(depth_mm)
     if not len(off):
         raise GraycastError("no pixel could be decoded in both pictures: use more samples")

@@ -134,8 +134,8 @@ def refuse_missing(records: Sequence[Record], project: Path, path: list[str]) ->
     missing = {name for r in records if (name := r.get("missing"))}
     if all(name.startswith("graycast") for name in missing):
         return  # a module of another place or name: that commit cannot run the stage
-    found = importlib.metadata.distributions(path=[*path, *sys.path])
-    installed = {_package(each.name) for each in found}
+    distributions = importlib.metadata.distributions(path=[*path, *sys.path])
+    installed = {_package(each.name) for each in distributions}
     needs = tomllib.loads(project.read_text())["project"]["dependencies"]
     lacking = [need for need in needs if _package(need) not in installed] or sorted(missing)
     raise CompareError(
@@ -179,8 +179,8 @@ def table(rows: Sequence[Record]) -> str:
     lines = []
     for row in rows:
         here, there = ("" if row[side] is None else f"{row[side]:.3g}" for side in SIDES)
-        found = "ratio" in row
-        ratio = ["{ratio:.2f}", "{lowest:.2f}..{highest:.2f}"] if found else ["", ""]
+        has_ratio = "ratio" in row
+        ratio = ["{ratio:.2f}", "{lowest:.2f}..{highest:.2f}"] if has_ratio else ["", ""]
         note = row["note"].replace("|", "\\|")
         lines.append([row["row"], here, there, *(one.format(**row) for one in ratio), note])
     return markdown(["Stage", *SIDES, "ratio", "spread", ""], lines)

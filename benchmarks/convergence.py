@@ -9,21 +9,14 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool
 
-from graycast.camera.scanner import Scanner
+from graycast.camera.scanner import Scan, Scanner, scan
 from graycast.camera.sensor import SensorSpec
 from graycast.cell.resolve import Cell
 from graycast.rendering import DenoiserName, Quality, Radiance, Renderer
 from graycast.world.scene import Layout
 
 from .cells import exposed_alike
-from .decoded import (
-    Decoded,
-    decoded,
-    decoding_error,
-    edge_shifts,
-    fine_contrast,
-    one_surface,
-)
+from .decoded import decoding_error, edge_shifts, fine_contrast, one_surface, valid
 from .figures import Figures, Show
 
 REFERENCE_SEED = 10_000
@@ -37,7 +30,7 @@ class Reference:
     layout: Layout
     radiance: Radiance
     scanner: Scanner
-    result: Decoded
+    result: Scan
     on_surface: Bool[np.ndarray, "h w"]
 
 
@@ -46,7 +39,7 @@ def converge(cell: Cell, layout: Layout, renderer: Renderer, samples: int, show:
     show(f"{renderer.name}: reference of {samples} samples")
     radiance, _ = _render(cell, layout, renderer, samples, "none", REFERENCE_SEED)
     scanner = exposed_alike(cell.scanner, radiance)
-    result = decoded(scanner, radiance, seed=0)
+    result = scan(scanner, radiance, seed=0)
     return Reference(
         cell=cell,
         layout=layout,
@@ -72,12 +65,12 @@ def error_row(
         reference.cell, reference.layout, renderer, samples, denoise, samples
     )
     words = {"renderer": renderer.name, "denoise": denoise, "samples": samples}
-    result = decoded(reference.scanner, radiance, seed=0)
+    result = scan(reference.scanner, radiance, seed=0)
     code = reference.cell.code
     row = words | {"seconds": seconds} | decoding_error(result, reference.result)
     row |= edge_shifts(radiance, reference.radiance, code, reference.on_surface)
     fine = (
-        fine_contrast(light, code, reference.result.valid)
+        fine_contrast(light, code, valid(reference.result))
         for light in (radiance, reference.radiance)
     )
     row["fine_contrast"] = next(fine) / next(fine)
@@ -87,7 +80,7 @@ def error_row(
             Scanner(rig=reference.scanner.rig, code=reference.scanner.code, sensor=sensor),
             reference.radiance,
         )
-        taken = decoded(scanner, radiance, seed=1)
+        taken = scan(scanner, radiance, seed=1)
         noisy.append(words | decoding_error(taken, reference.result))
     return row, noisy
 

@@ -1,12 +1,10 @@
 """Decoded depth against a converged reference, and where stripes have their edges."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 
-from graycast.camera.decode import CodeMap, DepthMap, Reason
-from graycast.camera.scanner import Scanner, scan
+from graycast.camera.decode import Reason
+from graycast.camera.scanner import Scan
 from graycast.rendering import Radiance
 from graycast.rig.pattern import Code
 
@@ -16,41 +14,29 @@ STEP_M = 3e-3  # pixels further apart in depth are of two surfaces
 LEAST_CONTRAST = 0.1  # white less black, as a share of the 99th percentile
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Decoded:
-    """The decoded result of one stack."""
-
-    codes: CodeMap
-    depth: DepthMap
-
-    @property
-    def valid(self) -> Bool[np.ndarray, "h w"]:
-        return self.depth.reason == Reason.DECODED
+def valid(scan: Scan) -> Bool[np.ndarray, "h w"]:
+    """The pixels with depth."""
+    return scan.depth.reason == Reason.DECODED
 
 
-def decoded(scanner: Scanner, radiance: Radiance, *, seed: int) -> Decoded:
-    """A stack taken and decoded."""
-    result = scan(scanner, radiance, seed=seed)
-    return Decoded(codes=result.codes, depth=result.depth)
-
-
-def decoding_error(result: Decoded, reference: Decoded) -> dict[str, float]:
-    """The error of a result. All shares are relative to the reference's pixels with depth.
+def decoding_error(result: Scan, reference: Scan) -> dict[str, float]:
+    """The error of a scan. All shares are relative to the reference's pixels with depth.
 
     `wrong_share`: both have depth, the columns differ by more than one. `hole_share`: the depth is
     lost. `extra_share`: there is depth where the reference has none. `bad_share` is their sum.
     The root mean square of depth goes over all pixels that have both depths, wrong ones too;
     `depth_rms_right_mm` over those that are not wrong, and the median again over all.
     """
-    both = result.valid & reference.valid
+    known, expected = valid(result), valid(reference)
+    both = known & expected
     off_px = np.abs(result.codes.column - reference.codes.column)[both]
     off_mm = 1e3 * np.abs(result.depth.depth_m - reference.depth.depth_m)[both]
     wrong = off_px > WRONG_COLUMNS
-    count = max(int(reference.valid.sum()), 1)
+    count = max(int(expected.sum()), 1)
     shares = {
         "wrong_share": float(wrong.sum() / count),
-        "hole_share": float((reference.valid & ~result.valid).sum() / count),
-        "extra_share": float((result.valid & ~reference.valid).sum() / count),
+        "hole_share": float((expected & ~known).sum() / count),
+        "extra_share": float((known & ~expected).sum() / count),
     }
     return {
         "bad_share": sum(shares.values()),
@@ -77,11 +63,11 @@ def edge_shifts(
         for rising in (True, False):
             wanted = _edges(expected, on_surface, rising=rising)
             shift = _nearest(_edges(shown, on_surface, rising=rising), wanted)
-            found = np.isfinite(shift)
+            known = np.isfinite(shift)
             count += int(np.isfinite(wanted).sum())
-            lost += int((np.isfinite(wanted) & ~found).sum())
-            along.append(shift[found])
-            outward.append(-shift[found] if rising else shift[found])
+            lost += int((np.isfinite(wanted) & ~known).sum())
+            along.append(shift[known])
+            outward.append(-shift[known] if rising else shift[known])
     shift_px, growth_px = np.concatenate(along), np.concatenate(outward)
     if not len(shift_px):
         return {}
@@ -100,7 +86,7 @@ def fine_contrast(radiance: Radiance, code: Code, on_surface: Bool[np.ndarray, "
     return float(np.nanmean(np.minimum(np.abs(2 * level), 1.0)))
 
 
-def one_surface(reference: Decoded) -> Bool[np.ndarray, "h w"]:
+def one_surface(reference: Scan) -> Bool[np.ndarray, "h w"]:
     """Pixels whose right neighbour has a depth near their own, in the reference."""
     depth_m = reference.depth.depth_m
     near = np.zeros(depth_m.shape, dtype=bool)
@@ -141,11 +127,11 @@ def _edges(
 
 
 def _nearest(
-    found: Float[np.ndarray, "h w"], wanted: Float[np.ndarray, "h w"]
+    edges: Float[np.ndarray, "h w"], wanted: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w"]:
     """For each wanted place the nearest one found, in its own or a neighbouring pair, less it."""
-    padded = np.pad(found, ((0, 0), (1, 1)), constant_values=np.nan)
-    w = found.shape[1]
+    padded = np.pad(edges, ((0, 0), (1, 1)), constant_values=np.nan)
+    w = edges.shape[1]
     shifts = np.stack([padded[:, i : i + w] - wanted for i in range(3)])
     shifts[~(np.abs(shifts) <= 1)] = np.nan
     best = np.argmin(np.where(np.isnan(shifts), np.inf, np.abs(shifts)), axis=0)

@@ -151,8 +151,8 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
 def _table(
     rows: list[Worth], columns: Mapping[tuple[str, str], str], place: str = PARTS_PLACE
 ) -> str:
-    found = {(row.scanner, row.code, row.material): row for row in rows if row.place == place}
-    rows_of = [[each, *(found[*column, each].words for column in columns)] for each in MATERIALS]
+    by_key = {(row.scanner, row.code, row.material): row for row in rows if row.place == place}
+    rows_of = [[each, *(by_key[*column, each].words for column in columns)] for each in MATERIALS]
     return table(["decoded; wrong; error/sigma", *columns.values()], rows_of)
 
 
@@ -185,9 +185,9 @@ def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
     """The preset, the same without its guards, and one for each other code."""
-    found = {PRESET: scanner}
+    scanners = {PRESET: scanner}
     if name != "paper":
-        found[BARE] = replace(
+        scanners[BARE] = replace(
             scanner,
             rig=replace(scanner.rig, line_noise=0.0),
             code=replace(scanner.code, axes=("column",), fine_period_px=None),
@@ -196,11 +196,11 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
         )
     if name == CODES_OF:
         for words, factors in EXPOSURES.items():
-            found[words] = replace(scanner, exposure=replace(scanner.exposure, factors=factors))
+            scanners[words] = replace(scanner, exposure=replace(scanner.exposure, factors=factors))
         for codec in CODECS:
             code = CodeSpec(codec=codec, axes=("column", "row"))
-            found[codec] = replace(scanner, code=code, decode=DecodeSpec(), filters=FilterSpec())
-    return found
+            scanners[codec] = replace(scanner, code=code, decode=DecodeSpec(), filters=FilterSpec())
+    return scanners
 
 
 def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
@@ -211,10 +211,10 @@ def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
 
 def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
     """Every picture of every scanner once."""
-    found: dict[tuple[Any, ...], np.ndarray] = {}
+    pictures: dict[tuple[Any, ...], np.ndarray] = {}
     for scanner in scanners.values():
-        found |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
-    return list(found), np.stack(list(found.values()))
+        pictures |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
+    return list(pictures), np.stack(list(pictures.values()))
 
 
 def worth(

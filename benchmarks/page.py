@@ -46,17 +46,17 @@ hold on other machines; seconds do not. `python -m benchmarks compare REV` compa
 
 
 def page(
-    circumstances: dict[str, object], commit: str, chosen: Sequence[str] = ()
+    circumstances: dict[str, object], commit: str, names: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
     """The headings and texts of the page, in order; each takes seconds to minutes.
 
     Args:
         circumstances: date and machine, as in `__main__`.
         commit: what is measured.
-        chosen: names of `SECTIONS`; all of them if there is none.
+        names: names of `SECTIONS`; all of them if there is none.
     """
     yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")
-    for name in chosen or SECTIONS:
+    for name in names or SECTIONS:
         heading, measure = SECTIONS[name]
         yield heading, measure()
 
@@ -118,7 +118,7 @@ def dropping() -> str:
 
 def one_scene() -> str:
     cell, renderer = cell_of({}), open_renderer("mitsuba")
-    found: dict[str, list[float]] = {}
+    times: dict[str, list[float]] = {}
     with TemporaryDirectory() as folder:
         shared: Any = {"parts": cell.scene.parts, "rig": cell.scene.rig, "config": {}, "seed": 0}
         out = Path(folder) / "dataset"
@@ -131,8 +131,8 @@ def one_scene() -> str:
                 ended = time.perf_counter()
                 timings = shot.sample.manifest["timings"] | {"write": ended - made}
                 for stage, value in (timings | {"scene (median)": ended - start}).items():
-                    found.setdefault(stage, []).append(value)
-    rows = [[stage, f"{median(seconds[1:]):.2f}"] for stage, seconds in found.items()]
+                    times.setdefault(stage, []).append(value)
+    rows = [[stage, f"{median(seconds[1:]):.2f}"] for stage, seconds in times.items()]
     peak = peak_rss_bytes() / 1e9
     return (
         f"The scene of *Rendering*, from the drop to the files, median of {SCENES} after one that "
@@ -200,13 +200,13 @@ def hulls() -> str:
     rows = []
     for name, mesh in meshes.items():
         start = time.process_time()
-        found = decompose(mesh)
+        pieces = decompose(mesh)
         worked_s = time.process_time() - start
-        if len(found) == 1:
+        if len(pieces) == 1:
             continue
-        error = hull_error(mesh, found)
+        error = hull_error(mesh, pieces)
         off_m = max(error.filled_m, error.lost_m)
-        rows.append((name, len(found), off_m, tolerance_m(mesh), worked_s))
+        rows.append((name, len(pieces), off_m, tolerance_m(mesh), worked_s))
     within = sum(off_m <= bound_m for _, _, off_m, bound_m, _ in rows)
     rows.sort(key=lambda row: -row[1])
     return (

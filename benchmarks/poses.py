@@ -62,7 +62,7 @@ class _Trial:
 
     example: Example
     instance: int
-    found: PoseFound
+    estimate: PoseFound
     cpu_s: float
     seen: bool = True
     angle_deg: float = math.inf
@@ -103,10 +103,10 @@ def measure(
     rows, texts, sheets = [], {}, {}
     for k, folder in enumerate(datasets):
         subject = _subject(folder, opened)
-        chosen = _chosen(subject.examples, instances, min_visibility)
+        selection = _selection(subject.examples, instances, min_visibility)
         cases = CASES if opened is None else (*CASES, *DETECTED)
         trials: dict[tuple[str, str], list[_Trial]] = {case: [] for case in cases}
-        for scene_id, places in chosen.items():
+        for scene_id, places in selection.items():
             show(f"{subject.name}, scene {scene_id}")
             example = subject.examples.read(scene_id)
             for case in CASES:
@@ -157,7 +157,7 @@ def _opened(run: Path) -> Any:
     return load_detector(run)
 
 
-def _chosen(examples: Examples, instances: int, min_visibility: float) -> dict[int, list[int]]:
+def _selection(examples: Examples, instances: int, min_visibility: float) -> dict[int, list[int]]:
     """Places of instances by scene: drawn from all that are visible enough."""
     there = []
     for scene_id in examples.scene_ids:
@@ -179,11 +179,11 @@ def _chosen(examples: Examples, instances: int, min_visibility: float) -> dict[i
             "give another dataset"
         )
     rng = np.random.default_rng(SEED)
-    drawn = sorted(rng.permutation(len(there))[:instances].tolist())
-    chosen: dict[int, list[int]] = {}
-    for k in drawn:
-        chosen.setdefault(there[k][0], []).append(int(there[k][1]))
-    return chosen
+    order = sorted(rng.permutation(len(there))[:instances].tolist())
+    selection: dict[int, list[int]] = {}
+    for k in order:
+        selection.setdefault(there[k][0], []).append(int(there[k][1]))
+    return selection
 
 
 def _trials(
@@ -202,21 +202,21 @@ def _trials(
         region = _region(example, place, case[1], detections)
         began = time.process_time()
         if region is None:
-            found = PoseFound(T_cam_part=None, score=0.0)
+            estimate = PoseFound(T_cam_part=None, score=0.0)
         elif region.ndim == 2:
-            found = find_pose(model, depth_m, camera, region)
+            estimate = find_pose(model, depth_m, camera, region)
         else:
-            found = find_pose_in_box(model, depth_m, camera, region)
+            estimate = find_pose_in_box(model, depth_m, camera, region)
         cpu_s = time.process_time() - began
         trial = _Trial(
-            example=example, instance=place, found=found, cpu_s=cpu_s, seen=region is not None
+            example=example, instance=place, estimate=estimate, cpu_s=cpu_s, seen=region is not None
         )
-        if found.T_cam_part is None:
+        if estimate.T_cam_part is None:
             yield trial
             continue
         true, middle = T_cam_part[place], subject.stored[obj_id].mesh.bounds_m.mean(axis=0)
         off = [
-            rotation_translation(found.T_cam_part, true, one[obj_id], middle_m=middle)
+            rotation_translation(estimate.T_cam_part, true, one[obj_id], middle_m=middle)
             for one in (subject.shape, subject.strict)
         ]
         (angle, shift), (strict_angle, strict_shift) = off
@@ -292,13 +292,13 @@ def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
         scene_id = trial.example.scene_id
         seconds[scene_id] = seconds.get(scene_id, 0.0) + trial.cpu_s
     for trial in trials:
-        if trial.found.T_cam_part is not None:
+        if trial.estimate.T_cam_part is not None:
             yield PoseEstimate(
                 scene_id=trial.example.scene_id,
                 im_id=0,
                 obj_id=_obj_id(trial.example, trial.instance),
-                score=trial.found.score,
-                T_cam_part=trial.found.T_cam_part.copy(),
+                score=trial.estimate.score,
+                T_cam_part=trial.estimate.T_cam_part.copy(),
                 time_s=round(seconds[trial.example.scene_id], 6),
             )
 
@@ -323,7 +323,7 @@ def _tile(subject: _Subject, trial: _Trial) -> UInt8[np.ndarray, "t t 3"]:
     at = (x + columns // 2, y + rows // 2)
     crop = grown[at[1] : at[1] + 2 * half, at[0] : at[0] + 2 * half]
     big = cv2.resize(crop, (TILE_PX, TILE_PX), interpolation=cv2.INTER_LINEAR)
-    T_cam_part = trial.found.T_cam_part
+    T_cam_part = trial.estimate.T_cam_part
     if T_cam_part is not None:
         mesh = subject.stored[_obj_id(example, trial.instance)].mesh
         origin = (at[0] - half, at[1] - half)

@@ -10,10 +10,10 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 def children() -> list[int]:
     """The processes that this one has started and that are alive."""
-    found = []
+    pids = []
     for task in Path("/proc/self/task").iterdir():
-        found += [int(pid) for pid in (task / "children").read_text().split()]
-    return found
+        pids += [int(pid) for pid in (task / "children").read_text().split()]
+    return pids
 
 
 def cpu_s() -> float:

@@ -120,13 +120,13 @@ def _timed(
         shown = patterns if renderer is mitsuba else patterns[need_renders(patterns)[:1]]
         quality = Quality(samples=samples if renderer is mitsuba else 1)
         renderer.render(cell.scene, layout, shown, quality=quality, seed=0)
-    found: dict[str, list[Figures]] = {"onepass": [], "cycles": [], "cycles3": []}
+    stacks: dict[str, list[Figures]] = {"onepass": [], "cycles": [], "cycles3": []}
     for _ in range(ROUNDS):
-        for (name, ends), renderer in zip(found.items(), renderers, strict=True):
+        for (name, ends), renderer in zip(stacks.items(), renderers, strict=True):
             show(f"timing {name}")
             ends.append(_stack(cell, layout, renderer, patterns, Quality(samples=samples)))
     figures: Figures = {}
-    for name, ends in found.items():
+    for name, ends in stacks.items():
         figures |= {f"{name}_{key}": mean(end[key] for end in ends) for key in ends[0]}
     for name in ("cycles", "cycles3"):
         figures[f"{name}_over_onepass"] = figures[f"{name}_s"] / figures["onepass_s"]
@@ -134,9 +134,9 @@ def _timed(
     show(f"timing cycles at {FEW_SAMPLES} samples")
     few = _stack(cell, layout, cycles, patterns, Quality(samples=FEW_SAMPLES))
     figures["cycles_frame_cpu_s_at_few_samples"] = few["frame_cpu_s"]
-    rounds = zip(*found.values(), strict=True)
+    rounds = zip(*stacks.values(), strict=True)
     figures["rounds"] = [
-        {name: end["s"] for name, end in zip(found, ends, strict=True)} for ends in rounds
+        {name: end["s"] for name, end in zip(stacks, ends, strict=True)} for ends in rounds
     ]
     return figures
 

@@ -17,14 +17,16 @@ from graycast.show.report import draw_rig
 from graycast.show.report.rig_picture import common_field
 from graycast.show.report.shelf_list import stored_noise_m
 
+from .figures import table
+
 SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
 READOUT_S = 0.01  # of a frame, as the design study has it
 START, END = "<!-- by python -m benchmarks shelf -->", "<!-- end -->"
 HEAD = (
-    "| scanner | range [m] | points | field near / middle / far [mm] | stated field; here [mm] | "
-    "stated noise; here [mm] | stated spacing; here [mm] | stated trueness; length error here | "
-    "stated capture; here [s] |\n" + "|---" * 9 + "|\n"
-)
+    "scanner", "range [m]", "points", "field near / middle / far [mm]", "stated field; here [mm]",
+    "stated noise; here [mm]", "stated spacing; here [mm]", "stated trueness; length error here",
+    "stated capture; here [s]",
+)  # fmt: skip
 
 
 def measure_all(
@@ -80,11 +82,11 @@ def with_table(page: str, figures: dict[str, ShelfFigures]) -> str:
     """A page with the table between its two marks made anew."""
     before, rest = page.split(START)
     _, after = rest.split(END)
-    rows = "".join(_row(name, shelf_entry(name), figures.get(name)) for name in SHELF)
-    return f"{before}{START}\n\n{HEAD}{rows}\n{END}{after}"
+    rows = [_row(name, shelf_entry(name), figures.get(name)) for name in SHELF]
+    return f"{before}{START}\n\n{table(HEAD, rows)}\n\n{END}{after}"
 
 
-def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
+def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> list[str]:
     rig, claims = preset(name, "full").rig, entry.claims
     near_m, far_m = rig.near_m, rig.far_m
     fields = " / ".join(_field(rig, z_m) for z_m in (near_m, (near_m + far_m) / 2, far_m))
@@ -103,7 +105,7 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
     share = f"{claims.trueness_share:.1%}" if claims.trueness_share else "?"
     share = f"{1e3 * claims.trueness.value_m:g} mm" if claims.trueness else share
     span = "-".join(f"{value:g}" for value in claims.capture_s) if claims.capture_s else "?"
-    cells = [
+    return [
         f"`{name}`",
         f"{near_m:g}-{far_m:g}",
         f"{rig.camera.width_px} x {rig.camera.height_px}",
@@ -114,7 +116,6 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> str:
         f"{share}; {'?' if own is None else f'{round(own.length_error, 5) + 0.0:.3%}'}",
         f"{span}; {'?' if own is None else f'{own.capture_s:.2f}'}",
     ]
-    return f"| {' | '.join(cells)} |\n"
 
 
 def _field(rig: Rig, z_m: float) -> str:

@@ -35,11 +35,11 @@ def honesty(show: Show) -> str:
             for codec in CODECS:
                 own = replace(scanner, code=CodeSpec(codec=codec, axes=("column",)))
                 show(f"{name}, {kind}, {codec}")
-                found = [
+                cells = [
                     _cell(renderer, own, scene, replace(quality, samples=samples))
                     for samples in SAMPLES
                 ]
-                rows.append([f"`{codec}`", *found])
+                rows.append([f"`{codec}`", *cells])
             texts.append(table([f"{name}, {kind}", *map(str, SAMPLES)], rows))
     return "\n\n".join(texts)
 

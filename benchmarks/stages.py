@@ -202,8 +202,8 @@ def say(stage: str, row: str, **figures: object) -> None:
 
 
 if __name__ == "__main__":
-    chosen = set(sys.argv[1].split(","))
-    for each in (each for each in GROUPS if chosen.intersection(GROUPS[each])):
-        run_group(each, chosen, *sys.argv[2:])
+    names = set(sys.argv[1].split(","))
+    for each in (each for each in GROUPS if names.intersection(GROUPS[each])):
+        run_group(each, names, *sys.argv[2:])
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
     say("memory", "peak memory [MB]", value=peak_mb)

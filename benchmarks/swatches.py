@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from graycast.base.color import srgb
-from graycast.base.frames import rigid
+from graycast.base.frames import look_at, rigid
 from graycast.rendering import Quality, Renderer, open_renderer
 from graycast.rendering.denoise import denoise
 from graycast.rig.optics import Optics
@@ -89,8 +89,10 @@ def _scene(parts: tuple[Part, ...]) -> Scene:
         half_v_m=(0.0, 1.0, 0.0),
         material=Material(base_color=(0.2, 0.2, 0.2), specular=0.0),
     )
-    camera = _looking((0.0, -0.30, 0.32))
-    projector = _looking((0.16, -0.26, 0.32))
+    camera, projector = (
+        look_at(np.array(place_m), np.array([0.0, 0.0, 0.012]), np.array([0.0, 0.0, -1.0]))
+        for place_m in ((0.0, -0.30, 0.32), (0.16, -0.26, 0.32))
+    )
     rig = Rig(
         name="swatches",
         camera=_optics(WIDTH_PX, HEIGHT_PX, 640.0),
@@ -110,15 +112,6 @@ def _scene(parts: tuple[Part, ...]) -> Scene:
         lamps=(lamp,),
         environment=around,
     )
-
-
-def _looking(place_m: tuple[float, float, float]) -> np.ndarray:
-    """The pose of a device there that looks at the middle of the parts, upright."""
-    z = np.array([0.0, 0.0, 0.012]) - place_m
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return rigid(np.column_stack([x, np.cross(z, x), z]), np.array(place_m))
 
 
 def _optics(width_px: int, height_px: int, f_px: float) -> Optics:

@@ -66,8 +66,8 @@ class Crate:
         return load_bin(self.write(folder / "crate.stl"), unit="mm", up="z")
 
     def bin(self, folder: Path) -> Bin:
-        found = self.load(folder)
-        return Bin(inner_m=found.inner_m, mesh=found.mesh, material=found.material)
+        mesh_bin = self.load(folder)
+        return Bin(inner_m=mesh_bin.inner_m, mesh=mesh_bin.mesh, material=mesh_bin.material)
 
 
 def _frustum(low: np.ndarray, high: np.ndarray, bottom: float, top: float) -> trimesh.Trimesh:

@@ -159,9 +159,9 @@ def noise(args: argparse.Namespace) -> None:
     print("code, response: measured over true noise at 100 and 1000 DN, where from")
     for name, code in PHASES_ALONE.items():
         for gamma in (1.0, 1.3):
-            found = measure_levels(textured(code, gamma=gamma), code, LevelsSection())
-            ratio = [sigma_at(found.levels, dn) / sigma_at(LEVELS, dn) for dn in (100, 1000)]
-            why = found.source.split("(")[-1].rstrip(")")
+            result = measure_levels(textured(code, gamma=gamma), code, LevelsSection())
+            ratio = [sigma_at(result.levels, dn) / sigma_at(LEVELS, dn) for dn in (100, 1000)]
+            why = result.source.split("(")[-1].rstrip(")")
             print(f"{name:18} {gamma:3.1f}: {ratio[0]:5.2f} {ratio[1]:5.2f}   {why}")
 
 

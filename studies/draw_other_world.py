@@ -58,7 +58,7 @@ PARTS = {
 }
 
 
-def drawn_scanner(rng: np.random.Generator) -> Scanner:
+def random_scanner(rng: np.random.Generator) -> Scanner:
     paper = preset("paper", "small")
     lens = paper.rig.camera
     fx_px, f_number = lens.fx_px * rng.uniform(0.92, 1.08), rng.uniform(3.5, 6)
@@ -125,7 +125,7 @@ def drawn_scanner(rng: np.random.Generator) -> Scanner:
     )
 
 
-def drawn_room(rng: np.random.Generator) -> Float32[np.ndarray, "64 128 3"]:
+def random_room(rng: np.random.Generator) -> Float32[np.ndarray, "64 128 3"]:
     """A room as a latitude-longitude picture (RGB, linear): row 0 is above, a column is azimuth."""
     room = np.empty((64, 128, 3), np.float32)
     room[:32] = rng.uniform(0.3, 0.6) * rng.uniform(0.9, 1.1, 3)  # ceiling and upper walls
@@ -138,7 +138,7 @@ def drawn_room(rng: np.random.Generator) -> Float32[np.ndarray, "64 128 3"]:
     return cv2.GaussianBlur(room, (0, 0), 0.8)
 
 
-def drawn_lamp(rng: np.random.Generator) -> dict[str, Any]:
+def random_lamp(rng: np.random.Generator) -> dict[str, Any]:
     distance_m, size_m = rng.uniform(1.2, 2.0), rng.uniform(0.15, 0.5)
     up, around = np.radians(rng.uniform(40, 75)), np.radians(rng.uniform(-180, 180))
     way = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
@@ -151,7 +151,7 @@ def drawn_lamp(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def drawn_print(
+def random_print(
     texture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Another batch's ink: exponent and gain of each band, and a grain of paper."""
@@ -161,11 +161,11 @@ def drawn_print(
     return np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
-def drawn_material(name: str, rng: np.random.Generator) -> dict[str, Any]:
+def random_material(name: str, rng: np.random.Generator) -> dict[str, Any]:
     own = builtin_part(name).material
     roughness = own.roughness + rng.uniform(-0.1, 0.1)
     if own.texture is not None:
-        write_picture(f"{name}.jpg", drawn_print(own.texture, rng))
+        write_picture(f"{name}.jpg", random_print(own.texture, rng))
         return {"texture": f"{name}.jpg", "roughness": round(float(roughness), 3)}
     color = np.array(own.base_color) * np.exp(rng.uniform(np.log(0.7), np.log(1.5)))
     return {
@@ -180,7 +180,7 @@ def write_picture(name: str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     assert ok, name
 
 
-def drawn_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
+def random_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
     heap = PARTS[name]
     azimuth_deg = rng.uniform(10, 30) * rng.choice([-1, 1])
     grey = float(linear_share(np.array(rng.uniform(0.15, 0.5))))
@@ -189,7 +189,7 @@ def drawn_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
             {
                 "builtin": name,
                 "scale": round(rng.uniform(0.995, 1.005), 4),
-                "material": drawn_material(name, rng),
+                "material": random_material(name, rng),
             }
         ],
         "count": heap["count"],
@@ -211,7 +211,7 @@ def drawn_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
         },
         "light": {
             "environment": {"map": "room.hdr", "radiance": [round(rng.uniform(0.1, 0.3), 3)] * 3},
-            "lamps": [drawn_lamp(rng) for _ in range(int(rng.integers(1, 3)))],
+            "lamps": [random_lamp(rng) for _ in range(int(rng.integers(1, 3)))],
         },
         "domain": {"kind": "adapted"},
         "render": {
@@ -225,13 +225,13 @@ def drawn_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
 def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
-    save_scanner(drawn_scanner(rng), OUT / "rig.yaml")
-    assert cv2.imwrite(str(OUT / "room.hdr"), drawn_room(rng)[..., ::-1])
+    save_scanner(random_scanner(rng), OUT / "rig.yaml")
+    assert cv2.imwrite(str(OUT / "room.hdr"), random_room(rng)[..., ::-1])
     tint, level = rng.uniform(0.85, 1.1, 3), rng.uniform(0.6, 1.0)
     wood = np.clip(wood_texture()[::-1, ::2].transpose(1, 0, 2) * tint * level, 0, 255)
     write_picture("wood.jpg", cv2.resize(wood.astype(np.uint8), (512, 512)))
     for name in PARTS:
-        text = yaml.safe_dump(drawn_cell(name, rng), sort_keys=False, default_flow_style=None)
+        text = yaml.safe_dump(random_cell(name, rng), sort_keys=False, default_flow_style=None)
         head = "# Drawn by studies/draw_other_world.py, which says from what; not to be edited.\n"
         (OUT / f"{name}.yaml").write_text(head + text, encoding="utf-8")
 

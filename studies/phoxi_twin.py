@@ -171,13 +171,13 @@ def configuration(meshes: Path, shapes: int) -> dict:
 
 def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
     """The bin as these scans show it, whose walls bulge; the camera's pose over it, row by row."""
-    drawn = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
+    plain = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
     views = []
     for i in scans:
         depth_m = np.load(REAL / f"depth_{i}.npy")[..., 0].astype(np.float64)
         depth_m[depth_m == 0] = np.nan
         views.append(BinView(name=f"depth_{i}", camera=camera, depth_m=depth_m))
-    bent = bent_bin(drawn, np.array(T_BIN_CAM), [empty_view(views)])
+    bent = bent_bin(plain, np.array(T_BIN_CAM), [empty_view(views)])
     file.write_bytes(mesh_bytes(bent.mesh))
     return [float(value) for value in bent.T_world_cam.ravel()]
 

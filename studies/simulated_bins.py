@@ -140,10 +140,10 @@ def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[s
 
 
 def wrong_by(
-    found: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
+    estimate: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
     """Distance [m] of the bins' origins and angle [deg] between them, in the camera's frame."""
-    T_a, T_b = inverse(found), inverse(true)
+    T_a, T_b = inverse(estimate), inverse(true)
     cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
     off_m = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
     return off_m, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.figures import table
 from graycast.base.progress import UNWATCHED
 from graycast.camera.scanner import Scanner
 from graycast.cell.config import load_config, resolve_quality
@@ -132,7 +133,7 @@ def judge(
 ) -> dict[str, dict[str, Any]]:
     """Of each set of scans the AUC by place, and the share of pixels with depth, for each draw."""
     cut = len(FITTED)
-    found: dict[str, dict[str, Any]] = {}
+    judgement: dict[str, dict[str, Any]] = {}
     for name, lit in (("fitted", bench.lit[:cut]), ("aside", bench.lit[cut:])):
         each: dict[str, Any] = {place: [] for place in (*PLACES, "coverage")}
         for draw in range(draws):
@@ -143,21 +144,21 @@ def judge(
                 auc = sensor_auc(bench.squares[name], squares, place, seed=draw)
                 each[place].append(auc)
             each["coverage"].append(float(np.mean([scan.valid.mean() for scan in made])))
-        found[name] = each
-    return found
+        judgement[name] = each
+    return judgement
 
 
-def table(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The rows of the page's table, in Markdown."""
+def table_of(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """The page's table, in Markdown."""
     columns = [(name, place) for name in ("fitted", "aside") for place in PLACES]
     heads = ["off", "misfit", "met", *(f"{place}, {name}" for name, place in columns)]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    rows = []
     for title, one in results.items():
         auc = [np.array(one["auc"][name][place], dtype=float) for name, place in columns]
         cells = [f"{a.mean():.2f} ± {a.std(ddof=1):.2f}" for a in auc]
         first = [title, f"{one['misfit']:.2f}", f"{one['met'][1]} of {one['of']}"]
-        lines.append("| " + " | ".join([*first, *cells]) + " |")
-    return lines
+        rows.append([*first, *cells])
+    return table(heads, rows)
 
 
 def main() -> None:
@@ -173,8 +174,8 @@ def main() -> None:
     for title, off in titles.items():
         results[title] = search_without(bench, off, trials=options.trials, draws=options.draws)
         options.out.write_text(json.dumps(results, indent=1), encoding="utf-8")
-        print(table({title: results[title]})[-1], flush=True)
-    print("\n".join(table(results)))
+        print(table_of({title: results[title]}).splitlines()[-1], flush=True)
+    print(table_of(results))
 
 
 if __name__ == "__main__":

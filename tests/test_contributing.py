@@ -11,7 +11,8 @@ from typing import get_args
 import pytest
 from parsed import nodes_of
 
-from graycast.cli import dataset_commands, detector_commands
+from graycast.cli import dataset_commands
+from graycast.learn.detect.networks import MODELS
 from graycast.rig.pattern.spec import Codec
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +22,7 @@ KNOWING = {"src/graycast/rig/pattern/__init__.py", "src/graycast/dataset/sense/l
 NAMES = {
     "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" also names pictures
     "renderer": {"cycles"},
-    "detector": set(detector_commands.MODELS) - {"mask-rcnn"},  # the default of trainings
+    "detector": set(MODELS) - {"mask-rcnn"},  # the default of trainings
     "exporter": set(dataset_commands._FORMATS) - {"coco"},  # also a file of other datasets
 }
 KINDS = [*NAMES, "statistic of datasets"]

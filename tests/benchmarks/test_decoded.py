@@ -1,16 +1,12 @@
 """Errors of decoded depth, and of the places of edges, counted against what was put in."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from stage import centred
 
-from benchmarks.decoded import (
-    Decoded,
-    decoding_error,
-    edge_shifts,
-    fine_contrast,
-    one_surface,
-)
+from benchmarks.decoded import decoding_error, edge_shifts, fine_contrast, one_surface
 from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.rendering import Radiance
 from graycast.rig.pattern import gray
@@ -32,7 +28,7 @@ def result(column, depth_m, valid):
     )  # fmt: skip
     camera = centred(*column.shape[::-1], 100.0)
     depth = DepthMap(depth_m=where(depth_m), sigma_m=none, reason=reason, camera=camera)
-    return Decoded(codes=codes, depth=depth)
+    return SimpleNamespace(codes=codes, depth=depth)
 
 
 def test_each_kind_of_error_is_counted_in_shares_of_the_reference():

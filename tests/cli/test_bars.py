@@ -34,8 +34,8 @@ def test_a_stage_has_no_number_and_is_gone_at_the_end(monkeypatch):
     with open_bars() as bars:
         bars.count("scenes", 1, 5)
         bars.stage("reading [red].stl")
-        bars._drawn.refresh()
-        (line,) = [part for part in bars._drawn.get_renderables()]
+        bars._progress.refresh()
+        (line,) = [part for part in bars._progress.get_renderables()]
         shown = Console(file=io.StringIO(), width=90)
         shown.print(line)
         lines = shown.file.getvalue().splitlines()

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from graycast.cli import doctor
-from graycast.cli.doctor import Diagnosis, Finding, describe, examine
+from graycast.cli.doctor import Finding, describe, examine
 from graycast.rendering.device import CudaState
 from graycast.rendering.trial import Trial
 
@@ -18,7 +18,7 @@ import json, sys
 from graycast.cli import doctor
 from graycast.rendering.trial import Trial
 doctor.try_device = lambda device: Trial(device="llvm", seconds=0.0, denoiser="cpu")
-found = {finding.name: finding.found for finding in doctor.examine().findings}
+found = {finding.name: finding.text for finding in doctor.examine()}
 heavy = sorted({"mitsuba", "drjit", "numba", "rapier3d", "pyoidn"} & set(sys.modules))
 llvm = "libLLVM" in open("/proc/self/maps").read()
 import drjit, mitsuba, numba, numpy, platform
@@ -56,9 +56,7 @@ def test_memory_and_cores_agree_with_the_system(examined):
 
 def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch, no_trial):
     monkeypatch.setattr(doctor, "_PACKAGES", {"no-such-package-here": "flying"})
-    diagnosis = examine()
-    assert not diagnosis.ready
-    text = describe(diagnosis)
+    text = describe(examine())
     assert "MISSING no-such-package-here" in text
     assert "pip install no-such-package-here" in text
     assert "it is for: flying" in text
@@ -67,16 +65,15 @@ def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch
 
 def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch, no_trial):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
-    findings = {finding.name: finding for finding in examine().findings}
+    findings = {finding.name: finding for finding in examine()}
     assert not findings["LLVM used"].ok
-    assert "/gone/libLLVM-19.so, which is not a file" in findings["LLVM used"].found
+    assert "/gone/libLLVM-19.so, which is not a file" in findings["LLVM used"].text
 
 
 def test_what_is_not_needed_does_not_make_the_program_unready():
-    gpu = Finding(name="GPU", found="none", ok=False, gives="speed", needed=False)
-    numpy = Finding(name="numpy", found="2.0", ok=True, gives="arrays")
-    assert Diagnosis(findings=(gpu, numpy)).ready
-    assert describe(Diagnosis(findings=(gpu, numpy))).splitlines() == [
+    gpu = Finding(name="GPU", text="none", ok=False, gives="speed")
+    numpy = Finding(name="numpy", text="2.0", ok=True, gives="arrays", needed=True)
+    assert describe((gpu, numpy)).splitlines() == [
         "none    GPU    none",
         "               it is for: speed",
         "ok      numpy  2.0",
@@ -87,6 +84,6 @@ def test_what_is_not_needed_does_not_make_the_program_unready():
 def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
     state = CudaState(devices=("NVIDIA A", "NVIDIA B"), driver_cuda="12.8", has_optix=True)
     monkeypatch.setattr(doctor, "examine_cuda", lambda: state)
-    findings = {finding.name: finding for finding in examine().findings}
-    assert findings["NVIDIA GPU"].found == "NVIDIA A, NVIDIA B; driver for CUDA 12.8"
+    findings = {finding.name: finding for finding in examine()}
+    assert findings["NVIDIA GPU"].text == "NVIDIA A, NVIDIA B; driver for CUDA 12.8"
     assert findings["OptiX"].ok

@@ -143,10 +143,10 @@ def _stated_size(file: _File) -> tuple[int, int]:
         left, top, right, bottom = np.frombuffer(head, "<i4", 4, at).tolist()
         return right - left + 1, bottom - top + 1
     if head.startswith(b"#?"):  # Radiance: -Y rows +X columns
-        found = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", head)
-        if found is None:
+        size = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", head)
+        if size is None:
             raise ValueError("no size")
-        return int(found[2]), int(found[1])
+        return int(size[2]), int(size[1])
     from PIL import Image  # only here: training reads PNGs where Pillow is not installed
 
     Image.init()

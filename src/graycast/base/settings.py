@@ -157,7 +157,7 @@ def _field(default: Any, info: FieldInfo) -> Any:
 def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
     """Name, bare annotation, what its `Field` says, and default of each field."""
     hints = get_type_hints(dataclass, include_extras=True)
-    found = []
+    rows = []
     for field in fields(dataclass):
         hint = hints[field.name]
         info = FieldInfo.from_annotation(hint)
@@ -168,23 +168,20 @@ def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
         default = field.default
         if field.default_factory is not MISSING:
             default = field.default_factory()
-        found.append((field.name, hint, info, default))
-    return found
+        rows.append((field.name, hint, info, default))
+    return rows
 
 
 @cache
 def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
     """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
     config = ConfigDict(strict=True, allow_inf_nan=False)
-    return {
-        name: (TypeAdapter(hint, config=config), default, _meaning(info))
-        for name, hint, info, default in _declared(dataclass)
-        if _says_more(hint)
-    }
-
-
-def _meaning(info: FieldInfo) -> str:
-    return f" ({info.description.rstrip('.')})" if info.description else ""
+    limits = {}
+    for name, hint, info, default in _declared(dataclass):
+        if _says_more(hint):
+            meaning = f" ({info.description.rstrip('.')})" if info.description else ""
+            limits[name] = (TypeAdapter(hint, config=config), default, meaning)
+    return limits
 
 
 def _says_more(hint: Any) -> bool:
@@ -311,9 +308,8 @@ def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list
     schema = _schema(model)
     path, options = [], [schema]
     for key in location:
-        chosen = [option for option in options if _kind(option) == key]
-        if chosen:
-            options = chosen
+        if of_kind := [option for option in options if _kind(option) == key]:
+            options = of_kind
             continue
         path.append(str(key))
         node = options[0] if options else {}
@@ -329,8 +325,8 @@ def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mappin
     choices = node.get("anyOf", node.get("oneOf"))
     if choices is None:
         return [node]
-    found = [section for option in choices for section in _sections(option, schema)]
-    return sorted(found, key=lambda section: "properties" not in section)
+    sections = [section for option in choices for section in _sections(option, schema)]
+    return sorted(sections, key=lambda section: "properties" not in section)
 
 
 def _kind(section: Mapping[str, Any]) -> str | None:

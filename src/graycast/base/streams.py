@@ -41,7 +41,7 @@ def scene_seeds(
         domain: whether values are drawn from one; else there is no seed of it.
         views: likewise of the places that images are taken from.
     """
-    seeds = _drawn(seed, (scene_id,), SCENE)
+    seeds = _seeds(seed, (scene_id,), SCENE)
     # A scene for which nothing is drawn from a domain or a range of views has no seed for it.
     left_out = {name for name, has in (("domain", domain), ("views", views)) if not has}
     return {name: value for name, value in seeds.items() if name not in left_out}
@@ -57,9 +57,9 @@ def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[s
     if station == image == 0:
         first = scene_seeds(seed, scene_id)
         return {name: first[name] for name in OF_IMAGE}
-    return _drawn(seed, (scene_id, station, image), OF_IMAGE)
+    return _seeds(seed, (scene_id, station, image), OF_IMAGE)
 
 
-def _drawn(seed: int, key: tuple[int, ...], names: tuple[str, ...]) -> dict[str, int]:
+def _seeds(seed: int, key: tuple[int, ...], names: tuple[str, ...]) -> dict[str, int]:
     state = np.random.SeedSequence(seed, spawn_key=key).generate_state(len(names), np.uint64)
     return dict(zip(names, map(int, state), strict=True))

@@ -4,7 +4,7 @@ import argparse
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Run = Callable[[argparse.Namespace], int | None]
 Kind = Callable[[str], Any] | tuple[str, ...] | None
+Value = TypeVar("Value")
 _DEBUG = "Print the Python traceback of an error, not only its message."
 CONTINUE = "run the same command again to continue"
 
@@ -62,61 +63,55 @@ def add_command(
 # --- what a text may be ------------------------------------------------------------------------
 
 
-def whole(text: str) -> int:
+def reader(
+    read: Callable[[str], Value], allowed: Callable[[Value], bool], what: str
+) -> Callable[[str], Value]:
+    """A function that reads a text, and refuses one that is not `what`."""
+
+    def checked(text: str) -> Value:
+        try:
+            value = read(text)
+            fits = allowed(value)
+        except ValueError:
+            fits = False
+        if not fits:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return checked
+
+
+def numbers(text: str, separator: str = ",") -> tuple[float, ...]:
+    return tuple(map(float, text.lower().split(separator)))
+
+
+def _digits(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+        raise ValueError(text)
     return int(text)
 
 
-def positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
-    return int(text)
+def _above_zero(value: float) -> bool:
+    return 0 < value < math.inf
 
 
-def above_zero(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number greater than 0")
-    return value
-
-
-def share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 1")
-    return value
-
-
-def size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
-    return int(width), int(height)
-
-
-def sides_m(text: str) -> tuple[float, float]:
-    try:
-        width, height = map(above_zero, text.lower().split("x"))
-    except (ValueError, argparse.ArgumentTypeError):
-        raise argparse.ArgumentTypeError(f"{text!r} is not two lengths such as 0.6x0.4") from None
-    return width, height
-
-
-def distortion(text: str) -> tuple[float, float, float, float, float]:
-    try:
-        k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not five numbers k1,k2,p1,p2,k3, separated by commas"
-        ) from None
-    return k1, k2, p1, p2, k3
+whole = reader(_digits, lambda n: n >= 0, "a whole number of at least 0")
+positive = reader(_digits, lambda n: n >= 1, "a whole number of at least 1")
+above_zero = reader(float, _above_zero, "a number greater than 0")
+share = reader(float, lambda x: 0 <= x <= 1, "a number from 0 to 1")
+size = reader(
+    lambda text: tuple(map(_digits, text.lower().split("x"))),
+    lambda sides: len(sides) == 2,
+    "a size such as 1280x720",
+)
+sides_m = reader(
+    lambda text: numbers(text, "x"),
+    lambda sides: len(sides) == 2 and all(map(_above_zero, sides)),
+    "two lengths such as 0.6x0.4",
+)
+distortion = reader(
+    numbers, lambda k: len(k) == 5, "five numbers k1,k2,p1,p2,k3, separated by commas"
+)
 
 
 # --- the shared flags: each has one meaning ----------------------------------------------------

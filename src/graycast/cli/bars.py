@@ -20,33 +20,35 @@ class Bars:
     """
 
     def __init__(self, progress: "Progress") -> None:
-        self._drawn = progress
+        self._progress = progress
         self._tasks: dict[str | None, TaskID] = {}  # the stage is that of no kind
 
     def stage(self, text: str) -> None:
-        self._drawn.reset(self._task(None), description=escape(text), total=None, visible=True)
+        self._progress.reset(self._task(None), description=escape(text), total=None, visible=True)
 
     def count(self, what: str, done: int, total: int) -> None:
         task = self._task(what)
-        before = self._drawn.tasks[self._drawn.task_ids.index(task)]
+        before = self._progress.tasks[self._progress.task_ids.index(task)]
         if done < before.completed:  # the next of the same kind: its time begins anew
-            self._drawn.reset(task)
-        self._drawn.update(task, completed=done, total=total, visible=True)
+            self._progress.reset(task)
+        self._progress.update(task, completed=done, total=total, visible=True)
 
     def note(self, text: str) -> None:
         self.line(f"note: {text}")
 
     def line(self, text: str) -> None:
         """Print a line above the bars."""
-        self._drawn.console.print(text, markup=False, soft_wrap=True)
+        self._progress.console.print(text, markup=False, soft_wrap=True)
 
     def _task(self, what: str | None) -> "TaskID":
         if what not in self._tasks:
-            self._tasks[what] = self._drawn.add_task(escape(what or ""), total=None, visible=False)
+            self._tasks[what] = self._progress.add_task(
+                escape(what or ""), total=None, visible=False
+            )
         return self._tasks[what]
 
     def __enter__(self) -> "Bars":
-        self._drawn.start()
+        self._progress.start()
         return self
 
     def __exit__(
@@ -56,8 +58,8 @@ class Bars:
         trace: TracebackType | None,
     ) -> None:
         if None in self._tasks:  # no stage is going on any more
-            self._drawn.update(self._tasks[None], visible=False)
-        self._drawn.stop()
+            self._progress.update(self._tasks[None], visible=False)
+        self._progress.stop()
 
 
 def open_bars() -> Bars:

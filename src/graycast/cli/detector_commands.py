@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from ..base.errors import GraycastError
+from ..learn.detect.networks import HOLES, INPUTS, MODELS
 from .arguments import (
     CONTINUE,
     above_zero,
@@ -16,15 +17,13 @@ from .arguments import (
     add_scoring,
     add_shared,
     division_of,
+    numbers,
     positive,
+    reader,
     whole,
 )
 from .bars import open_bars
 
-# Torch takes seconds to import and may be missing: a test compares these copies of its names.
-MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
-INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
-HOLES = ("channel", "zero", "far")
 _NOTES = 5  # At most this many notes are printed.
 
 TRAIN = """\
@@ -56,8 +55,8 @@ def add_commands(commands) -> None:
     )
     add_shared(find, "--scale")
     _add_limits(find)
-    drawn = "The number of pictures in which the detections are drawn."
-    add_option(find, "--drawings", whole, drawn, 12)
+    drawings = "The number of pictures in which the detections are drawn."
+    add_option(find, "--drawings", whole, drawings, 12)
     _add_network(find)
 
     onnx = add_command(
@@ -207,35 +206,23 @@ def _add_score(group) -> None:
     add_option(score, "--max-per-class", positive, most, 300)
 
 
-def _range(text: str) -> tuple[float, float]:
-    try:
-        near_m, far_m = (float(word) for word in text.split(","))
-    except ValueError:
-        near_m, far_m = 0.0, 0.0
-    if not 0 < near_m < far_m:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a range: give two distances in metres, such as 0.6,1.2"
-        )
-    return near_m, far_m
-
-
-def need_torch() -> None:
-    """Raise GraycastError if torch is not installed."""
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
-        raise GraycastError(
-            "detectors need PyTorch, which is not installed: run pip install 'graycast[detect]'"
-        ) from error
+_range = reader(
+    numbers,
+    lambda range_m: len(range_m) == 2 and 0 < range_m[0] < range_m[1],
+    "a range: give two distances in metres, such as 0.6,1.2",
+)
 
 
 def _torch(options: argparse.Namespace) -> None:
     """Check that torch is installed and has the device, and set its number of threads."""
-    need_torch()
+    try:
+        import torch
+    except ImportError as error:
+        raise GraycastError(
+            "detectors need PyTorch, which is not installed: run pip install 'graycast[detect]'"
+        ) from error
     if options.device == "optix":
         raise GraycastError("--device optix applies only to Cycles: give auto, cpu or cuda")
-    import torch
-
     if options.threads is not None:
         torch.set_num_threads(options.threads)
 
@@ -333,7 +320,7 @@ def _onnx(options: argparse.Namespace) -> None:
     print(f"{options.out}: written; onnxruntime finds in it what torch finds")
 
 
-def _score(options: argparse.Namespace) -> int:
+def _score(options: argparse.Namespace) -> None:
     from ..base.folder import refuse_foreign, whole_folder
     from ..score.evaluate import EVALUATION, Protocol, Task, evaluate, summary, write_evaluation
 
@@ -360,7 +347,6 @@ def _score(options: argparse.Namespace) -> int:
         write_evaluation(evaluation, picture, folder)
     print(summary(evaluation))
     print(options.out)
-    return 0
 
 
 def _study(options: argparse.Namespace) -> None:

@@ -2,7 +2,8 @@
 
 import os
 import platform
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -41,126 +42,103 @@ _OPTIONAL = {  # Each distribution has the command that installs it, and what it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One piece that was looked for; `gives` is what it is for. Not all pieces are needed."""
+    """What came of the search for one piece; `gives` is what it is for."""
 
     name: str
-    found: str
+    text: str
     ok: bool
     gives: str
-    needed: bool = True
+    needed: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Diagnosis:
-    """All findings, in the order of reading."""
-
-    findings: tuple[Finding, ...]
-
-    @property
-    def ready(self) -> bool:
-        """Whether every needed piece was found."""
-        return all(finding.ok for finding in self.findings if finding.needed)
-
-
-def examine() -> Diagnosis:
+def examine() -> tuple[Finding, ...]:
     """Look for everything that Graycast can use; what may end a process is tried in a child."""
-    return Diagnosis(findings=tuple((*_software(), *_machine(), *_devices())))
+    return (*_software(), *_machine(), *_devices())
 
 
-def describe(diagnosis: Diagnosis) -> str:
-    """One line for each finding, and below a missing piece what it is for."""
-    width = max(len(finding.name) for finding in diagnosis.findings)
+def describe(findings: Sequence[Finding]) -> str:
+    """One line for each finding, below a missing piece what it is for, and the verdict."""
+    width = max(len(finding.name) for finding in findings)
     lines = []
-    for finding in diagnosis.findings:
+    for finding in findings:
         mark = "ok" if finding.ok else ("MISSING" if finding.needed else "none")
-        lines.append(f"{mark:8}{finding.name:{width}}  {finding.found}")
+        lines.append(f"{mark:8}{finding.name:{width}}  {finding.text}")
         if not finding.ok:
             lines.append(f"{'':8}{'':{width}}  it is for: {finding.gives}")
-    lines.append(
-        "ready"
-        if diagnosis.ready
-        else "This machine is not ready: install what is marked MISSING above."
-    )
-    return "\n".join(lines)
+    ready = all(finding.ok for finding in findings if finding.needed)
+    not_ready = "This machine is not ready: install what is marked MISSING above."
+    return "\n".join([*lines, "ready" if ready else not_ready])
 
 
 def _software() -> Iterator[Finding]:
-    yield Finding(name="graycast", found=__version__, ok=True, gives="this program")
+    yield Finding(name="graycast", text=__version__, ok=True, gives="this program")
     yield Finding(
         name="Python",
-        found=platform.python_version(),
-        ok=tuple(map(int, platform.python_version_tuple()[:2])) >= _OLDEST_PYTHON,
+        text=platform.python_version(),
+        ok=sys.version_info >= _OLDEST_PYTHON,
         gives=f"Python {'.'.join(map(str, _OLDEST_PYTHON))} or newer runs Graycast",
+        needed=True,
     )
-    for package, gives in _PACKAGES.items():
-        yield _package(package, f"pip install {package}", gives, needed=True)
-    for package, (command, gives) in _OPTIONAL.items():
-        yield _package(package, command, gives, needed=False)
-
-
-def _package(name: str, command: str, gives: str, *, needed: bool) -> Finding:
-    try:
-        found, ok = version(name), True
-    except PackageNotFoundError:
-        found, ok = f"not installed; run: {command}", False
-    return Finding(name=name, found=found, ok=ok, gives=gives, needed=needed)
+    needed = {name: (f"pip install {name}", gives) for name, gives in _PACKAGES.items()}
+    for name, (command, gives) in (needed | _OPTIONAL).items():
+        try:
+            text, ok = version(name), True
+        except PackageNotFoundError:
+            text, ok = f"not installed; run: {command}", False
+        yield Finding(name=name, text=text, ok=ok, gives=gives, needed=name in needed)
 
 
 def _machine() -> Iterator[Finding]:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     model = _field(Path("/proc/cpuinfo"), "model name") or platform.machine()
-    yield Finding(name="CPU", found=f"{usable} cores, {model}", ok=True, gives="all computing")
-    total, free = (_kib(key) for key in ("MemTotal", "MemAvailable"))
-    amount, known = "unknown", False
-    if total is not None and free is not None:
-        known = True
-        amount = f"{total / 2**20:.1f} GiB, {free / 2**20:.1f} GiB available"
+    yield Finding(name="CPU", text=f"{usable} cores, {model}", ok=True, gives="all computing")
+    total, free = (_field(Path("/proc/meminfo"), key) for key in ("MemTotal", "MemAvailable"))
+    amount = "unknown"
+    if total and free:
+        total_gib, free_gib = (int(text.split()[0]) / 2**20 for text in (total, free))  # from KiB
+        amount = f"{total_gib:.1f} GiB, {free_gib:.1f} GiB available"
     gives = "rendering, which needs about 4 GiB for a scene of 1032 x 772 pixels"
-    yield Finding(name="memory", found=amount, ok=known, gives=gives, needed=False)
+    yield Finding(name="memory", text=amount, ok=amount != "unknown", gives=gives)
 
 
 def _devices() -> Iterator[Finding]:
     libraries = ", ".join(f"{library.major} ({library.path})" for library in list_llvm())
     yield Finding(
         name="LLVM found",
-        found=libraries or "none",
+        text=libraries or "none",
         ok=bool(libraries),
         gives=f"rendering on the processor, with version {OLDEST_LLVM} or newer",
-        needed=False,
     )
     try:
-        chosen = find_llvm()
-        words = str(chosen) if chosen else f"no version {OLDEST_LLVM} or newer is installed"
+        llvm = find_llvm()
+        text = str(llvm) if llvm else f"no version {OLDEST_LLVM} or newer is installed"
     except DeviceError as error:
-        chosen, words = None, str(error)
+        llvm, text = None, str(error)
     gives = "rendering on the processor; rendering on a GPU does not need it"
-    yield Finding(name="LLVM used", found=words, ok=bool(chosen), gives=gives, needed=False)
+    yield Finding(name="LLVM used", text=text, ok=bool(llvm), gives=gives)
 
     cycles = examine_cycles()
     yield Finding(
         name="Blender Cycles",
-        found=cycles.problem or f"bpy {cycles.version} ({cycles.python})",
+        text=cycles.problem or f"bpy {cycles.version} ({cycles.python})",
         ok=cycles.usable,
         gives="a second renderer: --backend cycles",
-        needed=False,
     )
     cuda = examine_cuda()
     gpus = f"{', '.join(cuda.devices)}; driver for CUDA {cuda.driver_cuda}"
     yield Finding(
         name="NVIDIA GPU",
-        found=gpus if cuda.devices else (cuda.problem or "none"),
+        text=gpus if cuda.devices else (cuda.problem or "none"),
         ok=bool(cuda.devices),
         gives="rendering on the GPU, together with OptiX",
-        needed=False,
     )
     yield Finding(
         name="OptiX",
-        found="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 cannot be loaded",
+        text="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 cannot be loaded",
         ok=cuda.has_optix,
         gives="ray tracing on an NVIDIA GPU; it is part of the driver",
-        needed=False,
     )
-    if chosen:
+    if llvm:
         yield _trial("llvm")
     if cuda.usable:
         yield _trial("cuda")
@@ -168,7 +146,7 @@ def _devices() -> Iterator[Finding]:
         device, ok = choose_device("auto"), True
     except DeviceError as error:
         device, ok = str(error), False
-    yield Finding(name="device auto", found=device, ok=ok, gives="rendering at all")
+    yield Finding(name="device auto", text=device, ok=ok, gives="rendering at all", needed=True)
 
 
 def _trial(device: str) -> Finding:
@@ -177,16 +155,10 @@ def _trial(device: str) -> Finding:
     where = {"cpu": "the processor", "cuda": "the GPU", None: ""}[trial.denoiser]
     return Finding(
         name=f"picture on {device}",
-        found=trial.problem or f"rendered, and denoised on {where}, in {trial.seconds:.1f} s",
+        text=trial.problem or f"rendered, and denoised on {where}, in {trial.seconds:.1f} s",
         ok=trial.problem is None,
         gives="rendering on this device",
-        needed=False,
     )
-
-
-def _kib(key: str) -> int | None:
-    text = _field(Path("/proc/meminfo"), key)
-    return int(text.split()[0]) if text else None
 
 
 def _field(path: Path, key: str) -> str | None:

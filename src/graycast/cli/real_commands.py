@@ -16,7 +16,9 @@ from .arguments import (
     add_out,
     add_shared,
     intrinsics_of,
+    numbers,
     positive,
+    reader,
     resolve_config,
 )
 from .bars import open_bars, open_stages
@@ -385,13 +387,8 @@ def _fit_bin(options: argparse.Namespace) -> int:
     return 0
 
 
-def _inner(text: str) -> tuple[float, ...]:
-    try:
-        sizes_m = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        sizes_m = ()
-    if len(sizes_m) != 3 or not min(sizes_m) > 0:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not three sizes in metres, each greater than 0, such as 0.6,0.4,0.2"
-        )
-    return sizes_m
+_inner = reader(
+    numbers,
+    lambda sizes_m: len(sizes_m) == 3 and min(sizes_m) > 0,
+    "three sizes in metres, each greater than 0, such as 0.6,0.4,0.2",
+)

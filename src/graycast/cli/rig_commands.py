@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..base.errors import GraycastError, one_line
@@ -174,17 +175,16 @@ def _add_pictures(group) -> None:
     add_out(decode, "The folder to write.")
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     from ..show.report import shelf_lines
 
     if options.at is None and (options.field, options.noise) != (None, None):
         raise GraycastError("--field and --noise apply at a distance: add --at")
     lines = shelf_lines(field_m=options.field, at_m=options.at, noise_m=options.noise)
     print("\n".join(lines) or "no scanner with a name fits: graycast rig list prints them all")
-    return 0
 
 
-def _show(options: argparse.Namespace) -> int:
+def _show(options: argparse.Namespace) -> None:
     from ..show.report import describe_rig, draw_rig
 
     rig = resolve_rig_option(options).rig
@@ -192,20 +192,17 @@ def _show(options: argparse.Namespace) -> int:
     if options.out is not None:
         draw_rig(rig, options.out)
         print(options.out)
-    return 0
 
 
-def _write(options: argparse.Namespace) -> int:
+def _write(options: argparse.Namespace) -> None:
     from ..camera.rig_file import save_scanner
 
     save_scanner(resolve_rig_option(options), options.out)
     print(options.out)
-    return 0
 
 
-def _import(options: argparse.Namespace) -> int:
-    from ..camera.rig_file import import_opencv, missing_distortions, save_scanner
-    from ..camera.scanner import Scanner
+def _import(options: argparse.Namespace) -> None:
+    from ..camera.rig_file import import_opencv, missing_distortions
     from ..show.report import describe_rig
 
     rig = import_opencv(
@@ -216,15 +213,21 @@ def _import(options: argparse.Namespace) -> int:
         camera_size_px=options.camera_size,
         projector_size_px=options.projector_size,
     )
-    save_scanner(Scanner(rig=rig), options.out)
-    print(describe_rig(rig))
-    for missing in missing_distortions(options.calibration):
-        print(f"graycast: warning: {missing}", file=sys.stderr)
-    print(options.out)
-    return 0
+    _save(rig, options.out, describe_rig(rig), missing_distortions(options.calibration))
 
 
-def _patterns(options: argparse.Namespace) -> int:
+def _save(rig, out: Path, text: str, warnings: Iterable[str]) -> None:
+    from ..camera.rig_file import save_scanner
+    from ..camera.scanner import Scanner
+
+    save_scanner(Scanner(rig=rig), out)
+    print(text)
+    for warning in warnings:
+        print(f"graycast: warning: {warning}", file=sys.stderr)
+    print(out)
+
+
+def _patterns(options: argparse.Namespace) -> None:
     from dataclasses import replace
 
     from ..camera.stack import describe_code
@@ -257,12 +260,9 @@ def _patterns(options: argparse.Namespace) -> int:
         written.append("stack.yaml")
     for name in written:
         print(options.out / name)
-    return 0
 
 
-def _calibrate(options: argparse.Namespace) -> int:
-    from ..camera.rig_file import save_scanner
-    from ..camera.scanner import Scanner
+def _calibrate(options: argparse.Namespace) -> None:
     from ..real.calibrate import calibrate_rig, describe_calibration, parse_board, read_view
 
     board = parse_board(options.board)
@@ -287,15 +287,11 @@ def _calibrate(options: argparse.Namespace) -> int:
         far_m=options.far,
         radial_terms=options.radial_terms,
     )
-    save_scanner(Scanner(rig=calibration.rig), options.out)
-    print(describe_calibration(calibration))
-    for warning in calibration.warnings:
-        print(f"graycast: warning: {warning}", file=sys.stderr)
-    print(options.out)
-    return 0
+    text = describe_calibration(calibration)
+    _save(calibration.rig, options.out, text, calibration.warnings)
 
 
-def _decode(options: argparse.Namespace) -> int:
+def _decode(options: argparse.Namespace) -> None:
     from ..camera.rig_file import load_scanner
     from ..camera.stack import CODE, decode_stack, describe_result, read_description, write_result
 
@@ -314,10 +310,9 @@ def _decode(options: argparse.Namespace) -> int:
     print(describe_result(result))
     for path in written:
         print(path)
-    return 0
 
 
-def _certify(options: argparse.Namespace) -> int:
+def _certify(options: argparse.Namespace) -> None:
     from ..rendering import open_renderer
     from ..score.metrology import CERTIFICATE, certify, describe, write_certificate
 
@@ -332,7 +327,6 @@ def _certify(options: argparse.Namespace) -> int:
         page = write_certificate(certificate, folder)
     print(describe(certificate))
     print(options.out / page.name)
-    return 0
 
 
 def _design(options: argparse.Namespace) -> int:

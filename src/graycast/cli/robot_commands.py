@@ -208,7 +208,7 @@ def _bins(count: int) -> str:
     return "1 bin" if count == 1 else f"{count} bins"
 
 
-def _summary(options: argparse.Namespace) -> int:
+def _summary(options: argparse.Namespace) -> None:
     from ..robot.pick import compared, plot_runs, read_episodes, summarize
 
     runs = {str(folder): read_episodes(folder) for folder in options.picks}
@@ -219,10 +219,9 @@ def _summary(options: argparse.Namespace) -> int:
         summaries = {name: summarize(episodes) for name, episodes in runs.items()}
         plot_runs(summaries, options.out)
         print(f"{options.out}: a row for each of {len(summaries)} folders")
-    return 0
 
 
-def _film(options: argparse.Namespace) -> int:
+def _film(options: argparse.Namespace) -> None:
     _need_robot()
     from ..show.report.picks.film import write_film
 
@@ -238,10 +237,9 @@ def _film(options: argparse.Namespace) -> int:
         )
     size_mb = options.out.stat().st_size / 1e6
     print(f"{options.out}: {count} pictures, {size_mb:.1f} MB")
-    return 0
 
 
-def _report(options: argparse.Namespace) -> int:
+def _report(options: argparse.Namespace) -> None:
     from ..show.report.picks import write_pick_report
 
     _need_robot()
@@ -255,10 +253,9 @@ def _report(options: argparse.Namespace) -> int:
             progress=bars,
         )
     print(f"{summary.built} bins made, {summary.kept} were there; open {summary.page.resolve()}")
-    return 0
 
 
-def _score_poses(options: argparse.Namespace) -> int:
+def _score_poses(options: argparse.Namespace) -> None:
     from ..base.folder import refuse_foreign, whole_folder
     from ..score.evaluate import POSES, Protocol, evaluate_poses, poses_markdown, write_poses
 
@@ -283,7 +280,6 @@ def _score_poses(options: argparse.Namespace) -> int:
         write_poses(evaluation, folder)
     print(poses_markdown(evaluation), end="")
     print(options.out)
-    return 0
 
 
 def _tell(summary) -> None:

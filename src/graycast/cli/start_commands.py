@@ -69,14 +69,14 @@ def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentPa
         _write_cell(options.out, builtin=DEMO_PART, scenes=3)
     for command, product in (("generate", "dataset"), ("preview", "preview.png")):
         words = (str(cell), "--out", str(options.out / product), *device)
-        chosen = parsers[command].parse_args(words)
-        if code := chosen.run(chosen):
+        inner = parsers[command].parse_args(words)
+        if code := inner.run(inner):
             return code
     print(f"\nOpen {options.out / 'preview.png'}, and look at the commands in {cell}.")
     return 0
 
 
-def _new(options: argparse.Namespace) -> int:
+def _new(options: argparse.Namespace) -> None:
     _write_cell(
         options.folder,
         builtin=options.builtin,
@@ -88,7 +88,6 @@ def _new(options: argparse.Namespace) -> int:
     print(path)
     for line in path.read_text(encoding="utf-8").splitlines()[1:4]:
         print(line.removeprefix("#"))
-    return 0
 
 
 def _write_cell(
@@ -126,14 +125,13 @@ def _write_cell(
             shutil.copyfile(mesh, out / mesh.name)
 
 
-def _doctor(options: argparse.Namespace) -> int:
+def _doctor(options: argparse.Namespace) -> None:
     from .doctor import describe, examine
 
     print(describe(examine()))
-    return 0
 
 
-def _schema(options: argparse.Namespace) -> int:
+def _schema(options: argparse.Namespace) -> None:
     from ..camera.rig_file import rig_schema
     from ..camera.stack import stack_schema
     from ..cell.config import config_schema
@@ -147,4 +145,3 @@ def _schema(options: argparse.Namespace) -> int:
         tool_schema,
     )  # fmt: skip
     print(json.dumps(every[KINDS.index(options.kind)](), indent=2))
-    return 0

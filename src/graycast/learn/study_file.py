@@ -18,8 +18,8 @@ class TestSection(Settings):
     )
     split: Literal["train", "val", "test", "all"] = Field(
         "all",
-        description="The set of scenes to score: test holds the scenes that the "
-        "training did not use.",
+        description="The set of scenes to score: test holds the scenes that the training did not "
+        "use.",
     )
     as_real: bool = Field(
         False,
@@ -81,9 +81,8 @@ class StudySpec(Settings):
     tests: dict[str, TestSection] = Field(min_length=1, description="The test sets by name.")
     gap: tuple[str, str] | None = Field(
         None,
-        description="Two test sets; the table states "
-        "the score in the first minus the "
-        "score in the second.",
+        description="Two test sets; the table states the score in the first minus the score in "
+        "the second.",
     )
     seeds: tuple[int, ...] = Field((0,), description="The seeds; each one is a training.")
     split: tuple[Share, Share, Share] = Field(

@@ -1,6 +1,7 @@
 """What a network sees of a picture: metric, never stretched, and holes are no depth."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_noisy_depth_has_the_noise_and_the_holes_that_it_says():
 
 def test_an_encoding_comes_back_from_json():
     encoding = deep(holes="far", relief=True)
-    assert encoding_from({**encoding.as_dict(), "size_px": list(SIZE)}) == encoding
+    assert encoding_from({**asdict(encoding), "size_px": list(SIZE)}) == encoding
 
 
 @pytest.mark.parametrize(

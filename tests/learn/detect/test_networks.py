@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 
 from graycast.base.errors import GraycastError
 from graycast.learn.detect.network import Network, NetworkOutput
-from graycast.learn.detect.networks import MODELS, open_network
+from graycast.learn.detect.networks import MODELS, network_class
 
 from .shapes import CLASSES, ap50, drawn_pictures
 
@@ -37,8 +37,8 @@ def opened(model, *, channels=3, seed=0, size_px=SIZE_PX):
     if model in LIBRARIES and find_spec(LIBRARIES[model]) is None:
         pytest.skip(f"needs {LIBRARIES[model]}: run pip install --no-deps {LIBRARIES[model]}")
     torch.manual_seed(seed)
-    return open_network(
-        model, channels=channels, classes=CLASSES, backbone=BACKBONES[model], size_px=size_px
+    return network_class(model)(
+        channels=channels, classes=CLASSES, backbone=BACKBONES[model], size_px=size_px
     )
 
 
@@ -216,7 +216,7 @@ def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
     if find_spec(LIBRARIES[model]) is not None:
         pytest.skip(f"{LIBRARIES[model]} is installed")
     with pytest.raises(GraycastError, match=f"model {model} needs {LIBRARIES[model]}.*pip install"):
-        open_network(model, channels=3, classes=2, backbone=None, size_px=SIZE_PX)
+        network_class(model)(channels=3, classes=2, backbone=None, size_px=SIZE_PX)
 
 
 def test_the_judge_knows_what_is_right_and_what_is_not():
@@ -245,7 +245,6 @@ def test_four_pictures_are_learnt_by_heart(model):
     network = opened(model, size_px=size_px)
     images, targets = drawn_pictures(4, size_px=size_px, channels=3, seed=0)
     recipe = network.recipe
-    assert recipe.optimizer == "adamw"
     rate = RATES.get(model, recipe.learning_rate)
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0)
     for step in range(STEPS[model]):

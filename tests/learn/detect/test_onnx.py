@@ -10,7 +10,8 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install 'graycast[detect]'")
 
 from graycast.base.errors import GraycastError
-from graycast.learn.detect import About, Detector, Encoding
+from graycast.learn.detect.detector import About, Detector
+from graycast.learn.detect.encoding import Encoding
 from graycast.learn.detect.onnx_file import _compare
 
 

@@ -167,7 +167,7 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
     spec = read_study(written(tmp_path, **changed))
     detector = SimpleNamespace(network=SimpleNamespace(finds_masks=True))
     monkeypatch.setattr(study_runs, "_trained", lambda *_: detector)
-    monkeypatch.setattr(study_runs, "_found", all_found)
+    monkeypatch.setattr(study_runs, "_detections", all_found)
     done = []
     results = run_study(spec, tmp_path / "out", on_done=done.append)
     assert done == results

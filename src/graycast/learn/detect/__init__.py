@@ -1,39 +1,31 @@
 """Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`.
 
+    networks, network             which networks there are; what all have in common
     encoding, training_pictures   pictures as a network takes them
-    network, networks             what all networks have in common; which there are
     mask_rcnn, yolov3, solov2, yolov7, rf_detr, backbones, suppression   the networks
-    run, training, weights        the folder of a training, its loop, published weights
+    run, training                 the folder of a training, and its loop
     detector, detecting           a trained detector, and its use on pictures
     onnx_file                     a detector for other programs
 
-A public name is imported from its module when it is first asked for, as the encoding of a picture
-needs no PyTorch.
+A public name is imported from its module when it is first asked for, as the command line and the
+encoding of a picture need no PyTorch.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
-    from .detecting import DetectionResult as DetectionResult
-    from .detecting import PictureSelection as PictureSelection
     from .detecting import detect as detect
     from .detecting import pictures_of as pictures_of
-    from .detector import About as About
     from .detector import Detector as Detector
     from .detector import load_detector as load_detector
-    from .encoding import Encoding as Encoding
     from .training import TrainSpec as TrainSpec
     from .training import train as train
     from .training_pictures import Augmentation as Augmentation
 
 _MODULE = {
-    "About": "detector",
     "Augmentation": "training_pictures",
-    "PictureSelection": "detecting",
     "Detector": "detector",
-    "Encoding": "encoding",
-    "DetectionResult": "detecting",
     "TrainSpec": "training",
     "detect": "detecting",
     "load_detector": "detector",

@@ -1,17 +1,19 @@
-"""Backbones: networks that compute feature maps at 1/4 to 1/32 of an image's size."""
+"""Backbones, which compute feature maps at 1/4 to 1/32 of an image's size; published weights."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from typing import final
+from pathlib import Path
+from typing import Any, final
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torchvision.models import mobilenet_v2, mobilenet_v3_small, resnet18, resnet50
 
 from ...base.errors import GraycastError
+from .network import Network
 
 BACKBONES = ("mobilenet-v3-small", "mobilenet-v2", "resnet18", "resnet50", "darknet53")
-STRIDES = (4, 8, 16, 32)
 # In a step, a norm's statistics move by this share. Torchvision's 0.01 in MobileNetV3 is for a
 # million steps; after some hundred, what a network has learnt would not show outside training.
 NORM_MOMENTUM = 0.1
@@ -19,17 +21,14 @@ NORM_MOMENTUM = 0.1
 
 @final
 class Backbone(nn.Module):
-    """A classifier without its head: one feature map for each stride.
+    """A classifier without its head: feature maps at 1/4, 1/8, 1/16 and 1/32 of the image's size.
 
     Its state dict has the names of the published classifier, so that published files fit.
 
     Attributes:
         name: one of `BACKBONES`.
         channels: of each map.
-        strides: input pixels that a step in each map is long.
     """
-
-    strides = STRIDES
 
     def __init__(
         self,
@@ -92,7 +91,7 @@ def follow_fast(network: nn.Module) -> None:
 
 
 def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
-    """Takes the weights of a published classifier (RGB) into a backbone.
+    """Take the weights of a published classifier (RGB) into a backbone.
 
     Where the backbone has other than three channels, each of them gets the mean of the published
     first convolution over red, green and blue, times 3 / channels: grey spread over all channels
@@ -107,29 +106,75 @@ def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
         GraycastError: the weights are of another network. The backbone is unchanged.
     """
     own = body.state_dict()
-    kept = {key: value for key, value in state.items() if not key.startswith(body._end)}
-    kept |= {k: v for k, v in own.items() if k.endswith("num_batches_tracked") and k not in kept}
+    weights = {key: value for key, value in state.items() if not key.startswith(body._end)}
+    weights = {k: v for k, v in own.items() if k.endswith("num_batches_tracked")} | weights
     first = next(iter(own))
-    if first in kept and kept[first].shape[1] == 3 != own[first].shape[1]:
-        kept[first] = _spread(kept[first], own[first].shape[1])
-    for key in sorted(own.keys() ^ kept.keys()):
+    if first in weights and weights[first].shape[1] == 3 != own[first].shape[1]:
+        # A first convolution for other channels.
+        mean = weights[first].mean(dim=1, keepdim=True)
+        channels = own[first].shape[1]
+        weights[first] = mean.repeat(1, channels, 1, 1) * (3 / channels)
+    for key in sorted(own.keys() ^ weights.keys()):
         has, lacks = ("backbone", "file") if key in own else ("file", "backbone")
         raise GraycastError(
             f"these weights do not belong to {body.name}: the {has} has {key!r} and the {lacks} "
             "has not"
         )
-    for key, value in kept.items():
+    for key, value in weights.items():
         if value.shape != own[key].shape:
             raise GraycastError(
                 f"these weights are not of {body.name}: {key!r} has the shape "
                 f"{tuple(value.shape)}, the backbone's has {tuple(own[key].shape)}"
             )
-    body.load_state_dict(kept)
+    body.load_state_dict(weights)
 
 
-def _spread(weight: Float[Tensor, "out 3 h w"], channels: int) -> Float[Tensor, "out c h w"]:
-    """A first convolution for other channels."""
-    return weight.mean(dim=1, keepdim=True).repeat(1, channels, 1, 1) * (3 / channels)
+def load_weights(network: Network, file: Path) -> None:
+    """Take the weights of a file: another run's detector, or a backbone as its makers publish it.
+
+    A detector's weights that have another shape, those of other classes, stay as they were drawn.
+
+    Raises:
+        GraycastError: the file is missing or damaged, or holds weights of another network.
+    """
+    state = _state(file)
+    own = network.state_dict()
+    if own.keys() == state.keys():
+        fitting = {key: value for key, value in state.items() if value.shape == own[key].shape}
+        if len(fitting) < 0.5 * len(own):
+            raise GraycastError(
+                f"{file}: holds weights of other shapes: give weights of the same backbone"
+            )
+        network.load_state_dict(own | fitting)
+        return
+    if not hasattr(network, "body"):
+        raise GraycastError(
+            f"{file}: holds weights of another network; give detector.pt of another training of "
+            "this model, or omit --weights"
+        )
+    try:
+        load_backbone(network.body, state)
+    except GraycastError as error:
+        raise GraycastError(f"{file}: {error}") from error
+
+
+def _state(file: Path) -> Mapping[str, Any]:
+    if not file.is_file():
+        raise GraycastError(f"{file}: does not exist: give a file of weights")
+    try:
+        tensors = torch.load(file, map_location="cpu", weights_only=True)
+        for key in ("state", "model", "state_dict"):
+            tensors = tensors.get(key, tensors)
+    except Exception as error:  # unpickling raises whatever the bytes lead it to
+        raise GraycastError(
+            f"{file}: is damaged or is not a file of weights: download it again"
+        ) from error
+    if not tensors or not all(isinstance(value, torch.Tensor) for value in tensors.values()):
+        raise GraycastError(
+            f"{file}: holds no weights by name: give a published backbone, or detector.pt of "
+            "another training"
+        )
+    return tensors
 
 
 def _mobilenet(

@@ -31,7 +31,7 @@ from .encoding import Encoding
 
 DRAWINGS = "drawings"
 _INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))
-_DRAWN_SCORE = 0.5
+_LEAST_SCORE = 0.5  # of a detection that is drawn
 LEAST_INSIDE = 0.5  # A note warns of a picture with less of its depth in the range that was learnt.
 
 
@@ -81,37 +81,40 @@ def detect(
     """
     out = Path(out)
     refuse_foreign(out, DETECT_JSON)
-    found, times_ms, notes = [], [], list[str]()
+    detections, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
         for example in pictures.examples:
             begun = time.perf_counter()
-            found.append(
+            detections.append(
                 detector.detect(
                     example, obj_ids=pictures.class_ids, most=most, least_score=least_score
                 )
             )
             times_ms.append(1e3 * (time.perf_counter() - begun))
             notes += _notes(example, detector.about.encoding)
-            if len(found) <= drawings:
+            if len(detections) <= drawings:
                 path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
-                path.write_bytes(cv2.imencode(".jpg", drawn(example, found[-1]))[1].tobytes())
-            progress.count("pictures", len(found), len(pictures.scene_ids))
+                image = _drawing(example, detections[-1])
+                path.write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
+            progress.count("pictures", len(detections), len(pictures.scene_ids))
         about = detector.about
         content = {
             "model": about.model,
             "backbone": about.backbone,
             "input": about.encoding.input,
             "names": list(about.names),
-            "scene_ids": [each.scene_id for each in found],
+            "scene_ids": [each.scene_id for each in detections],
             "ms_per_picture": [round(ms, 3) for ms in times_ms],
             "most": most,
             "least_score": least_score,
             **pictures.record,
         }
         (folder / DETECT_JSON).write_bytes(json_bytes(content))
-        (folder / RESULTS).write_bytes(results_bytes(found))
-    return DetectionResult(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
+        (folder / RESULTS).write_bytes(results_bytes(detections))
+    return DetectionResult(
+        found=tuple(detections), ms_per_picture=tuple(times_ms), notes=tuple(notes)
+    )
 
 
 def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
@@ -130,13 +133,13 @@ def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
         )
 
 
-def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Example]:
+def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[Example]:
     """Pictures as `import_real` reads them, without labels; numbered in the order of their names.
 
     Raises:
         DatasetError: one is damaged.
     """
-    for i, shot in enumerate(found):
+    for i, shot in enumerate(shots):
         # The detector works in pixels and along the axis: it asks for no intrinsics.
         images = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
         depth_m = None if images.depth_m is None else images.depth_m.astype(np.float32)
@@ -159,21 +162,20 @@ def detection_record(folder: Path) -> dict[str, Any]:
         ) from error
 
 
-def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
+def _drawing(example: Example, detections: Detections) -> UInt8[np.ndarray, "h w 3"]:
     """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
     image = np.ascontiguousarray(display_image(example)[..., ::-1])
-    sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
-    for i in sure:
-        ink = _INKS[int(found.obj_id[i]) % len(_INKS)]
-        x, y, columns, rows = (round(float(edge)) for edge in found.box_px[i])
-        if found.mask is None:
+    for i in np.flatnonzero(detections.score >= _LEAST_SCORE):
+        ink = _INKS[int(detections.obj_id[i]) % len(_INKS)]
+        x, y, columns, rows = (round(float(edge)) for edge in detections.box_px[i])
+        if detections.mask is None:
             cv2.rectangle(image, (x, y), (x + columns - 1, y + rows - 1), ink, 1, cv2.LINE_AA)
         else:
-            mask = coco_mask.decode(dict(found.mask[i]))
+            mask = coco_mask.decode(dict(detections.mask[i]))
             lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
             cv2.drawContours(image, lines, -1, ink, 1, cv2.LINE_AA)
         place = (x + 2, max(10, y + 10))
-        text = f"{found.score[i]:.2f}"
+        text = f"{detections.score[i]:.2f}"
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
     return image
@@ -202,26 +204,23 @@ def pictures_of(
     if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
         if split != "all":
             raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
-        found = find_shots(folder)
+        shots = find_shots(folder)
         return PictureSelection(
-            examples=shots(found, scale_m=scale_m),
-            scene_ids=tuple(range(len(found))),
+            examples=_examples(shots, scale_m),
+            scene_ids=tuple(range(len(shots))),
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
-            record={"pictures": [shot.stem for shot in found], "split": None, "division": None},
+            record={"pictures": [shot.stem for shot in shots], "split": None, "division": None},
         )
     division_record = about.trained["settings"]["split"]
     division = Split(shares=tuple(division_record["shares"]), seed=division_record["seed"])
     sets, record = sets_of(folder, split, division)
+    examples: Iterable[Example] = chain.from_iterable(sets)
     return PictureSelection(
-        examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
+        examples=(replace(each, depth_m=None) for each in examples) if as_real else examples,
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
         record={"dataset": str(folder), "as_real": as_real, **record},
     )
-
-
-def _as_real(example: Example) -> Example:
-    return replace(example, depth_m=None)
 
 
 def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:

@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
@@ -23,7 +23,7 @@ from ...dataset.example import Example
 from ...real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
 from .network import Network, NetworkOutput
-from .networks import open_network
+from .networks import network_class
 
 ONE_CLASS = "part"
 _FORM = 1
@@ -78,8 +78,7 @@ class About:
 
     def open_network(self) -> Network:
         """The network with random weights, from torch's global generator."""
-        return open_network(
-            self.model,
+        return network_class(self.model)(
             channels=self.encoding.channels,
             classes=len(self.names),
             backbone=self.backbone,
@@ -92,7 +91,7 @@ class About:
             "graycast": __version__,
             "model": self.model,
             "backbone": self.backbone,
-            "encoding": self.encoding.as_dict(),
+            "encoding": asdict(self.encoding),
             "names": list(self.names),
             "trained": dict(self.trained),
         }
@@ -157,9 +156,9 @@ class Detector:
     ) -> Detections:
         """The same for a picture that is encoded already; it was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
-        found = self.answer(image, most=most, least_score=least_score)
+        output = self.answer(image, most=most, least_score=least_score)
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
-        return _detections(found, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
+        return _detections(output, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
 
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
@@ -170,7 +169,7 @@ class Detector:
 
 
 def _detections(
-    found: NetworkOutput,
+    output: NetworkOutput,
     scene_id: int,
     obj_ids: np.ndarray,
     picture_px: tuple[int, int],
@@ -178,22 +177,22 @@ def _detections(
 ) -> Detections:
     """In the pixels of the picture, cut at its edges; what is empty there is left out."""
     height_px, width_px = picture_px
-    edge = found.box.float().cpu().numpy().astype(np.float64) / scale
+    edge = output.box.float().cpu().numpy().astype(np.float64) / scale
     edge = np.clip(edge, 0, [width_px, height_px, width_px, height_px])
     size = edge[:, 2:] - edge[:, :2]
-    obj_id = obj_ids[found.label.cpu().numpy()] if len(edge) else np.zeros(0, np.int64)
-    kept = np.flatnonzero((size > 0).all(axis=1) & (obj_id >= 0))
-    score = found.score.float().cpu().numpy()
-    kept = kept[np.argsort(-score[kept], kind="stable")]
+    obj_id = obj_ids[output.label.cpu().numpy()] if len(edge) else np.zeros(0, np.int64)
+    index = np.flatnonzero((size > 0).all(axis=1) & (obj_id >= 0))
+    score = output.score.float().cpu().numpy()
+    index = index[np.argsort(-score[index], kind="stable")]
     mask = None
-    if found.mask is not None:
-        probability = found.mask.cpu().numpy()
-        mask = tuple(_outline(probability[i], edge[i], picture_px, scale) for i in kept)
+    if output.mask is not None:
+        probability = output.mask.cpu().numpy()
+        mask = tuple(_outline(probability[i], edge[i], picture_px, scale) for i in index)
     return Detections(
         scene_id=scene_id,
-        score=score[kept],
-        obj_id=obj_id[kept],
-        box_px=np.hstack([edge[:, :2], size])[kept].astype(np.float32),
+        score=score[index],
+        obj_id=obj_id[index],
+        box_px=np.hstack([edge[:, :2], size])[index].astype(np.float32),
         mask=mask,
     )
 
@@ -273,8 +272,8 @@ def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
             "again, or detect with the release that trained it"
         ) from error
     network.eval()
-    chosen = choose_device(device)
-    return Detector(about=about, network=put_on(network, chosen), device=chosen)
+    place = choose_device(device)
+    return Detector(about=about, network=put_on(network, place), device=place)
 
 
 def choose_device(name: str) -> torch.device:
@@ -317,14 +316,7 @@ def autocast(device: torch.device):
 
     On a processor that has to emulate bfloat16 it would be slower than plain numbers.
     """
-    return torch.autocast(
-        device.type,
-        torch.bfloat16,
-        enabled=device.type == "cuda" or _processor_has_bfloat16(),
-    )
-
-
-def _processor_has_bfloat16() -> bool:
     # Older releases of torch do not tell.
     can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
-    return bool(can.get("avx512_bf16") or can.get("amx_bf16"))
+    fast = device.type == "cuda" or can.get("avx512_bf16") or can.get("amx_bf16")
+    return torch.autocast(device.type, torch.bfloat16, enabled=bool(fast))

@@ -5,7 +5,7 @@ The encoding is stored with the weights, so that training and detection use the 
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, final
 
 import cv2
@@ -14,9 +14,7 @@ from jaxtyping import Float32, UInt8
 
 from ...base.errors import GraycastError
 from ...dataset.example import Example
-
-INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
-HOLES = ("channel", "zero", "far")
+from .networks import HOLES, INPUTS
 
 # The published backbones were trained with these means and deviations of photographs.
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
@@ -161,12 +159,9 @@ class Encoding:
         full[: layer.shape[0], : layer.shape[1]] = layer
         return full
 
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 def encoding_from(record: Mapping[str, Any]) -> Encoding:
-    """What `Encoding.as_dict` gave, read back from JSON."""
+    """The encoding of which JSON holds the fields."""
     return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
 from torchvision.models.detection.image_list import ImageList
@@ -22,9 +22,8 @@ from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 
-DEFAULT_BACKBONE = "resnet18"
 _PYRAMID = 128
 _HEAD = 512
 _LEVELS = ("0", "1", "2", "3")
@@ -35,17 +34,17 @@ _HIDDEN_SHARE = 0.5  # An anchor is no negative if more than this share lies in 
 
 
 @final
-class MaskRcnn(nn.Module):
+class MaskRcnn(Network):
     """Boxes in two stages, then a mask of 28 x 28 in each box."""
 
     finds_masks = True
-    recipe = Recipe(optimizer="adamw", learning_rate=4e-4, batch=4, weight_decay=0.05)
+    recipe = Recipe(learning_rate=4e-4, batch=4, weight_decay=0.05)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
     ) -> None:
         super().__init__()
-        self.body = open_backbone(backbone or DEFAULT_BACKBONE, channels=channels)
+        self.body = open_backbone(backbone or "resnet18", channels=channels)
         self.pyramid = FeaturePyramidNetwork(
             list(self.body.channels), _PYRAMID, extra_blocks=LastLevelMaxPool()
         )
@@ -149,7 +148,7 @@ def _torchvision_target(target: Target) -> dict[str, Tensor]:
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),
-        "masks": target.drawn().to(torch.uint8),
+        "masks": target.masks().to(torch.uint8),
     }
 
 

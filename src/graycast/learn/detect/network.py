@@ -1,8 +1,7 @@
 """The interface of all networks: training on labels and finding parts."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
@@ -26,7 +25,7 @@ class Target:
     mask: Bool[Tensor, "n h w"] | None
     ignored: Bool[Tensor, " n"]
 
-    def drawn(self) -> Bool[Tensor, "n h w"]:
+    def masks(self) -> Bool[Tensor, "n h w"]:
         """The masks, for a network that asks for them.
 
         Raises:
@@ -62,31 +61,33 @@ class NetworkOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """The default settings of a network's training.
+    """The default settings of a network's training, whose optimizer is AdamW.
 
     Attributes:
-        optimizer: `sgd` (momentum 0.9) or `adamw`.
         learning_rate: at its highest, for a batch of `batch` pictures.
         batch: pictures in a step.
         weight_decay: of matrices; biases and norms have none.
     """
 
-    optimizer: str
     learning_rate: float
     batch: int
     weight_decay: float
 
 
-@runtime_checkable
-class Network(Protocol):
-    """A `torch.nn.Module` with these further methods.
+class Network(nn.Module):
+    """What every network has: training on labels and finding parts.
 
     Input is `(b, channels, h, w)` float, h and w multiples of 32, made by `encoding.Encoding`. All
     random choices use torch's global generator, which the training loop owns.
 
-    A network is made with `channels`, `classes`, `backbone` and `size_px`; see `open_network`. The
-    backbone of most is one of `backbones`; of `rf-detr`, which is sold as one piece, it is the name
-    of a size, such as `nano`.
+    It is made with random weights, drawn from torch's global generator, and with these arguments:
+
+        channels: of the input.
+        classes: how many there are of parts; what is none of them is no class.
+        backbone: the name of one that the model knows; its own choice where it is None. That of
+            most is one of `backbones`; of `rf-detr`, which is sold as one piece, it is the name of
+            a size, such as `nano`.
+        size_px: height and width of the input, multiples of 32.
     """
 
     finds_masks: bool
@@ -96,7 +97,7 @@ class Network(Protocol):
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
         """Terms of the loss by name; their sum is what training makes small. In train mode."""
-        ...
+        raise NotImplementedError
 
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
@@ -106,29 +107,4 @@ class Network(Protocol):
         The network is in eval mode: the caller has said `network.eval()`. In train mode its norms
         would follow the pictures that it looks at, and some networks answer with losses instead.
         """
-        ...
-
-    # Of `torch.nn.Module`: what is asked of a network.
-
-    def train(self) -> "Network": ...
-
-    def eval(self) -> "Network": ...
-
-    def to(self, device: torch.device, *, memory_format: torch.memory_format) -> "Network": ...
-
-    def parameters(self) -> Iterator[nn.Parameter]: ...
-
-    def state_dict(self) -> dict[str, Tensor]: ...
-
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> object: ...
-
-
-@runtime_checkable
-class NetworkClass(Protocol):
-    """What a model's networks are made by."""
-
-    finds_masks: bool
-
-    def __call__(
-        self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
-    ) -> Network: ...
+        raise NotImplementedError

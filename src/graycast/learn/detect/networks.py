@@ -1,52 +1,39 @@
-"""Which networks there are; each is imported when it is asked for.
+"""Which networks there are, and what they see; the command line has the names from here.
 
-The command line repeats their names, since this module imports PyTorch.
+PyTorch, which takes seconds to load and may be missing, is imported with a network.
 """
 
+from typing import TYPE_CHECKING
+
 from ...base.errors import GraycastError
-from .network import Network, NetworkClass
+
+if TYPE_CHECKING:
+    from .network import Network
 
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
+INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
+HOLES = ("channel", "zero", "far")  # how missing depth is encoded
 
 
-def open_network(
-    model: str, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
-) -> Network:
-    """A network with random weights, drawn from torch's global generator.
-
-    Args:
-        model: one of `MODELS`.
-        channels: of the input.
-        classes: of parts; what is none of them is no class.
-        backbone: one that the model knows; its own choice where it is None.
-        size_px: height and width of the input, multiples of 32.
-
-    Raises:
-        GraycastError: no such model or backbone, or a library of it is not installed.
-    """
-    chosen = network_class(model)
-    return chosen(channels=channels, classes=classes, backbone=backbone, size_px=size_px)
-
-
-def network_class(model: str) -> NetworkClass:
-    """What a model's networks are, and whether they find masks.
+def network_class(model: str) -> "type[Network]":
+    """The class of a model's networks; to make one raises GraycastError if its library is missing.
 
     Raises:
         GraycastError: no such model.
     """
     match model:
         case "mask-rcnn":
-            from .mask_rcnn import MaskRcnn as Chosen
+            from .mask_rcnn import MaskRcnn as Choice
         case "yolov3":
-            from .yolov3 import Yolov3 as Chosen
+            from .yolov3 import Yolov3 as Choice
         case "solov2":
-            from .solov2 import Solov2 as Chosen
+            from .solov2 import Solov2 as Choice
         case "yolov7":
-            from .yolov7 import Yolov7 as Chosen
+            from .yolov7 import Yolov7 as Choice
         case "rf-detr":
-            from .rf_detr import RfDetr as Chosen
+            from .rf_detr import RfDetr as Choice
         case _:
             raise GraycastError(
                 f"the model {model!r} does not exist: choose one of {', '.join(MODELS)}"
             )
-    return Chosen
+    return Choice

@@ -27,9 +27,9 @@ class _OnePicture(nn.Module):
         self.network, self.most, self.least_score = network, most, least_score
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        found = self.network.find(image, most=self.most, least_score=self.least_score)[0]
-        outputs = (found.box, found.label, found.score)
-        return outputs if found.mask is None else (*outputs, found.mask)
+        output = self.network.find(image, most=self.most, least_score=self.least_score)[0]
+        tensors = (output.box, output.label, output.score)
+        return tensors if output.mask is None else (*tensors, output.mask)
 
 
 def write_onnx(
@@ -45,7 +45,13 @@ def write_onnx(
         GraycastError: onnx is not installed, the network cannot be written as ONNX, or onnxruntime
             and torch find different things in a picture of noise.
     """
-    onnx, runtime = _libraries()
+    try:
+        import onnx
+        import onnxruntime
+    except ImportError as error:
+        raise GraycastError(
+            "ONNX files need onnx and onnxruntime: run pip install 'graycast[detect]'"
+        ) from error
     cpu = torch.device("cpu")
     network = detector.about.open_network()
     network.load_state_dict({k: v.to(cpu) for k, v in detector.network.state_dict().items()})
@@ -73,23 +79,12 @@ def write_onnx(
     except (torch.onnx.OnnxExporterError, RuntimeError, TypeError) as error:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{detector.about.model} cannot be written as ONNX ({why})") from error
-    options = runtime.SessionOptions()
+    options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # sizes that differ from picture to picture are no news
-    session = runtime.InferenceSession(content, options)
+    session = onnxruntime.InferenceSession(content, options)
     for image in others:  # a number that was frozen while tracing shows in another picture
         _compare(session, model, image)
     write_whole(file, content)
-
-
-def _libraries():
-    try:
-        import onnx
-        import onnxruntime
-    except ImportError as error:
-        raise GraycastError(
-            "ONNX files need onnx and onnxruntime: run pip install 'graycast[detect]'"
-        ) from error
-    return onnx, onnxruntime
 
 
 def _noise(detector: Detector, seed: int) -> Tensor:

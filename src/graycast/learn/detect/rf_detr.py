@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchvision.ops import box_convert, box_iou
 
 from ...base.errors import GraycastError
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 
 SIZES = ("nano", "small", "medium", "large")
 # A query that overlaps an ignored instance by more than this, and more than any other, may mean it.
@@ -28,14 +28,14 @@ TERMS = {"class": "loss_ce", "box": "loss_bbox", "overlap": "loss_giou"}
 
 
 @final
-class RfDetr(nn.Module):
+class RfDetr(Network):
     """Finds boxes, at most 300 and at most one for each patch of a picture.
 
     Its backbones are its own, named by `SIZES`.
     """
 
     finds_masks = False
-    recipe = Recipe(optimizer="adamw", learning_rate=1e-4, batch=4, weight_decay=1e-4)
+    recipe = Recipe(learning_rate=1e-4, batch=4, weight_decay=1e-4)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
@@ -48,18 +48,11 @@ class RfDetr(nn.Module):
             raise GraycastError(
                 f"model rf-detr needs rfdetr ({error}): run pip install 'graycast[rf-detr]'"
             ) from error
-        match backbone or "nano":
-            case "nano":
-                size = config.RFDETRNanoConfig
-            case "small":
-                size = config.RFDETRSmallConfig
-            case "medium":
-                size = config.RFDETRMediumConfig
-            case "large":
-                size = config.RFDETRLargeConfig
-            case other:
-                choices = ", ".join(SIZES)
-                raise GraycastError(f"model rf-detr has no backbone {other!r}: choose {choices}")
+        name = backbone or "nano"
+        if name not in SIZES:
+            choices = ", ".join(SIZES)
+            raise GraycastError(f"model rf-detr has no backbone {name!r}: choose {choices}")
+        size = getattr(config, f"RFDETR{name.capitalize()}Config")
         # The library adds a class to the number that it gets. A name of weights, which it does not
         # read here, keeps it from downloading its own.
         described = size(
@@ -119,14 +112,14 @@ class RfDetr(nn.Module):
     ) -> list[NetworkOutput]:
         """The library's choice: the best pairs of query and class."""
         size = torch.tensor([list(image.shape[-2:])] * len(image), device=image.device)
-        found = []
-        for chosen in self._choose(self(image), size):
-            kept = (chosen["scores"] >= least_score).nonzero()[:most, 0]
-            box, label, score = (chosen[name][kept] for name in ("boxes", "labels", "scores"))
-            found.append(
+        outputs = []
+        for best in self._choose(self(image), size):
+            index = (best["scores"] >= least_score).nonzero()[:most, 0]
+            box, label, score = (best[name][index] for name in ("boxes", "labels", "scores"))
+            outputs.append(
                 NetworkOutput(box=box.float(), label=label, score=score.float(), mask=None)
             )
-        return found
+        return outputs
 
     def _without_ignored(
         self,

@@ -1,8 +1,6 @@
 """The folder of a training: its settings, progress and history."""
 
-import csv
 import hashlib
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +12,7 @@ import torch
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
+from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_csv, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
 
@@ -67,7 +65,11 @@ class RunFolder:
         with self._locked():
             remove_left(self.path)
             if file.is_file() and (self.path / CHECKPOINT).is_file():
-                self._compare(_json(file), parse_json(json_bytes(content)))
+                try:
+                    settings = parse_json(file.read_bytes())
+                except (OSError, ValueError) as error:
+                    raise GraycastError(f"{file}: is damaged: choose another --out") from error
+                self._compare(settings, parse_json(json_bytes(content)))
             else:
                 write_whole(file, json_bytes(content))
             yield
@@ -147,20 +149,9 @@ class RunFolder:
 
     def tell(self, rows: Sequence[Row]) -> None:
         """Write the history as CSV and as a picture, from the rows."""
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        table = csv.DictWriter(text, names, lineterminator="\n")
-        table.writeheader()
-        table.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
-        write_whole(self.path / _HISTORY, text.getvalue().encode())
+        texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
+        write_csv(self.path / _HISTORY, texts)
         _draw(rows, self.path / _CURVES)
-
-
-def _json(file: Path) -> Any:
-    try:
-        return parse_json(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise GraycastError(f"{file}: is damaged: choose another --out") from error
 
 
 def _short(value: Any) -> str:
@@ -180,23 +171,11 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
     left.set_yscale("log")
     caption(left, "Loss on the training set", "epoch")
     left.legend(fontsize=7, frameon=False)
-    for name, ink in (
-        ("box_ap", ACCENT),
-        ("box_ap50", INK),
-        ("mask_ap", SECOND),
-        ("mask_ap50", SOFT),
-    ):
-        measured = [row for row in rows if name in row]
-        if measured:
-            right.plot(
-                [row["epoch"] for row in measured],
-                [row[name] for row in measured],
-                color=ink,
-                lw=1.2,
-                marker="o",
-                ms=3,
-                label=name,
-            )
+    inks = {"box_ap": ACCENT, "box_ap50": INK, "mask_ap": SECOND, "mask_ap50": SOFT}
+    for name, ink in inks.items():
+        points = [(row["epoch"], row[name]) for row in rows if name in row]
+        if points:
+            right.plot(*zip(*points, strict=True), "o-", color=ink, lw=1.2, ms=3, label=name)
     right.set_ylim(0, 1)
     caption(right, "Average precision on the validation set", "epoch")
     if right.get_lines():

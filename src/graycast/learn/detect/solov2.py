@@ -8,7 +8,6 @@ picture (mmdetection's in pixels, divided by the size of its training pictures).
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import inf
 from typing import final
 
@@ -25,7 +24,7 @@ from torchvision.ops import FeaturePyramidNetwork, masks_to_boxes
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 
 # Each level has one entry. An instance belongs to the levels whose range holds the root of its
 # box's area, as a share of the root of the picture's: two levels, as the ranges overlap.
@@ -35,6 +34,7 @@ LEAST_SIDE_PX = 1.0
 # A mask of fewer map pixels than this is noise, level by level.
 LEAST_AREA = (8, 8, 16, 32, 32)
 MASK_STRIDE = 4
+HEADS = {"darknet53": (512, 4, 256), "resnet50": (512, 4, 256), "resnet18": (256, 2, 128)}
 PYRAMID_WIDTH = 256
 # Cells whose centre lies within this share of the box around the centre of mass are positives.
 CENTRE_SHARE = 0.2
@@ -44,17 +44,8 @@ DICE_EPS = 1e-3
 NMS_SIGMA = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Size:
-    """The size of the head: `width` and `depth` of its towers, `kernel` channels of masks."""
-
-    width: int
-    depth: int
-    kernel: int
-
-
 @final
-class Solov2(nn.Module):
+class Solov2(Network):
     """Finds masks, and boxes as what encloses them.
 
     With `resnet50` it is the paper's SOLOv2, with `resnet18` its SOLOv2-light; the small backbones
@@ -62,30 +53,24 @@ class Solov2(nn.Module):
     """
 
     finds_masks = True
-    recipe = Recipe(optimizer="adamw", learning_rate=3e-4, batch=4, weight_decay=0.01)
+    recipe = Recipe(learning_rate=3e-4, batch=4, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
     ) -> None:
         super().__init__()
         self.body = open_backbone(backbone or "resnet18", channels=channels)
-        match self.body.name:
-            case "resnet50" | "darknet53":
-                size = _Size(512, 4, 256)
-            case "resnet18":
-                size = _Size(256, 2, 128)
-            case _:
-                size = _Size(128, 2, 64)
+        # Width and depth of the head's towers, and the channels of masks.
+        width, depth, kernel = HEADS.get(self.body.name, (128, 2, 64))
         self.classes = classes
         self.pyramid = FeaturePyramidNetwork(
             list(self.body.channels), PYRAMID_WIDTH, extra_blocks=LastLevelMaxPool()
         )
-        self.painter = _Painter(size.kernel)
-        self.kernels = _tower(PYRAMID_WIDTH + 2, size, size.kernel)
-        self.judges = _tower(PYRAMID_WIDTH, size, classes)
-        nn.init.constant_(
-            self.judges[-1].bias, -4.6
-        )  # one in a hundred: nearly all cells are empty
+        self.painter = _Painter(kernel)
+        self.kernels = _tower(PYRAMID_WIDTH + 2, width, depth, kernel)
+        self.judges = _tower(PYRAMID_WIDTH, width, depth, classes)
+        # One in a hundred: nearly all cells are empty.
+        nn.init.constant_(self.judges[-1].bias, -4.6)
 
     def forward(
         self, image: Float[Tensor, "b c h w"]
@@ -125,7 +110,7 @@ class Solov2(nn.Module):
             for instance, place in zip(owner.tolist(), cell.tolist(), strict=True):
                 labels[index, place] = target.label[instance]
             logit = torch.einsum("nk,khw->nhw", kernel[index, cell], painted[index])
-            dice = dice + _dice(logit.sigmoid(), _quarter(target.drawn())[owner]).sum()
+            dice = dice + _dice(logit.sigmoid(), _quarter(target.masks())[owner]).sum()
         claimed = int((labels < self.classes).sum())
         truth = one_hot(labels, self.classes + 1)[..., :-1].float()
         focal = _focal(score[counts], truth[counts]) / (claimed + 1)
@@ -157,13 +142,15 @@ class Solov2(nn.Module):
         inside = mask > 0.5
         area = inside.sum(dim=(1, 2))
         fill = (mask * inside).sum(dim=(1, 2)) / area.clamp(min=1)
-        kept = (area > _least_area(score.device)[cell]).nonzero()[:, 0]
-        kept = kept[(best * fill)[kept].argsort(descending=True, stable=True)]
-        best, label = (best * fill)[kept], label[kept]
-        best = best * _decay(inside[kept].flatten(1).float(), label)
+        cells = torch.tensor([grid * grid for grid in GRIDS])
+        least_area = torch.tensor(LEAST_AREA).repeat_interleave(cells).to(score.device)
+        index = (area > least_area[cell]).nonzero()[:, 0]
+        index = index[(best * fill)[index].argsort(descending=True, stable=True)]
+        best, label = (best * fill)[index], label[index]
+        best = best * _decay(inside[index].flatten(1).float(), label)
         order = best.argsort(descending=True, stable=True)[:most]
         order = order[best[order] >= least_score]
-        return _found(mask[kept][order], label[order], best[order])
+        return _output(mask[index][order], label[order], best[order])
 
 
 @final
@@ -195,12 +182,12 @@ def _convolution(inside: int, outside: int, size: int) -> nn.Sequential:
     return nn.Sequential(convolution, nn.GroupNorm(32, outside), nn.ReLU())
 
 
-def _tower(inside: int, size: _Size, outside: int) -> nn.Sequential:
-    widths = [inside, *[size.width] * (size.depth - 1)]
-    last = nn.Conv2d(size.width, outside, 3, padding=1)
+def _tower(inside: int, width: int, depth: int, outside: int) -> nn.Sequential:
+    widths = [inside, *[width] * (depth - 1)]
+    last = nn.Conv2d(width, outside, 3, padding=1)
     nn.init.normal_(last.weight, std=0.01)
     nn.init.zeros_(last.bias)
-    return nn.Sequential(*(_convolution(w, size.width, 3) for w in widths), last)
+    return nn.Sequential(*(_convolution(w, width, 3) for w in widths), last)
 
 
 def _with_place(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h w"]:
@@ -218,7 +205,7 @@ def _quarter(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n h4 w4"]:
 
 def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     """Pairs of an instance and a cell that it claims, level by level, in the instances' order."""
-    mask = target.drawn()
+    mask = target.masks()
     size = torch.tensor([mask.shape[2], mask.shape[1]], device=mask.device)
     sides = target.box[:, 2:] - target.box[:, :2]
     side = sides.prod(dim=1).sqrt()
@@ -279,11 +266,6 @@ def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classe
     return torch.cat(out)
 
 
-def _least_area(device: torch.device) -> Int64[Tensor, " cells"]:
-    cells = torch.tensor([grid * grid for grid in GRIDS])
-    return torch.tensor(LEAST_AREA).repeat_interleave(cells).to(device)
-
-
 def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
     """Matrix NMS: how much of its score each mask keeps beside better ones of its class.
 
@@ -299,7 +281,7 @@ def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float
     return torch.exp(NMS_SIGMA * (worst[:, None] ** 2 - overlap**2)).amin(dim=0)
 
 
-def _found(
+def _output(
     mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
 ) -> NetworkOutput:
     """Masks at the scale of the input, and the boxes around them."""
@@ -308,8 +290,8 @@ def _found(
         mask = interpolate(mask[None], scale_factor=MASK_STRIDE, mode="bilinear")[0]
     mask = mask.reshape(count, height * MASK_STRIDE, width * MASK_STRIDE)
     painted = (mask * 255).round().to(torch.uint8)
-    kept = (painted > 127).flatten(1).any(dim=1)
-    painted = painted[kept]
+    keep = (painted > 127).flatten(1).any(dim=1)
+    painted = painted[keep]
     box = masks_to_boxes(painted > 127) if len(painted) else mask.new_zeros(0, 4)
     box = box + box.new_tensor([0, 0, 1, 1])  # its last pixels are inside
-    return NetworkOutput(box=box, label=label[kept], score=score[kept], mask=painted)
+    return NetworkOutput(box=box, label=label[keep], score=score[keep], mask=painted)

@@ -30,7 +30,7 @@ def best_boxes(
     wanted = (best >= least_score) & (best > 0)
     best, place = best[wanted], place[wanted]
     box, label = box[place // score.shape[1]], place % score.shape[1]
-    kept = batched_nms(box, best, label, OVERLAP)[:most]
+    index = batched_nms(box, best, label, OVERLAP)[:most]
     height, width = size_px
-    inside = box[kept].clamp(min=0).minimum(box.new_tensor([width, height, width, height]))
-    return NetworkOutput(box=inside, label=label[kept], score=best[kept], mask=None)
+    inside = box[index].clamp(min=0).minimum(box.new_tensor([width, height, width, height]))
+    return NetworkOutput(box=inside, label=label[index], score=best[index], mask=None)

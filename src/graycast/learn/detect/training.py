@@ -13,12 +13,12 @@ import torch
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import WEIGHTS
-from ...dataset.example import Example
-from ...dataset.export.record import RECORD
 from ...dataset.export.split import Split
-from ...dataset.training import Examples, open_examples
+from ...dataset.training import Examples
 from ...score.evaluate import Labels, labels_of, score
 from ...score.evaluate.labels import MIN_VISIBILITY
+from .backbones import load_weights
+from .detecting import sets_of
 from .detector import (
     ONE_CLASS,
     About,
@@ -31,10 +31,8 @@ from .detector import (
     without_denormals,
 )
 from .encoding import Encoding, fitting_size
-from .network import Network, Recipe
-from .run import Progress, Row, RunFolder
+from .run import Row, RunFolder
 from .training_pictures import Augmentation, TrainingPictures, collate, room_for
-from .weights import load_weights
 
 SHARES = (0.8, 0.1, 0.1)
 _SAVE_EVERY_S = 60.0
@@ -89,26 +87,14 @@ class TrainSpec:
     workers: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "patience", "longest_px"):
-            if getattr(self, name) < 1:
-                raise GraycastError(
-                    f"{name} is {getattr(self, name)}: give a whole number of at least 1"
-                )
-        if self.batch is not None and self.batch < 1:
-            raise GraycastError(f"batch is {self.batch}: give a whole number of at least 1")
+        for name in ("epochs", "patience", "longest_px", "batch"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise GraycastError(f"{name} is {value}: give a whole number of at least 1")
         if self.learning_rate is not None and not self.learning_rate > 0:
             raise GraycastError(
                 f"learning_rate is {self.learning_rate}: give a number greater than 0"
             )
-
-    def recipe(self, network: Network) -> Recipe:
-        """The network's own, with what was said."""
-        own, rate = network.recipe, self.learning_rate
-        return replace(
-            own,
-            batch=own.batch if self.batch is None else self.batch,
-            learning_rate=own.learning_rate if rate is None else rate,
-        )
 
 
 def train(
@@ -135,16 +121,25 @@ def train(
             or the disk is full.
     """
     device = choose_device(spec.device)
-    sets = [_Sets.of(Path(folder), spec.split) for folder in datasets]
-    parts = dict.fromkeys(name for each in sets for name in each.train.categories.values())
-    names = (ONE_CLASS,) if spec.one_class else tuple(parts)
+    train_sets, val_sets = (
+        [sets_of(Path(folder), split, spec.split)[0][0] for folder in datasets]
+        for split in ("train", "val")
+    )
+    parts = dict.fromkeys(name for each in train_sets for name in each.categories.values())
     about = About(
         model=spec.model,
         backbone=spec.backbone,
-        encoding=_encoding(sets[0].train, [each.train for each in sets], spec),
-        names=names,
+        encoding=_encoding(train_sets, spec),
+        names=(ONE_CLASS,) if spec.one_class else tuple(parts),
         trained={
-            "datasets": [each.as_dict() for each in sets],
+            "datasets": [
+                {
+                    "folder": str(training.folder),
+                    "train": list(training.scene_ids),
+                    "val": list(validation.scene_ids),
+                }
+                for training, validation in zip(train_sets, val_sets, strict=True)
+            ],
             "settings": _settings(spec),
         },
     )
@@ -154,40 +149,11 @@ def train(
         load_weights(network, spec.weights)
     run = RunFolder(Path(out))
     with run.claimed(about.as_dict()):
-        put_on(network, device)
-        return _Training(
-            spec=spec,
-            about=about,
-            run=run,
-            network=network,
-            device=device,
-            sets=sets,
-            meter=progress,
-            on_row=on_row,
-        ).go()
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Sets:
-    """One dataset's scenes: those to learn from, and those to choose the best weights by."""
-
-    folder: Path
-    train: Examples
-    val: Examples
-
-    @staticmethod
-    def of(folder: Path, split: Split) -> "_Sets":
-        division = None if (folder / RECORD).is_file() else split  # an export is divided
-        train, val = (open_examples(folder, split=n, division=division) for n in ("train", "val"))
-        return _Sets(folder=folder, train=train, val=val)
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "folder": str(self.folder),
-            "train": list(self.train.scene_ids),
-            "val": list(self.val.scene_ids),
-        }
+        detector = Detector(about=about, network=put_on(network, device), device=device)
+        training = _Training(spec, detector, run, train_sets, progress)
+        if not training.ended:
+            training.go(val_sets, on_row)
+        return load_detector(run.path, device=spec.device)
 
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
@@ -198,15 +164,14 @@ def _settings(spec: TrainSpec) -> dict[str, Any]:
     return settings | {"weights": None if spec.weights is None else spec.weights.name}
 
 
-def _encoding(first: Examples, sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
-    example = first[0]
+def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
     probe = Encoding(input=spec.input, size_px=(32, 32), near_m=1.0, far_m=2.0)
     near_m, far_m = (None, None)
     if probe.deep:
         near_m, far_m = spec.range_m or _range_m(sets, probe)
     return Encoding(
         input=spec.input,
-        size_px=fitting_size(probe.picture_px(example), spec.longest_px),
+        size_px=fitting_size(probe.picture_px(sets[0][0]), spec.longest_px),
         near_m=near_m,
         far_m=far_m,
         holes=spec.holes,
@@ -237,109 +202,102 @@ def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Training:
     """The loop. Every random number follows from seed, epoch, picture and step, so a training
     that goes on draws what it would have drawn."""
 
-    spec: TrainSpec
-    about: About
-    run: RunFolder
-    network: Network
-    device: torch.device
-    sets: Sequence[_Sets]
-    meter: ProgressMeter
-    on_row: Callable[[Row], None]
+    def __init__(
+        self,
+        spec: TrainSpec,
+        detector: Detector,
+        run: RunFolder,
+        sets: Sequence[Examples],
+        meter: ProgressMeter,
+    ) -> None:
+        """Begin, or take up what the folder holds."""
+        self.spec, self.detector, self.run, self.sets, self.meter = spec, detector, run, sets, meter
+        self.network = detector.network
+        recipe, count = self.network.recipe, sum(map(len, sets))
+        self.batch = min(spec.batch or recipe.batch, count)
+        self.steps = count // self.batch  # of an epoch
+        self.rate = spec.learning_rate or recipe.learning_rate
+        self.optimizer = _optimizer(self.network, self.rate, recipe.weight_decay)
+        self.progress = run.resume(self.network, self.optimizer)
 
-    def go(self) -> Detector:
-        recipe = self.spec.recipe(self.network)
-        optimizer = _optimizer(self.network, recipe)
-        progress = self.run.resume(self.network, optimizer)
-        count = sum(len(each.train) for each in self.sets)
-        batch = min(recipe.batch, count)
-        steps = count // batch
-        every = max(1, self.spec.epochs // 25)
-        if self._ended(progress, steps):
-            return self._best()
-        pictures, judge = self._pictures(), _Judge.of(self)
-        detector = Detector(about=self.about, network=self.network, device=self.device)
-        while not self._ended(progress, steps):
-            epoch = progress.step // steps
-            self._epoch(pictures.at(epoch), epoch, steps, batch, recipe, optimizer, progress)
+    @property
+    def ended(self) -> bool:
+        done, since = self.progress.step, self.progress.since
+        return done >= self.spec.epochs * self.steps or since >= self.spec.patience
+
+    def go(self, val_sets: Sequence[Examples], on_row: Callable[[Row], None]) -> None:
+        """Train until the end."""
+        progress, epochs = self.progress, self.spec.epochs
+        pictures, validation = self._pictures(), _Validation.of(val_sets, self)
+        every = max(1, epochs // 25)
+        while not self.ended:
+            epoch = progress.step // self.steps
+            self._epoch(pictures.at(epoch), epoch)
             row: Row = {"epoch": epoch + 1, "step": progress.step}
-            row |= {name: total / steps for name, total in progress.sums.items()}
-            if (epoch + 1) % every == 0 or epoch + 1 == self.spec.epochs:
-                row |= self._validated(judge, detector, progress)
+            row |= {name: total / self.steps for name, total in progress.sums.items()}
+            if (epoch + 1) % every == 0 or epoch + 1 == epochs:
+                figures = validation.figures(self.detector, self.meter)
+                self._compare(figures)
+                row |= figures
             progress.rows.append(row)
             progress.sums = {}
-            self.run.save(progress, self.network, optimizer)
+            self._save()
             self.run.tell(progress.rows)
-            self.on_row(row)
-        return self._best()
+            on_row(row)
 
-    def _ended(self, progress: Progress, steps: int) -> bool:
-        return progress.step >= self.spec.epochs * steps or progress.since >= self.spec.patience
-
-    def _epoch(
-        self,
-        pictures: TrainingPictures,
-        epoch: int,
-        steps: int,
-        batch: int,
-        recipe: Recipe,
-        optimizer: torch.optim.Optimizer,
-        progress: Progress,
-    ) -> None:
+    def _epoch(self, pictures: TrainingPictures, epoch: int) -> None:
         """Train for the remaining steps of an epoch."""
         self.network.train()
-        saved = time.monotonic()
-        total = self.spec.epochs * steps
+        progress, saved = self.progress, time.monotonic()
+        total = self.spec.epochs * self.steps
         order = np.random.default_rng([self.spec.seed, epoch]).permutation(len(pictures))
-        left = order[: steps * batch].reshape(steps, batch)[progress.step - epoch * steps :]
-        for image, targets in self._loaded(pictures, left):
+        batches = order[: self.steps * self.batch].reshape(self.steps, self.batch)
+        for image, targets in self._loaded(pictures, batches[progress.step - epoch * self.steps :]):
             torch.manual_seed((self.spec.seed << 32) + progress.step)
-            rate = recipe.learning_rate * _shape(progress.step / total)
-            for group in optimizer.param_groups:
-                group["lr"] = rate
-            with autocast(self.device), without_denormals():
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.rate * _shape(progress.step / total)
+            with autocast(self.detector.device), without_denormals():
                 losses = self.network.losses(image, targets)
                 loss = torch.stack(list(losses.values())).sum()
             if not torch.isfinite(loss):
                 raise GraycastError(
                     f"the loss is not a number after {progress.step} steps: lower --learning-rate "
-                    f"(it is {recipe.learning_rate})"
+                    f"(it is {self.rate})"
                 )
-            optimizer.zero_grad(set_to_none=True)
+            self.optimizer.zero_grad(set_to_none=True)
             with without_denormals():
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MOST_NORM)
-                optimizer.step()
+                self.optimizer.step()
             progress.step += 1
             for name, value in {"loss": loss, **_named(losses)}.items():
                 progress.sums[name] = progress.sums.get(name, 0.0) + float(value.detach())
             self.meter.count("training steps", progress.step, total)
             if time.monotonic() - saved > _SAVE_EVERY_S:
-                self.run.save(progress, self.network, optimizer)
+                self._save()
                 saved = time.monotonic()
 
     def _loaded(self, pictures: TrainingPictures, batches: np.ndarray) -> Iterator:
+        device = self.detector.device
         loader = torch.utils.data.DataLoader(
             pictures,
             batch_sampler=batches.tolist(),
             collate_fn=collate,
             num_workers=self.spec.workers,
-            pin_memory=self.device.type == "cuda",
+            pin_memory=device.type == "cuda",
         )
         for image, targets in loader:
-            yield (
-                image.to(self.device, non_blocking=True),
-                [target.to(self.device) for target in targets],
-            )
+            yield image.to(device, non_blocking=True), [target.to(device) for target in targets]
 
     def _pictures(self) -> TrainingPictures:
+        about = self.detector.about
         return TrainingPictures(
-            [(each.train, self.about.classes(each.train.categories)) for each in self.sets],
-            self.about.encoding,
+            [(each, about.classes(each.categories)) for each in self.sets],
+            about.encoding,
             self.run.cache / "train.npy",
             masks=self.network.finds_masks,
             min_visibility=self.spec.min_visibility,
@@ -348,89 +306,74 @@ class _Training:
             progress=self.meter,
         )
 
-    def _validated(self, judge: "_Judge", detector: Detector, progress: Progress) -> Row:
-        row = judge.figures_of(detector, self.meter)
-        figure = np.mean([value for name, value in row.items() if name.endswith("_ap")])
+    def _compare(self, figures: Row) -> None:
+        """Keep the weights if their validation is the best so far."""
+        progress = self.progress
+        figure = np.mean([value for name, value in figures.items() if name.endswith("_ap")])
         if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
             progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
-            save_detector(self.run.path / WEIGHTS, self.about, self.network.state_dict())
+            weights = self.network.state_dict()
+            save_detector(self.run.path / WEIGHTS, self.detector.about, weights)
         else:
             progress.since += 1
-        return row
 
-    def _best(self) -> Detector:
-        return load_detector(self.run.path, device=self.spec.device)
+    def _save(self) -> None:
+        self.run.save(self.progress, self.network, self.optimizer)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Judge:
+class _Validation:
     """The validation set, encoded once; scenes and classes of all datasets in one numbering."""
 
     encoded: np.ndarray
     labels: tuple[Labels, ...]
-    names: tuple[str, ...]
-    masks: bool
 
     @staticmethod
-    def of(training: _Training) -> "_Judge":
-        about, encoding = training.about, training.about.encoding
-        count = sum(len(each.val) for each in training.sets)
+    def of(sets: Sequence[Examples], training: _Training) -> "_Validation":
+        about, encoding = training.detector.about, training.detector.about.encoding
+        count = sum(map(len, sets))
         shape = (count, encoding.channels, *encoding.size_px)
-        file = training.run.cache / "val.npy"
-        encoded = room_for(file, shape)
+        encoded = room_for(training.run.cache / "val.npy", shape)
         labels: list[Labels] = []
-        for each in training.sets:
-            class_of = about.classes(each.val.categories)
-            for example in each.val:
+        for each in sets:
+            class_of = about.classes(each.categories)
+            for example in each:
                 encoded[len(labels)] = encoding.encode(example, seed=example.scene_id)
-                labels.append(_renumbered(example, len(labels), class_of, training.spec))
+                own = labels_of(example, min_visibility=training.spec.min_visibility)
+                ids = np.array([class_of[int(obj_id)] for obj_id in own.obj_id], np.int64)
+                labels.append(replace(own, scene_id=len(labels), obj_id=ids))
                 training.meter.count("pictures read", len(labels), count)
-        return _Judge(
-            encoded=encoded,
-            labels=tuple(labels),
-            names=about.names,
-            masks=training.network.finds_masks,
-        )
+        return _Validation(encoded=encoded, labels=tuple(labels))
 
-    def figures_of(self, detector: Detector, meter: ProgressMeter) -> Row:
+    def figures(self, detector: Detector, meter: ProgressMeter) -> Row:
+        """Average precision of boxes, and of masks where the network has them."""
         detector.network.eval()
-        ids = {name: i for i, name in enumerate(self.names)}
-        found = []
+        ids = {name: i for i, name in enumerate(detector.about.names)}
+        detections = []
         for i, labels in enumerate(self.labels):
             if labels.size_px is None:
                 raise ValueError(f"scene {i} of the validation has no picture")
             image = self.encoded[i].astype(np.float32)
-            found.append(detector.look(image, i, labels.size_px, obj_ids=ids))
+            detections.append(detector.look(image, i, labels.size_px, obj_ids=ids))
             meter.count("pictures validated", i + 1, len(self.labels))
         row: Row = {}
-        for kind in ("box", "mask") if self.masks else ("box",):
-            scores = score(self.labels, found, kind=kind)
+        for kind in ("box", "mask") if detector.network.finds_masks else ("box",):
+            scores = score(self.labels, detections, kind=kind)
             row |= {f"{kind}_ap": scores.ap, f"{kind}_ap50": scores.ap50}
         return row
 
 
-def _renumbered(
-    example: Example, number: int, class_of: Mapping[int, int], spec: TrainSpec
-) -> Labels:
-    labels = labels_of(example, min_visibility=spec.min_visibility)
-    ids = np.array([class_of[int(obj_id)] for obj_id in labels.obj_id], np.int64)
-    return replace(labels, scene_id=number, obj_id=ids)
-
-
-def _optimizer(network: torch.nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
+def _optimizer(
+    network: torch.nn.Module, learning_rate: float, weight_decay: float
+) -> torch.optim.Optimizer:
     """Matrices and kernels decay, biases and norms do not."""
     weights = [p for p in network.parameters() if p.requires_grad]
     groups = [
-        {"params": [p for p in weights if p.ndim > 1], "weight_decay": recipe.weight_decay},
+        {"params": [p for p in weights if p.ndim > 1], "weight_decay": weight_decay},
         {"params": [p for p in weights if p.ndim <= 1], "weight_decay": 0.0},
     ]
-    match recipe.optimizer:
-        case "adamw":
-            return torch.optim.AdamW(groups, lr=recipe.learning_rate)
-        case "sgd":
-            return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=0.9)
-    raise GraycastError(f"no optimizer {recipe.optimizer!r}: choose 'adamw' or 'sgd'")
+    return torch.optim.AdamW(groups, lr=learning_rate)
 
 
 def _shape(done: float) -> float:

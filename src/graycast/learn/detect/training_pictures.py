@@ -101,9 +101,8 @@ class TrainingPictures(torch.utils.data.Dataset):
         self.encoding, self.seed, self.augmentation = encoding, seed, augmentation
         self.file = file
         self.epoch = 0
-        shape = (encoding.channels, *encoding.size_px)
-        self.shape = (sum(len(each) for each, _ in examples), *shape)
-        data = room_for(file, self.shape)
+        count = sum(len(each) for each, _ in examples)
+        data = room_for(file, (count, encoding.channels, *encoding.size_px))
         labelled: list[_Labelled] = []
         for of_set, class_of in examples:
             for example in of_set:
@@ -186,8 +185,7 @@ def _labelled(
             f"{folder}: scene {example.scene_id} has no boxes for the training: give a dataset "
             "with labels"
         )
-    drawn = example.mask if masks else None
-    if masks and drawn is None:
+    if masks and example.mask is None:
         raise GraycastError(
             f"{folder}: scene {example.scene_id} has no masks, which this model needs: train "
             "--model yolov3, which needs only boxes, or give a dataset with masks"
@@ -197,9 +195,9 @@ def _labelled(
     x, y, columns, rows = (example.box_px.astype(np.float32) * scale).T
     ignored = example.hidden(min_visibility)
     runs = None
-    if drawn is not None:
+    if masks and example.mask is not None:
         size = [max(1, round(side * scale)) for side in picture_px]
-        runs = tuple(_fitted(mask, size, encoding.size_px) for mask in drawn)
+        runs = tuple(_fitted(mask, size, encoding.size_px) for mask in example.mask)
         ignored |= np.array([coco_mask.area(run) == 0 for run in runs], bool)
     return _Labelled(
         box=np.stack([x, y, x + columns, y + rows], axis=1).astype(np.float32).reshape(-1, 4),
@@ -291,17 +289,16 @@ class _Move:
         x, y = np.clip(x, 0, self.size_px[1]), np.clip(y, 0, self.size_px[0])
         inside = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
         ignored = labels.ignored | (inside < whole / 3)
-        kept = inside > 0
-        mask = labels.mask
-        if mask is not None:
-            moved = [
-                self._mask(run) if keep else None for run, keep in zip(mask, kept, strict=True)
-            ]
-            kept &= np.array([run is not None and coco_mask.area(run) > 0 for run in moved], bool)
-            pairs = zip(moved, kept, strict=True)
-            mask = tuple(run for run, keep in pairs if run is not None and keep)
+        keep = inside > 0
+        mask = None
+        if labels.mask is not None:
+            runs = {int(i): self._mask(labels.mask[i]) for i in np.flatnonzero(keep)}
+            runs = {i: run for i, run in runs.items() if coco_mask.area(run) > 0}
+            keep[:] = False
+            keep[list(runs)] = True
+            mask = tuple(runs.values())
         box = np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1).astype(np.float32)
-        return _Labelled(box=box[kept], label=labels.label[kept], ignored=ignored[kept], mask=mask)
+        return _Labelled(box=box[keep], label=labels.label[keep], ignored=ignored[keep], mask=mask)
 
     def _mask(self, run: Rle) -> Rle:
         return coco_mask.encode(

@@ -17,7 +17,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, interpolate
 from torchvision.ops import box_iou
 
 from .backbones import Convolution, open_backbone
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # These widths and heights are in pixels of a picture of 416 x 416, from the coarsest scale to the
@@ -35,11 +35,11 @@ LEAST_SHARE = 1e-6  # A share of a cell or of an anchor is at least this: zero h
 
 
 @final
-class Yolov3(nn.Module):
+class Yolov3(Network):
     """Finds boxes. Backbones: the wide ones carry the paper's neck, the small ones 96 channels."""
 
     finds_masks = False
-    recipe = Recipe(optimizer="adamw", learning_rate=1e-3, batch=8, weight_decay=0.01)
+    recipe = Recipe(learning_rate=1e-3, batch=8, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
@@ -56,16 +56,11 @@ class Yolov3(nn.Module):
         scale = (size_px[0] * size_px[1]) ** 0.5 / 416
         anchor_px = torch.tensor(ANCHORS_416_PX, dtype=torch.float32) * scale
         self.register_buffer("anchor_px", anchor_px, persistent=False)
-        self._expect_few()
-
-    def _expect_few(self) -> None:
-        """Start from an objectness of 0.01, because nearly all anchors are empty."""
-        for end in self.ends:
-            with torch.no_grad():
+        with torch.no_grad():  # from an objectness of 0.01, because nearly all anchors are empty
+            for end in self.ends:
                 end.last.weight.normal_(std=0.01)
-                bias = end.last.bias.view(-1, 5 + self.classes)
-                bias.zero_()
-                bias[:, 4] = -4.6
+                end.last.bias.zero_()
+                end.last.bias.view(-1, 5 + classes)[:, 4] = -4.6
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b anchors values"]:
         """Raw answer of every anchor: centre (logits), size (logarithms), objectness, classes."""

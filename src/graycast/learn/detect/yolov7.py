@@ -18,7 +18,7 @@ from torchvision.ops import box_convert
 
 from ...base.errors import GraycastError
 from .backbones import follow_fast
-from .network import NetworkOutput, Recipe, Target
+from .network import Network, NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 PUBLISHED_PX = 640  # The library's anchors are for pictures of this side.
@@ -29,11 +29,11 @@ SILENT = -100.0
 
 
 @final
-class Yolov7(nn.Module):
+class Yolov7(Network):
     """Finds boxes. It has one backbone, its own."""
 
     finds_masks = False
-    recipe = Recipe(optimizer="adamw", learning_rate=1e-3, batch=8, weight_decay=0.01)
+    recipe = Recipe(learning_rate=1e-3, batch=8, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
@@ -96,7 +96,7 @@ class Yolov7(nn.Module):
         maps = self(image)
         height, width = image.shape[-2:]
         limit = image.new_tensor([width, height, width, height], dtype=torch.float32)
-        found = []
+        outputs = []
         for index in range(len(image)):
             levels = [
                 self._decode(
@@ -111,7 +111,7 @@ class Yolov7(nn.Module):
             corners = box_convert(box, "cxcywh", "xyxy").clamp(min=0).minimum(limit)
             best = score * (score == score.amax(dim=1, keepdim=True))
             inside = (corners[:, 2:] > corners[:, :2]).all(dim=1)
-            found.append(
+            outputs.append(
                 best_boxes(
                     corners[inside],
                     best[inside],
@@ -120,7 +120,7 @@ class Yolov7(nn.Module):
                     size_px=(height, width),
                 )
             )
-        return found
+        return outputs
 
     def _without_ignored(
         self, raw: Float[Tensor, "b values h w"], targets: Sequence[Target], stride: int

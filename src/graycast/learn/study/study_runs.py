@@ -107,15 +107,14 @@ def run_study(
         detector = _trained(spec, run, folder, device, progress)
         figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]] = {}
         for number, (name, world) in enumerate(worlds.items()):
-            found = [
-                _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
+            detections = [
+                _detections(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
                 for i, dataset in enumerate(spec.tests[name].datasets)
             ]
             progress.stage(f"{run.name}: scored in {name}")
             for kind in world.kinds if detector.network.finds_masks else ("box",):
                 scores = [
-                    _score(spec, labels, detections, kind)
-                    for labels, detections in zip(world.labels, found, strict=True)
+                    _score(spec, *pair, kind) for pair in zip(world.labels, detections, strict=True)
                 ]
                 figures[name, kind] = tuple(
                     drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
@@ -150,14 +149,16 @@ def _trained(
     return train(spec.training[run.training], folder, training, progress=progress)
 
 
-def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:
-    chosen = pictures_of(
+def _detections(
+    detector: Detector, dataset: Path, world: TestSection, folder: Path
+) -> list[Detections]:
+    pictures = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    record = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.record}))
+    record = parse_json(json_bytes({"scene_ids": pictures.scene_ids, **pictures.record}))
     if not record.items() <= detection_record(folder).items():  # none, or of other scenes than now
-        detect(detector, chosen, folder, drawings=4)
-    return read_results(folder / RESULTS, chosen.scene_ids)
+        detect(detector, pictures, folder, drawings=4)
+    return read_results(folder / RESULTS, pictures.scene_ids)
 
 
 @final
@@ -182,8 +183,8 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
         if not of_dataset:
             raise GraycastError(f"{dataset}: has no scene in the set {section.split}")
         labels.append(tuple(of_dataset))
-    drawn = all(one.mask is not None for of_set in labels for one in of_set)
-    return _World(labels=tuple(labels), kinds=KINDS if drawn else ("box",))
+    masks = all(one.mask is not None for of_set in labels for one in of_set)
+    return _World(labels=tuple(labels), kinds=KINDS if masks else ("box",))
 
 
 def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
@@ -211,8 +212,9 @@ def _check_inputs(spec: StudySpec, dataset: Path, example: Example) -> None:
 
 
 def _score(
-    spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: Kind
+    spec: StudySpec, labels: Sequence[Labels], detections: Sequence[Detections], kind: Kind
 ) -> Scores:
     if spec.one_class:
-        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
-    return score(labels, found, kind=kind)
+        labels = [as_one_class(one) for one in labels]
+        detections = [as_one_class(one) for one in detections]
+    return score(labels, detections, kind=kind)

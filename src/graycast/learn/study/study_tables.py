@@ -1,15 +1,12 @@
 """A study's figures as tables for readers, spreadsheets and papers, and as a picture."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...base.folder import write_whole
+from ...base.folder import write_csv, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
-from ...score.evaluate.intervals import BootstrapFigure, Interval
 from ..study_file import StudySpec
 from .study_runs import Result
 
@@ -30,12 +27,9 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
         for result in results
         for row in _rows(spec, result, (number, name))
     ]
-    for name, text in (
-        ("table.md", _markdown(spec, means, parts)),
-        ("table.csv", _csv(means + parts)),
-        ("table.tex", _latex(spec, means)),
-    ):
-        write_whole(out / name, text.encode())
+    write_whole(out / "table.md", _markdown(spec, means, parts).encode())
+    write_csv(out / "table.csv", means + parts)
+    write_whole(out / "table.tex", _latex(spec, means).encode())
     content = {"title": spec.title, "figure": "AP50", "rows": means + parts}
     write_whole(out / "study.json", json_bytes(content))
     _draw(spec, means, out / "gaps.png")
@@ -57,6 +51,14 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
     run = result.run
     number, name = dataset if dataset is not None else (None, _ALL)
     for kind in ("box", "mask"):
+        worlds = {world: result.of(world, kind, number) for world in spec.tests}
+        figures = {world: figure for world, figure in worlds.items() if figure is not None}
+        if not figures:
+            continue
+        if spec.gap is not None:
+            own, other = (figures.get(world) for world in spec.gap)
+            if own is not None and other is not None:
+                figures["gap"] = own - other
         row: Row = {
             "model": run.model.model,
             "input": run.input,
@@ -66,40 +68,24 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
             "kind": kind,
             "dataset": name,
         }
-        worlds = {world: result.of(world, kind, number) for world in spec.tests}
-        figures = {world: figure for world, figure in worlds.items() if figure is not None}
-        if not figures:
-            continue
-        if spec.gap is not None:
-            own, other = (figures.get(world) for world in spec.gap)
-            if own is not None and other is not None:
-                figures["gap"] = own - other
         for world, figure in figures.items():
-            row |= _figures(world, figure)
+            interval = figure.interval
+            values = (interval.value, interval.low, interval.high)
+            row |= dict(zip(_ends(world), values, strict=True))
         rows.append(row)
     return rows
 
 
-def _figures(name: str, figure: BootstrapFigure) -> Row:
-    interval = figure.interval
-    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
-
-
-def _columns(spec: StudySpec) -> list[str]:
-    return [*spec.tests, *(["gap"] if spec.gap is not None else [])]
-
-
-def _interval_text(row: Row, name: str, digits: int) -> str:
-    if name not in row:  # a world without masks
+def _interval_text(row: Row, name: str) -> str:
+    value, low, high = (float(row.get(key, math.nan)) for key in _ends(name))
+    if math.isnan(value):  # also of a world without masks
         return "-"
-    value, low, high = (float(row[key]) for key in (name, f"{name}_low", f"{name}_high"))
-    interval = Interval(value=value, low=low, high=high)
-    if math.isnan(interval.value):
-        return "-"
-    text = f"{interval.value:.{digits}f}"
-    if math.isnan(interval.low):
-        return text
-    return f"{text} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
+    return f"{value:.2f}" if math.isnan(low) else f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _ends(name: str) -> tuple[str, str, str]:
+    """The columns of a value and of both ends of its interval."""
+    return name, f"{name}_low", f"{name}_high"
 
 
 def _keys(rows: Sequence[Row]) -> list[str]:
@@ -120,43 +106,40 @@ def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> st
     return text
 
 
-def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
-    keys, columns = _keys(rows), _columns(spec)
-    lines = [
-        "| " + " | ".join([*keys, *columns]) + " |",
-        "|" + "---|" * (len(keys) + len(columns)),
+def _table(spec: StudySpec, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+    """The heads of the columns, and the cells of each row."""
+    keys, columns = _keys(rows), [*spec.tests, *(["gap"] if spec.gap is not None else [])]
+    cells = [
+        [*(str(row[key]) for key in keys), *(_interval_text(row, name) for name in columns)]
+        for row in rows
     ]
-    for row in rows:
-        cells = [str(row[key]) for key in keys]
-        cells += [_interval_text(row, name, 2) if name in row else "-" for name in columns]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return [*keys, *columns], cells
 
 
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    table = csv.DictWriter(text, names, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
+def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
+    heads, cells = _table(spec, rows)
+    lines = [" | ".join(row) for row in (heads, *cells)]
+    lines = [f"| {line} |" for line in lines]
+    return "\n".join([lines[0], "|" + "---|" * len(heads), *lines[1:]]) + "\n"
 
 
 def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
-    keys, columns = _keys(rows), _columns(spec)
-    head = " & ".join([*keys, *columns]).replace("_", r"\_")
-    lines = [
-        rf"% {spec.title}: AP50 with 95 % intervals over scenes",
-        rf"\begin{{tabular}}{{{'l' * len(keys)}{'c' * len(columns)}}}",
-        r"\hline",
-        head + r" \\",
-        r"\hline",
-    ]
-    for row in rows:
-        cells = [str(row[key]).replace("_", r"\_") for key in keys]
-        cells += [_interval_text(row, name, 2) for name in columns]
-        lines.append(" & ".join(cells) + r" \\")
-    return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
+    heads, cells = _table(spec, rows)
+    head, *lines = (" & ".join(row).replace("_", r"\_") + r" \\" for row in (heads, *cells))
+    keys = len(_keys(rows))
+    return "\n".join(
+        [
+            rf"% {spec.title}: AP50 with 95 % intervals over scenes",
+            rf"\begin{{tabular}}{{{'l' * keys}{'c' * (len(heads) - keys)}}}",
+            r"\hline",
+            head,
+            r"\hline",
+            *lines,
+            r"\hline",
+            r"\end{tabular}",
+            "",
+        ]
+    )
 
 
 def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from pydantic import AfterValidator, Field
 
 from ..base.frames import pixel_grid
-from ..base.settings import Finite, check_fields
+from ..base.settings import Finite, Level, Positive, check_fields
 
 MAX_SIDE_PX = 32_768  # It is twice the longest sensors; beyond it a number is no size in pixels.
 
@@ -30,6 +30,10 @@ def _pupil(metres: float) -> float:
             "a pupil's diameter must be less than 1 m: give it in metres, not in millimetres"
         )
     return metres
+
+
+Side = Annotated[int, Field(ge=1), AfterValidator(_side)]
+Distortion = tuple[Finite, Finite, Finite, Finite, Finite]  # (k1, k2, p1, p2, k3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,14 +56,10 @@ class Optics:
     says. Distortion beyond the monotonic range is refused.
     """
 
-    width_px: Annotated[
-        int, Field(ge=1, description="Width of the image in pixels."), AfterValidator(_side)
-    ]
-    height_px: Annotated[
-        int, Field(ge=1, description="Height of the image in pixels."), AfterValidator(_side)
-    ]
-    fx_px: Annotated[float, Field(gt=0, description="Focal length along x in pixels.")]
-    fy_px: Annotated[float, Field(gt=0, description="Focal length along y in pixels.")]
+    width_px: Annotated[Side, Field(description="Width of the image in pixels.")]
+    height_px: Annotated[Side, Field(description="Height of the image in pixels.")]
+    fx_px: Annotated[Positive, Field(description="Focal length along x in pixels.")]
+    fy_px: Annotated[Positive, Field(description="Focal length along y in pixels.")]
     cx_px: Annotated[
         Finite, Field(description="The x coordinate of the principal point in pixels.")
     ]
@@ -67,31 +67,30 @@ class Optics:
         Finite, Field(description="The y coordinate of the principal point in pixels.")
     ]
     distortion: Annotated[
-        tuple[Finite, Finite, Finite, Finite, Finite],
+        Distortion,
         Field(description="Brown-Conrady coefficients (k1, k2, p1, p2, k3) in OpenCV's order."),
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     aperture_m: Annotated[
-        float,
-        Field(ge=0, description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
+        Level,
+        Field(description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
         AfterValidator(_pupil),
     ] = 0.0
     focus_m: Annotated[
-        float,
+        Positive,
         Field(
-            gt=0,
-            description="Distance of the plane in focus along the axis in metres; "
-            "infinite if the key is absent.",
+            description="Distance of the plane in focus along the axis in metres; infinite if the "
+            "key is absent."
         ),
     ] = math.inf
     psf_px: Annotated[
-        float,
-        Field(ge=0, description="Radius in pixels of a blur that is the same at every distance."),
+        Level,
+        Field(description="Radius in pixels of a blur that is the same at every distance."),
     ] = 0.0
     natural_vignetting: Annotated[
         bool,
         Field(
-            description="Whether the image darkens towards its corners with a power "
-            "of the cosine of the field angle."
+            description="Whether the image darkens towards its corners with a power of the cosine "
+            "of the field angle."
         ),
     ] = False
     falloff: Annotated[
@@ -159,9 +158,7 @@ def optics_of(
     )
 
 
-def distort(
-    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
-) -> Float[np.ndarray, "*n 2"]:
+def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
     """Ideal normalised image coordinates to distorted ones.
 
     Source: D. C. Brown, "Close-range camera calibration", 1971; OpenCV's coefficient order.
@@ -179,9 +176,7 @@ def distort(
     )
 
 
-def undistort(
-    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
-) -> Float[np.ndarray, "*n 2"]:
+def undistort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
     """The inverse of `distort`, by Newton's method to 1e-9.
 
     Raises:
@@ -242,7 +237,7 @@ def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarra
     return picture_rays(optics) * depth_m[..., None]
 
 
-def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
+def fold_radius2(distortion: Distortion) -> float:
     """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
 
     The smallest positive root of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3, s = r^2.

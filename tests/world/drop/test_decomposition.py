@@ -14,10 +14,11 @@ from scipy.spatial import ConvexHull
 from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
 from graycast.base.errors import GraycastError
 from graycast.base.progress import Stages
-from graycast.world.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
+from graycast.world.drop import cache_folder, decomposition, hull_notes, prepare
 from graycast.world.drop.decomposition import (
     decompose,
     hull_error,
+    hull_of,
     hull_store,
     mesh_hulls,
     tolerance_m,
@@ -25,7 +26,7 @@ from graycast.world.drop.decomposition import (
 from graycast.world.drop.decomposition.cache import read_decomposition
 from graycast.world.parts import Mesh
 
-from .conftest import RING_HEIGHT_M, RING_INNER_M, RING_OUTER_M, as_part, box_part
+from .conftest import RING_HEIGHT_M, RING_INNER_M, RING_OUTER_M, as_part, box_part, convex_hulls
 
 
 def same(a, b) -> bool:
@@ -45,7 +46,7 @@ def held(hulls, point) -> np.ndarray:
 
 def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
-    made = convex_hulls(box_part((0.04, 0.05, 0.06)).mesh, folder=tmp_path)
+    made = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
     ((vertices, faces),) = made.hulls
     assert made.error.worst_m < 1e-9 and not made.coarse
     volume = np.linalg.det(vertices[faces]).sum() / 6  # negative if faces look inwards
@@ -143,10 +144,10 @@ def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_c
     notch.apply_translation((0, 0, 0.01))
     mesh = mesh_of(trimesh.boolean.difference([block, notch], engine="manifold"))
     corners = np.array(block.vertices)
-    full = decomposition.hulls.hull_of(corners)
+    full = hull_of(corners)
     assert hull_error(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
     assert hull_error(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
-    short = decomposition.hulls.hull_of(np.minimum(corners, [0.048, 1, 1]))
+    short = hull_of(np.minimum(corners, [0.048, 1, 1]))
     assert hull_error(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
 
 
@@ -166,13 +167,13 @@ def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
     else:
         shape.invert()
     with pytest.raises(ValueError, match=r"close its holes and turn|turn its faces outward"):
-        convex_hulls(mesh_of(shape), folder=tmp_path)
+        convex_hulls(as_part(shape, "part"), tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["flipped bit", "cut short", "empty", "words"])
 def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
-    mesh = box_part((0.04, 0.05, 0.06)).mesh
-    good = convex_hulls(mesh, folder=tmp_path).hulls
+    part = box_part((0.04, 0.05, 0.06))
+    good = convex_hulls(part, tmp_path).hulls
     (file,) = tmp_path.iterdir()
     data = bytearray(file.read_bytes())
     at = data.index(b"NUMPY") + 150  # among the vertices
@@ -186,18 +187,18 @@ def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
         case "words":
             data = b"not a cache file"
     file.write_bytes(data)
-    assert same(convex_hulls(mesh, folder=tmp_path).hulls, good)
+    assert same(convex_hulls(part, tmp_path).hulls, good)
     assert read_decomposition(file) is not None
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, monkeypatch):
-    mesh = box_part((0.04, 0.05, 0.06)).mesh
-    first = convex_hulls(mesh, folder=tmp_path)
-    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)).mesh, folder=tmp_path)
+    part = box_part((0.04, 0.05, 0.06))
+    first = convex_hulls(part, tmp_path)
+    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)), tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr(hull_store, "decompose", lambda mesh: pytest.fail("not from the cache"))
-    again = convex_hulls(mesh, folder=tmp_path)
+    again = convex_hulls(part, tmp_path)
     assert same(again.hulls, first.hulls)
     assert (again.error, again.tolerance_m) == (first.error, first.tolerance_m)
 
@@ -297,14 +298,15 @@ import signal, sys
 import numpy as np
 from pathlib import Path
 from graycast.base.progress import Stages
-from graycast.world.drop import convex_hulls
-from graycast.world.parts import Mesh
+from graycast.world.drop import prepare
+from graycast.world.parts import Material, Mesh, Part
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
 data = np.load({mesh!r})
 mesh = Mesh(vertices_m=data["v"], faces=data["f"])
 print("start", flush=True)
 meter = Stages(lambda stage: print(stage, flush=True))
-convex_hulls(mesh, folder=Path({folder!r}), progress=meter)
+part = Part(name="ring", mesh=mesh, material=Material(), density_kg_m3=1000.0, friction=0.4)
+prepare((part,), hull_folder=Path({folder!r}), progress=meter)
 """
 
 
@@ -317,7 +319,7 @@ def test_a_batch_systems_stop_is_heard_at_any_stage(stage, tmp_path):
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     with process:
-        assert any(line.startswith(stage) for line in process.stdout)
+        assert any(line.removeprefix("ring: ").startswith(stage) for line in process.stdout)
         children = _children(process.pid)
         stopped = time.perf_counter()
         process.send_signal(signal.SIGTERM)
@@ -396,7 +398,7 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
     """
     shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
     part = as_part(shape, "washer")
-    full = decomposition.hulls.hull_of(np.array(shape.vertices))
+    full = hull_of(np.array(shape.vertices))
     made = decomposition.error.measured(part.mesh, (full,))
     assert made.coarse and 3.5e-3 < made.error.filled_m < 4e-3
     (note,) = hull_notes((part,), (made,))
@@ -423,13 +425,14 @@ def test_a_springs_inside_stays_open():
 def test_a_fresh_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
     np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
     program = (
-        "import numpy as np; from graycast.world.drop import convex_hulls;"
-        "from graycast.world.parts import Mesh;"
+        "import numpy as np; from pathlib import Path; from graycast.world.drop import prepare;"
+        "from graycast.world.parts import Material, Mesh, Part;"
         f"d = np.load({str(tmp_path / 'ring.npz')!r});"
-        f"convex_hulls(Mesh(vertices_m=d['v'], faces=d['f']), folder=__import__('pathlib')"
-        f".Path({str(tmp_path / 'cache')!r}))"
+        "mesh = Mesh(vertices_m=d['v'], faces=d['f']);"
+        "part = Part(name='', mesh=mesh, material=Material(), density_kg_m3=1.0, friction=0.0);"
+        f"prepare((part,), hull_folder=Path({str(tmp_path / 'cache')!r}))"
     )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
-    assert same(convex_hulls(ring_part.mesh, folder=tmp_path / "cache").hulls, ring_hulls)
+    assert same(convex_hulls(ring_part, tmp_path / "cache").hulls, ring_hulls)
     assert len(list((tmp_path / "cache").iterdir())) == 1

@@ -15,7 +15,7 @@ from ...base.streams import stream
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import Decomposition, convex_hulls_of
+from .decomposition import Decomposition, prepare
 from .grid import start_poses
 from .rest import simulate
 
@@ -104,7 +104,7 @@ def drop(
         counts: 0 or more of each kind, 1 to 255 in all.
         seed: 0 or more.
         limits: what is asked of the layout.
-        hull_folder: cache of `convex_hulls`; the user's cache folder if None.
+        hull_folder: cache of `prepare`; the user's cache folder if None.
         progress: hears what begins; each stage may take seconds.
 
     Raises:
@@ -150,22 +150,10 @@ def make_bodies(
     """Each kind of part as the engine needs it.
 
     Raises:
-        ValueError, GraycastError: as in `convex_hulls` and `body_of`.
+        ValueError, GraycastError: as in `prepare` and `body_of`.
     """
     prepared = prepare(parts, hull_folder=hull_folder, progress=progress)
     return tuple(body_of(part, hulls.hulls) for part, hulls in zip(parts, prepared, strict=True))
-
-
-def prepare(
-    parts: Iterable[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
-) -> tuple[Decomposition, ...]:
-    """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
-
-    Raises:
-        ValueError, GraycastError: as in `convex_hulls_of`.
-    """
-    named = [(part.name, part.mesh) for part in parts]
-    return convex_hulls_of(named, folder=hull_folder, progress=progress)
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:

@@ -14,8 +14,7 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
 from ...parts import Mesh
-from .hulls import Hull, height_m, hull_solid
-from .solid import bodies_of, surface_of
+from .solid import Hull, bodies_of, height_m, surface_of
 
 TOLERANCE_M = 0.5e-3
 TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5 mm would cost.
@@ -156,7 +155,7 @@ def hull_error(mesh: Mesh, hulls: tuple[Hull, ...]) -> HullError:
     bodies = bodies_of(mesh)
     solid = Manifold.batch_boolean(bodies, OpType.Add)
     surface = surface_samples(solid)
-    filled = max(filled_m(hull_solid(vertices), solid, surface) for vertices, _ in hulls)
+    filled = max(filled_m(Manifold.hull_points(vertices), solid, surface) for vertices, _ in hulls)
     outside_m = np.full(len(surface.point), np.inf)
     for vertices, _ in hulls:
         outside_m = np.minimum(outside_m, height_m(surface.point, vertices))

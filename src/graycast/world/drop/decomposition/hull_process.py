@@ -24,7 +24,7 @@ import numpy as np
 
 from ....base.errors import GraycastError
 from ....base.progress import Stages
-from ...parts import Mesh
+from ...parts import Mesh, Part
 from .cache import read_decomposition, write_decomposition
 from .error import Decomposition, measured
 from .mesh_hulls import decompose
@@ -33,7 +33,7 @@ _LOG_LINES = 5
 
 
 def decompose_apart(
-    jobs: Iterable[tuple[Path, str, Mesh]],
+    jobs: Iterable[tuple[Path, Part]],
 ) -> Generator[tuple[Path, str | Decomposition], None, None]:
     """`decompose` and `measured` of each mesh in a child process, one child per processor.
 
@@ -41,7 +41,7 @@ def decompose_apart(
     stop early closes this iterator, which ends them too.
 
     Args:
-        jobs: a key, a part's name for errors (may be empty) and its mesh; taken as children start.
+        jobs: a key and a part; taken as children start.
 
     Yields:
         The key with each stage of its child, and at last with the result.
@@ -54,9 +54,9 @@ def decompose_apart(
     with ExitStack() as stack:
         running = stack.enter_context(selectors.DefaultSelector())
         while True:
-            for key, name, mesh in islice(waiting, processors - len(running.get_map())):
+            for key, part in islice(waiting, processors - len(running.get_map())):
                 own = stack.enter_context(ExitStack())
-                child = own.enter_context(_started(name, mesh))
+                child = own.enter_context(_started(part))
                 running.register(child.stdout, selectors.EVENT_READ, (key, child, own))
             if not running.get_map():
                 return
@@ -92,12 +92,12 @@ class _Child:
 
 
 @contextmanager
-def _started(name: str, mesh: Mesh) -> Iterator[_Child]:
-    """A child that decomposes the mesh, and ends with this context however it ends."""
+def _started(part: Part) -> Iterator[_Child]:
+    """A child that decomposes the part's mesh, and ends with this context however it ends."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="graycast-hulls-")))
         mesh_file, hull_file = folder / "mesh.npz", folder / "hulls.npz"
-        np.savez(mesh_file, vertices_m=mesh.vertices_m, faces=mesh.faces)
+        np.savez(mesh_file, vertices_m=part.mesh.vertices_m, faces=part.mesh.faces)
         log = stack.enter_context(tempfile.TemporaryFile("w+"))
         process = subprocess.Popen(
             [sys.executable, "-m", __spec__.name, mesh_file, hull_file],
@@ -112,7 +112,7 @@ def _started(name: str, mesh: Mesh) -> Iterator[_Child]:
         stack.callback(process.kill)
         assert process.stdout is not None
         yield _Child(
-            name=name, process=process, stdout=process.stdout, hull_file=hull_file, log=log
+            name=part.name, process=process, stdout=process.stdout, hull_file=hull_file, log=log
         )
 
 
@@ -122,7 +122,7 @@ def _obituary(name: str, code: int, log: IO[str]) -> str:
     words = "; ".join(line.strip() for line in log.read().splitlines()[-_LOG_LINES:])
     why = f" ({words})" if words else ""
     return (
-        f"the process that cuts {name or 'a part'} into convex hulls {how}{why}: free memory, or "
+        f"the process that cuts {name} into convex hulls {how}{why}: free memory, or "
         "decimate the part's mesh"
     )
 

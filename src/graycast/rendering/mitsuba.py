@@ -48,6 +48,7 @@ from .radiance import (
     Denoiser,
     OnPass,
     PathNoise,
+    Patterns,
     Quality,
     Radiance,
     Renderer,
@@ -89,13 +90,7 @@ class MitsubaRenderer(Renderer):
         self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: np.ndarray,
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         refuse_other_size(pattern, scene.rig.projector)
         if quality.denoise == "optix":

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.errors import ConfigError
 from ..world.parts import Material, Mesh
-from ..world.parts.grain import corner_grain
+from ..world.parts.part import corner_grain
 from ..world.scene import (
     Lamp,
     Layout,
@@ -24,11 +24,10 @@ from ..world.scene import (
     quad_mesh,
     table_quad,
 )
-from .brushed_conductor import GRAIN, BrushedConductor
 from .coated_diffuse import CoatedDiffuse
 from .dielectric import Dielectric, ThinDielectric
 from .filmed_conductor import FilmedConductor
-from .rough_conductor import RoughConductor
+from .rough_conductor import GRAIN, BrushedConductor, RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("filmed_conductor", FilmedConductor)

@@ -12,6 +12,7 @@ from ..base.settings import check_fields
 from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
 
+Patterns = UInt8[np.ndarray, "n ph pw"]  # grey levels, 255 is white
 DenoiserName = Literal["none", "oidn", "optix"]
 # It takes radiance, albedo and normals, (h, w, 3) each in float32, and returns clean radiance.
 Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -172,13 +173,7 @@ class Renderer(Protocol):
     versions: dict[str, str]  # of the software that renders
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         """Render every pattern (grey levels, 255 is white) and the ground truth.
 
@@ -199,7 +194,7 @@ class Renderer(Protocol):
         self.close()
 
 
-def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:
+def refuse_other_size(pattern: Patterns, projector: Optics) -> None:
     """Refuse patterns that do not have the projector's size.
 
     Raises:

@@ -11,7 +11,7 @@ import math
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
 from ..base.frames import inverse, pixel_grid, transform_points
 from ..rig.optics import corner_share, project, rays, relative_illumination
@@ -21,6 +21,7 @@ from .denoise import open_denoiser
 from .radiance import (
     Denoiser,
     GroundTruth,
+    Patterns,
     Quality,
     Radiance,
     Renderer,
@@ -43,13 +44,7 @@ class ReferenceRenderer(Renderer):
         self.denoiser: Denoiser = open_denoiser(self.device)
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         _refuse_beyond_limits(scene, layout, pattern, quality)
         camera = scene.rig.camera

@@ -5,6 +5,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -17,9 +18,9 @@ from graycast.base.progress import Stages
 from graycast.world.drop import cache_folder, decomposition, hull_notes, prepare
 from graycast.world.drop.decomposition import (
     decompose,
-    hull_error,
     hull_of,
     hull_store,
+    measure,
     mesh_hulls,
     tolerance_m,
 )
@@ -48,7 +49,7 @@ def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkey
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
     made = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
     ((vertices, faces),) = made.hulls
-    assert made.error.worst_m < 1e-9 and not made.coarse
+    assert made.worst_m < 1e-9 and not made.coarse
     volume = np.linalg.det(vertices[faces]).sum() / 6  # negative if faces look inwards
     assert volume == pytest.approx(0.04 * 0.05 * 0.06, rel=1e-12)
 
@@ -84,7 +85,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
     r, turn = 3.5e-3 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
     z = rng.uniform(-0.5, 0.5, 2000) * thickness_m
     assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
-    assert hull_error(mesh, hulls).worst_m < tolerance_m(mesh)
+    assert measure(mesh, hulls).worst_m < tolerance_m(mesh)
 
 
 @pytest.mark.slow
@@ -112,7 +113,7 @@ def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
     assert np.ptp(head[:, 2]) == pytest.approx(5.3e-3, abs=1e-7)
     radius = np.hypot(shank[:, 0], shank[:, 1]) * 1e3
     assert np.minimum(np.abs(radius - 4), np.abs(radius - 2.75)).max() < 1e-4
-    error = hull_error(mesh, tuple(hulls))
+    error = measure(mesh, tuple(hulls))
     assert error.filled_m < 1e-7 and error.lost_m < 0.003 * 0.037
 
 
@@ -145,10 +146,10 @@ def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_c
     mesh = mesh_of(trimesh.boolean.difference([block, notch], engine="manifold"))
     corners = np.array(block.vertices)
     full = hull_of(corners)
-    assert hull_error(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
-    assert hull_error(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
+    assert measure(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
+    assert measure(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
     short = hull_of(np.minimum(corners, [0.048, 1, 1]))
-    assert hull_error(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
+    assert measure(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
 
 
 def test_distances_to_triangles_are_those_of_trimesh():
@@ -200,7 +201,8 @@ def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, mon
     monkeypatch.setattr(hull_store, "decompose", lambda mesh: pytest.fail("not from the cache"))
     again = convex_hulls(part, tmp_path)
     assert same(again.hulls, first.hulls)
-    assert (again.error, again.tolerance_m) == (first.error, first.tolerance_m)
+    figures = attrgetter("filled_m", "lost_m", "tolerance_m")
+    assert figures(again) == figures(first)
 
 
 def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
@@ -216,7 +218,7 @@ def test_one_kind_tells_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
     (made,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
     assert len(made.hulls) > 1
-    assert made.error == hull_error(part.mesh, made.hulls) and not made.coarse
+    assert made.worst_m == measure(part.mesh, made.hulls).worst_m and not made.coarse
     assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
     assert stages[-1].startswith("nut: measuring")
 
@@ -259,7 +261,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
     assert starts[0] == 2 and len(children) == 3
     for part, one in zip(parts, made, strict=True):
         hulls = decompose(part.mesh)
-        assert same(one.hulls, hulls) and one.error == hull_error(part.mesh, hulls)
+        assert same(one.hulls, hulls) and one.worst_m == measure(part.mesh, hulls).worst_m
     counts = [f"collision hulls: {number} of 4 kinds are ready" for number in (1, 2, 3)]
     assert list(dict.fromkeys(stage for stage in stages if "kinds" in stage)) == counts
     last = stages[stages.index(counts[-1]) + 1 :]
@@ -365,7 +367,7 @@ def _alive(pid: int) -> bool:
 @pytest.mark.parametrize("name", ZOO)
 def test_hulls_of_the_zoo_keep_to_their_bound(name):
     mesh = zoo_part(name).mesh
-    assert hull_error(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
+    assert measure(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
 
 
 @pytest.mark.slow
@@ -373,7 +375,7 @@ def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
     """What simplifying takes is in the bound, which is held against the mesh as it was."""
     mesh = wavy_ring(500_000)
     hulls = decompose(mesh)
-    assert hull_error(mesh, hulls).worst_m <= tolerance_m(mesh)
+    assert measure(mesh, hulls).worst_m <= tolerance_m(mesh)
     turn = np.linspace(0, 2 * np.pi, 500)
     for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
         circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
@@ -399,15 +401,15 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
     shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
     part = as_part(shape, "washer")
     full = hull_of(np.array(shape.vertices))
-    made = decomposition.error.measured(part.mesh, (full,))
-    assert made.coarse and 3.5e-3 < made.error.filled_m < 4e-3
+    made = measure(part.mesh, (full,))
+    assert made.coarse and 3.5e-3 < made.filled_m < 4e-3
     (note,) = hull_notes((part,), (made,))
     assert (
         note.startswith("washer: its collision hulls are too coarse")
         and "the bound is 0.50 mm." in note
     )
-    assert f"{1e3 * made.error.worst_m:.2f} mm from its surface" in note
-    fine = decomposition.error.measured(part.mesh, decompose(part.mesh))
+    assert f"{1e3 * made.worst_m:.2f} mm from its surface" in note
+    fine = measure(part.mesh, decompose(part.mesh))
     assert not fine.coarse and hull_notes((part,), (fine,)) == ()
 
 

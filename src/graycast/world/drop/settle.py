@@ -69,20 +69,20 @@ class DropLimits:
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
     """The defects of a layout in words with numbers; empty if it is acceptable."""
-    found = []
+    defects = []
     if layout.outside:
-        found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
+        defects.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
     if not layout.at_rest:
-        found.append(
+        defects.append(
             f"not at rest after {layout.simulated_s:.1f} s "
             f"(a part still moved by {1e3 * layout.last_motion_m:.2f} mm)"
         )
     if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
-        found.append(
+        defects.append(
             f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or into the "
             f"bin, and the limit is {1e3 * limits.penetration_m:.2f} mm"
         )
-    return tuple(found)
+    return tuple(defects)
 
 
 def drop(
@@ -160,7 +160,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
     """Notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
         f"{part.name}: its collision hulls are too coarse: they are up to "
-        f"{1e3 * hulls.error.worst_m:.2f} mm from its surface, and the bound is "
+        f"{1e3 * hulls.worst_m:.2f} mm from its surface, and the bound is "
         f"{1e3 * hulls.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
         "other. A simpler mesh without the inside of the part helps"
         for part, hulls in zip(parts, prepared, strict=True)

@@ -10,7 +10,7 @@ and `hull_store` keeps the results.
 """
 
 from .cache import cache_folder
-from .error import Decomposition, HullError, hull_error, tolerance_m
+from .error import Decomposition, measure, tolerance_m
 from .hull_store import prepare
 from .mesh_hulls import decompose
 from .solid import Hull, hull_of
@@ -18,11 +18,10 @@ from .solid import Hull, hull_of
 __all__ = [
     "Decomposition",
     "Hull",
-    "HullError",
     "cache_folder",
     "decompose",
-    "hull_error",
     "hull_of",
+    "measure",
     "prepare",
     "tolerance_m",
 ]

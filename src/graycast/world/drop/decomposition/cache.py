@@ -11,7 +11,7 @@ import numpy as np
 from ....base import folder
 from ....base.folder import fill_whole
 from ...parts import Mesh
-from .error import Decomposition, HullError
+from .error import Decomposition
 
 CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
 
@@ -42,20 +42,21 @@ def read_decomposition(file: Path) -> Decomposition | None:
     pieces = zip(np.split(vertices, splits[0]), np.split(faces, splits[1]), strict=True)
     return Decomposition(
         hulls=tuple(pieces),
-        error=HullError(filled_m=filled_m, lost_m=lost_m),
+        filled_m=filled_m,
+        lost_m=lost_m,
         tolerance_m=tolerance_m,
     )
 
 
 def write_decomposition(file: Path, decomposition: Decomposition) -> None:
     """Write a cache file, completely or not at all."""
-    hulls, error = decomposition.hulls, decomposition.error
+    hulls, own = decomposition.hulls, decomposition
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {
         "vertices_m": np.vstack([vertices for vertices, _ in hulls]),
         "faces": np.vstack([faces for _, faces in hulls]),
         "vertex_split": np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
         "face_split": np.cumsum([len(faces) for _, faces in hulls])[:-1],
-        "measured_m": np.array([error.filled_m, error.lost_m, decomposition.tolerance_m]),
+        "measured_m": np.array([own.filled_m, own.lost_m, own.tolerance_m]),
     }
     fill_whole(file, lambda aside: np.savez(aside, **arrays))

@@ -26,7 +26,7 @@ from ....base.errors import GraycastError
 from ....base.progress import Stages
 from ...parts import Mesh, Part
 from .cache import read_decomposition, write_decomposition
-from .error import Decomposition, measured
+from .error import Decomposition, measure
 from .mesh_hulls import decompose
 
 _LOG_LINES = 5
@@ -35,7 +35,7 @@ _LOG_LINES = 5
 def decompose_apart(
     jobs: Iterable[tuple[Path, Part]],
 ) -> Generator[tuple[Path, str | Decomposition], None, None]:
-    """`decompose` and `measured` of each mesh in a child process, one child per processor.
+    """`decompose` and `measure` of each mesh in a child process, one child per processor.
 
     One thread follows all children, so that an exception in it ends them all. A caller that may
     stop early closes this iterator, which ends them too.
@@ -137,7 +137,7 @@ def _main(mesh_file: Path, hull_file: Path) -> None:
     try:
         hulls = decompose(mesh, progress=Stages(lambda stage: _say(stage=stage)))
         _say(stage=f"measuring {len(hulls)} hulls")
-        write_decomposition(hull_file, measured(mesh, hulls))
+        write_decomposition(hull_file, measure(mesh, hulls))
     except ValueError as error:
         _say(refused=str(error))
     else:

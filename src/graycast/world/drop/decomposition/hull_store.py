@@ -8,7 +8,7 @@ from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Part
 from . import cutting, error, mesh_hulls, solid
 from .cache import cache_folder, key_of, read_decomposition, write_decomposition
-from .error import Decomposition, measured
+from .error import Decomposition, measure
 from .hull_process import decompose_apart
 from .mesh_hulls import decompose
 
@@ -60,7 +60,7 @@ def prepare(
             if file in ready:
                 continue
             if len(part.mesh.faces) <= FEW_FACES and mesh_hulls.is_one_hull(part.mesh):
-                keep(file, measured(part.mesh, decompose(part.mesh)))
+                keep(file, measure(part.mesh, decompose(part.mesh)))
             else:
                 yield file, part
 

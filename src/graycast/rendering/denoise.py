@@ -92,7 +92,7 @@ class OpenImageDenoise:
         self._device = pyoidn.Device(kinds[device])
         self._device.commit()
         self._check()
-        self._kept: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
+        self._last: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
 
     def __call__(
         self,
@@ -118,7 +118,7 @@ class OpenImageDenoise:
         """The network for pictures of a shape, and the memory of its device that it works on."""
         import pyoidn
 
-        if self._kept is None or self._kept[0] != shape:
+        if self._last is None or self._last[0] != shape:
             names = ("color", "albedo", "normal", "output")
             bytes_each = 4 * math.prod(shape)
             buffers = {name: pyoidn.Buffer(self._device, bytes_each) for name in names}
@@ -129,12 +129,12 @@ class OpenImageDenoise:
             network.commit()
             self._check()
             self._release()
-            self._kept = (shape, network, buffers)
-        return self._kept[1:]
+            self._last = (shape, network, buffers)
+        return self._last[1:]
 
     def _release(self) -> None:
-        if self._kept is not None:
-            _, network, buffers = self._kept
+        if self._last is not None:
+            _, network, buffers = self._last
             network.release()
             for buffer in buffers.values():
                 buffer.release()

@@ -78,7 +78,7 @@ class _Built:
 class MitsubaRenderer(Renderer):
     """See the module. It keeps a world until a call needs another; the process keeps the device.
 
-    Further images of a scene, by other rigs at other poses, use the kept world.
+    Further images of a scene, by other rigs at other poses, use the last world.
     """
 
     name = "mitsuba"

@@ -59,8 +59,9 @@ class MitsubaWorld:
 
 def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     world: dict[str, object] = {"type": "scene"}
-    part_shapes = []
+    part_shapes, materials = [], {}  # the material of each shape by its name
     for index, part in enumerate(scene.parts):
+        materials[f"part{index}"] = part.material
         instances = np.flatnonzero(layout.part_index == index)
         if len(instances) == 0:
             continue
@@ -71,9 +72,11 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     if scene.bin is not None and table is not None:
         for name, mesh, material in bin_surfaces(scene.bin):
             world[name] = _mesh(name, mesh, material, np.eye(4)[None])
-        world["table"] = _flat_surface("table", table)
+            materials[name] = material
+        world["table"], materials["table"] = _flat_surface("table", table), scene.table
     for index, surface in enumerate(scene.surfaces):
         name = f"surface{index}"
+        materials[name] = surface.material
         if isinstance(surface, Quad):
             world[name] = _flat_surface(name, surface)
         else:
@@ -86,7 +89,6 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
     # environment's shadow rays, as long as the scene is large, then end before what blocks them.
     loaded = mi.load_dict(world, optimize=False)
-    materials = _materials(scene)
     shiny = {name for name, material in materials.items() if _is_shiny(material)}
     kinds = {material.transparent for material in materials.values()}
     return MitsubaWorld(
@@ -96,16 +98,6 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
         glass=bool(kinds - {None}),
         thin="thin" in kinds,
     )
-
-
-def _materials(scene: Scene) -> dict[str, Material]:
-    """Of the shapes of `build`, by their names."""
-    materials = {f"part{index}": part.material for index, part in enumerate(scene.parts)}
-    if scene.bin is not None:
-        materials |= {name: material for name, _, material in bin_surfaces(scene.bin)}
-        materials["table"] = scene.table
-    materials |= {f"surface{index}": one.material for index, one in enumerate(scene.surfaces)}
-    return materials
 
 
 def _is_shiny(material: Material) -> bool:

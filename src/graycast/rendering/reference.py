@@ -106,11 +106,7 @@ def _refuse_beyond_limits(
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     """Irradiance by an all-white projector, base colour, and the projector pixel of each ray."""
     rig = scene.rig
-    direction = rays(rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
-    eye = scene.T_world_cam[:3, 3]
-    t, index = _nearest(scene, eye, direction)
-    hit = index >= 0
-    point = eye + np.where(hit, t, 1.0)[..., None] * direction
+    direction, _, index, point = _first(scene, pixel)
     normal, base = _normals(scene, point, index), _base_colors(scene, index)
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     in_projector = transform_points(inverse(T_world_proj), point)
@@ -125,7 +121,13 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     cosine = (normal * to_lens).sum(axis=-1) / distance
     faces_camera = (normal * direction).sum(axis=-1) < 0
     start = point + CLEARANCE_M * normal
-    lit = hit & inside & (cosine > 0) & faces_camera & ~_blocked(scene, start, T_world_proj[:3, 3])
+    lit = (
+        (index >= 0)
+        & inside
+        & (cosine > 0)
+        & faces_camera
+        & ~_blocked(scene, start, T_world_proj[:3, 3])
+    )
     irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
     if rig.projector.natural_vignetting:
         irradiance *= in_projector[..., 2] / distance
@@ -140,6 +142,15 @@ def _on_a_pixel(rig: Rig, place_px: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarr
     """Whether the light comes from a pixel's shining square rather than from between them."""
     aside = np.abs(place_px - np.floor(place_px + 0.5))
     return (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
+
+
+def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
+    """Direction, ray parameter, surface (-1 for none) and point where a pixel's ray first meets."""
+    direction = rays(scene.rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
+    eye = scene.T_world_cam[:3, 3]
+    t, index = _nearest(scene, eye, direction)
+    point = eye + np.where(index >= 0, t, 1.0)[..., None] * direction
+    return direction, t, index, point
 
 
 def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
@@ -201,17 +212,12 @@ def _base_colors(scene: Scene, index: np.ndarray) -> np.ndarray:
 
 
 def _truth(scene: Scene, grid: np.ndarray) -> GroundTruth:
-    ray_cam = rays(scene.rig.camera, grid)
-    direction = ray_cam @ scene.T_world_cam[:3, :3].T
-    eye = scene.T_world_cam[:3, 3]
-    t, index = _nearest(scene, eye, direction)
-    hit = index >= 0
-    point = eye + np.where(hit, t, 0.0)[..., None] * direction
-    normal = _normals(scene, point, index) @ scene.T_world_cam[:3, :3]
-    towards = -np.sign((normal * ray_cam).sum(axis=-1, keepdims=True))
+    direction, t, index, point = _first(scene, grid)
+    normal = _normals(scene, point, index)
+    normal *= -np.sign((normal * direction).sum(axis=-1, keepdims=True))
     return GroundTruth(
-        depth_m=np.where(hit, t, np.nan),  # rays have unit z, so t is the depth
-        normal=normal * towards,
+        depth_m=np.where(index >= 0, t, np.nan),  # rays have unit z, so t is the depth
+        normal=normal @ scene.T_world_cam[:3, :3],
         instance=np.full(index.shape, -1),
         amodal=(),
     )

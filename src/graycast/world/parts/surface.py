@@ -89,14 +89,13 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
     keep = keep[once]
     if len(keep) == 0:
         raise Refusal("all its faces are degenerate; export the mesh again")
-    kept = np.zeros(len(position), dtype=bool)
-    kept[faces[keep]] = True
-    return RawMesh(
-        vertices=position[kept],
-        faces=kept.cumsum()[faces[keep]] - 1,
+    rest = np.zeros(len(position), dtype=bool)
+    rest[faces[keep]] = True
+    return replace(
+        surface,
+        vertices=position[rest],
+        faces=rest.cumsum()[faces[keep]] - 1,
         corner_uv=None if surface.corner_uv is None else surface.corner_uv[keep],
-        texture=surface.texture,
-        other_materials=surface.other_materials,
         shares_vertices=True,
         face_color=None if surface.face_color is None else surface.face_color[keep],
     )

@@ -119,11 +119,11 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
             flip = _turn(across, middle, np.pi)
             continuous = ((tuple(axis.tolist()), tuple(middle.tolist())),)
             return Symmetry(discrete=(flip,) if leaves(flip) else (), continuous=continuous)
-    found: list[np.ndarray] = []
+    discrete: list[np.ndarray] = []
     for T in _candidates(middle):
-        if not any(np.allclose(T, other, atol=1e-9) for other in found) and leaves(T):
-            found.append(T)
-    return Symmetry(discrete=tuple(found))
+        if not any(np.allclose(T, other, atol=1e-9) for other in discrete) and leaves(T):
+            discrete.append(T)
+    return Symmetry(discrete=tuple(discrete))
 
 
 def turns_together(

@@ -16,8 +16,6 @@ scattered twice among the coat's facets, which goes to the base instead.
 
 Source: Kelemen & Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model with
 Importance Sampling", Eurographics 2001; the coat: `ggx.py`.
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache

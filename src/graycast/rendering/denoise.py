@@ -22,13 +22,9 @@ def denoise(
     normal: Float[np.ndarray, "h w 3"],
     by: Denoiser,
 ) -> Float[np.ndarray, "h w 3"]:
-    """A clean copy of a linear colour picture.
+    """A clean copy of a linear colour picture, of any scale, by the renderer's own denoiser.
 
-    Args:
-        rgb: radiance [W sr^-1 m^-2], any scale.
-        albedo: base reflectance of what each pixel sees.
-        normal: unit normals, NaN where there is nothing.
-        by: the renderer's own denoiser.
+    Albedo and unit normal are of what each pixel sees; normals are NaN where there is nothing.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
@@ -100,11 +96,7 @@ class OpenImageDenoise:
         albedo: Float[np.ndarray, "h w 3"],
         normal: Float[np.ndarray, "h w 3"],
     ) -> Float[np.ndarray, "h w 3"]:
-        """See `Denoiser`.
-
-        Raises:
-            RuntimeError: the device refused, as it does without memory.
-        """
+        """See `Denoiser`; RuntimeError where the device refuses, as it does without memory."""
         network, buffers = self._network(rgb.shape)
         for name, image in (("color", rgb), ("albedo", albedo), ("normal", normal)):
             buffers[name].write(0, image.nbytes, image)

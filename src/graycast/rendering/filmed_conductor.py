@@ -21,8 +21,6 @@ direction, light may not run backwards.
 
 Sources: A. Weidlich & A. Wilkie, "Arbitrarily Layered Micro-Facet Surfaces", GRAPHITE 2007
 (refracted lobe); E. Turquin, 2019, and C. Kulla & A. Conty, 2017, as in `rough_conductor.py`.
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache

@@ -9,8 +9,6 @@ the second, and all of this holds; with a number, no kernel is longer for it.
 Sources: B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
 (distribution); E. Heitz, "Understanding the Masking-Shadowing Function", JCGT 3(2), 2014 (G2);
 J. Dupuy & A. Benyoub, "Sampling Visible GGX Normals with Spherical Caps", CGF 42(8), 2023.
-
-Imported only by the BSDFs, after a variant was set.
 """
 
 from collections.abc import Callable
@@ -167,11 +165,8 @@ def directional_albedo(
 ) -> Float[np.ndarray, " n"]:
     """Share of light from each direction that facets send back after one reflection.
 
-    The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for.
-
-    Args:
-        alphas: widths of GGX along x and y.
-        fresnel: reflectance of a facet by the cosine at which light meets it; all of it by default.
+    The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for; F is a facet's
+    reflectance by the cosine at which light meets it, and `alphas` are its widths along x and y.
     """
     met = (facets(w, alphas) for w in wi)
     return np.array([float((fresnel(cos_half) * left).mean()) for cos_half, _, left in met])

@@ -1,7 +1,4 @@
-"""The projector as a light in Dr.Jit: what it shines on a point, and its rays to shiny surfaces.
-
-Imported only by the other Mitsuba files, after a variant was set.
-"""
+"""The projector as a light in Dr.Jit: what it shines on a point, and its rays to shiny surfaces."""
 
 from collections.abc import Sequence
 

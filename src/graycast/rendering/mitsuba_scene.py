@@ -1,7 +1,4 @@
-"""A Graycast scene as a Mitsuba 3 scene: materials, merged part meshes, lights.
-
-Imported only by `mitsuba.py`, after a variant was set.
-"""
+"""A Graycast scene as a Mitsuba 3 scene: materials, merged part meshes, lights."""
 
 from dataclasses import dataclass
 from pathlib import Path

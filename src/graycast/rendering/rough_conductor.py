@@ -30,8 +30,6 @@ before grazing incidence.
 Sources: C. Kulla & A. Conty, "Revisiting Physically Based Shading at Imageworks", SIGGRAPH 2017
 course (F_ms); E. Turquin, "Practical Multiple Scattering Compensation for Microfacet Models",
 Industrial Light & Magic, 2019 (scaled lobe); C. Schlick, CGF 13(3), 1994 (F).
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache

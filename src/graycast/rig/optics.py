@@ -44,13 +44,10 @@ class Optics:
     with `r2 = x^2 + y^2` and `radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3`,
     `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
 
-    `aperture_m` is the diameter of the entrance pupil (0: a pinhole), `focus_m` the z of the plane
-    in focus; the pupil lies at z = 0. `psf_px` is the radius of a disc of blur that is there at
-    every depth: aberrations and diffraction. `natural_vignetting` dims a camera by the fourth power
-    of the cosine to its axis, a projector's intensity by the first (see `relative_illumination`).
-    `falloff` is the share of the light that is missing in the picture's corners beyond that, by
-    whatever cause (see `corner_share`).
-    `fill_factor` is the share of a pixel's area, a centred square, that senses or shines.
+    The entrance pupil lies at z = 0. The blur `psf_px` stands for aberrations and diffraction.
+    `natural_vignetting` dims a camera by the fourth power of the cosine to its axis, a projector's
+    intensity by the first (see `relative_illumination`); `falloff` has any cause (see
+    `corner_share`). What senses or shines of a pixel (`fill_factor`) is a centred square.
 
     Leaves out: skew; what vignetting by the lens's own rims does to blur; what `blur_radius_px`
     says. Distortion beyond the monotonic range is refused.

@@ -44,18 +44,12 @@ class Rig:
     has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, shared out
     over the red, green and blue band by `band_weights`. The measuring camera is monochrome and has
     a filter that passes the bands in which the projector shines, and no other.
-    `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
 
-    `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
-    from 0 to 255, linear between them. What leaks through a black picture is white's light over
-    `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
-    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
-    light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
-    to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
-    a material has that scatters light inside (see `speckle.material_contrast`), and
-    `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
-    one standard deviation, as a share, of each projected line's light in each picture; errors of
-    one line have a correlation of 1/e at `line_noise_length_m`.
+    The `response` is that at grey levels from 0 to 255, linear between them. What leaks through a
+    black picture is white's light over `contrast_ratio`; it is in every picture. `speckle_contrast`
+    is standard deviation over mean of the light of a rough surface: up to 1 of a laser, 0.71 where
+    the surface depolarises it; `speckle_volume` is that of `speckle.material_contrast`.
+    `line_noise` is one standard deviation of each projected line's light in each picture.
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
     place, time or the picture.

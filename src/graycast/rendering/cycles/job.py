@@ -5,10 +5,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32
+from jaxtyping import Float, Int
 from PIL import Image
 
 from ...rig.optics import Optics, fold_radius2, rays
@@ -125,9 +125,8 @@ def is_simple(camera: Optics) -> bool:
 
 def _optics(optics: Optics) -> dict[str, Any]:
     """JSON has no infinity: None is a focus, or a fold of the lens, at infinity."""
-    words = {name: getattr(optics, name) for name in Optics.__slots__}
     fold = fold_radius2(optics.distortion)
-    return words | {
+    return asdict(optics) | {
         "focus_m": None if math.isinf(optics.focus_m) else optics.focus_m,
         "fold_radius2": None if math.isinf(fold) else fold,
     }
@@ -170,19 +169,8 @@ def _placed(scene: Scene, layout: Layout) -> list[_Placed]:
     return placed
 
 
-class _MeshArrays(TypedDict):
-    """What a mesh's file holds."""
-
-    vertices_m: Float32[np.ndarray, "v 3"]
-    faces: Int32[np.ndarray, "f 3"]
-    T_world: Float[np.ndarray, "n 4 4"]
-    corner_uv: NotRequired[Float32[np.ndarray, "f 3 2"]]
-    corner_normals: NotRequired[Float32[np.ndarray, "f 3 3"]]
-    corner_grain: NotRequired[Float32[np.ndarray, "f 3 3"]]
-
-
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
-    arrays: _MeshArrays = {
+    arrays = {
         "vertices_m": placed.mesh.vertices_m.astype(np.float32),
         "faces": placed.mesh.faces.astype(np.int32),
         "T_world": placed.T_world,
@@ -230,9 +218,4 @@ def _environment(environment: Environment) -> dict[str, Any] | None:
     if environment.map_file is None and not any(environment.radiance):
         return None
     file = None if environment.map_file is None else str(environment.map_file.resolve())
-    return {
-        "radiance": environment.radiance,
-        "map_file": file,
-        "rotation_rad": environment.rotation_rad,
-        "levelled": environment.levelled,
-    }
+    return asdict(environment) | {"map_file": file}

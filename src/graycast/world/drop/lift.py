@@ -75,15 +75,10 @@ def lift(
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],
 ) -> Lift:
-    """Move a tool that holds a part along a path.
+    """Move a tool that holds a part along a path, while the others lie at rest.
 
     Args:
-        box: the bin.
-        bodies: kinds of parts.
-        T_world_part: where parts lie, at rest.
-        part_index: the kind of each part.
         number: of the part that is held.
-        hold: how.
         T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
             on the part.
     """

@@ -13,6 +13,16 @@ class ShellError(Exception):
     """The shells do not form a solid; the text states why, and the remedy."""
 
 
+def manifold_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Manifold:
+    return Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
+
+
+def surface_of(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Vertices and faces."""
+    mesh = solid.to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts).astype(np.int64)
+
+
 def shells_of(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[tuple[Manifold, ...], tuple[Manifold, ...]]:
@@ -23,7 +33,7 @@ def shells_of(
     Raises:
         ShellError: the surface is not closed, or crosses itself in a way that has no inside.
     """
-    whole = Manifold(Mesh64(vert_properties=vertices.copy(), tri_verts=faces.astype(np.uint64)))
+    whole = manifold_of(vertices.copy(), faces)
     if whole.status() != Error.NoError:
         raise ShellError(
             f"the surface does not enclose a solid ({whole.status().name}); close its holes and "
@@ -36,9 +46,7 @@ def shells_of(
 
 def separate(whole: Manifold) -> tuple[Manifold, ...]:
     """The shells of a solid. (The library's own way takes the square of their number.)"""
-    mesh = whole.to_mesh64()
-    vertices = np.array(mesh.vert_properties[:, :3])
-    faces = np.asarray(mesh.tri_verts).astype(np.int64)
+    vertices, faces = surface_of(whole)
     links = (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()))
     count, label = connected_components(
         coo_array(links, shape=(len(vertices),) * 2), directed=False
@@ -51,7 +59,7 @@ def separate(whole: Manifold) -> tuple[Manifold, ...]:
     order = np.argsort(label[faces[:, 0]], kind="stable")
     ends = np.bincount(label[faces[:, 0]], minlength=count).cumsum()[:-1]
     return tuple(
-        Manifold(Mesh64(vert_properties=vertices[rows], tri_verts=place[some].astype(np.uint64)))
+        manifold_of(vertices[rows], place[some])
         for rows, some in zip(
             np.split(by_shell, of_shell.cumsum()[:-1]), np.split(faces[order], ends), strict=True
         )
@@ -99,8 +107,7 @@ def union_if_overlapping(
 
 def _hollow(body: Manifold, holes: list[Manifold]) -> Manifold:
     """A body and its cavities, whose faces look into them, as one solid."""
-    meshes = [shell.to_mesh64() for shell in (body, *holes)]
-    starts = np.cumsum([0] + [len(mesh.vert_properties) for mesh in meshes])[:-1]
-    vertices = np.vstack([mesh.vert_properties[:, :3] for mesh in meshes])
-    faces = np.vstack([mesh.tri_verts + s for mesh, s in zip(meshes, starts, strict=True)])
-    return Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
+    vertices, faces = zip(*map(surface_of, (body, *holes)), strict=True)
+    starts = np.cumsum([0] + [len(corners) for corners in vertices])[:-1]
+    moved = [own + start for own, start in zip(faces, starts, strict=True)]
+    return manifold_of(np.vstack(vertices), np.vstack(moved))

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .shells import ShellError, shells_of, union_if_overlapping
+from .shells import ShellError, shells_of, surface_of, union_if_overlapping
 
 MAX_FACES = 500_000
 _MERGE = 1e-6  # Vertices closer than this share of the longest side are one: float32 rounds so.
@@ -167,9 +167,5 @@ def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
             f"{text}; join them (a boolean union) in a mesh editor, which keeps their texture"
         )
     findings.append(f"{text}: they were joined into one.")
-    mesh = union.to_mesh64()
-    return replace(
-        surface,
-        vertices=np.array(mesh.vert_properties[:, :3], dtype=np.float64),
-        faces=np.asarray(mesh.tri_verts).astype(np.int64),
-    )
+    vertices, faces = surface_of(union)
+    return replace(surface, vertices=vertices, faces=faces)

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import Manifold
 
+from ...parts.shells import surface_of
 from .error import LID_SAMPLES, filled_m, spread, surface_samples
-from .solid import Points, surface_of
+from .solid import Points
 
 REFLEX_RAD = np.radians(12)  # A smaller bend inwards is a facet of something round.
 PLANES = 12  # So many flat faces are tried, those with the longest bends first.

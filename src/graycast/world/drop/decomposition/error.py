@@ -14,7 +14,8 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
 from ...parts import Mesh
-from .solid import Hull, bodies_of, height_m, surface_of
+from ...parts.shells import surface_of
+from .solid import Hull, bodies_of, height_m
 
 TOLERANCE_M = 0.5e-3
 TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5 mm would cost.

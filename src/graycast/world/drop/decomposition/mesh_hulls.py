@@ -8,9 +8,10 @@ from manifold3d import Manifold
 
 from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh
+from ...parts.shells import surface_of
 from .cutting import Cutter
 from .error import tolerance_m
-from .solid import Hull, Points, bodies_of, hull_of, simplified, surface_of, thinned
+from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned
 
 # A hull that loses vertices may shrink so far, of the box diagonal. A scanned box whose nearly flat
 # sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.

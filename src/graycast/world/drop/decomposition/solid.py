@@ -3,7 +3,7 @@
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
@@ -51,15 +51,6 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
         moved_m = share * tolerance_m
         fewer = body.simplify(moved_m)
     return fewer, moved_m
-
-
-def surface_of(
-    solid: Manifold,
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices and faces."""
-    mesh = solid.to_mesh64()
-    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64)
-    return vertices, np.asarray(mesh.tri_verts).astype(np.int64)
 
 
 def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:

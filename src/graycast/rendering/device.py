@@ -69,10 +69,10 @@ def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
     files = _linker_cache() if folders is None else []
     for folder in _usual_folders() if folders is None else folders:
         files += folder.glob("libLLVM*.so*")
-    libraries = []
+    libraries, own = [], _elf_kind(Path(sys.executable))
     for path in dict.fromkeys(file.resolve() for file in files):
         major = _major_from_name(path)
-        if major is not None and _fits_this_processor(path):
+        if major is not None and own is not None and _elf_kind(path) == own:
             libraries.append(LlvmLibrary(path=path, major=major))
     return tuple(sorted(libraries, key=lambda library: (-library.major, str(library.path))))
 
@@ -267,13 +267,8 @@ def _linker_cache() -> list[Path]:
     return [Path(path) for path in re.findall(r"^\s*libLLVM\S* .*=> (/\S+)$", listing, re.M)]
 
 
-def _fits_this_processor(path: Path) -> bool:
-    """Whether a file is ELF of this Python's word size and machine, read from its header alone."""
-    own, other = _elf_kind(Path(sys.executable)), _elf_kind(path)
-    return other is not None and other == own
-
-
 def _elf_kind(path: Path) -> bytes | None:
+    """Word size, byte order and machine of an ELF file, read from its header alone."""
     try:
         with path.open("rb") as file:
             header = file.read(20)

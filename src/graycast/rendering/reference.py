@@ -11,11 +11,11 @@ import math
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ..base.frames import inverse, pixel_grid, transform_points
 from ..rig.optics import corner_share, project, rays, relative_illumination
-from ..rig.pair import Rig, emission
+from ..rig.pair import emission
 from ..world.scene import Layout, Quad, Scene, Sphere
 from .denoise import open_denoiser
 from .radiance import (
@@ -107,27 +107,26 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     """Irradiance by an all-white projector, base colour, and the projector pixel of each ray."""
     rig = scene.rig
     direction, _, index, point = _first(scene, pixel)
-    normal, base = _normals(scene, point, index), _base_colors(scene, index)
+    normal = _normals(scene, point, index)
+    colors = [surface.material.base_color for surface in scene.surfaces]
+    base = np.array([*colors, (0.0, 0.0, 0.0)])[index]  # the last is of what has no index
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     in_projector = transform_points(inverse(T_world_proj), point)
     place_px = project(rig.projector, in_projector)
     size = np.array([rig.projector.width_px, rig.projector.height_px])
     with np.errstate(invalid="ignore"):
         inside = ((place_px >= -0.5) & (place_px < size - 0.5)).all(axis=-1)
-        inside &= _on_a_pixel(rig, place_px)
+        # The light comes from a pixel's shining square rather than from between them.
+        aside = np.abs(place_px - np.floor(place_px + 0.5))
+        inside &= (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
     column_row = np.where(inside[..., None], np.floor(place_px + 0.5), 0).astype(int)
     to_lens = T_world_proj[:3, 3] - point
     distance = np.linalg.norm(to_lens, axis=-1)
     cosine = (normal * to_lens).sum(axis=-1) / distance
-    faces_camera = (normal * direction).sum(axis=-1) < 0
+    lit = (index >= 0) & inside & (cosine > 0) & ((normal * direction).sum(axis=-1) < 0)
     start = point + CLEARANCE_M * normal
-    lit = (
-        (index >= 0)
-        & inside
-        & (cosine > 0)
-        & faces_camera
-        & ~_blocked(scene, start, T_world_proj[:3, 3])
-    )
+    for surface in scene.surfaces:
+        lit &= _meet(surface, start, T_world_proj[:3, 3] - start) >= 1
     irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
     if rig.projector.natural_vignetting:
         irradiance *= in_projector[..., 2] / distance
@@ -136,12 +135,6 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
             lit, corner_share(rig.projector, place_px), 0.0
         )
     return irradiance, base, column_row
-
-
-def _on_a_pixel(rig: Rig, place_px: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarray, "h w"]:
-    """Whether the light comes from a pixel's shining square rather than from between them."""
-    aside = np.abs(place_px - np.floor(place_px + 0.5))
-    return (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
 
 
 def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
@@ -162,14 +155,6 @@ def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
         nearer = t < best
         best, index = np.where(nearer, t, best), np.where(nearer, i, index)
     return best, index
-
-
-def _blocked(scene: Scene, start: np.ndarray, lens: np.ndarray) -> Bool[np.ndarray, "h w"]:
-    direction = lens - start
-    blocked = np.zeros(direction.shape[:-1], dtype=bool)
-    for surface in scene.surfaces:
-        blocked |= _meet(surface, start, direction) < 1
-    return blocked
 
 
 def _meet(surface: Quad | Sphere, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -202,13 +187,6 @@ def _normals(scene: Scene, point: np.ndarray, index: np.ndarray) -> np.ndarray:
             n = np.broadcast_to(n / np.linalg.norm(n), point.shape)
         normal = np.where((index == i)[..., None], n, normal)
     return normal
-
-
-def _base_colors(scene: Scene, index: np.ndarray) -> np.ndarray:
-    base = np.zeros((*index.shape, 3))
-    for i, surface in enumerate(scene.surfaces):
-        base[index == i] = surface.material.base_color
-    return base
 
 
 def _truth(scene: Scene, grid: np.ndarray) -> GroundTruth:

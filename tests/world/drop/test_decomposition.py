@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
 from graycast.base.errors import GraycastError
 from graycast.base.progress import Stages
-from graycast.world.drop import cache_folder, decomposition, hull_notes, prepare
+from graycast.world.drop import decomposition, hull_notes, prepare
 from graycast.world.drop.decomposition import (
     decompose,
     hull_of,
@@ -206,11 +206,14 @@ def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, mon
 
 
 def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
+    part = box_part((0.04, 0.05, 0.06))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "graycast" / "hulls"
+    prepare((part,))
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / ".cache" / "graycast" / "hulls"
+    prepare((part,))
+    for folder in (tmp_path / "graycast" / "hulls", tmp_path / ".cache" / "graycast" / "hulls"):
+        assert [file.suffix for file in folder.iterdir()] == [".npz"]
 
 
 @pytest.mark.slow

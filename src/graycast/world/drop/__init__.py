@@ -1,7 +1,7 @@
 """Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
 
 from .body import Body, parts_outside
-from .decomposition import Decomposition, cache_folder, prepare
+from .decomposition import Decomposition, prepare
 from .lift import Hold, Lift, lift
 from .rest import simulate
 from .settle import PARTS_MAX, DropLimits, drop, flaws, hull_notes, make_bodies
@@ -13,7 +13,6 @@ __all__ = [
     "DropLimits",
     "Hold",
     "Lift",
-    "cache_folder",
     "drop",
     "flaws",
     "hull_notes",

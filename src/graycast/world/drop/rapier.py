@@ -61,7 +61,23 @@ class RapierPart:
 
     @staticmethod
     def of(body: Body) -> "RapierPart":
-        return RapierPart(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
+        hulls = [
+            rapier3d.SharedShape.convex_mesh(
+                (vertices * SCALE).astype(np.float32), faces.astype(np.uint32)
+            )
+            for vertices, faces in body.hulls
+        ]
+        still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        compound = rapier3d.SharedShape.compound
+        moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
+        axes[:, 2] *= np.linalg.det(axes)  # a rotation, not a mirror
+        return RapierPart(
+            shape=hulls[0] if len(hulls) == 1 else compound([(still, hull) for hull in hulls]),
+            mass=rapier3d.MassProperties(
+                tuple(body.center_m * SCALE), body.mass_kg, tuple(moments), _rotation(axes)
+            ),
+            friction=body.friction,
+        )
 
 
 Pieces = Float[np.ndarray, "p c 3"]
@@ -217,27 +233,6 @@ def _add_parts(
         )
         handles.append(world.add_body(builder, [collider]))
     return handles
-
-
-def _shape(body: Body) -> rapier3d.SharedShape:
-    hulls = [
-        rapier3d.SharedShape.convex_mesh(
-            (vertices * SCALE).astype(np.float32), faces.astype(np.uint32)
-        )
-        for vertices, faces in body.hulls
-    ]
-    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    return (
-        hulls[0] if len(hulls) == 1 else rapier3d.SharedShape.compound([(still, h) for h in hulls])
-    )
-
-
-def _mass_properties(body: Body) -> rapier3d.MassProperties:
-    moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
-    axes[:, 2] *= np.linalg.det(axes)  # a rotation, not a mirror
-    return rapier3d.MassProperties(
-        tuple(body.center_m * SCALE), body.mass_kg, tuple(moments), _rotation(axes)
-    )
 
 
 def _poses(bodies: list[rapier3d.RigidBody]) -> Float[np.ndarray, "n 4 4"]:

@@ -37,7 +37,9 @@ HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
 class DropLimits:
     """Where parts fall, and the limits of a layout, which must also be at rest, all parts inside.
 
-    A small `opening_share` makes a heap in the middle.
+    `simulated_s` is how long one attempt may fall and settle, in simulated time. `opening_share`
+    is the share of the bin's inner length and of its inner width, about the middle, over which the
+    parts start; a small one makes a heap in the middle.
     """
 
     penetration_m: Annotated[
@@ -175,7 +177,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
     """A text on all failed attempts, with remedies for the defects of the best one."""
-    best = min(tried, key=_badness)
+    best = min(tried, key=lambda one: (one.outside, not one.at_rest, one.deepest_penetration_m))
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
     if best.outside:
@@ -195,10 +197,6 @@ def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> s
         f"{what} came to no acceptable rest in {limits.attempts} attempts; the best: "
         f"{'; '.join(flaws(best, limits))}. What may help: {'; '.join(remedies)}"
     )
-
-
-def _badness(layout: Layout) -> tuple[int, bool, float]:
-    return layout.outside, not layout.at_rest, layout.deepest_penetration_m
 
 
 def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:

@@ -9,7 +9,6 @@ pieces and joins those that may be one; `hull_process` does all that in processe
 and `hull_store` keeps the results.
 """
 
-from .cache import cache_folder
 from .error import Decomposition, measure, tolerance_m
 from .hull_store import prepare
 from .mesh_hulls import decompose
@@ -18,7 +17,6 @@ from .solid import Hull, hull_of
 __all__ = [
     "Decomposition",
     "Hull",
-    "cache_folder",
     "decompose",
     "hull_of",
     "measure",

@@ -1,32 +1,13 @@
-"""Hulls kept on disk between runs."""
+"""Hulls as files: between runs, and between processes."""
 
-import hashlib
 import zipfile
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ....base import folder
 from ....base.folder import fill_whole
-from ...parts import Mesh
 from .error import Decomposition
-
-CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
-
-
-def cache_folder() -> Path:
-    """Where hulls are kept between runs."""
-    return folder.cache_folder("hulls")
-
-
-def key_of(mesh: Mesh, settings: tuple[object, ...]) -> str:
-    """A name for the result: everything it depends on."""
-    digest = hashlib.sha256(repr((CACHE_VERSION, version("manifold3d"), settings)).encode())
-    for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
-        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:32]
 
 
 def read_decomposition(file: Path) -> Decomposition | None:

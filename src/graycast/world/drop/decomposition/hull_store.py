@@ -1,19 +1,25 @@
 """The hulls of meshes, made once and kept."""
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import closing
+from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
+from ....base.folder import cache_folder
 from ....base.progress import UNWATCHED, ProgressMeter
-from ...parts import Part
+from ...parts import Mesh, Part
 from . import cutting, error, mesh_hulls, solid
-from .cache import cache_folder, key_of, read_decomposition, write_decomposition
+from .cache import read_decomposition, write_decomposition
 from .error import Decomposition, measure
 from .hull_process import decompose_apart
 from .mesh_hulls import decompose
 
 FEW_FACES = 20_000  # A mesh with so few faces is tried as one hull here, without a child process.
 
+CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
 # All numbers that hulls depend on.
 _SETTINGS = tuple(
     (name, value)
@@ -37,8 +43,8 @@ def prepare(
 
     Args:
         parts: their meshes are closed, as `parts` delivers them.
-        hull_folder: of the disk cache, `cache_folder()` if None. A file that is damaged or of
-            another mesh, version or setting is made anew, and appears at once or not at all.
+        hull_folder: the disk cache; the user's if None. A file that is damaged or of another mesh,
+            version or setting is made anew, and appears at once or not at all.
         progress: hears the number of kinds that are ready, or, while the last one is made, what is
             being done.
 
@@ -46,8 +52,8 @@ def prepare(
         ValueError: a mesh is not closed, or inside out; of the kind that fails first.
         GraycastError: a child was killed.
     """
-    folder, parts = hull_folder or cache_folder(), tuple(parts)
-    files = [folder / f"{key_of(part.mesh, _SETTINGS)}.npz" for part in parts]
+    folder, parts = hull_folder or cache_folder("hulls"), tuple(parts)
+    files = [folder / f"{_key(part.mesh)}.npz" for part in parts]
     kinds = dict(zip(files, parts, strict=True))
     ready = {file: hulls for file in kinds if (hulls := read_decomposition(file)) is not None}
 
@@ -74,3 +80,11 @@ def prepare(
             elif left:
                 progress.stage(f"collision hulls: {len(ready)} of {len(kinds)} kinds are ready")
     return tuple(ready[file] for file in files)
+
+
+def _key(mesh: Mesh) -> str:
+    """A name for the result: everything it depends on."""
+    digest = hashlib.sha256(repr((CACHE_VERSION, version("manifold3d"), _SETTINGS)).encode())
+    for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]

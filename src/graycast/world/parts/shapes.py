@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from manifold3d import Manifold
 
-from .shells import manifold_of
+from .surface import manifold_of
 
 # Each panel of a box has its outward normal, the direction to its reader's right, and up, as it is
 # read from outside, with the front towards -y. right x up = normal, so nothing is mirrored.

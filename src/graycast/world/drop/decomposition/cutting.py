@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import Manifold
 
-from ...parts.shells import surface_of
+from ...parts.surface import surface_of
 from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import Points
 

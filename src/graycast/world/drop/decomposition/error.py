@@ -14,7 +14,7 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
 from ...parts import Mesh
-from ...parts.shells import surface_of
+from ...parts.surface import surface_of
 from .solid import Hull, bodies_of, height_m
 
 TOLERANCE_M = 0.5e-3

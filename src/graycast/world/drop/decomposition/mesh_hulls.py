@@ -8,7 +8,7 @@ from manifold3d import Manifold
 
 from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh
-from ...parts.shells import surface_of
+from ...parts.surface import surface_of
 from .cutting import Cutter
 from .error import tolerance_m
 from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned

@@ -8,7 +8,7 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
 from ...parts import Mesh
-from ...parts.shells import ShellError, separate, shells_of
+from ...parts.surface import Refusal, separate, shells_of
 
 Points = Float[np.ndarray, "_ 3"]
 Hull = tuple[np.ndarray, np.ndarray]
@@ -30,7 +30,7 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
     """
     try:
         shells, _ = shells_of(mesh.vertices_m, mesh.faces)
-    except ShellError as error:
+    except Refusal as error:
         raise ValueError(str(error)) from error
     if not shells:
         raise ValueError("the mesh encloses no volume: turn its faces outward")

@@ -24,7 +24,7 @@ from graycast.dataset import open_store
 from graycast.rendering import open_renderer
 from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
 from graycast.world.drop import DropLimits, drop
-from graycast.world.drop.decomposition import decompose, hull_error, tolerance_m
+from graycast.world.drop.decomposition import decompose, measure
 
 from .figures import in_turn, table
 from .processes import peak_rss_bytes
@@ -204,9 +204,8 @@ def hulls() -> str:
         worked_s = time.process_time() - start
         if len(pieces) == 1:
             continue
-        error = hull_error(mesh, pieces)
-        off_m = max(error.filled_m, error.lost_m)
-        rows.append((name, len(pieces), off_m, tolerance_m(mesh), worked_s))
+        figures = measure(mesh, pieces)
+        rows.append((name, len(pieces), figures.worst_m, figures.tolerance_m, worked_s))
     within = sum(off_m <= bound_m for _, _, off_m, bound_m, _ in rows)
     rows.sort(key=lambda row: -row[1])
     return (

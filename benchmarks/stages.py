@@ -43,12 +43,12 @@ def imports(work: Path, number: int) -> Iterator[Job]:
 
 
 def hulls(work: Path, number: int) -> Iterator[Job]:
-    from graycast.world.drop import convex_hulls
+    from graycast.world.drop import prepare
     from graycast.world.parts import builtin_part
 
     for name in (BRACKET, "hygiene_spray"):
         empty = Path(mkdtemp(dir=work))
-        job = partial(convex_hulls, builtin_part(name).mesh, folder=empty)
+        job = partial(prepare, (builtin_part(name),), hull_folder=empty)
         yield "hulls", f"hulls, {name}", 1, job
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from graycast.base.errors import DropError
 from graycast.rig.pair import preset_rig
-from graycast.world.drop import DropLimits, convex_hulls, drop
-from graycast.world.drop.body import Body, body_of
+from graycast.world.drop import DropLimits, drop, make_bodies
+from graycast.world.drop.body import Body
 from graycast.world.parts import Part
 from graycast.world.scene import Bin, Scene
 
@@ -55,7 +55,7 @@ def measure(
     rows = []
     for part in [zoo_part(name) for name in families]:
         show(f"{part.name}: collision hulls")
-        body = body_of(part, convex_hulls(part.mesh, folder=hull_folder).hulls)
+        (body,) = make_bodies((part,), hull_folder=hull_folder)
         for count in dict.fromkeys(min(count, _most(part)) for count in counts):
             drops = []
             for seed in range(seeds):

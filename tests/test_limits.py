@@ -46,7 +46,6 @@ MANY_ARGUMENTS = {
     "real/import_real/importing.py import_real": 11,
     "real/twin/searching.py search": 9,
     "real/twin/stage.py light_scenes": 9,
-    "rendering/cycles/job.py write_job": 10,
     "robot/grasp/unknown.py suction_in_depth": 11,
     "robot/grasp_labels/label_run.py label_dataset": 9,
     "robot/pick/aim.py aims_in_depth": 9,

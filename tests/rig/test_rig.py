@@ -13,8 +13,7 @@ from graycast.rig.pair import (
     Rig,
     aimed,
     best_depth_m,
-    depth_per_column_m,
-    depth_per_row_m,
+    depth_per_line_m,
     emission,
     grey_levels,
     place,
@@ -101,7 +100,7 @@ def test_axes_that_never_meet_are_best_in_the_middle_of_the_range():
 @pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
 def test_depth_per_column_of_a_parallel_rig_follows_similar_triangles(z_m):
     """column = const - f b / z, so one column is z^2 / (f b) of depth."""
-    assert depth_per_column_m(parallel_rig("x"), z_m) == pytest.approx(
+    assert depth_per_line_m(parallel_rig("x"), z_m, "column") == pytest.approx(
         z_m**2 / (900.0 * 0.2), rel=1e-7
     )
 
@@ -114,26 +113,26 @@ def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_colum
     rig = preset_rig("phoxi-m")
     z_m = best_depth_m(rig)
     expected = z_m / rig.projector.fx_px / math.sin(rig.axes_angle_rad)
-    assert depth_per_column_m(rig, z_m) == pytest.approx(expected, rel=1e-6)
+    assert depth_per_line_m(rig, z_m, "column") == pytest.approx(expected, rel=1e-6)
 
 
 def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
     """The projector's edge is 400.5 columns from its middle: f b / z = 400.5 at z = 0.4494 m."""
     rig = parallel_rig("x")
-    assert math.isnan(depth_per_column_m(rig, 0.449))
-    assert not math.isnan(depth_per_column_m(rig, 0.450))
+    assert math.isnan(depth_per_line_m(rig, 0.449, "column"))
+    assert not math.isnan(depth_per_line_m(rig, 0.450, "column"))
 
 
 def test_columns_along_the_baseline_tell_nothing_about_depth():
-    assert depth_per_column_m(parallel_rig("y"), 1.0) == math.inf
-    assert depth_per_row_m(parallel_rig("x"), 1.0) == math.inf
+    assert depth_per_line_m(parallel_rig("y"), 1.0, "column") == math.inf
+    assert depth_per_line_m(parallel_rig("x"), 1.0, "row") == math.inf
 
 
 @pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
 def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
     """row = const - f b / z."""
     expected_m = z_m**2 / (900.0 * 0.2)
-    assert depth_per_row_m(parallel_rig("y"), z_m) == pytest.approx(expected_m, rel=1e-7)
+    assert depth_per_line_m(parallel_rig("y"), z_m, "row") == pytest.approx(expected_m, rel=1e-7)
 
 
 @EVERY

@@ -14,7 +14,7 @@ Each imports only from those above it:
     robust           standard deviations that outliers do not spoil
     color            the colour encoding of all pictures on disk
     frames           rigid transforms, rotations, the pixel grid and units of length
-    mask_box         the box about a mask's pixels
+    mask_box         the box about a mask's pixels, and where a window and an image overlap
     ply              point clouds and meshes as PLY files
     progress         what a long task tells whoever waits for it
 """

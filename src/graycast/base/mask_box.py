@@ -1,4 +1,4 @@
-"""The box about a mask's pixels: one law for labels, silhouettes, crops and pictures."""
+"""Boxes of pixels: about a mask, and of a window in an image. One law for all pictures."""
 
 import numpy as np
 
@@ -15,3 +15,22 @@ def mask_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
         return 0, 0, 0, 0
     wide, high = int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1
     return int(columns[0]), int(rows[0]), wide, high
+
+
+Window = tuple[slice, ...]  # rows and columns
+
+
+def overlap(
+    top_px: int, left_px: int, shape: tuple[int, ...], size: tuple[int, ...]
+) -> tuple[Window, Window]:
+    """Where a window of a shape and an image of a size overlap, perhaps nowhere: in both's pixels.
+
+    The window's first pixel is (left, top) of the image, which may lie outside it.
+    """
+    image, own = [], []
+    for start, length, end in zip((top_px, left_px), shape, size, strict=True):
+        first = max(start, 0)
+        last = max(min(start + length, end), first)
+        image.append(slice(first, last))
+        own.append(slice(first - start, last - start))
+    return tuple(image), tuple(own)

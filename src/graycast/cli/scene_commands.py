@@ -374,7 +374,7 @@ def _describe_hulls(parts) -> None:
         "the number of collision hulls of each part, and their largest distance from its surface:"
     )
     for part, hulls in zip(parts, prepared, strict=True):
-        worst, bound = (f"{1e3 * hulls.error.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
+        worst, bound = (f"{1e3 * hulls.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
         print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
     for note in hull_notes(parts, prepared):
         print(f"note: {note}")

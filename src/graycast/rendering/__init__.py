@@ -1,4 +1,8 @@
-"""Light transport: one file or folder per back end, and a small exact reference."""
+"""Light transport: one file or folder per back end, and a small exact reference.
+
+`mitsuba.py` and what it imports load Mitsuba, so they are imported after `open_device` has set its
+variant.
+"""
 
 import numpy as np
 from jaxtyping import UInt8

@@ -16,8 +16,6 @@ scattered twice among the coat's facets, which goes to the base instead.
 
 Source: Kelemen & Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model with
 Importance Sampling", Eurographics 2001; the coat: `ggx.py`.
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache
@@ -64,7 +62,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         base = self.reflectance.eval(si, active)
         share_in, left = self._albedo(cos_i, alpha), 1 - self._albedo(cos_o, alpha)
         matte = base * ((1 - share_in) * left * self._base_scale(alpha) * cos_o)
-        share = self._coat_share(share_in, base)
+        share = ggx.layer_share(share_in, base)
         pdf = dr.lerp(mi.warp.square_to_cosine_hemisphere_pdf(wo), coat_pdf, share)
         return dr.select(active, coat + matte, 0), dr.select(active, pdf, 0)
 
@@ -72,22 +70,13 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         cos_i = mi.Frame3f.cos_theta(si.wi)
         active &= cos_i > 0
         alpha = self.alpha_at(si, active)
-        share = self._coat_share(self._albedo(cos_i, alpha), self.reflectance.eval(si, active))
+        share = ggx.layer_share(self._albedo(cos_i, alpha), self.reflectance.eval(si, active))
         of_coat = sample1 < share
         half = ggx.sample_visible(si.wi, alpha, sample2)
         wo = dr.select(
             of_coat, mi.reflect(si.wi, half), mi.warp.square_to_cosine_hemisphere(sample2)
         )
-        value, pdf = self.eval_pdf(context, si, wo, active)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.pdf, bs.eta = wo, pdf, 1.0
-        bs.sampled_type = dr.select(of_coat, mi.UInt32(self.m_components[0]), self.m_components[1])
-        bs.sampled_component = dr.select(of_coat, mi.UInt32(0), 1)
-        active &= pdf > 0
-        return bs, dr.select(active, value / pdf, 0)
-
-    def to_string(self):
-        return f"CoatedDiffuse[alpha={self.alpha}, eta={self.eta}]"
+        return self.layer_sample(context, si, wo, of_coat, active)
 
     def _albedo(self, cosine: mi.Float, alpha: mi.Float) -> mi.Float:
         """The coat's directional albedo."""
@@ -101,10 +90,6 @@ class CoatedDiffuse(ggx.GlossyBSDF):
             return self.base_scale
         mean = ggx.between_rows(alpha, lambda row: dr.gather(mi.Float, self.mean, row))
         return dr.inv_pi / (1 - mean)
-
-    def _coat_share(self, share_in: mi.Float, base: mi.Color3f) -> mi.Float:
-        """Probability of sampling the coat: its share of what is reflected in all."""
-        return share_in / (share_in + (1 - share_in) * dr.mean(base))
 
 
 @lru_cache

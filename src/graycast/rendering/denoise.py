@@ -22,13 +22,9 @@ def denoise(
     normal: Float[np.ndarray, "h w 3"],
     by: Denoiser,
 ) -> Float[np.ndarray, "h w 3"]:
-    """A clean copy of a linear colour picture.
+    """A clean copy of a linear colour picture, of any scale, by the renderer's own denoiser.
 
-    Args:
-        rgb: radiance [W sr^-1 m^-2], any scale.
-        albedo: base reflectance of what each pixel sees.
-        normal: unit normals, NaN where there is nothing.
-        by: the renderer's own denoiser.
+    Albedo and unit normal are of what each pixel sees; normals are NaN where there is nothing.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
@@ -92,7 +88,7 @@ class OpenImageDenoise:
         self._device = pyoidn.Device(kinds[device])
         self._device.commit()
         self._check()
-        self._kept: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
+        self._last: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
 
     def __call__(
         self,
@@ -100,11 +96,7 @@ class OpenImageDenoise:
         albedo: Float[np.ndarray, "h w 3"],
         normal: Float[np.ndarray, "h w 3"],
     ) -> Float[np.ndarray, "h w 3"]:
-        """See `Denoiser`.
-
-        Raises:
-            RuntimeError: the device refused, as it does without memory.
-        """
+        """See `Denoiser`; RuntimeError where the device refuses, as it does without memory."""
         network, buffers = self._network(rgb.shape)
         for name, image in (("color", rgb), ("albedo", albedo), ("normal", normal)):
             buffers[name].write(0, image.nbytes, image)
@@ -118,7 +110,7 @@ class OpenImageDenoise:
         """The network for pictures of a shape, and the memory of its device that it works on."""
         import pyoidn
 
-        if self._kept is None or self._kept[0] != shape:
+        if self._last is None or self._last[0] != shape:
             names = ("color", "albedo", "normal", "output")
             bytes_each = 4 * math.prod(shape)
             buffers = {name: pyoidn.Buffer(self._device, bytes_each) for name in names}
@@ -129,12 +121,12 @@ class OpenImageDenoise:
             network.commit()
             self._check()
             self._release()
-            self._kept = (shape, network, buffers)
-        return self._kept[1:]
+            self._last = (shape, network, buffers)
+        return self._last[1:]
 
     def _release(self) -> None:
-        if self._kept is not None:
-            _, network, buffers = self._kept
+        if self._last is not None:
+            _, network, buffers = self._last
             network.release()
             for buffer in buffers.values():
                 buffer.release()

@@ -66,16 +66,13 @@ def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
     Args:
         folders: where to look; None is the usual places of Linux, the linker's cache and conda.
     """
-    found: dict[Path, None] = {}  # in this order
-    for path in _linker_cache() if folders is None else ():
-        found[path.resolve()] = None
+    files = _linker_cache() if folders is None else []
     for folder in _usual_folders() if folders is None else folders:
-        for path in folder.glob("libLLVM*.so*"):
-            found[path.resolve()] = None
-    libraries = []
-    for path in found:
+        files += folder.glob("libLLVM*.so*")
+    libraries, own = [], _elf_kind(Path(sys.executable))
+    for path in dict.fromkeys(file.resolve() for file in files):
         major = _major_from_name(path)
-        if major is not None and _fits_this_processor(path):
+        if major is not None and own is not None and _elf_kind(path) == own:
             libraries.append(LlvmLibrary(path=path, major=major))
     return tuple(sorted(libraries, key=lambda library: (-library.major, str(library.path))))
 
@@ -88,9 +85,9 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
     Raises:
         DeviceError: `DRJIT_LIBLLVM_PATH` is set to a file that is missing, too old or unknown.
     """
-    chosen = os.environ.get(_USER_CHOICE)
-    if chosen:
-        return _accept_user_choice(chosen)
+    choice = os.environ.get(_USER_CHOICE)
+    if choice:
+        return _accept_user_choice(choice)
     newest = next(iter(list_llvm(folders)), None)
     return newest.path if newest is not None and newest.major >= OLDEST_LLVM else None
 
@@ -106,12 +103,7 @@ def examine_cuda() -> CudaState:
             problem=f"the NVIDIA driver ended the process that asked it ({child.returncode})"
         )
     answer = json.loads(child.stdout)
-    return CudaState(
-        devices=tuple(answer["devices"]),
-        driver_cuda=answer["driver_cuda"],
-        has_optix=answer["has_optix"],
-        problem=answer["problem"],
-    )
+    return CudaState(**answer | {"devices": tuple(answer["devices"])})
 
 
 def choose_device(name: str) -> str:
@@ -211,23 +203,23 @@ def _check_loaded_llvm(dr) -> None:
         raise DeviceError(f"{loaded}, {need}: call open_device before importing drjit")
 
 
-def _accept_user_choice(chosen: str) -> Path:
-    path = Path(chosen)
+def _accept_user_choice(choice: str) -> Path:
+    path = Path(choice)
     remedy = f"unset {_USER_CHOICE}, or set it to an LLVM of version {OLDEST_LLVM} or newer"
-    if "/" in chosen and not path.is_file():
-        raise DeviceError(f"{_USER_CHOICE} names {chosen}, which is not a file: {remedy}")
-    major = _major_from_name(path.resolve()) or _major_from_child(chosen)
+    if "/" in choice and not path.is_file():
+        raise DeviceError(f"{_USER_CHOICE} names {choice}, which is not a file: {remedy}")
+    major = _major_from_name(path.resolve()) or _major_from_child(choice)
     if major is None:
-        raise DeviceError(f"{_USER_CHOICE} names {chosen}, whose version is unknown: {remedy}")
+        raise DeviceError(f"{_USER_CHOICE} names {choice}, whose version is unknown: {remedy}")
     if major < OLDEST_LLVM:
         danger = f"LLVM {major}, which can crash the process during code generation"
-        raise DeviceError(f"{_USER_CHOICE} names {chosen}, {danger}: {remedy}")
+        raise DeviceError(f"{_USER_CHOICE} names {choice}, {danger}: {remedy}")
     return path
 
 
 def _no_llvm() -> str:
     old = sorted({library.major for library in list_llvm()})
-    found = f" (found only {', '.join(map(str, old))}, too old)" if old else ""
+    only = f" (found only {', '.join(map(str, old))}, too old)" if old else ""
     if shutil.which("apt-get") is None:
         remedy = f"install a shared LLVM {OLDEST_LLVM} with the system's package manager"
     else:
@@ -235,7 +227,7 @@ def _no_llvm() -> str:
         remedy = f"run: {sudo}apt-get install libllvm{OLDEST_LLVM}"
     return (
         f"rendering on the processor needs a shared LLVM {OLDEST_LLVM} or newer, which was not "
-        f"found{found}; {remedy}"
+        f"found{only}; {remedy}"
     )
 
 
@@ -275,13 +267,8 @@ def _linker_cache() -> list[Path]:
     return [Path(path) for path in re.findall(r"^\s*libLLVM\S* .*=> (/\S+)$", listing, re.M)]
 
 
-def _fits_this_processor(path: Path) -> bool:
-    """Whether a file is ELF of this Python's word size and machine, read from its header alone."""
-    own, other = _elf_kind(Path(sys.executable)), _elf_kind(path)
-    return other is not None and other == own
-
-
 def _elf_kind(path: Path) -> bytes | None:
+    """Word size, byte order and machine of an ELF file, read from its header alone."""
     try:
         with path.open("rb") as file:
             header = file.read(20)

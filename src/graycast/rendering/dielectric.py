@@ -2,8 +2,6 @@
 
 Both have delta distributions alone: `eval` and `pdf` are 0. Fresnel's equations for unpolarised
 light say how much is mirrored. Leaves out: rough glass, polarisation, dispersion.
-
-Imported only by the other Mitsuba files, after a variant was set.
 """
 
 from typing import final

@@ -21,8 +21,6 @@ direction, light may not run backwards.
 
 Sources: A. Weidlich & A. Wilkie, "Arbitrarily Layered Micro-Facet Surfaces", GRAPHITE 2007
 (refracted lobe); E. Turquin, 2019, and C. Kulla & A. Conty, 2017, as in `rough_conductor.py`.
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache
@@ -65,7 +63,7 @@ class FilmedConductor(ggx.GlossyBSDF):
         narrower = cos_o / (dr.square(self.eta) * mi.Frame3f.cos_theta(inside_o))
         metal *= (1 - ggx.interpolated(self.coat, cos_o)) * narrower
         normal = self.reflectance.eval(si, active)
-        share = _film_share(ggx.interpolated(self.coat, cos_i), normal)
+        share = ggx.layer_share(ggx.interpolated(self.coat, cos_i), normal)
         value = self._returned(normal, dr.dot(inside_i, half), cos_i) * metal + film
         pdf = dr.lerp(metal_pdf * narrower, film_pdf, share)
         return dr.select(active, value, 0), dr.select(active, pdf, 0)
@@ -73,7 +71,7 @@ class FilmedConductor(ggx.GlossyBSDF):
     def sample(self, context, si, sample1, sample2, active):
         cos_i = mi.Frame3f.cos_theta(si.wi)
         normal = self.reflectance.eval(si, active)
-        of_film = sample1 < _film_share(ggx.interpolated(self.coat, cos_i), normal)
+        of_film = sample1 < ggx.layer_share(ggx.interpolated(self.coat, cos_i), normal)
         inside = self._refracted(si.wi)
         off_film = mi.reflect(si.wi, ggx.sample_visible(si.wi, self.film_alpha, sample2))
         off_metal = mi.reflect(inside, ggx.sample_visible(inside, self.alpha, sample2))
@@ -81,16 +79,7 @@ class FilmedConductor(ggx.GlossyBSDF):
         up2 = 1 - dr.square(x) - dr.square(y)  # it is negative where light stays in the film
         active &= (cos_i > 0) & (of_film | ((off_metal.z > 0) & (up2 > 0)))
         wo = dr.select(of_film, off_film, mi.Vector3f(x, y, dr.safe_sqrt(up2)))
-        value, pdf = self.eval_pdf(context, si, wo, active)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.pdf, bs.eta = wo, pdf, 1.0
-        bs.sampled_type = mi.UInt32(self.m_components[0])
-        bs.sampled_component = dr.select(of_film, mi.UInt32(0), 1)
-        active &= pdf > 0
-        return bs, dr.select(active, value / pdf, 0)
-
-    def to_string(self):
-        return f"FilmedConductor[alpha={self.alpha}, film_alpha={self.film_alpha}, eta={self.eta}]"
+        return self.layer_sample(context, si, wo, of_film, active)
 
     def _refracted(self, w: mi.Vector3f) -> mi.Vector3f:
         """A direction above the film, continued inside it; both point away from the metal."""
@@ -99,17 +88,10 @@ class FilmedConductor(ggx.GlossyBSDF):
 
     def _returned(self, normal: mi.Color3f, cos_half: mi.Float, cos_i: mi.Float) -> mi.Color3f:
         """Fresnel's share of the metal times `K`."""
-        away = 1 - cos_half
-        fresnel = dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
-        average = dr.fma(normal, 20 / 21, 1 / 21)
-        again = average * self.second / dr.fma(-average, 1 - self.second, 1)
+        fresnel = ggx.schlick(normal, cos_half)
+        again = ggx.coming_later(normal, self.second)
         later = ggx.interpolated(self.later, cos_i)
         return fresnel * dr.fma(again, later, 1 - ggx.interpolated(self.coat, cos_i))
-
-
-def _film_share(coat_i: mi.Float, normal: mi.Color3f) -> mi.Float:
-    """Probability of sampling the film's own reflection: its share of what is reflected in all."""
-    return coat_i / (coat_i + (1 - coat_i) * dr.mean(normal))
 
 
 @lru_cache

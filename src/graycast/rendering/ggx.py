@@ -9,8 +9,6 @@ the second, and all of this holds; with a number, no kernel is longer for it.
 Sources: B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
 (distribution); E. Heitz, "Understanding the Masking-Shadowing Function", JCGT 3(2), 2014 (G2);
 J. Dupuy & A. Benyoub, "Sampling Visible GGX Normals with Spherical Caps", CGF 42(8), 2023.
-
-Imported only by the BSDFs, after a variant was set.
 """
 
 from collections.abc import Callable
@@ -85,6 +83,27 @@ def between_rows(alpha: mi.Float, value: Callable[[mi.UInt32], mi.Float]) -> mi.
     return dr.lerp(value(row), value(row + 1), place - mi.Float(row))
 
 
+def schlick(normal: mi.Color3f, cos_half: mi.Float) -> mi.Color3f:
+    """Fresnel's share of a metal with this reflectance at normal incidence (C. Schlick, 1994)."""
+    away = 1 - cos_half
+    return dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
+
+
+def coming_later(normal: mi.Color3f, share: mi.Float) -> mi.Color3f:
+    """Of light that a metal did not let out at once, what comes out later: `F_ms`.
+
+    `share` of it comes out at each further reflection, of which `F_avg = F0 + (1 - F0) / 21` is
+    left by Schlick's Fresnel term.
+    """
+    average = dr.fma(normal, 20 / 21, 1 / 21)
+    return average * share / dr.fma(-average, 1 - share, 1)
+
+
+def layer_share(reflected: mi.Float, below: mi.Color3f) -> mi.Float:
+    """Probability of sampling a layer's own reflection: its share of what is reflected in all."""
+    return reflected / (reflected + (1 - reflected) * dr.mean(below))
+
+
 class GlossyBSDF(mi.BSDF):
     """What our BSDFs share; `eval_pdf` and `sample` are each one's own.
 
@@ -112,6 +131,20 @@ class GlossyBSDF(mi.BSDF):
     def eval_diffuse_reflectance(self, si, active):
         return self.reflectance.eval(si, active)
 
+    def layer_sample(self, context, si, wo, of_layer, active):
+        """The sample of a direction that the layer, the first component, or what is below gave."""
+        value, pdf = self.eval_pdf(context, si, wo, active)
+        layer, below = self.m_components
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, 1.0
+        bs.sampled_type = dr.select(of_layer, mi.UInt32(layer), below)
+        bs.sampled_component = dr.select(of_layer, mi.UInt32(0), 1)
+        active &= pdf > 0
+        return bs, dr.select(active, value / pdf, 0)
+
+    def to_string(self):
+        return f"{type(self).__name__}[alpha={self.alpha}]"
+
     def traverse(self, callback):
         callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
         if self.roughness is not None:
@@ -132,11 +165,8 @@ def directional_albedo(
 ) -> Float[np.ndarray, " n"]:
     """Share of light from each direction that facets send back after one reflection.
 
-    The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for.
-
-    Args:
-        alphas: widths of GGX along x and y.
-        fresnel: reflectance of a facet by the cosine at which light meets it; all of it by default.
+    The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for; F is a facet's
+    reflectance by the cosine at which light meets it, and `alphas` are its widths along x and y.
     """
     met = (facets(w, alphas) for w in wi)
     return np.array([float((fresnel(cos_half) * left).mean()) for cos_half, _, left in met])
@@ -164,8 +194,8 @@ def facets(
     wo = 2 * cos_half * half - wi[:, None]
     length_o = np.linalg.norm(widths[:, None] * wo, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        kept = wo[2] * (wi[2] + length) / (length * wo[2] + length_o * wi[2])
-    return cos_half, wo[2], np.where(wo[2] > 0, kept, 0)
+        passed = wo[2] * (wi[2] + length) / (length * wo[2] + length_o * wi[2])
+    return cos_half, wo[2], np.where(wo[2] > 0, passed, 0)
 
 
 @lru_cache

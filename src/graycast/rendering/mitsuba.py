@@ -25,8 +25,9 @@ over the whole of it: half shadows are as soft as they should be, and their stri
 by the half of the lens that is hidden.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from importlib.metadata import version
+from operator import is_
 from typing import final
 
 import drjit as dr
@@ -48,6 +49,7 @@ from .radiance import (
     Denoiser,
     OnPass,
     PathNoise,
+    Patterns,
     Quality,
     Radiance,
     Renderer,
@@ -57,45 +59,24 @@ from .radiance import (
 from .wavelength import at_projector_wavelength
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Built:
-    """The last world: what it was built of, as light is measured in it and as it looks."""
-
-    scene: Scene
-    layout: Layout
-    world: MitsubaWorld
-    look: MitsubaWorld
-
-    def serves(self, scene: Scene, layout: Layout) -> bool:
-        """Whether another image of the same world is asked for: only the rig may differ."""
-        rest = [f.name for f in fields(Scene) if f.name not in ("rig", "T_world_cam")]
-        same = all(getattr(scene, name) is getattr(self.scene, name) for name in rest)
-        return layout is self.layout and same
-
-
 @final
 class MitsubaRenderer(Renderer):
     """See the module. It keeps a world until a call needs another; the process keeps the device.
 
-    Further images of a scene, by other rigs at other poses, use the kept world.
+    Further images of a scene, by other rigs at other poses, use the last world.
     """
 
     name = "mitsuba"
 
     def __init__(self, device: str, *, on_pass: OnPass | None = None):
         self.device, self._on_pass = device, on_pass
-        self._built: _Built | None = None
+        self._built_of: tuple[object, ...] = ()
+        self._worlds: tuple[MitsubaWorld, MitsubaWorld] | None = None
         self.denoiser: Denoiser = open_denoiser(device)
         self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: np.ndarray,
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         refuse_other_size(pattern, scene.rig.projector)
         if quality.denoise == "optix":
@@ -103,37 +84,38 @@ class MitsubaRenderer(Renderer):
         # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
-        built = self._world(scene, measured, layout)
+        world, look_world = self._open_worlds(scene, measured, layout)
         radiance = light(
-            built.world, measured, pattern, quality=quality, seed=seed, on_pass=self._on_pass
+            world, measured, pattern, quality=quality, seed=seed, on_pass=self._on_pass
         )
         if measured is not scene:
-            look = light(built.look, scene, pattern[:0], quality=quality, seed=seed)
+            look = light(look_world, scene, pattern[:0], quality=quality, seed=seed)
             radiance = replace(
                 radiance,
                 white_rgb=look.white_rgb,
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        ground_truth = truth(built.world.scene, built.world.part_shapes, scene, layout)
+        ground_truth = truth(world.scene, world.part_shapes, scene, layout)
         if quality.denoise != "none":
             radiance = denoised(radiance, ground_truth.normal, self.denoiser)
         return Rendering(radiance=radiance, truth=ground_truth)
 
     def close(self) -> None:
-        self._built = None
+        self._built_of, self._worlds = (), None
 
-    def _world(self, scene: Scene, measured: Scene, layout: Layout) -> _Built:
-        if self._built is None or not self._built.serves(scene, layout):
-            self._built = None  # two worlds need not fit into memory
+    def _open_worlds(
+        self, scene: Scene, measured: Scene, layout: Layout
+    ) -> tuple[MitsubaWorld, MitsubaWorld]:
+        """The world as light is measured in it, and as it looks. The last ones serve other rigs."""
+        rest = [f.name for f in fields(Scene) if f.name not in ("rig", "T_world_cam")]
+        built_of = layout, *(getattr(scene, name) for name in rest)
+        if self._worlds is None or not all(map(is_, built_of, self._built_of)):
+            self.close()  # two worlds need not fit into memory
             world = build(measured, layout)
-            self._built = _Built(
-                scene=scene,
-                layout=layout,
-                world=world,
-                look=world if measured is scene else build(scene, layout),
-            )
-        return self._built
+            self._worlds = world, world if measured is scene else build(scene, layout)
+            self._built_of = built_of
+        return self._worlds
 
 
 def light(

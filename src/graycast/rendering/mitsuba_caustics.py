@@ -19,8 +19,6 @@ The sums are integers, so that they are the same in whatever order threads add.
 
 Source: E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997: sections 5.3,
 9.2 and 10.2 (bidirectional path tracing; this is t = 1 beside s = 1).
-
-Imported only by `mitsuba.py`, after a variant was set.
 """
 
 import math

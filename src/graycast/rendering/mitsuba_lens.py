@@ -1,7 +1,4 @@
-"""Lenses in Dr.Jit: where rays start and go, and where points are seen.
-
-Imported only by the other Mitsuba files, after a variant was set.
-"""
+"""Lenses in Dr.Jit: where rays start and go, and where points are seen."""
 
 import math
 

@@ -1,6 +1,6 @@
 """Light paths through a scene in Dr.Jit, and the contribution of each vertex to every pattern.
 
-Imported only by `mitsuba.py`, whose docstring says what is computed; this file says how.
+The docstring of `mitsuba.py` says what is computed; this file says how.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Patterns in as few bits as they need, and sums over them in as few steps.
-
-Imported only by `mitsuba.py`, after a variant was set.
-"""
+"""Patterns in as few bits as they need, and sums over them in as few steps."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,4 @@
-"""The projector as a light in Dr.Jit: what it shines on a point, and its rays to shiny surfaces.
-
-Imported only by the other Mitsuba files, after a variant was set.
-"""
+"""The projector as a light in Dr.Jit: what it shines on a point, and its rays to shiny surfaces."""
 
 from collections.abc import Sequence
 
@@ -119,8 +116,8 @@ class ShinyField:
         grid = np.broadcast_arrays(x[None, :], y[:, None])
         place = mi.Point2f(*(mi.Float(aligned(axis.astype(np.float32))) for axis in grid))
         si = world.ray_intersect(mi.Ray3f(self.light.lens, self.direction(place)))
-        found = self.has(si).numpy().reshape(self.rows, PROBES, self.columns, PROBES)
-        wide = cv2.dilate(found.any(axis=(1, 3)).astype(np.uint8), np.ones((3, 3), np.uint8))
+        hit = self.has(si).numpy().reshape(self.rows, PROBES, self.columns, PROBES)
+        wide = cv2.dilate(hit.any(axis=(1, 3)).astype(np.uint8), np.ones((3, 3), np.uint8))
         return np.flatnonzero(wide).astype(np.uint32)
 
 

@@ -1,7 +1,4 @@
-"""A Graycast scene as a Mitsuba 3 scene: materials, merged part meshes, lights.
-
-Imported only by `mitsuba.py`, after a variant was set.
-"""
+"""A Graycast scene as a Mitsuba 3 scene: materials, merged part meshes, lights."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +9,7 @@ import numpy as np
 
 from ..base.errors import ConfigError
 from ..world.parts import Material, Mesh
-from ..world.parts.grain import corner_grain
+from ..world.parts.part import corner_grain
 from ..world.scene import (
     Lamp,
     Layout,
@@ -24,11 +21,10 @@ from ..world.scene import (
     quad_mesh,
     table_quad,
 )
-from .brushed_conductor import GRAIN, BrushedConductor
 from .coated_diffuse import CoatedDiffuse
 from .dielectric import Dielectric, ThinDielectric
 from .filmed_conductor import FilmedConductor
-from .rough_conductor import RoughConductor
+from .rough_conductor import GRAIN, BrushedConductor, RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("filmed_conductor", FilmedConductor)
@@ -60,8 +56,9 @@ class MitsubaWorld:
 
 def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     world: dict[str, object] = {"type": "scene"}
-    part_shapes = []
+    part_shapes, materials = [], {}  # the material of each shape by its name
     for index, part in enumerate(scene.parts):
+        materials[f"part{index}"] = part.material
         instances = np.flatnonzero(layout.part_index == index)
         if len(instances) == 0:
             continue
@@ -72,9 +69,11 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     if scene.bin is not None and table is not None:
         for name, mesh, material in bin_surfaces(scene.bin):
             world[name] = _mesh(name, mesh, material, np.eye(4)[None])
-        world["table"] = _flat_surface("table", table)
+            materials[name] = material
+        world["table"], materials["table"] = _flat_surface("table", table), scene.table
     for index, surface in enumerate(scene.surfaces):
         name = f"surface{index}"
+        materials[name] = surface.material
         if isinstance(surface, Quad):
             world[name] = _flat_surface(name, surface)
         else:
@@ -87,7 +86,6 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
     # environment's shadow rays, as long as the scene is large, then end before what blocks them.
     loaded = mi.load_dict(world, optimize=False)
-    materials = _materials(scene)
     shiny = {name for name, material in materials.items() if _is_shiny(material)}
     kinds = {material.transparent for material in materials.values()}
     return MitsubaWorld(
@@ -97,16 +95,6 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
         glass=bool(kinds - {None}),
         thin="thin" in kinds,
     )
-
-
-def _materials(scene: Scene) -> dict[str, Material]:
-    """Of the shapes of `build`, by their names."""
-    materials = {f"part{index}": part.material for index, part in enumerate(scene.parts)}
-    if scene.bin is not None:
-        materials |= {name: material for name, _, material in bin_surfaces(scene.bin)}
-        materials["table"] = scene.table
-    materials |= {f"surface{index}": one.material for index, one in enumerate(scene.surfaces)}
-    return materials
 
 
 def _is_shiny(material: Material) -> bool:

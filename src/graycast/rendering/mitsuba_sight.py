@@ -13,8 +13,6 @@ refraction adds, and the share of thin walls, so that the weights of a path stil
 
 A delta vertex counts neither for the depth of a path nor as its first vertex: a path from the
 camera goes on as if it had just started.
-
-Imported only by the other Mitsuba files, after a variant was set.
 """
 
 import drjit as dr

@@ -1,7 +1,4 @@
-"""What all light paths through a scene share: its surfaces, camera, projector and patterns.
-
-Imported only by the other Mitsuba files, after a variant was set.
-"""
+"""What all light paths through a scene share: its surfaces, camera, projector and patterns."""
 
 import drjit as dr
 import mitsuba as mi

@@ -1,7 +1,4 @@
-"""Geometry at pixel centres and whole silhouettes, from the scene that Mitsuba holds.
-
-Imported only by `mitsuba.py`, after a variant was set.
-"""
+"""Geometry at pixel centres and whole silhouettes, from the scene that Mitsuba holds."""
 
 import drjit as dr
 import mitsuba as mi

@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from pydantic import Field
 
+from ..base.mask_box import overlap
 from ..base.settings import check_fields
 from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
 
+Patterns = UInt8[np.ndarray, "n ph pw"]  # grey levels, 255 is white
 DenoiserName = Literal["none", "oidn", "optix"]
 # It takes radiance, albedo and normals, (h, w, 3) each in float32, and returns clean radiance.
 Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -112,21 +114,17 @@ class Silhouette:
 
     def clipped(self, height_px: int, width_px: int) -> "Silhouette":
         """The part of the silhouette that lies in an image."""
-        h, w = self.mask.shape
-        top, left = max(self.top_px, 0), max(self.left_px, 0)
-        bottom, right = min(self.top_px + h, height_px), min(self.left_px + w, width_px)
-        if bottom <= top or right <= left:
+        image, own = overlap(self.top_px, self.left_px, self.mask.shape, (height_px, width_px))
+        mask = self.mask[own]
+        if mask.size == 0:
             return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
-        rows = slice(top - self.top_px, bottom - self.top_px)
-        columns = slice(left - self.left_px, right - self.left_px)
-        return Silhouette(left_px=left, top_px=top, mask=self.mask[rows, columns])
+        return Silhouette(left_px=image[1].start, top_px=image[0].start, mask=mask)
 
     def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
         """The silhouette as a mask of a whole image."""
         image = np.zeros((height_px, width_px), dtype=bool)
-        part = self.clipped(height_px, width_px)
-        h, w = part.mask.shape
-        image[part.top_px : part.top_px + h, part.left_px : part.left_px + w] = part.mask
+        inside, own = overlap(self.top_px, self.left_px, self.mask.shape, image.shape)
+        image[inside] = self.mask[own]
         return image
 
 
@@ -172,13 +170,7 @@ class Renderer(Protocol):
     versions: dict[str, str]  # of the software that renders
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         """Render every pattern (grey levels, 255 is white) and the ground truth.
 
@@ -199,12 +191,8 @@ class Renderer(Protocol):
         self.close()
 
 
-def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:
-    """Refuse patterns that do not have the projector's size.
-
-    Raises:
-        ValueError: they have another size than this one's picture.
-    """
+def refuse_other_size(pattern: Patterns, projector: Optics) -> None:
+    """Refuse, by ValueError, patterns that do not have the projector's size."""
     if pattern.shape[1:] != (projector.height_px, projector.width_px):
         size = f"{pattern.shape[2]} x {pattern.shape[1]}"
         wanted = f"{projector.width_px} x {projector.height_px}"

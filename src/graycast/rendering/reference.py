@@ -11,16 +11,17 @@ import math
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float
 
 from ..base.frames import inverse, pixel_grid, transform_points
 from ..rig.optics import corner_share, project, rays, relative_illumination
-from ..rig.pair import Rig, emission
+from ..rig.pair import emission
 from ..world.scene import Layout, Quad, Scene, Sphere
 from .denoise import open_denoiser
 from .radiance import (
     Denoiser,
     GroundTruth,
+    Patterns,
     Quality,
     Radiance,
     Renderer,
@@ -43,13 +44,7 @@ class ReferenceRenderer(Renderer):
         self.denoiser: Denoiser = open_denoiser(self.device)
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         _refuse_beyond_limits(scene, layout, pattern, quality)
         camera = scene.rig.camera
@@ -111,26 +106,27 @@ def _refuse_beyond_limits(
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     """Irradiance by an all-white projector, base colour, and the projector pixel of each ray."""
     rig = scene.rig
-    direction = rays(rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
-    eye = scene.T_world_cam[:3, 3]
-    t, index = _nearest(scene, eye, direction)
-    hit = index >= 0
-    point = eye + np.where(hit, t, 1.0)[..., None] * direction
-    normal, base = _normals(scene, point, index), _base_colors(scene, index)
+    direction, _, index, point = _first(scene, pixel)
+    normal = _normals(scene, point, index)
+    colors = [surface.material.base_color for surface in scene.surfaces]
+    base = np.array([*colors, (0.0, 0.0, 0.0)])[index]  # the last is of what has no index
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     in_projector = transform_points(inverse(T_world_proj), point)
     place_px = project(rig.projector, in_projector)
     size = np.array([rig.projector.width_px, rig.projector.height_px])
     with np.errstate(invalid="ignore"):
         inside = ((place_px >= -0.5) & (place_px < size - 0.5)).all(axis=-1)
-        inside &= _on_a_pixel(rig, place_px)
+        # The light comes from a pixel's shining square rather than from between them.
+        aside = np.abs(place_px - np.floor(place_px + 0.5))
+        inside &= (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
     column_row = np.where(inside[..., None], np.floor(place_px + 0.5), 0).astype(int)
     to_lens = T_world_proj[:3, 3] - point
     distance = np.linalg.norm(to_lens, axis=-1)
     cosine = (normal * to_lens).sum(axis=-1) / distance
-    faces_camera = (normal * direction).sum(axis=-1) < 0
+    lit = (index >= 0) & inside & (cosine > 0) & ((normal * direction).sum(axis=-1) < 0)
     start = point + CLEARANCE_M * normal
-    lit = hit & inside & (cosine > 0) & faces_camera & ~_blocked(scene, start, T_world_proj[:3, 3])
+    for surface in scene.surfaces:
+        lit &= _meet(surface, start, T_world_proj[:3, 3] - start) >= 1
     irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
     if rig.projector.natural_vignetting:
         irradiance *= in_projector[..., 2] / distance
@@ -141,10 +137,13 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     return irradiance, base, column_row
 
 
-def _on_a_pixel(rig: Rig, place_px: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarray, "h w"]:
-    """Whether the light comes from a pixel's shining square rather than from between them."""
-    aside = np.abs(place_px - np.floor(place_px + 0.5))
-    return (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
+def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
+    """Direction, ray parameter, surface (-1 for none) and point where a pixel's ray first meets."""
+    direction = rays(scene.rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
+    eye = scene.T_world_cam[:3, 3]
+    t, index = _nearest(scene, eye, direction)
+    point = eye + np.where(index >= 0, t, 1.0)[..., None] * direction
+    return direction, t, index, point
 
 
 def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
@@ -156,14 +155,6 @@ def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
         nearer = t < best
         best, index = np.where(nearer, t, best), np.where(nearer, i, index)
     return best, index
-
-
-def _blocked(scene: Scene, start: np.ndarray, lens: np.ndarray) -> Bool[np.ndarray, "h w"]:
-    direction = lens - start
-    blocked = np.zeros(direction.shape[:-1], dtype=bool)
-    for surface in scene.surfaces:
-        blocked |= _meet(surface, start, direction) < 1
-    return blocked
 
 
 def _meet(surface: Quad | Sphere, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -198,25 +189,13 @@ def _normals(scene: Scene, point: np.ndarray, index: np.ndarray) -> np.ndarray:
     return normal
 
 
-def _base_colors(scene: Scene, index: np.ndarray) -> np.ndarray:
-    base = np.zeros((*index.shape, 3))
-    for i, surface in enumerate(scene.surfaces):
-        base[index == i] = surface.material.base_color
-    return base
-
-
 def _truth(scene: Scene, grid: np.ndarray) -> GroundTruth:
-    ray_cam = rays(scene.rig.camera, grid)
-    direction = ray_cam @ scene.T_world_cam[:3, :3].T
-    eye = scene.T_world_cam[:3, 3]
-    t, index = _nearest(scene, eye, direction)
-    hit = index >= 0
-    point = eye + np.where(hit, t, 0.0)[..., None] * direction
-    normal = _normals(scene, point, index) @ scene.T_world_cam[:3, :3]
-    towards = -np.sign((normal * ray_cam).sum(axis=-1, keepdims=True))
+    direction, t, index, point = _first(scene, grid)
+    normal = _normals(scene, point, index)
+    normal *= -np.sign((normal * direction).sum(axis=-1, keepdims=True))
     return GroundTruth(
-        depth_m=np.where(hit, t, np.nan),  # rays have unit z, so t is the depth
-        normal=normal * towards,
+        depth_m=np.where(index >= 0, t, np.nan),  # rays have unit z, so t is the depth
+        normal=normal @ scene.T_world_cam[:3, :3],
         instance=np.full(index.shape, -1),
         amodal=(),
     )

@@ -13,7 +13,11 @@ term: white metal returns everything, and colours deepen as they do by reflectin
 This is also the metal of Blender's Principled BSDF, to 0.3 % wherever we looked
 (`tests/rendering/test_materials_in_both.py`).
 
-With grooves, facets have two widths, along x and y; `brushed_conductor.py` turns the frame there.
+With grooves, facets have two widths, along x and y of a frame along the grain. The mesh attribute
+`vertex_grain` has the direction of the grooves in world coordinates. At a hit it is projected onto
+the plane of the shading normal. A hit without a direction has its grain along the shading frame's
+x. Left out are the single grooves, and so glints and the rainbow that fine ones make.
+
 Where roughness varies, `E` is linear between the widths `ggx.ALPHAS`: white metal returns all light
 to 0.4 %.
 
@@ -26,8 +30,6 @@ before grazing incidence.
 Sources: C. Kulla & A. Conty, "Revisiting Physically Based Shading at Imageworks", SIGGRAPH 2017
 course (F_ms); E. Turquin, "Practical Multiple Scattering Compensation for Microfacet Models",
 Industrial Light & Magic, 2019 (scaled lobe); C. Schlick, CGF 13(3), 1994 (F).
-
-Imported only by `mitsuba_scene.py`, after a variant was set.
 """
 
 from functools import lru_cache
@@ -38,6 +40,8 @@ import mitsuba as mi
 import numpy as np
 
 from . import ggx
+
+GRAIN = "vertex_grain"
 
 
 @final
@@ -52,7 +56,7 @@ class RoughConductor(ggx.GlossyBSDF):
         self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         self.m_components = [int(self.m_flags)]
         if self.roughness is not None:
-            self.kept, self.mean = map(mi.Float, kept_shares())
+            self.energy, self.mean = map(mi.Float, energy_shares())
             return
         along = across = float(props["alpha"])
         if "alpha_across" in props:
@@ -83,43 +87,72 @@ class RoughConductor(ggx.GlossyBSDF):
         length_i = dr.norm(ggx.stretched(si.wi, alpha))
         length_o = dr.norm(ggx.stretched(wo, alpha))
         both = cos_i + length_i
-        kept = cos_o * both / dr.fma(length_i, cos_o, length_o * cos_i)  # G2 / G1
+        passed = cos_o * both / dr.fma(length_i, cos_o, length_o * cos_i)  # G2 / G1
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo, bs.eta = wo, 1.0
         bs.pdf = dr.select(active, 0.5 * ggx.distribution(half, alpha) / both, 0)
         bs.sampled_type, bs.sampled_component = mi.UInt32(self.m_components[0]), mi.UInt32(0)
-        weight = self._reflected(si, alpha, cos_half, length_i, active) * kept
+        weight = self._reflected(si, alpha, cos_half, length_i, active) * passed
         return bs, dr.select(active, weight, 0)
-
-    def to_string(self):
-        return f"RoughConductor[alpha={self.alpha}]"
 
     def _reflected(
         self, si, alpha: ggx.Alpha, cos_half: mi.Float, length_i: mi.Float, active
     ) -> mi.Color3f:
         """Fresnel's share, and what comes back after the first reflection."""
         normal = self.reflectance.eval(si, active)
-        away = 1 - cos_half
-        fresnel = dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
-        average = dr.fma(normal, 20 / 21, 1 / 21)
-        mean = self.mean
+        fresnel, mean = ggx.schlick(normal, cos_half), self.mean
         if self.roughness is not None:
             mean = ggx.between_rows(alpha, lambda row: dr.gather(mi.Float, self.mean, row))
-        later = average * mean / dr.fma(-average, 1 - mean, 1)
+        later = ggx.coming_later(normal, mean)
         return fresnel * dr.fma(later, self._lost(si.wi, alpha, length_i), 1)
 
     def _lost(self, wi: mi.Vector3f, alpha: ggx.Alpha, length_i: mi.Float) -> mi.Float:
         """`(1 - E) / E`; by the azimuth, too, where grooves make facets wider along y than x."""
         cosine = mi.Frame3f.cos_theta(wi) / length_i
         if self.roughness is not None:
-            kept = ggx.between_rows(alpha, lambda row: ggx.interpolated(self.kept, cosine, row))
-            return dr.rcp(kept) - 1
+            energy = ggx.between_rows(alpha, lambda row: ggx.interpolated(self.energy, cosine, row))
+            return dr.rcp(energy) - 1
         if len(self.lost) == 1:
             return ggx.interpolated(self.lost[0], cosine)
         x2, y2 = (dr.square(w) for w in ggx.stretched(wi, alpha)[:2])
         twice = (x2 - y2) / dr.maximum(x2 + y2, 1e-12)  # the cosine of twice the azimuth
         middle, slope, bend = (ggx.interpolated(table, cosine) for table in self.lost)
         return dr.fma(dr.fma(bend, twice, slope), twice, middle)
+
+
+@final
+class BrushedConductor(ggx.GlossyBSDF):
+    """A metal with grooves. Properties: as of `RoughConductor`, `alpha` along the grain."""
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        self.metal = RoughConductor(props)
+        self.m_flags, self.m_components = self.metal.m_flags, self.metal.m_components
+
+    def eval_pdf(self, context, si, wo, active):
+        si, cosine, sine = self._along_grain(si, active)
+        return self.metal.eval_pdf(context, si, _turned(wo, cosine, -sine), active)
+
+    def sample(self, context, si, sample1, sample2, active):
+        si, cosine, sine = self._along_grain(si, active)
+        bs, weight = self.metal.sample(context, si, sample1, sample2, active)
+        bs.wo = _turned(bs.wo, cosine, sine)
+        return bs, weight
+
+    def _along_grain(self, si, active) -> tuple[mi.SurfaceInteraction3f, mi.Float, mi.Float]:
+        """The hit in a frame along the grain; cosine and sine of the turn that leads there."""
+        grain = si.to_local(mi.Vector3f(si.shape.eval_attribute_3(GRAIN, si, active)))
+        length = dr.hypot(grain.x, grain.y)
+        cosine = dr.select(length > 0, grain.x / length, 1)
+        sine = dr.select(length > 0, grain.y / length, 0)
+        si = mi.SurfaceInteraction3f(si)
+        si.wi = _turned(si.wi, cosine, -sine)
+        return si, cosine, sine
+
+
+def _turned(w: mi.Vector3f, cosine: mi.Float, sine: mi.Float) -> mi.Vector3f:
+    """Turned about the normal, from x towards y."""
+    return mi.Vector3f(dr.fma(cosine, w.x, -sine * w.y), dr.fma(sine, w.x, cosine * w.y), w.z)
 
 
 @lru_cache
@@ -145,13 +178,13 @@ def lost_share(along: float, across: float) -> tuple[np.ndarray, float]:
 
 
 @lru_cache
-def kept_shares() -> tuple[np.ndarray, np.ndarray]:
+def energy_shares() -> tuple[np.ndarray, np.ndarray]:
     """`E` of white GGX facets, a row over `lost_share`'s cosine for each of `ggx.ALPHAS`, and its
     mean for each. The rows follow one another.
     """
     tables = [lost_share(alpha, alpha) for alpha in ggx.ALPHAS.tolist()]
-    kept = 1 / (1 + np.concatenate([lost[0] for lost, _ in tables]))
-    shares = kept.astype(np.float32), np.array([mean for _, mean in tables], dtype=np.float32)
+    energy = 1 / (1 + np.concatenate([lost[0] for lost, _ in tables]))
+    shares = energy.astype(np.float32), np.array([mean for _, mean in tables], dtype=np.float32)
     for table in shares:
         table.flags.writeable = False  # it is kept for the next scene
     return shares

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..base.frames import inverse, transform_points
+from ..base.mask_box import overlap
 from .optics import Optics, project, rays
 
 
@@ -31,14 +32,8 @@ class Raster:
         """Face and z over the whole image and no more."""
         face = np.full((camera.height_px, camera.width_px), -1)
         z = np.full(face.shape, np.nan)
-        rows, columns = self.z.shape
-        top, left = max(self.top_px, 0), max(self.left_px, 0)
-        bottom = max(min(self.top_px + rows, camera.height_px), top)
-        right = max(min(self.left_px + columns, camera.width_px), left)
-        from_y, from_x = top - self.top_px, left - self.left_px
-        mine = np.s_[from_y : from_y + bottom - top, from_x : from_x + right - left]
-        face[top:bottom, left:right] = self.face[mine]
-        z[top:bottom, left:right] = self.z[mine]
+        image, own = overlap(self.top_px, self.left_px, self.z.shape, face.shape)
+        face[image], z[image] = self.face[own], self.z[own]
         return face, z
 
 

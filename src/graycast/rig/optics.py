@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from pydantic import AfterValidator, Field
 
 from ..base.frames import pixel_grid
-from ..base.settings import Finite, check_fields
+from ..base.settings import Finite, Level, Positive, check_fields
 
 MAX_SIDE_PX = 32_768  # It is twice the longest sensors; beyond it a number is no size in pixels.
 
@@ -32,6 +32,10 @@ def _pupil(metres: float) -> float:
     return metres
 
 
+Side = Annotated[int, Field(ge=1), AfterValidator(_side)]
+Distortion = tuple[Finite, Finite, Finite, Finite, Finite]  # (k1, k2, p1, p2, k3)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
     """Intrinsics of a camera or projector, in pixels; pixel (0, 0) is a centre.
@@ -40,26 +44,19 @@ class Optics:
     with `r2 = x^2 + y^2` and `radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3`,
     `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
 
-    `aperture_m` is the diameter of the entrance pupil (0: a pinhole), `focus_m` the z of the plane
-    in focus; the pupil lies at z = 0. `psf_px` is the radius of a disc of blur that is there at
-    every depth: aberrations and diffraction. `natural_vignetting` dims a camera by the fourth power
-    of the cosine to its axis, a projector's intensity by the first (see `relative_illumination`).
-    `falloff` is the share of the light that is missing in the picture's corners beyond that, by
-    whatever cause (see `corner_share`).
-    `fill_factor` is the share of a pixel's area, a centred square, that senses or shines.
+    The entrance pupil lies at z = 0. The blur `psf_px` stands for aberrations and diffraction.
+    `natural_vignetting` dims a camera by the fourth power of the cosine to its axis, a projector's
+    intensity by the first (see `relative_illumination`); `falloff` has any cause (see
+    `corner_share`). What senses or shines of a pixel (`fill_factor`) is a centred square.
 
     Leaves out: skew; what vignetting by the lens's own rims does to blur; what `blur_radius_px`
     says. Distortion beyond the monotonic range is refused.
     """
 
-    width_px: Annotated[
-        int, Field(ge=1, description="Width of the image in pixels."), AfterValidator(_side)
-    ]
-    height_px: Annotated[
-        int, Field(ge=1, description="Height of the image in pixels."), AfterValidator(_side)
-    ]
-    fx_px: Annotated[float, Field(gt=0, description="Focal length along x in pixels.")]
-    fy_px: Annotated[float, Field(gt=0, description="Focal length along y in pixels.")]
+    width_px: Annotated[Side, Field(description="Width of the image in pixels.")]
+    height_px: Annotated[Side, Field(description="Height of the image in pixels.")]
+    fx_px: Annotated[Positive, Field(description="Focal length along x in pixels.")]
+    fy_px: Annotated[Positive, Field(description="Focal length along y in pixels.")]
     cx_px: Annotated[
         Finite, Field(description="The x coordinate of the principal point in pixels.")
     ]
@@ -67,31 +64,30 @@ class Optics:
         Finite, Field(description="The y coordinate of the principal point in pixels.")
     ]
     distortion: Annotated[
-        tuple[Finite, Finite, Finite, Finite, Finite],
+        Distortion,
         Field(description="Brown-Conrady coefficients (k1, k2, p1, p2, k3) in OpenCV's order."),
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     aperture_m: Annotated[
-        float,
-        Field(ge=0, description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
+        Level,
+        Field(description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
         AfterValidator(_pupil),
     ] = 0.0
     focus_m: Annotated[
-        float,
+        Positive,
         Field(
-            gt=0,
-            description="Distance of the plane in focus along the axis in metres; "
-            "infinite if the key is absent.",
+            description="Distance of the plane in focus along the axis in metres; infinite if the "
+            "key is absent."
         ),
     ] = math.inf
     psf_px: Annotated[
-        float,
-        Field(ge=0, description="Radius in pixels of a blur that is the same at every distance."),
+        Level,
+        Field(description="Radius in pixels of a blur that is the same at every distance."),
     ] = 0.0
     natural_vignetting: Annotated[
         bool,
         Field(
-            description="Whether the image darkens towards its corners with a power "
-            "of the cosine of the field angle."
+            description="Whether the image darkens towards its corners with a power of the cosine "
+            "of the field angle."
         ),
     ] = False
     falloff: Annotated[
@@ -159,9 +155,7 @@ def optics_of(
     )
 
 
-def distort(
-    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
-) -> Float[np.ndarray, "*n 2"]:
+def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
     """Ideal normalised image coordinates to distorted ones.
 
     Source: D. C. Brown, "Close-range camera calibration", 1971; OpenCV's coefficient order.
@@ -179,9 +173,7 @@ def distort(
     )
 
 
-def undistort(
-    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
-) -> Float[np.ndarray, "*n 2"]:
+def undistort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
     """The inverse of `distort`, by Newton's method to 1e-9.
 
     Raises:
@@ -242,7 +234,7 @@ def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarra
     return picture_rays(optics) * depth_m[..., None]
 
 
-def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
+def fold_radius2(distortion: Distortion) -> float:
     """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
 
     The smallest positive root of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3, s = r^2.

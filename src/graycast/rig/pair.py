@@ -19,8 +19,9 @@ from ..base.frames import (
     rigid,
     transform_points,
 )
-from ..base.settings import check_fields
+from ..base.settings import Level, Positive, Share, Vector, check_fields
 from .optics import Optics, in_picture, project, rays
+from .pattern import AXES, Axis
 from .shelf import NAMES, no_rig, shelf_entry
 
 
@@ -43,18 +44,12 @@ class Rig:
     has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, shared out
     over the red, green and blue band by `band_weights`. The measuring camera is monochrome and has
     a filter that passes the bands in which the projector shines, and no other.
-    `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
 
-    `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
-    from 0 to 255, linear between them. What leaks through a black picture is white's light over
-    `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
-    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
-    light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
-    to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
-    a material has that scatters light inside (see `speckle.material_contrast`), and
-    `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
-    one standard deviation, as a share, of each projected line's light in each picture; errors of
-    one line have a correlation of 1/e at `line_noise_length_m`.
+    The `response` is that at grey levels from 0 to 255, linear between them. What leaks through a
+    black picture is white's light over `contrast_ratio`; it is in every picture. `speckle_contrast`
+    is standard deviation over mean of the light of a rough surface: up to 1 of a laser, 0.71 where
+    the surface depolarises it; `speckle_volume` is that of `speckle.material_contrast`.
+    `line_noise` is one standard deviation of each projected line's light in each picture.
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
     place, time or the picture.
@@ -66,28 +61,22 @@ class Rig:
     camera: Optics
     projector: Optics
     T_cam_proj: Float[np.ndarray, "4 4"]
-    near_m: Annotated[
-        float, Field(gt=0, description="Nearest depth of the working range in metres.")
-    ]
-    far_m: Annotated[
-        float, Field(gt=0, description="Farthest depth of the working range in metres.")
-    ]
+    near_m: Annotated[Positive, Field(description="Nearest depth of the working range in metres.")]
+    far_m: Annotated[Positive, Field(description="Farthest depth of the working range in metres.")]
     intensity_w_sr: Annotated[
-        float, Field(gt=0, description="Radiant intensity of a white projector pixel [W/sr].")
+        Positive, Field(description="Radiant intensity of a white projector pixel [W/sr].")
     ] = 10.0
     band_weights: Annotated[
-        tuple[float, float, float],
+        Vector,
         Field(
             description="Shares of red, green and blue in the projector's light; their sum is 1."
         ),
     ] = (1 / 3, 1 / 3, 1 / 3)
     picture_level: Annotated[
-        float,
+        Share,
         Field(
-            ge=0,
-            le=1,
-            description="Grey level of the projector while the colour picture "
-            "is taken, from 0 to 1.",
+            description="Grey level of the projector while the colour picture is taken, from 0 "
+            "to 1."
         ),
     ] = 0.0
     response: Annotated[
@@ -102,8 +91,8 @@ class Rig:
         float,
         Field(
             gt=1,
-            description="Ratio of the projector's white to its black; infinite if "
-            "the key is absent.",
+            description="Ratio of the projector's white to its black; infinite if the key is "
+            "absent.",
         ),
     ] = math.inf
     veil: Annotated[
@@ -111,35 +100,29 @@ class Rig:
         Field(
             ge=0,
             lt=1,
-            description="Share of the light that the "
-            "camera's lens spreads over the "
-            "image as stray light.",
+            description="Share of the light that the camera's lens spreads over the image as stray "
+            "light.",
         ),
     ] = 0.0
     speckle_contrast: Annotated[
-        float,
+        Share,
         Field(
-            ge=0,
-            le=1,
-            description="Speckle contrast at a point of the sensor, on a black "
-            "surface: 1 for a laser, 0 for an LED.",
+            description="Speckle contrast at a point of the sensor, on a black surface: 1 for a "
+            "laser, 0 for an LED."
         ),
     ] = 0.0
     speckle_volume: Annotated[
-        float,
+        Level,
         Field(
-            ge=0,
-            description="Reduction of the speckle contrast by scattering inside a "
-            "white surface; 0 is no reduction.",
+            description="Reduction of the speckle contrast by scattering inside a white surface; 0 "
+            "is no reduction."
         ),
     ] = 0.0
     speckle_unevenness: Annotated[
-        float,
+        Share,
         Field(
-            ge=0,
-            le=1,
             description="Standard deviation of the natural logarithm of the speckle contrast "
-            "between patches of a surface.",
+            "between patches of a surface."
         ),
     ] = 0.0
     line_noise: Annotated[
@@ -147,12 +130,11 @@ class Rig:
         Field(ge=0, le=0.2, description="Of each projected line's light in a picture, a share."),
     ] = 0.0
     line_noise_length_m: Annotated[
-        float,
+        Positive,
         Field(
-            gt=0,
             description="Distance along a projected line, on a surface in the middle of the "
             "working range, at which line noise has a correlation of 1/e. A line has "
-            "one error from end to end if the key is absent.",
+            "one error from end to end if the key is absent."
         ),
     ] = math.inf
 
@@ -254,21 +236,13 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
     )
 
 
-def depth_per_column_m(rig: Rig, z_m: float) -> float:
-    """Change of depth on the camera's axis per projector column, at depth `z_m`.
+def depth_per_line_m(rig: Rig, z_m: float, axis: Axis) -> float:
+    """Change of depth on the camera's axis per projector column, or row, at depth `z_m`.
 
-    NaN where that point is unlit, inf where columns do not move with depth.
+    NaN where that point is unlit, inf where columns (rows) do not move with depth.
     Derived numerically from the projection, so it holds for any pose and distortion.
     """
-    return _depth_per_line_m(rig, z_m, across=0)
-
-
-def depth_per_row_m(rig: Rig, z_m: float) -> float:
-    """The same per projector row, for a baseline that runs down the projector's picture."""
-    return _depth_per_line_m(rig, z_m, across=1)
-
-
-def _depth_per_line_m(rig: Rig, z_m: float, *, across: int) -> float:
+    across = AXES.index(axis)
     step_m = 1e-4 * z_m
     centre = np.array([[rig.camera.cx_px, rig.camera.cy_px]])
     ray = rays(rig.camera, centre)[0]

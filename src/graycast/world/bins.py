@@ -150,11 +150,7 @@ def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray
 
 
 def _median(value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], if_none: str) -> float:
-    """The weighted median.
-
-    Raises:
-        _NoBin: all weights are 0.
-    """
+    """The weighted median; where all weights are 0, there is no bin."""
     if not weight.sum() > 0:
         raise _NoBin(if_none)
     order = np.argsort(value, kind="stable")

@@ -316,11 +316,11 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
     )
 
 
-def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> Mesh:
+def _faces_of(mesh: Mesh, subset: Bool[np.ndarray, " f"]) -> Mesh:
     """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
     return Mesh(
         vertices_m=mesh.vertices_m,
-        faces=mesh.faces[chosen],
-        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[chosen],
-        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[chosen],
+        faces=mesh.faces[subset],
+        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[subset],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[subset],
     )

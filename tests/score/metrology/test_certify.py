@@ -11,7 +11,7 @@ from stage import centred, make_rig, turned
 
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec
-from graycast.rig.pair import depth_per_column_m
+from graycast.rig.pair import depth_per_line_m
 from graycast.rig.pattern import CodeSpec
 from graycast.score.metrology import Scope, certify, describe, write_certificate
 
@@ -131,7 +131,7 @@ def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
     made = certify(scanner, renderer=mitsuba_renderer, seed=1, scope=scope)
 
     def step_m(z_m):
-        return depth_per_column_m(scanner.rig, z_m) / math.sqrt(12 * scope.samples)
+        return depth_per_line_m(scanner.rig, z_m, "column") / math.sqrt(12 * scope.samples)
 
     assert made.middle.noise_m < 0.1 * step_m(made.middle.z_m)
     for plane in made.facing:

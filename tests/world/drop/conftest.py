@@ -1,10 +1,12 @@
 """Parts made of a few numbers, so that closed forms exist for them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 
-from graycast.world.drop import convex_hulls
+from graycast.world.drop import Decomposition, prepare
 from graycast.world.parts import Material, Mesh, Part
 from graycast.world.scene import Bin, Scene
 
@@ -14,6 +16,11 @@ RING_INNER_M, RING_OUTER_M, RING_HEIGHT_M = 0.015, 0.025, 0.010
 def as_part(shape: trimesh.Trimesh, name: str, friction: float = 0.4) -> Part:
     mesh = Mesh(vertices_m=np.array(shape.vertices), faces=np.array(shape.faces))
     return Part(name=name, mesh=mesh, material=Material(), density_kg_m3=2700.0, friction=friction)
+
+
+def convex_hulls(part: Part, folder: Path) -> Decomposition:
+    (hulls,) = prepare((part,), hull_folder=folder)
+    return hulls
 
 
 def box_part(size_m: tuple[float, float, float], friction: float = 0.4) -> Part:
@@ -44,7 +51,7 @@ def hull_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ring_hulls(ring_part, hull_folder):
-    return convex_hulls(ring_part.mesh, folder=hull_folder).hulls
+    return convex_hulls(ring_part, hull_folder).hulls
 
 
 @pytest.fixture

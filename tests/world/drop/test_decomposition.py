@@ -5,6 +5,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -14,18 +15,19 @@ from scipy.spatial import ConvexHull
 from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
 from graycast.base.errors import GraycastError
 from graycast.base.progress import Stages
-from graycast.world.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
+from graycast.world.drop import decomposition, hull_notes, prepare
 from graycast.world.drop.decomposition import (
     decompose,
-    hull_error,
+    hull_of,
     hull_store,
+    measure,
     mesh_hulls,
     tolerance_m,
 )
 from graycast.world.drop.decomposition.cache import read_decomposition
 from graycast.world.parts import Mesh
 
-from .conftest import RING_HEIGHT_M, RING_INNER_M, RING_OUTER_M, as_part, box_part
+from .conftest import RING_HEIGHT_M, RING_INNER_M, RING_OUTER_M, as_part, box_part, convex_hulls
 
 
 def same(a, b) -> bool:
@@ -45,9 +47,9 @@ def held(hulls, point) -> np.ndarray:
 
 def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
-    made = convex_hulls(box_part((0.04, 0.05, 0.06)).mesh, folder=tmp_path)
+    made = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
     ((vertices, faces),) = made.hulls
-    assert made.error.worst_m < 1e-9 and not made.coarse
+    assert made.worst_m < 1e-9 and not made.coarse
     volume = np.linalg.det(vertices[faces]).sum() / 6  # negative if faces look inwards
     assert volume == pytest.approx(0.04 * 0.05 * 0.06, rel=1e-12)
 
@@ -83,7 +85,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
     r, turn = 3.5e-3 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
     z = rng.uniform(-0.5, 0.5, 2000) * thickness_m
     assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
-    assert hull_error(mesh, hulls).worst_m < tolerance_m(mesh)
+    assert measure(mesh, hulls).worst_m < tolerance_m(mesh)
 
 
 @pytest.mark.slow
@@ -111,7 +113,7 @@ def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
     assert np.ptp(head[:, 2]) == pytest.approx(5.3e-3, abs=1e-7)
     radius = np.hypot(shank[:, 0], shank[:, 1]) * 1e3
     assert np.minimum(np.abs(radius - 4), np.abs(radius - 2.75)).max() < 1e-4
-    error = hull_error(mesh, tuple(hulls))
+    error = measure(mesh, tuple(hulls))
     assert error.filled_m < 1e-7 and error.lost_m < 0.003 * 0.037
 
 
@@ -143,11 +145,11 @@ def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_c
     notch.apply_translation((0, 0, 0.01))
     mesh = mesh_of(trimesh.boolean.difference([block, notch], engine="manifold"))
     corners = np.array(block.vertices)
-    full = decomposition.hulls.hull_of(corners)
-    assert hull_error(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
-    assert hull_error(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
-    short = decomposition.hulls.hull_of(np.minimum(corners, [0.048, 1, 1]))
-    assert hull_error(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
+    full = hull_of(corners)
+    assert measure(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
+    assert measure(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
+    short = hull_of(np.minimum(corners, [0.048, 1, 1]))
+    assert measure(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
 
 
 def test_distances_to_triangles_are_those_of_trimesh():
@@ -166,13 +168,13 @@ def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
     else:
         shape.invert()
     with pytest.raises(ValueError, match=r"close its holes and turn|turn its faces outward"):
-        convex_hulls(mesh_of(shape), folder=tmp_path)
+        convex_hulls(as_part(shape, "part"), tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["flipped bit", "cut short", "empty", "words"])
 def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
-    mesh = box_part((0.04, 0.05, 0.06)).mesh
-    good = convex_hulls(mesh, folder=tmp_path).hulls
+    part = box_part((0.04, 0.05, 0.06))
+    good = convex_hulls(part, tmp_path).hulls
     (file,) = tmp_path.iterdir()
     data = bytearray(file.read_bytes())
     at = data.index(b"NUMPY") + 150  # among the vertices
@@ -186,28 +188,32 @@ def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
         case "words":
             data = b"not a cache file"
     file.write_bytes(data)
-    assert same(convex_hulls(mesh, folder=tmp_path).hulls, good)
+    assert same(convex_hulls(part, tmp_path).hulls, good)
     assert read_decomposition(file) is not None
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, monkeypatch):
-    mesh = box_part((0.04, 0.05, 0.06)).mesh
-    first = convex_hulls(mesh, folder=tmp_path)
-    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)).mesh, folder=tmp_path)
+    part = box_part((0.04, 0.05, 0.06))
+    first = convex_hulls(part, tmp_path)
+    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)), tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr(hull_store, "decompose", lambda mesh: pytest.fail("not from the cache"))
-    again = convex_hulls(mesh, folder=tmp_path)
+    again = convex_hulls(part, tmp_path)
     assert same(again.hulls, first.hulls)
-    assert (again.error, again.tolerance_m) == (first.error, first.tolerance_m)
+    figures = attrgetter("filled_m", "lost_m", "tolerance_m")
+    assert figures(again) == figures(first)
 
 
 def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
+    part = box_part((0.04, 0.05, 0.06))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "graycast" / "hulls"
+    prepare((part,))
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / ".cache" / "graycast" / "hulls"
+    prepare((part,))
+    for folder in (tmp_path / "graycast" / "hulls", tmp_path / ".cache" / "graycast" / "hulls"):
+        assert [file.suffix for file in folder.iterdir()] == [".npz"]
 
 
 @pytest.mark.slow
@@ -215,7 +221,7 @@ def test_one_kind_tells_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
     (made,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
     assert len(made.hulls) > 1
-    assert made.error == hull_error(part.mesh, made.hulls) and not made.coarse
+    assert made.worst_m == measure(part.mesh, made.hulls).worst_m and not made.coarse
     assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
     assert stages[-1].startswith("nut: measuring")
 
@@ -258,7 +264,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
     assert starts[0] == 2 and len(children) == 3
     for part, one in zip(parts, made, strict=True):
         hulls = decompose(part.mesh)
-        assert same(one.hulls, hulls) and one.error == hull_error(part.mesh, hulls)
+        assert same(one.hulls, hulls) and one.worst_m == measure(part.mesh, hulls).worst_m
     counts = [f"collision hulls: {number} of 4 kinds are ready" for number in (1, 2, 3)]
     assert list(dict.fromkeys(stage for stage in stages if "kinds" in stage)) == counts
     last = stages[stages.index(counts[-1]) + 1 :]
@@ -297,14 +303,15 @@ import signal, sys
 import numpy as np
 from pathlib import Path
 from graycast.base.progress import Stages
-from graycast.world.drop import convex_hulls
-from graycast.world.parts import Mesh
+from graycast.world.drop import prepare
+from graycast.world.parts import Material, Mesh, Part
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
 data = np.load({mesh!r})
 mesh = Mesh(vertices_m=data["v"], faces=data["f"])
 print("start", flush=True)
 meter = Stages(lambda stage: print(stage, flush=True))
-convex_hulls(mesh, folder=Path({folder!r}), progress=meter)
+part = Part(name="ring", mesh=mesh, material=Material(), density_kg_m3=1000.0, friction=0.4)
+prepare((part,), hull_folder=Path({folder!r}), progress=meter)
 """
 
 
@@ -317,7 +324,7 @@ def test_a_batch_systems_stop_is_heard_at_any_stage(stage, tmp_path):
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     with process:
-        assert any(line.startswith(stage) for line in process.stdout)
+        assert any(line.removeprefix("ring: ").startswith(stage) for line in process.stdout)
         children = _children(process.pid)
         stopped = time.perf_counter()
         process.send_signal(signal.SIGTERM)
@@ -363,7 +370,7 @@ def _alive(pid: int) -> bool:
 @pytest.mark.parametrize("name", ZOO)
 def test_hulls_of_the_zoo_keep_to_their_bound(name):
     mesh = zoo_part(name).mesh
-    assert hull_error(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
+    assert measure(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
 
 
 @pytest.mark.slow
@@ -371,7 +378,7 @@ def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
     """What simplifying takes is in the bound, which is held against the mesh as it was."""
     mesh = wavy_ring(500_000)
     hulls = decompose(mesh)
-    assert hull_error(mesh, hulls).worst_m <= tolerance_m(mesh)
+    assert measure(mesh, hulls).worst_m <= tolerance_m(mesh)
     turn = np.linspace(0, 2 * np.pi, 500)
     for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
         circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
@@ -396,16 +403,16 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
     """
     shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
     part = as_part(shape, "washer")
-    full = decomposition.hulls.hull_of(np.array(shape.vertices))
-    made = decomposition.error.measured(part.mesh, (full,))
-    assert made.coarse and 3.5e-3 < made.error.filled_m < 4e-3
+    full = hull_of(np.array(shape.vertices))
+    made = measure(part.mesh, (full,))
+    assert made.coarse and 3.5e-3 < made.filled_m < 4e-3
     (note,) = hull_notes((part,), (made,))
     assert (
         note.startswith("washer: its collision hulls are too coarse")
         and "the bound is 0.50 mm." in note
     )
-    assert f"{1e3 * made.error.worst_m:.2f} mm from its surface" in note
-    fine = decomposition.error.measured(part.mesh, decompose(part.mesh))
+    assert f"{1e3 * made.worst_m:.2f} mm from its surface" in note
+    fine = measure(part.mesh, decompose(part.mesh))
     assert not fine.coarse and hull_notes((part,), (fine,)) == ()
 
 
@@ -423,13 +430,14 @@ def test_a_springs_inside_stays_open():
 def test_a_fresh_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
     np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
     program = (
-        "import numpy as np; from graycast.world.drop import convex_hulls;"
-        "from graycast.world.parts import Mesh;"
+        "import numpy as np; from pathlib import Path; from graycast.world.drop import prepare;"
+        "from graycast.world.parts import Material, Mesh, Part;"
         f"d = np.load({str(tmp_path / 'ring.npz')!r});"
-        f"convex_hulls(Mesh(vertices_m=d['v'], faces=d['f']), folder=__import__('pathlib')"
-        f".Path({str(tmp_path / 'cache')!r}))"
+        "mesh = Mesh(vertices_m=d['v'], faces=d['f']);"
+        "part = Part(name='', mesh=mesh, material=Material(), density_kg_m3=1.0, friction=0.0);"
+        f"prepare((part,), hull_folder=Path({str(tmp_path / 'cache')!r}))"
     )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
-    assert same(convex_hulls(ring_part.mesh, folder=tmp_path / "cache").hulls, ring_hulls)
+    assert same(convex_hulls(ring_part, tmp_path / "cache").hulls, ring_hulls)
     assert len(list((tmp_path / "cache").iterdir())) == 1

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from graycast.world.drop.grid import start_poses
+from graycast.world.drop.settle import start_poses
 from graycast.world.scene import Bin
 
 BOX = np.array(trimesh.creation.box((0.06, 0.03, 0.02)).vertices) + np.array([0.1, 0.0, -0.05])

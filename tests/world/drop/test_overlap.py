@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from graycast.base.frames import axis_rotation
-from graycast.world.drop.overlap import overlap_m
+from graycast.world.drop.rapier import overlap_m
 
 CUBE = np.array(trimesh.creation.box((0.02, 0.02, 0.02)).vertices)
 

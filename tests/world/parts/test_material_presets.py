@@ -19,7 +19,7 @@ from graycast.world.parts import (
     builtin_part,
     material_preset,
 )
-from graycast.world.parts.grain import corner_grain
+from graycast.world.parts.part import corner_grain
 from graycast.world.parts.part_sections import MaterialSection, resolve_material, resolve_part
 from graycast.world.scene import Sphere
 

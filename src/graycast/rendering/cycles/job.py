@@ -2,19 +2,19 @@
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32, UInt8
+from jaxtyping import Float, Int
 from PIL import Image
 
 from ...rig.optics import Optics, fold_radius2, rays
 from ...rig.pair import Rig, emission
 from ...world.parts import Material, Mesh
-from ...world.parts.grain import corner_grain
+from ...world.parts.part import corner_grain
 from ...world.scene import (
     Environment,
     Layout,
@@ -26,8 +26,9 @@ from ...world.scene import (
     quad_mesh,
     table_quad,
 )
-from ..radiance import Quality
+from ..radiance import Patterns
 
+Bands = tuple[float, float, float]
 WHITE = -1  # A frame's list of patterns has this number for white.
 
 
@@ -39,8 +40,14 @@ class Render:
     kind: str
     levels: tuple[int, ...] = ()
 
+    def order(self, bands: Bands, seed: int) -> dict[str, Any]:
+        """The frame of a job; `bands` are the bands' shares of the projector's light."""
+        # Three patterns in one render take a band each, of one wavelength: no shares.
+        shares = [1.0] * 3 if len(self.levels) == 3 else list(bands)
+        return asdict(self) | {"bands": shares, "seed": seed}
 
-def need_renders(pattern: UInt8[np.ndarray, "n ph pw"]) -> list[int]:
+
+def need_renders(pattern: Patterns) -> list[int]:
     """Numbers of the patterns that have to be rendered: black has no light, white is `LOOK`'s."""
     low, high = pattern.min(axis=(1, 2)), pattern.max(axis=(1, 2))
     plain = (low == high) & ((low == 0) | (low == 255))
@@ -66,7 +73,7 @@ ALBEDO = (Render(name="albedo", kind="albedo"),)
 TRUTH = tuple(Render(name=name, kind=name) for name in ("position", "normal", "instance"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class _Placed:
     """A mesh and where its copies stand; `instances` are layout indices + 1, 0 for all else."""
 
@@ -75,32 +82,22 @@ class _Placed:
     material: Material
     T_world: Float[np.ndarray, "n 4 4"]
     instances: Int[np.ndarray, " n"]
-    radiance: tuple[float, float, float] | None = None
+    radiance: Bands | None = None
 
 
 def write_job(
-    folder: Path,
-    scene: Scene,
-    layout: Layout,
-    pattern: UInt8[np.ndarray, "n ph pw"],
-    frames: tuple[Render, ...],
-    bands: tuple[float, float, float],
-    *,
-    quality: Quality,
-    seed: int,
-    device: str,
-    threads: int | None,
+    folder: Path, scene: Scene, layout: Layout, pattern: Patterns, settings: Mapping[str, Any]
 ) -> None:
     """All that `worker/` needs, as `job.json`, arrays and pictures in a folder.
 
-    `bands` are the bands' shares of the projector's light, where a render has one pattern.
+    `settings` are `samples`, `depth`, `denoise`, `device`, `threads`, and the orders of `frames`.
     """
     rig = scene.rig
     placed = _placed(scene, layout)
-    seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1  # Cycles' are signed
-    np.save(folder / "pattern.npy", pattern)
-    materials = [_material(folder, i, one.material, one.radiance) for i, one in enumerate(placed)]
     spheres = [surface for surface in scene.surfaces if isinstance(surface, Sphere)]
+    surfaces = [(one.material, one.radiance) for one in placed]
+    surfaces += [(sphere.material, None) for sphere in spheres]
+    np.save(folder / "pattern.npy", pattern)
     job = {
         "camera": _optics(rig.camera) | {"is_simple": is_simple(rig.camera)},
         "projector": _optics(rig.projector),
@@ -109,35 +106,15 @@ def write_job(
         "intensity_w_sr": rig.intensity_w_sr,
         "field_tangent": _field_tangent(rig),
         "emission": emission(rig, np.arange(256, dtype=np.uint8)).tolist(),
-        "materials": materials
-        + [
-            _material(folder, len(placed) + i, sphere.material, None)
-            for i, sphere in enumerate(spheres)
-        ],
+        "materials": [_material(folder, i, *surface) for i, surface in enumerate(surfaces)],
         "meshes": [_mesh(folder, i, one) for i, one in enumerate(placed)],
         "spheres": [
-            {"center_m": s.center_m, "radius_m": s.radius_m, "material": len(placed) + i}
-            for i, s in enumerate(spheres)
+            {"center_m": s.center_m, "radius_m": s.radius_m, "material": i}
+            for i, s in enumerate(spheres, start=len(placed))
         ],
         "environment": _environment(scene.environment),
-        "samples": quality.samples,
-        "depth": quality.depth,
-        "denoise": quality.denoise,
-        "device": device,
-        "threads": threads,
-        "frames": [
-            {
-                "name": frame.name,
-                "kind": frame.kind,
-                "levels": list(frame.levels),
-                # Three patterns in one render take a band each, of one wavelength: no shares.
-                "bands": [1.0] * 3 if len(frame.levels) == 3 else list(bands),
-                "seed": int(own),
-            }
-            for frame, own in zip(frames, seeds, strict=True)
-        ],
     }
-    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    (folder / "job.json").write_text(json.dumps(job | dict(settings)), encoding="utf-8")
 
 
 def is_simple(camera: Optics) -> bool:
@@ -148,9 +125,8 @@ def is_simple(camera: Optics) -> bool:
 
 def _optics(optics: Optics) -> dict[str, Any]:
     """JSON has no infinity: None is a focus, or a fold of the lens, at infinity."""
-    words = {name: getattr(optics, name) for name in Optics.__slots__}
     fold = fold_radius2(optics.distortion)
-    return words | {
+    return asdict(optics) | {
         "focus_m": None if math.isinf(optics.focus_m) else optics.focus_m,
         "fold_radius2": None if math.isinf(fold) else fold,
     }
@@ -179,53 +155,22 @@ def _placed(scene: Scene, layout: Layout) -> list[_Placed]:
         instances = np.flatnonzero(layout.part_index == index)
         if len(instances):
             T_world = layout.T_world_part[instances]
-            placed.append(
-                _Placed(
-                    name=part.name,
-                    mesh=part.mesh,
-                    material=part.material,
-                    T_world=T_world,
-                    instances=instances + 1,
-                )
-            )
-    if scene.bin is not None:
-        placed += [_alone(*surface) for surface in bin_surfaces(scene.bin)]
-    quads = [
-        surface for surface in (table_quad(scene), *scene.surfaces) if isinstance(surface, Quad)
-    ]
-    placed += [_alone("quad", quad_mesh(quad), quad.material) for quad in quads]
+            placed.append(_Placed(part.name, part.mesh, part.material, T_world, instances + 1))
+    alone = [] if scene.bin is None else [*bin_surfaces(scene.bin)]
+    for surface in (table_quad(scene), *scene.surfaces):
+        if isinstance(surface, Quad):
+            alone.append(("quad", quad_mesh(surface), surface.material))
+    here, nothing = np.eye(4)[None], np.zeros(1, dtype=np.int64)
+    placed += [_Placed(*one, here, nothing) for one in alone]
     for lamp in scene.lamps:
         quad = lamp_quad(lamp)
-        placed.append(_alone("lamp", quad_mesh(quad), quad.material, lamp.radiance))
+        mesh = quad_mesh(quad)
+        placed.append(_Placed("lamp", mesh, quad.material, here, nothing, lamp.radiance))
     return placed
 
 
-def _alone(
-    name: str, mesh: Mesh, material: Material, radiance: tuple[float, float, float] | None = None
-) -> _Placed:
-    return _Placed(
-        name=name,
-        mesh=mesh,
-        material=material,
-        T_world=np.eye(4)[None],
-        instances=np.zeros(1, dtype=np.int64),
-        radiance=radiance,
-    )
-
-
-class _MeshArrays(TypedDict):
-    """What a mesh's file holds."""
-
-    vertices_m: Float32[np.ndarray, "v 3"]
-    faces: Int32[np.ndarray, "f 3"]
-    T_world: Float[np.ndarray, "n 4 4"]
-    corner_uv: NotRequired[Float32[np.ndarray, "f 3 2"]]
-    corner_normals: NotRequired[Float32[np.ndarray, "f 3 3"]]
-    corner_grain: NotRequired[Float32[np.ndarray, "f 3 3"]]
-
-
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
-    arrays: _MeshArrays = {
+    arrays = {
         "vertices_m": placed.mesh.vertices_m.astype(np.float32),
         "faces": placed.mesh.faces.astype(np.int32),
         "T_world": placed.T_world,
@@ -247,7 +192,7 @@ def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
 
 
 def _material(
-    folder: Path, index: int, material: Material, radiance: tuple[float, float, float] | None
+    folder: Path, index: int, material: Material, radiance: Bands | None
 ) -> dict[str, Any]:
     texture = None
     if material.texture is not None:
@@ -273,9 +218,4 @@ def _environment(environment: Environment) -> dict[str, Any] | None:
     if environment.map_file is None and not any(environment.radiance):
         return None
     file = None if environment.map_file is None else str(environment.map_file.resolve())
-    return {
-        "radiance": environment.radiance,
-        "map_file": file,
-        "rotation_rad": environment.rotation_rad,
-        "levelled": environment.levelled,
-    }
+    return asdict(environment) | {"map_file": file}

@@ -128,9 +128,7 @@ class CyclesProcess:
             return json.loads(line)
         code = self._child.wait()
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        raise CyclesDied(f"its process ended ({how}){self._last_words()}")
-
-    def _last_words(self) -> str:
         self._log.seek(0)
         lines = [line.strip() for line in self._log.read().splitlines() if line.strip()]
-        return "".join(f"\n  {line}" for line in lines[-_LOG_LINES:])
+        last = "".join(f"\n  {line}" for line in lines[-_LOG_LINES:])
+        raise CyclesDied(f"its process ended ({how}){last}")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from ...base.errors import DeviceError, GraycastError
 from ...base.frames import inverse, transform_points
@@ -27,6 +27,7 @@ from ..radiance import (
     Denoiser,
     GroundTruth,
     OnFrame,
+    Patterns,
     Quality,
     Radiance,
     Renderer,
@@ -35,7 +36,17 @@ from ..radiance import (
     refuse_other_size,
 )
 from ..wavelength import at_one_wavelength, at_projector_wavelength, refuse_layers
-from .job import ALBEDO, LOOK, TRUTH, Render, is_simple, need_renders, pattern_frames, write_job
+from .job import (
+    ALBEDO,
+    LOOK,
+    TRUTH,
+    Bands,
+    Render,
+    is_simple,
+    need_renders,
+    pattern_frames,
+    write_job,
+)
 from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
@@ -44,7 +55,6 @@ NORMAL_OFFSET = 2.0  # The worker adds it in worker/materials.py.
 
 GREY = (1 / 3, 1 / 3, 1 / 3)
 
-Bands = tuple[float, float, float]
 Pictures = dict[str, Float[np.ndarray, "h w 4"]]
 
 
@@ -101,13 +111,7 @@ class CyclesRenderer(Renderer):
         self.denoiser: Denoiser = open_denoiser("cpu")
 
     def render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        *,
-        quality: Quality,
-        seed: int,
+        self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
         refuse_layers(scene, "Cycles")
         self._refuse(scene.rig, pattern, quality)
@@ -117,9 +121,19 @@ class CyclesRenderer(Renderer):
             bands = bands if measured is look else GREY
         frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
+        settings = {"samples": quality.samples, "depth": quality.depth, "denoise": quality.denoise}
+        settings |= {"device": self.device, "threads": self.threads}
 
         def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
-            return self._render(scene, layout, pattern, frames, bands, quality=quality, seed=seed)
+            own = (
+                np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
+            )  # Cycles' are signed
+            orders = [frame.order(bands, int(n)) for frame, n in zip(frames, own, strict=True)]
+            with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
+                folder = Path(name)
+                write_job(folder, scene, layout, pattern, settings | {"frames": orders})
+                self._run(folder, frames)
+                return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
 
         both = measured is look
         own = (*frames, *LOOK, *TRUTH, *(ALBEDO if both else ()))
@@ -131,7 +145,7 @@ class CyclesRenderer(Renderer):
             truth=_truth(scene, layout, pictures),
         )
 
-    def _refuse(self, rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], quality: Quality) -> None:
+    def _refuse(self, rig: Rig, pattern: Patterns, quality: Quality) -> None:
         refuse_other_size(pattern, rig.projector)
         if rig.projector.psf_px:
             raise ValueError(
@@ -164,34 +178,6 @@ class CyclesRenderer(Renderer):
             self._process.close()
             self._process = None
 
-    def _render(
-        self,
-        scene: Scene,
-        layout: Layout,
-        pattern: UInt8[np.ndarray, "n ph pw"],
-        frames: tuple[Render, ...],
-        bands: Bands,
-        *,
-        quality: Quality,
-        seed: int,
-    ) -> Pictures:
-        with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
-            folder = Path(name)
-            write_job(
-                folder,
-                scene,
-                layout,
-                pattern,
-                frames,
-                bands,
-                quality=quality,
-                seed=seed,
-                device=self.device,
-                threads=self.threads,
-            )
-            self._run(folder, frames)
-            return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
-
     def _run(self, folder: Path, frames: tuple[Render, ...]) -> None:
         """Run a job to its end; if the process dies, another continues with the missing frames."""
         for _ in range(MAX_DEATHS):
@@ -217,7 +203,7 @@ def _radiance(
     rig: Rig,
     pictures: Pictures,
     colour: Pictures,
-    pattern: UInt8[np.ndarray, "n ph pw"],
+    pattern: Patterns,
     frames: tuple[Render, ...],
 ) -> Radiance:
     camera = rig.camera

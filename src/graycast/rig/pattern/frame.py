@@ -20,8 +20,8 @@ class Frame:
 
     - `gray`: bit `bit` (0 is the finest) of the Gray code of the code value at u; with
       `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
-    - `complementary`: the bit after the finest of a Gray code that counts periods: it
-    distinguishes the halves of a period;
+    - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
+      halves of a period apart;
     - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; a foreign scanner's cosine may
       begin between whole steps;
     - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;

@@ -1,4 +1,4 @@
-"""What a file of the shelf says of a scanner, and why a name is not on the shelf."""
+"""What the files of the shelf say of scanners, and why a name is not on the shelf."""
 
 import math
 import re
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ SHELF = (
     *("like-zivid-2plus-lr110", "like-mech-eye-nano", "like-mech-eye-pro-s"),
     *("like-mech-eye-pro-m", "lab-lightcrafter-4500", "office-projector"),
 )
+MEASURED = "measured.yaml"
 NAMES = ("paper", *SHELF)  # the paper's rig is phoxi-m in another light
 _OTHER_PRINCIPLES: Mapping[str, tuple[str, ...]] = {
     "stereo of two cameras": (
@@ -143,12 +144,48 @@ class ShelfEntry(Settings):
         return inverse(T_rig_cam) @ T_rig_proj
 
 
+class ShelfFigures(Settings):
+    """What `python -m benchmarks shelf` measured of a scanner of the shelf, at the distances `z_m`.
+
+    These are figures of `graycast rig certify` with a small scope.
+
+    `noise_m` is the temporal standard deviation of depth, `spacing_m` the distance of neighbouring
+    points, `plane_std_m` the standard deviation about the best plane, all of facing planes.
+    `length_error` is the error of a ball bar's length, as a share of it.
+    """
+
+    z_m: tuple[Positive, ...]
+    noise_m: tuple[Positive, ...]
+    spacing_m: tuple[Positive, ...]
+    plane_std_m: tuple[Positive, ...]
+    length_error: float
+    capture_s: Positive
+
+
+class _Table(Settings):
+    origin: str
+    resolution: str
+    scanners: dict[str, ShelfFigures]
+
+
+Model = TypeVar("Model", bound=Settings)
+
+
 @cache
 def shelf_entry(name: str) -> ShelfEntry:
     """What the file of a name in `SHELF` says."""
-    file = f"{name}.yaml"
+    return _of_shelf(f"{name}.yaml", ShelfEntry)
+
+
+@cache
+def measured() -> _Table:
+    """The stored table: by which command it was made, at which resolution, and the figures."""
+    return _of_shelf(MEASURED, _Table)
+
+
+def _of_shelf(file: str, model: type[Model]) -> Model:
     text = files(__package__).joinpath(file).read_text(encoding="utf-8")
-    return check_settings(parse_yaml(text, Path(file)), ShelfEntry, Path(file))
+    return check_settings(parse_yaml(text, Path(file)), model, Path(file))
 
 
 def no_rig(name: str, folder: Path | None = None) -> str:

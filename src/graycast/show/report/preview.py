@@ -29,7 +29,7 @@ from ...cell.simulate import Shot
 from ...dataset import labelled
 from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
-from ...rig.pair import depth_per_column_m, depth_per_row_m
+from ...rig.pair import depth_per_line_m
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from ...world.scene import Scene
@@ -290,8 +290,8 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
     """
     known = truth.depth_m[np.isfinite(truth.depth_m)]
     z_m = float(np.median(known)) if known.size else scene.rig.near_m
-    of_axis = {"column": depth_per_column_m, "row": depth_per_row_m}
-    limit_m = _ERROR_COLUMNS * of_axis[triangulation_axis(scene.rig)](scene.rig, z_m)
+    axis = triangulation_axis(scene.rig)
+    limit_m = _ERROR_COLUMNS * depth_per_line_m(scene.rig, z_m, axis)
     return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
 
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from ...base.plotting import save_png
 from ...camera.decode import triangulation_axis
 from ...rig.optics import Optics, rays
-from ...rig.pair import Rig, depth_per_column_m, depth_per_row_m
+from ...rig.pair import Rig, depth_per_line_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
 _BORDER_POINTS = 33  # A side has this many points, as distorted borders are curved.
@@ -73,19 +73,10 @@ def describe_rig(rig: Rig) -> str:
         f"  depth           {f'one {triangulation_axis(rig)}':>13}   common field",
     ]
     for name, z_m in _stations(rig):
-        line_mm = 1e3 * _depth_per_line_m(rig, z_m)
+        line_mm = 1e3 * depth_per_line_m(rig, z_m, triangulation_axis(rig))
         step = "not lit on axis" if math.isnan(line_mm) else f"{line_mm:.3f} mm"
         lines.append(f"  {name:6} {1e3 * z_m:6.0f} mm  {step:>12}   {_field_words(rig, z_m)}")
     return "\n".join(lines)
-
-
-def _depth_per_line_m(rig: Rig, z_m: float) -> float:
-    """Per line of the projector's picture that the baseline moves: a column, or a row."""
-    match triangulation_axis(rig):
-        case "column":
-            return depth_per_column_m(rig, z_m)
-        case "row":
-            return depth_per_row_m(rig, z_m)
 
 
 def draw_rig(rig: Rig, path: Path) -> None:
@@ -151,19 +142,19 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
 
 
 def _draw_depth_per_line(ax: Axes, rig: Rig) -> None:
-    z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
-    step_m = np.array([_depth_per_line_m(rig, z) for z in z_m])
+    z_m, axis = np.linspace(rig.near_m, rig.far_m, _DEPTHS), triangulation_axis(rig)
+    step_m = np.array([depth_per_line_m(rig, z, axis) for z in z_m])
     ax.plot(1e3 * z_m, 1e3 * step_m, color="black")
     for name, z in _stations(rig):
-        here_mm = 1e3 * _depth_per_line_m(rig, z)
+        here_mm = 1e3 * depth_per_line_m(rig, z, axis)
         if math.isfinite(here_mm):
             ax.plot(1e3 * z, here_mm, "o", color="black")
             text = f"{name}: {here_mm:.3f} mm"
             ax.annotate(text, (1e3 * z, here_mm), (6, -12), textcoords="offset points")
     ax.set(
-        title=f"depth per projector {triangulation_axis(rig)}, camera's axis",
+        title=f"depth per projector {axis}, camera's axis",
         xlabel="depth z [mm]",
-        ylabel=f"depth per {triangulation_axis(rig)} [mm]",
+        ylabel=f"depth per {axis} [mm]",
         xlim=(1e3 * rig.near_m, 1e3 * (rig.far_m + 0.4 * (rig.far_m - rig.near_m))),
     )
     ax.set_ylim(bottom=0)

@@ -1,10 +1,10 @@
 """Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
 
 from .body import Body, parts_outside
-from .decomposition import Decomposition, cache_folder, convex_hulls
+from .decomposition import Decomposition, prepare
 from .lift import Hold, Lift, lift
 from .rest import simulate
-from .settle import PARTS_MAX, DropLimits, drop, flaws, hull_notes, make_bodies, prepare
+from .settle import PARTS_MAX, DropLimits, drop, flaws, hull_notes, make_bodies
 
 __all__ = [
     "PARTS_MAX",
@@ -13,8 +13,6 @@ __all__ = [
     "DropLimits",
     "Hold",
     "Lift",
-    "cache_folder",
-    "convex_hulls",
     "drop",
     "flaws",
     "hull_notes",

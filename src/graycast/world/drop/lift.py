@@ -21,6 +21,7 @@ from .body import Body
 from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
+_Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # pose, velocity, turning, in the world
 # Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
 # what one step can follow.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
@@ -74,15 +75,10 @@ def lift(
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],
 ) -> Lift:
-    """Move a tool that holds a part along a path.
+    """Move a tool that holds a part along a path, while the others lie at rest.
 
     Args:
-        box: the bin.
-        bodies: kinds of parts.
-        T_world_part: where parts lie, at rest.
-        part_index: the kind of each part.
         number: of the part that is held.
-        hold: how.
         T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
             on the part.
     """
@@ -92,7 +88,8 @@ def lift(
     )
     spring = _Spring.of(hold, bodies[part_index[number]])
     least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
-    for step, target in enumerate(_targets(T_world_tool)):
+    targets = zip(T_world_tool, *_motion(T_world_tool), strict=True)
+    for step, target in enumerate(targets):
         if lost_s is None:
             force_n, moment_nm, load = spring.pull(heap.motion(number), target)
             factor = hold.factor(*load)
@@ -112,25 +109,17 @@ def lift(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Target:
-    """Where the tool is at a step, and how it moves there [m/s, rad/s], in the world."""
+def _motion(
+    T_world_tool: Float[np.ndarray, "t 4 4"],
+) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
+    """How the tool moves [m/s] and turns [rad/s] at each step, in the world.
 
-    T_world_tool: Float[np.ndarray, "4 4"]
-    velocity: Vector3
-    turning: Vector3
-
-
-def _targets(T_world_tool: Float[np.ndarray, "t 4 4"]) -> list[_Target]:
-    """It stands still at first, and then moves as it has moved from the pose before."""
+    It stands still at first, and then moves as it has moved from the pose before.
+    """
     before = T_world_tool[np.maximum(np.arange(len(T_world_tool)) - 1, 0)]
     velocity = (T_world_tool[:, :3, 3] - before[:, :3, 3]) / STEP_S
     step = T_world_tool[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2)
-    turning = Rotation.from_matrix(step).as_rotvec() / STEP_S
-    return [
-        _Target(T_world_tool=T, velocity=v, turning=w)
-        for T, v, w in zip(T_world_tool, velocity, turning, strict=True)
-    ]
+    return velocity, Rotation.from_matrix(step).as_rotvec() / STEP_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,17 +154,17 @@ class _Spring:
         )
 
     def pull(
-        self, motion: tuple[np.ndarray, np.ndarray, np.ndarray], target: _Target
+        self, part: _Motion, target: _Motion
     ) -> tuple[Vector3, Vector3, tuple[Vector3, Vector3]]:
         """Force on the part's origin, moment about it, and the load on the tool in its frame."""
-        T, velocity, turning = motion
+        T, velocity, turning = part
+        goal, goal_velocity, goal_turning = target
         tool = T @ self.T_part_tool
         arm = tool[:3, 3] - T[:3, 3]
-        goal = target.T_world_tool
         force = self.k * (goal[:3, 3] - tool[:3, 3])
-        force += self.c * (target.velocity - velocity - _cross(turning, arm))
+        force += self.c * (goal_velocity - velocity - _cross(turning, arm))
         moment = self.k_turn * _turn(goal[:3, :3] @ tool[:3, :3].T)
-        moment += self.c_turn * (target.turning - turning)
+        moment += self.c_turn * (goal_turning - turning)
         R = tool[:3, :3].T
         return force, moment + _cross(arm, force), (-(R @ force), -(R @ moment))
 

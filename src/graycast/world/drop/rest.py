@@ -71,7 +71,7 @@ def simulate(
     fallen, fall_s = _fall(heap, box_m, simulated_s)
     heap = open_heap(_REST, box, kinds, fallen, part_index)
     end, last_m, rest_s, at_rest = _rest(heap, box_m, simulated_s - fall_s)
-    solids = [list(block.pieces_m) for block in heap.blocks]
+    solids = [list(pieces_m) for pieces_m in heap.blocks]
     for T, kind in zip(end, part_index, strict=True):
         solids.append([transform_points(T, vertices) for vertices, _ in bodies[kind].hulls])
     return Layout(

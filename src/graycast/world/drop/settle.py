@@ -1,4 +1,9 @@
-"""Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
+"""Drops a scene's parts, judges the outcome and tries again with the next sub-seed.
+
+Parts start in random cells of a voxel grid above the bin, in random orientations. Source: Bai et
+al., "Close the Sim2real Gap via Physically-based Structured Light Synthetic Data Simulation", 2024
+(the grid; its cell size and fill are not given there).
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -6,21 +11,25 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float, Int
 from pydantic import Field
 
 from ...base.errors import DropError
+from ...base.frames import random_quaternions, rotation_from_quaternion
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
 from ...base.streams import stream
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import Decomposition, convex_hulls_of
-from .grid import start_poses
+from .decomposition import Decomposition, prepare
 from .rest import simulate
 
 PARTS_MAX = 255  # Instance ids of a scene fit into eight bits.
 PACKING = 0.5  # A random heap fills this share of its box, on a generous estimate.
+FILL = 0.75  # This share of the cells gets a part.
+CLEARANCE = 1.02  # A cell is wider than the part by this factor.
+ORIENTATION_TRIES = 1000
 HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
 
 
@@ -69,20 +78,20 @@ class DropLimits:
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
     """The defects of a layout in words with numbers; empty if it is acceptable."""
-    found = []
+    defects = []
     if layout.outside:
-        found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
+        defects.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
     if not layout.at_rest:
-        found.append(
+        defects.append(
             f"not at rest after {layout.simulated_s:.1f} s "
             f"(a part still moved by {1e3 * layout.last_motion_m:.2f} mm)"
         )
     if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
-        found.append(
+        defects.append(
             f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or into the "
             f"bin, and the limit is {1e3 * limits.penetration_m:.2f} mm"
         )
-    return tuple(found)
+    return tuple(defects)
 
 
 def drop(
@@ -100,11 +109,9 @@ def drop(
     is returned, with its attempt number. One seed gives one layout, bit for bit.
 
     Args:
-        scene: its bin and parts are used.
         counts: 0 or more of each kind, 1 to 255 in all.
         seed: 0 or more.
-        limits: what is asked of the layout.
-        hull_folder: cache of `convex_hulls`; the user's cache folder if None.
+        hull_folder: cache of `prepare`; the user's cache folder if None.
         progress: hears what begins; each stage may take seconds.
 
     Raises:
@@ -150,29 +157,17 @@ def make_bodies(
     """Each kind of part as the engine needs it.
 
     Raises:
-        ValueError, GraycastError: as in `convex_hulls` and `body_of`.
+        ValueError, GraycastError: as in `prepare` and `body_of`.
     """
     prepared = prepare(parts, hull_folder=hull_folder, progress=progress)
     return tuple(body_of(part, hulls.hulls) for part, hulls in zip(parts, prepared, strict=True))
-
-
-def prepare(
-    parts: Iterable[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
-) -> tuple[Decomposition, ...]:
-    """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
-
-    Raises:
-        ValueError, GraycastError: as in `convex_hulls_of`.
-    """
-    named = [(part.name, part.mesh) for part in parts]
-    return convex_hulls_of(named, folder=hull_folder, progress=progress)
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
     """Notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
         f"{part.name}: its collision hulls are too coarse: they are up to "
-        f"{1e3 * hulls.error.worst_m:.2f} mm from its surface, and the bound is "
+        f"{1e3 * hulls.worst_m:.2f} mm from its surface, and the bound is "
         f"{1e3 * hulls.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
         "other. A simpler mesh without the inside of the part helps"
         for part, hulls in zip(parts, prepared, strict=True)
@@ -182,7 +177,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
     """A text on all failed attempts, with remedies for the defects of the best one."""
-    best = min(tried, key=_badness)
+    best = min(tried, key=lambda one: (one.outside, not one.at_rest, one.deepest_penetration_m))
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
     if best.outside:
@@ -202,10 +197,6 @@ def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> s
         f"{what} came to no acceptable rest in {limits.attempts} attempts; the best: "
         f"{'; '.join(flaws(best, limits))}. What may help: {'; '.join(remedies)}"
     )
-
-
-def _badness(layout: Layout) -> tuple[int, bool, float]:
-    return layout.outside, not layout.at_rest, layout.deepest_penetration_m
 
 
 def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
@@ -233,3 +224,71 @@ def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -
 
 def _mm(size_m: Iterable[float]) -> str:
     return " x ".join(f"{1e3 * size:.0f}" for size in size_m) + " mm"
+
+
+def start_poses(
+    box: Bin,
+    corners_m: tuple[Float[np.ndarray, "_ 3"], ...],
+    counts: tuple[int, ...],
+    rng: np.random.Generator,
+    *,
+    opening_share: float = 1.0,
+) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
+    """Start poses that touch neither each other nor the bin's walls carried upwards.
+
+    A cell is as large as the largest part's bounding sphere, about the middle of its box. Cells
+    are stacked in layers from the rim up; a part may have any orientation in its cell. In a bin
+    narrower than the sphere a cell is as wide as the bin, and orientations that do not fit
+    between the walls are drawn again.
+
+    Args:
+        box: the bin; the grid stands on its inner rectangle.
+        corners_m: per kind of part, points whose hull holds it, in the part's frame.
+        opening_share: the grid is so many times as long and as wide as the bin, about its middle,
+            and at least a cell.
+
+    Returns:
+        `T_world_part`, and the kind of each; the kinds are mixed at random.
+
+    Raises:
+        ValueError: a part found no orientation in which it fits between the walls.
+    """
+    middle = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in corners_m]
+    reach_m = max(
+        float(np.linalg.norm(points - center, axis=1).max())
+        for points, center, count in zip(corners_m, middle, counts, strict=True)
+        if count
+    )
+    side_m = 2 * CLEARANCE * reach_m
+    inner_m = np.array(box.inner_m[:2])
+    opening_m = np.minimum(inner_m, np.maximum(opening_share * inner_m, side_m))
+    cells_xy = np.maximum(1, np.floor(opening_m / side_m)).astype(int)
+    cell_m = np.array([*(opening_m / cells_xy), side_m])
+    kind = np.repeat(np.arange(len(counts)), counts)
+    layers = int(np.ceil(len(kind) / FILL / cells_xy.prod()))
+    cell = rng.choice(cells_xy.prod() * layers, len(kind), replace=False)  # in random order
+    index = np.stack(np.unravel_index(cell, (*cells_xy, layers)), axis=1)
+    center_m = (index + 0.5) * cell_m - [*(opening_m / 2), -box.inner_m[2]]
+
+    T_world_part = np.tile(np.eye(4), (len(kind), 1, 1))
+    for T, part, where_m in zip(T_world_part, kind, center_m, strict=True):
+        points = corners_m[part] - middle[part]
+        T[:3, :3] = _orientation(points, cell_m[:2], rng)
+        T[:3, 3] = where_m - T[:3, :3] @ middle[part]
+    return T_world_part, kind
+
+
+def _orientation(
+    points: Float[np.ndarray, "k 3"], width_m: Float[np.ndarray, "2"], rng: np.random.Generator
+) -> Float[np.ndarray, "3 3"]:
+    """A uniformly random rotation that keeps the points inside a cell of this width."""
+    for _ in range(ORIENTATION_TRIES):
+        rotation = rotation_from_quaternion(random_quaternions(1, rng)[0])
+        if (np.abs(points @ rotation[:2].T).max(axis=0) * 2 <= width_m).all():
+            return rotation
+    size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(points, axis=0))
+    opening = " x ".join(f"{1e3 * w:.0f}" for w in width_m)
+    raise ValueError(
+        f"a part of {size} mm found no orientation between walls {opening} mm apart: check its "
+        "unit, or use a larger bin"
+    )

@@ -12,18 +12,10 @@ from jaxtyping import Float, Int
 from manifold3d import CrossSection, Manifold
 
 from ...base.frames import axis_rotation, rigid
-from . import printed_labels
+from . import printed_labels as labels
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .shapes import PANELS, loft, revolve, rounded_box, solid, superellipse, union
-
-BUILTIN: tuple[str, ...] = (
-    "metal_workpiece_1",
-    "metal_workpiece_2",
-    "yellow_salt_cube",
-    "hygiene_spray",
-    "toothpaste",
-)
 
 CREASE_RAD = np.radians(35)  # It parts chamfers (45 deg) from the widest facet step (22.5 deg).
 _STEEL_KG_M3 = 7800.0
@@ -37,27 +29,6 @@ RING_PROFILE_MM = (
     (14.0, 12.4), (14.0, 1.0),
 )  # fmt: skip
 RING_SEGMENTS = 128  # A rim facet lies 7.5 um inside the circle.
-
-
-def builtin_part(name: str) -> Part:
-    """A part known by name.
-
-    Raises:
-        ValueError: the name is not in `BUILTIN`.
-    """
-    match name:
-        case "metal_workpiece_1":
-            return _bracket()
-        case "metal_workpiece_2":
-            return _ring()
-        case "yellow_salt_cube":
-            return _salt_box()
-        case "hygiene_spray":
-            return _spray()
-        case "toothpaste":
-            return _toothpaste()
-        case _:
-            raise ValueError(f"no built-in part {name!r}: choose one of {', '.join(BUILTIN)}")
 
 
 def _mesh(
@@ -137,7 +108,7 @@ def _chamfered_footprint() -> Manifold:
 def _carton(
     name: str,
     size_mm: tuple[float, float, float],
-    label: printed_labels.Atlas,
+    label: labels.Atlas,
     *,
     edge_mm: float,
     density_kg_m3: float,
@@ -147,14 +118,14 @@ def _carton(
     vertices, faces, panel = rounded_box(size_mm, edge_mm, steps=3)
     corner_uv = np.empty((len(faces), 3, 2))
     for side, (_, right, up) in PANELS.items():
-        chosen = np.array([p == side for p in panel])
+        mine = np.array([p == side for p in panel])
         axes = np.array([right, up])
-        share = vertices[faces[chosen]] @ axes.T / (np.abs(axes) @ np.array(size_mm)) + 0.5
-        corner_uv[chosen] = _into_region(share, label.region[side])
+        share = vertices[faces[mine]] @ axes.T / (np.abs(axes) @ np.array(size_mm)) + 0.5
+        corner_uv[mine] = _into_region(share, label.region[side])
     return Part(
         name=name,
         mesh=_mesh(vertices, faces, corner_uv),
-        material=Material(texture=label.image, metallic=0.0, roughness=roughness, specular=0.5),
+        material=Material(texture=label.image, roughness=roughness),
         density_kg_m3=density_kg_m3,
         friction=0.45,
     )
@@ -174,14 +145,26 @@ def _salt_box() -> Part:
     Density: 650 g of salt (1.2 kg per litre as poured, the box nine tenths full) and 20 g of
     carton in 0.607 litres.
     """
-    return _carton("yellow_salt_cube", printed_labels.SALT_BOX_MM, printed_labels.salt_box(),
-                   edge_mm=2.5, density_kg_m3=1100.0, roughness=0.45)  # fmt: skip
+    label = labels.pack(
+        labels.salt_box_panels(), ("front", "right", "back", "left"), ("top", "bottom")
+    )
+    return _carton(
+        "yellow_salt_cube",
+        labels.SALT_BOX_MM,
+        label,
+        edge_mm=2.5,
+        density_kg_m3=1100.0,
+        roughness=0.45,
+    )
 
 
 def _toothpaste() -> Part:
     """Density: a 100 ml tube (1.3 kg per litre, 10 g of tube) and a 15 g carton in 0.324 litres."""
-    return _carton("toothpaste", printed_labels.TOOTHPASTE_MM, printed_labels.toothpaste(),
-                   edge_mm=1.0, density_kg_m3=480.0, roughness=0.35)  # fmt: skip
+    rows = ("front", "right"), ("back", "left"), ("top",), ("bottom",)
+    label = labels.pack(labels.toothpaste_panels(), *rows)
+    return _carton(
+        "toothpaste", labels.TOOTHPASTE_MM, label, edge_mm=1.0, density_kg_m3=480.0, roughness=0.35
+    )
 
 
 # The first two are outer sizes along x and y, the third is the height of the neck's lower end.
@@ -202,19 +185,19 @@ def _spray() -> Part:
         [(19.0, 158.0), (22.0, 148.0), (26.0, 138.0), (33.0, 129.0)], radius_mm=3.0, width_mm=13.0
     )
     vertices, faces, piece = union({"body": solid(body), "head": head, "trigger": trigger})
-    label = printed_labels.spray()
+    label = labels.pack(labels.spray_panels(), ("body",), ("head", "trigger"))
     corner = vertices[faces]
     corner_uv = np.empty((len(faces), 3, 2))
     for name in ("head", "trigger"):
-        chosen = np.array([p == name for p in piece])
-        share = (corner[chosen][..., [0, 2]] - [-40, 100]) / [100, 100]  # plain: anywhere inside
-        corner_uv[chosen] = _into_region(share, label.region[name])
-    chosen = np.array([p == "body" for p in piece])
-    corner_uv[chosen] = _into_region(_wrap(corner[chosen]), label.region["body"])
+        mine = np.array([p == name for p in piece])
+        share = (corner[mine][..., [0, 2]] - [-40, 100]) / [100, 100]  # plain: anywhere inside
+        corner_uv[mine] = _into_region(share, label.region[name])
+    mine = np.array([p == "body" for p in piece])
+    corner_uv[mine] = _into_region(_wrap(corner[mine]), label.region["body"])
     return Part(
         name="hygiene_spray",
         mesh=_mesh(vertices, faces, corner_uv),
-        material=Material(texture=label.image, metallic=0.0, roughness=0.3, specular=0.5),
+        material=Material(texture=label.image, roughness=0.3),
         density_kg_m3=950.0,
         friction=0.35,
     )
@@ -281,3 +264,24 @@ def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
     # The flat bottom cannot be wrapped: it takes the plain plastic under the print.
     flat = np.all(corner_mm[..., 2] < 1e-6, axis=1)[:, None, None]
     return np.where(flat, np.array([0.5, 0.06]) + corner_mm[..., :2] / 1000, wrapped)
+
+
+_MAKERS = {
+    "metal_workpiece_1": _bracket,
+    "metal_workpiece_2": _ring,
+    "yellow_salt_cube": _salt_box,
+    "hygiene_spray": _spray,
+    "toothpaste": _toothpaste,
+}
+BUILTIN: tuple[str, ...] = tuple(_MAKERS)
+
+
+def builtin_part(name: str) -> Part:
+    """A part known by name.
+
+    Raises:
+        ValueError: the name is not in `BUILTIN`.
+    """
+    if name not in _MAKERS:
+        raise ValueError(f"no built-in part {name!r}: choose one of {', '.join(BUILTIN)}")
+    return _MAKERS[name]()

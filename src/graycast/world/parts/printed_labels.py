@@ -38,19 +38,19 @@ class Atlas:
         self.image.flags.writeable = False
 
 
-def pack(rows: Sequence[Mapping[str, UInt8[np.ndarray, "_ _ 3"]]]) -> Atlas:
+def pack(panels: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], *rows: Sequence[str]) -> Atlas:
     """Panels side by side in rows, rows from top to bottom; what is left over stays grey."""
     b = _BLEED_PX
-    heights = [max(len(p) for p in row.values()) + 2 * b for row in rows]
-    width = max(sum(p.shape[1] + 2 * b for p in row.values()) for row in rows)
+    heights = [max(len(panels[name]) for name in row) + 2 * b for row in rows]
+    width = max(sum(panels[name].shape[1] + 2 * b for name in row) for row in rows)
     height = sum(heights)
     image = np.full((height, width, 3), 128, dtype=np.uint8)
     region: dict[str, Box] = {}
     for row, top in zip(rows, np.cumsum([0, *heights[:-1]]).tolist(), strict=True):
         left = 0
-        for name, panel in row.items():
-            h, w = panel.shape[:2]
-            bled = np.pad(panel, ((b, b), (b, b), (0, 0)), mode="edge")
+        for name in row:
+            h, w = panels[name].shape[:2]
+            bled = np.pad(panels[name], ((b, b), (b, b), (0, 0)), mode="edge")
             image[top : top + h + 2 * b, left : left + w + 2 * b] = bled
             x, y = left + b, top + b
             region[name] = (x / width, 1 - (y + h) / height, (x + w) / width, 1 - y / height)
@@ -267,22 +267,3 @@ def spray_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
         "head": swatch + np.array([25, 130, 75], dtype=np.uint8),
         "trigger": swatch + np.array([235, 235, 230], dtype=np.uint8),
     }
-
-
-def salt_box() -> Atlas:
-    p = salt_box_panels()
-    rows = [{k: p[k] for k in ("front", "right", "back", "left")},
-            {k: p[k] for k in ("top", "bottom")}]  # fmt: skip
-    return pack(rows)
-
-
-def toothpaste() -> Atlas:
-    p = toothpaste_panels()
-    rows = [{k: p[k] for k in row} for row in (("front", "right"), ("back", "left"), ("top",),
-                                               ("bottom",))]  # fmt: skip
-    return pack(rows)
-
-
-def spray() -> Atlas:
-    p = spray_panels()
-    return pack([{"body": p["body"]}, {"head": p["head"], "trigger": p["trigger"]}])

@@ -27,8 +27,8 @@ def surface_points(
     area = mesh.face_area_m2
     wanted = int(np.clip(DENSITY * area.sum() / step_m**2, 200, DENSITY * most))
     point, face = _candidates(mesh, area, wanted)
-    chosen = _farthest(point, step_m, most)
-    return point[chosen], mesh.face_normal[face[chosen]]
+    index = _farthest(point, step_m, most)
+    return point[index], mesh.face_normal[face[index]]
 
 
 def dense_points(
@@ -65,10 +65,10 @@ def _candidates(mesh: Mesh, area: np.ndarray, count: int) -> tuple[np.ndarray, n
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _farthest(point, step_m, most):
     away2 = np.full(len(point), np.inf)
-    chosen = np.empty(min(most, len(point)), np.int64)
+    index = np.empty(min(most, len(point)), np.int64)
     last, count = 0, 0
     while True:
-        chosen[count] = last
+        index[count] = last
         count += 1
         far, at = -1.0, 0
         for i in range(len(point)):
@@ -78,6 +78,6 @@ def _farthest(point, step_m, most):
             away2[i] = min(away2[i], x * x + y * y + z * z)
             if away2[i] > far:
                 far, at = away2[i], i
-        if count == len(chosen) or far < step_m * step_m:
-            return chosen[:count]
+        if count == len(index) or far < step_m * step_m:
+            return index[:count]
         last = at

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float, Int
-from manifold3d import Manifold, Mesh64
+from manifold3d import Manifold
+
+from .surface import manifold_of
 
 # Each panel of a box has its outward normal, the direction to its reader's right, and up, as it is
 # read from outside, with the front towards -y. right x up = normal, so nothing is mirrored.
@@ -121,8 +123,7 @@ def _cube_grid(
 
 def solid(surface: Surface) -> Manifold:
     """A closed surface as a solid for boolean operations."""
-    vertices, faces = surface
-    manifold = Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
+    manifold = manifold_of(*surface)
     if manifold.is_empty():
         raise ValueError(f"not a closed surface: {manifold.status()}")
     return manifold

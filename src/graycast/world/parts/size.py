@@ -32,9 +32,6 @@ def size_notes(parts: Iterable[Part], inner_m: tuple[float, float, float]) -> tu
     """Notes on parts that are longer than the bin's diagonal inside, or heavier than parts are.
 
     Both mostly come from a wrong `unit` of a mesh, which no file of meshes states.
-
-    Args:
-        inner_m: length, width and height of the bin inside.
     """
     room_m = float(np.linalg.norm(inner_m))
     notes = []

@@ -1,16 +1,16 @@
-"""A surface as read from a file, and the checks that it is closed and encloses a solid."""
+"""Surfaces as read from files, the checks that they are closed, and the solids they enclose."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from manifold3d import Error, Manifold, Mesh64, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .shells import ShellError, shells_of, union_if_overlapping
-
 MAX_FACES = 500_000
+TOUCHING = 1e-4  # Bodies that merely touch share so much of the whole volume: the file rounds.
 _MERGE = 1e-6  # Vertices closer than this share of the longest side are one: float32 rounds so.
 
 
@@ -89,14 +89,13 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
     keep = keep[once]
     if len(keep) == 0:
         raise Refusal("all its faces are degenerate; export the mesh again")
-    kept = np.zeros(len(position), dtype=bool)
-    kept[faces[keep]] = True
-    return RawMesh(
-        vertices=position[kept],
-        faces=kept.cumsum()[faces[keep]] - 1,
+    rest = np.zeros(len(position), dtype=bool)
+    rest[faces[keep]] = True
+    return replace(
+        surface,
+        vertices=position[rest],
+        faces=rest.cumsum()[faces[keep]] - 1,
         corner_uv=None if surface.corner_uv is None else surface.corner_uv[keep],
-        texture=surface.texture,
-        other_materials=surface.other_materials,
         shares_vertices=True,
         face_color=None if surface.face_color is None else surface.face_color[keep],
     )
@@ -149,11 +148,8 @@ def judge(surface: RawMesh, findings: list[str]) -> None:
 
 def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
     """The surface of one solid: of bodies that overlap, that of their union."""
-    try:
-        outward, inward = shells_of(surface.vertices, surface.faces)
-        joined = union_if_overlapping(outward, inward)
-    except ShellError as error:
-        raise Refusal(str(error)) from error
+    outward, inward = shells_of(surface.vertices, surface.faces)
+    joined = union_if_overlapping(outward, inward)
     if len(outward) > 1:
         findings.append(f"{len(outward)} separate bodies are taken as one rigid part.")
     if inward:
@@ -168,9 +164,105 @@ def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
             f"{text}; join them (a boolean union) in a mesh editor, which keeps their texture"
         )
     findings.append(f"{text}: they were joined into one.")
-    mesh = union.to_mesh64()
-    return replace(
-        surface,
-        vertices=np.array(mesh.vert_properties[:, :3], dtype=np.float64),
-        faces=np.asarray(mesh.tri_verts).astype(np.int64),
+    vertices, faces = surface_of(union)
+    return replace(surface, vertices=vertices, faces=faces)
+
+
+def manifold_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Manifold:
+    return Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))
+
+
+def surface_of(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Vertices and faces."""
+    mesh = solid.to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts).astype(np.int64)
+
+
+def shells_of(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[tuple[Manifold, ...], tuple[Manifold, ...]]:
+    """A closed mesh's shells that face outwards, and those that face inwards.
+
+    Bodies that share no more than a vertex or an edge are shells of their own.
+
+    Raises:
+        Refusal: the surface is not closed, or crosses itself in a way that has no inside.
+    """
+    whole = manifold_of(vertices.copy(), faces)
+    if whole.status() != Error.NoError:
+        raise Refusal(
+            f"the surface does not enclose a solid ({whole.status().name}); close its holes and "
+            "turn its faces outward"
+        )
+    shells = separate(whole)
+    outward = tuple(shell for shell in shells if shell.volume() >= 0)
+    return outward, tuple(shell for shell in shells if shell.volume() < 0)
+
+
+def separate(whole: Manifold) -> tuple[Manifold, ...]:
+    """The shells of a solid. (The library's own way takes the square of their number.)"""
+    vertices, faces = surface_of(whole)
+    links = (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()))
+    count, label = connected_components(
+        coo_array(links, shape=(len(vertices),) * 2), directed=False
     )
+    if count == 1:
+        return (whole,)
+    by_shell, of_shell = np.argsort(label, kind="stable"), np.bincount(label, minlength=count)
+    place = np.empty(len(label), dtype=np.int64)  # of each vertex within its shell
+    place[by_shell] = np.arange(len(label)) - np.repeat(of_shell.cumsum() - of_shell, of_shell)
+    order = np.argsort(label[faces[:, 0]], kind="stable")
+    ends = np.bincount(label[faces[:, 0]], minlength=count).cumsum()[:-1]
+    return tuple(
+        manifold_of(vertices[rows], place[some])
+        for rows, some in zip(
+            np.split(by_shell, of_shell.cumsum()[:-1]), np.split(faces[order], ends), strict=True
+        )
+    )
+
+
+def union_if_overlapping(
+    outward: tuple[Manifold, ...], inward: tuple[Manifold, ...]
+) -> tuple[Manifold, float] | None:
+    """The union of bodies where they overlap, and the share of volume that would count twice.
+
+    A shell that faces inwards is a cavity of the smallest body whose box holds its own.
+
+    Returns:
+        None where no two bodies share more than `TOUCHING` of the whole: the mesh is right as
+        it is.
+
+    Raises:
+        Refusal: a shell that faces inwards lies in no other.
+    """
+    order = sorted(range(len(outward)), key=lambda i: outward[i].volume())
+    cavities: list[list[Manifold]] = [[] for _ in outward]
+    boxes = np.array([body.bounding_box() for body in outward])
+    for shell in inward:
+        box = np.array(shell.bounding_box())
+        holds = np.all((boxes[:, :3] <= box[:3]) & (boxes[:, 3:] >= box[3:]), axis=1)
+        around = [i for i in order if holds[i] and outward[i].volume() > -shell.volume()]
+        if not around:
+            raise Refusal(
+                "a part of the surface is inside out: a shell that faces inwards is not inside "
+                "another shell; flip its normals"
+            )
+        cavities[around[0]].append(shell)
+    if len(outward) == 1:
+        return None
+    bodies = [
+        _hollow(body, holes) if holes else body
+        for body, holes in zip(outward, cavities, strict=True)
+    ]
+    union = Manifold.batch_boolean(bodies, OpType.Add)
+    total = sum(body.volume() for body in bodies)
+    twice = (total - union.volume()) / total
+    return (union, twice) if twice > TOUCHING else None
+
+
+def _hollow(body: Manifold, holes: list[Manifold]) -> Manifold:
+    """A body and its cavities, whose faces look into them, as one solid."""
+    vertices, faces = zip(*map(surface_of, (body, *holes)), strict=True)
+    starts = np.cumsum([0] + [len(corners) for corners in vertices])[:-1]
+    moved = [own + start for own, start in zip(faces, starts, strict=True)]
+    return manifold_of(np.vstack(vertices), np.vstack(moved))

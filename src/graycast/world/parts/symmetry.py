@@ -24,18 +24,18 @@ MANY = 36  # A body of revolution has to bear turns by a full circle over this.
 AXIS_WEIGHT = (3.0, 2.0, 1.0)
 
 
-def motions(symmetry: Symmetry, *, step: float = STEP) -> Float[np.ndarray, "n 4 4"]:
+def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
     """All motions of a symmetry, the identity first; continuous ones in equal steps.
 
-    A continuous symmetry is taken in `ceil(pi / step)` turns, so that a point on the rim of the
-    diameter, at half a diameter from the axis, moves by at most `2 * step * diameter / 2` from one
+    A continuous symmetry is taken in `ceil(pi / STEP)` turns, so that a point on the rim of the
+    diameter, at half a diameter from the axis, moves by at most `2 * STEP * diameter / 2` from one
     turn to the next. Discrete motions and turns are combined.
 
     Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, and the
     `max_sym_disc_step` of 0.01 stated there (section 2.3).
     """
     discrete = [np.eye(4), *symmetry.discrete]
-    turns = int(np.ceil(np.pi / step))
+    turns = int(np.ceil(np.pi / STEP))
     continuous = [
         _turn(np.array(axis), np.array(offset), 2 * np.pi * k / turns)
         for axis, offset in symmetry.continuous
@@ -119,11 +119,11 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
             flip = _turn(across, middle, np.pi)
             continuous = ((tuple(axis.tolist()), tuple(middle.tolist())),)
             return Symmetry(discrete=(flip,) if leaves(flip) else (), continuous=continuous)
-    found: list[np.ndarray] = []
+    discrete: list[np.ndarray] = []
     for T in _candidates(middle):
-        if not any(np.allclose(T, other, atol=1e-9) for other in found) and leaves(T):
-            found.append(T)
-    return Symmetry(discrete=tuple(found))
+        if not any(np.allclose(T, other, atol=1e-9) for other in discrete) and leaves(T):
+            discrete.append(T)
+    return Symmetry(discrete=tuple(discrete))
 
 
 def turns_together(

@@ -77,8 +77,7 @@ def _find_gpu(device: str) -> None:
     preferences = bpy.context.preferences.addons["cycles"].preferences
     preferences.compute_device_type = device.upper()
     preferences.refresh_devices()
-    found = [one for one in preferences.devices if one.type == device.upper()]
-    if not found:
+    if not any(one.type == device.upper() for one in preferences.devices):
         raise RuntimeError(f"Cycles finds no {device} device")
     for one in preferences.devices:
         one.use = one.type == device.upper()

@@ -4,26 +4,22 @@ The hulls follow the part's outer surface within a tolerance (`tolerance_m`): no
 farther outside the part, so a hole stays open, and no point of the surface farther outside all of
 them. What cannot be reached from outside, a cavity, is filled.
 
-`solid` reads the mesh, `cutting` takes it apart, `joining` makes hulls of the pieces and joins
-those that may be one, `error` measures; `child` does all that in processes that can be ended, and
-`ready` keeps the results.
+`solid` reads the mesh, `error` measures, `cutting` takes it apart, `mesh_hulls` makes hulls of the
+pieces and joins those that may be one; `hull_process` does all that in processes that can be ended,
+and `hull_store` keeps the results.
 """
 
-from .cache import cache_folder
-from .error import Decomposition, HullError, hull_error, tolerance_m
-from .hull_store import convex_hulls, convex_hulls_of
-from .hulls import Hull, hull_of
+from .error import Decomposition, measure, tolerance_m
+from .hull_store import prepare
 from .mesh_hulls import decompose
+from .solid import Hull, hull_of
 
 __all__ = [
     "Decomposition",
     "Hull",
-    "HullError",
-    "cache_folder",
-    "convex_hulls",
-    "convex_hulls_of",
     "decompose",
-    "hull_error",
     "hull_of",
+    "measure",
+    "prepare",
     "tolerance_m",
 ]

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import Manifold
 
+from ...parts.surface import surface_of
 from .error import LID_SAMPLES, filled_m, spread, surface_samples
-from .solid import surface_of
+from .solid import Points
 
 REFLEX_RAD = np.radians(12)  # A smaller bend inwards is a facet of something round.
 PLANES = 12  # So many flat faces are tried, those with the longest bends first.
@@ -34,7 +35,6 @@ DEEPEST_CUTS = 40  # After so many cuts in a row a piece is taken, however far i
 THIN = 0.02  # Sheets and slivers thinner than this share of the limit, 9 um, are left out.
 HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.
 
-Points = Float[np.ndarray, "_ 3"]
 Plane = tuple[Float[np.ndarray, "3"], float]
 """Unit normal n and offset d [m] of the plane n . p = d."""
 
@@ -43,31 +43,24 @@ class Cutter:
     """Cuts one body; `limit_m` is how far a piece's hull may reach out of the body."""
 
     def __init__(self, body: Manifold, limit_m: float) -> None:
-        self._body, self._limit_m, self._thin_m = body, limit_m, THIN * limit_m
+        self._body, self.limit_m, self._thin_m = body, limit_m, THIN * limit_m
         self.worked = 0  # faces of all pieces that were cut up to now: time grows with them
         self._surface = surface_samples(body)
-
-    def harm_m(self, hull: Manifold) -> float:
-        """How far a hull reaches out of the body [m]."""
-        return filled_m(hull, self._body, self._surface)
 
     def guessed_harm_m(self, points: Points) -> float:
         """How far the hull of some points reaches out of the body, by a quick look at its faces.
 
-        The value may be too small, so `hold` decides. A test of a few samples rejects most
+        The value may be too small, so `fits` decides. A test of a few samples rejects most
         hulls that reach too far.
         """
         sample = spread(Manifold.hull_points(points), GUESSES)[0]
         few = sample[:FIRST_GUESSES]
         harm_m = self._surface.outside_m(few)
-        return harm_m if harm_m > self._limit_m else max(harm_m, self._surface.outside_m(sample))
+        return harm_m if harm_m > self.limit_m else max(harm_m, self._surface.outside_m(sample))
 
-    def hold(self, points: Points) -> bool:
-        """Whether the hull of some points stays within the limit outside the body."""
-        return self.harm_m(Manifold.hull_points(points)) <= self._limit_m
-
-    def fits(self, piece: Manifold) -> bool:
-        return self.harm_m(piece.hull()) <= self._limit_m
+    def fits(self, hull: Manifold) -> bool:
+        """Whether a hull stays within the limit outside the body."""
+        return filled_m(hull, self._body, self._surface) <= self.limit_m
 
     def pieces(self) -> Iterator[Manifold]:
         """Pieces of the body whose hulls fit, one after another."""
@@ -75,7 +68,7 @@ class Cutter:
         while waiting:
             piece, cuts = waiting.pop()
             parts: list[Manifold] = []
-            if cuts < DEEPEST_CUTS and not self.fits(piece):
+            if cuts < DEEPEST_CUTS and not self.fits(piece.hull()):
                 self.worked += piece.num_tri()
                 parts = (
                     _cut_along_a_face(piece, self._thin_m)
@@ -103,7 +96,7 @@ class Cutter:
             wedges = []
             for wedge in _fan(piece, axis, center, count, self._thin_m):
                 wedges.append(wedge)
-                if not self.fits(wedge):
+                if not self.fits(wedge.hull()):
                     break
             else:
                 return wedges

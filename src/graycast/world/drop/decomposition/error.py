@@ -14,8 +14,8 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
 from ...parts import Mesh
-from .hulls import Hull, height_m, hull_solid
-from .solid import bodies_of, surface_of
+from ...parts.surface import surface_of
+from .solid import Hull, bodies_of, height_m
 
 TOLERANCE_M = 0.5e-3
 TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5 mm would cost.
@@ -48,13 +48,11 @@ class MeshSamples:
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 
-    def distance_m(self, point: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
-        """Distance to the triangles of the `NEAR` nearest samples: exact, or a little too large."""
-        _, near = self.tree.query(point, k=min(NEAR, len(self.face)))
-        return _nearest_m(point, self.face[near.reshape(len(point), -1)], self.corner)
-
     def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """The largest of `distance_m`; 0 of no points."""
+        """The largest distance to the surface; 0 of no points.
+
+        It is that to the triangles of the `NEAR` nearest samples: exact, or a little too large.
+        """
         return self._farthest_m(point, self.tree.query(point)[0])
 
     def outside_m(self, point: Float[np.ndarray, "m 3"]) -> float:
@@ -75,7 +73,9 @@ class MeshSamples:
         farthest, done = 0.0, 0
         while done < len(point) and farthest < most_m[order[done]]:
             block = order[done : done + AT_A_TIME]
-            farthest = max(farthest, float(self.distance_m(point[block]).max()))
+            _, near = self.tree.query(point[block], k=min(NEAR, len(self.face)))
+            faces = self.face[near.reshape(len(block), -1)]
+            farthest = max(farthest, float(_nearest_m(point[block], faces, self.corner).max()))
             done += len(block)
         return farthest
 
@@ -121,46 +121,41 @@ def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HullError:
-    """`filled_m`: how far hulls reach out of the part; `lost_m`: its surface out of all hulls."""
+class Decomposition:
+    """A mesh's hulls, how near to its surface they are, and how near they should be [m].
 
+    `filled_m` is how far hulls reach out of the part, `lost_m` its surface out of all hulls.
+    """
+
+    hulls: tuple[Hull, ...]
     filled_m: float
     lost_m: float
+    tolerance_m: float
 
     @property
     def worst_m(self) -> float:
         return max(self.filled_m, self.lost_m)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Decomposition:
-    """A mesh's hulls, how near they were found to be, and how near they should be."""
-
-    hulls: tuple[Hull, ...]
-    error: HullError
-    tolerance_m: float
-
     @property
     def coarse(self) -> bool:
         """Whether the error exceeds the tolerance, as for a mesh with too much detail."""
-        return self.error.worst_m > self.tolerance_m
+        return self.worst_m > self.tolerance_m
 
 
-def measured(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
-    """Hulls with their error."""
-    return Decomposition(hulls=hulls, error=hull_error(mesh, hulls), tolerance_m=tolerance_m(mesh))
-
-
-def hull_error(mesh: Mesh, hulls: tuple[Hull, ...]) -> HullError:
-    """The largest error of the hulls outside and inside the mesh."""
-    bodies = bodies_of(mesh)
-    solid = Manifold.batch_boolean(bodies, OpType.Add)
+def measure(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
+    """Hulls with their largest error outside and inside the mesh."""
+    solid = Manifold.batch_boolean(bodies_of(mesh), OpType.Add)
     surface = surface_samples(solid)
-    filled = max(filled_m(hull_solid(vertices), solid, surface) for vertices, _ in hulls)
+    filled = max(filled_m(Manifold.hull_points(corners), solid, surface) for corners, _ in hulls)
     outside_m = np.full(len(surface.point), np.inf)
     for vertices, _ in hulls:
         outside_m = np.minimum(outside_m, height_m(surface.point, vertices))
-    return HullError(filled_m=filled, lost_m=max(0.0, float(outside_m.max())))
+    return Decomposition(
+        hulls=hulls,
+        filled_m=filled,
+        lost_m=max(0.0, float(outside_m.max())),
+        tolerance_m=tolerance_m(mesh),
+    )
 
 
 def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:

@@ -24,24 +24,24 @@ import numpy as np
 
 from ....base.errors import GraycastError
 from ....base.progress import Stages
-from ...parts import Mesh
+from ...parts import Mesh, Part
 from .cache import read_decomposition, write_decomposition
-from .error import Decomposition, measured
+from .error import Decomposition, measure
 from .mesh_hulls import decompose
 
 _LOG_LINES = 5
 
 
 def decompose_apart(
-    jobs: Iterable[tuple[Path, str, Mesh]],
+    jobs: Iterable[tuple[Path, Part]],
 ) -> Generator[tuple[Path, str | Decomposition], None, None]:
-    """`decompose` and `measured` of each mesh in a child process, one child per processor.
+    """`decompose` and `measure` of each mesh in a child process, one child per processor.
 
     One thread follows all children, so that an exception in it ends them all. A caller that may
     stop early closes this iterator, which ends them too.
 
     Args:
-        jobs: a key, a part's name for errors (may be empty) and its mesh; taken as children start.
+        jobs: a key and a part; taken as children start.
 
     Yields:
         The key with each stage of its child, and at last with the result.
@@ -54,9 +54,9 @@ def decompose_apart(
     with ExitStack() as stack:
         running = stack.enter_context(selectors.DefaultSelector())
         while True:
-            for key, name, mesh in islice(waiting, processors - len(running.get_map())):
+            for key, part in islice(waiting, processors - len(running.get_map())):
                 own = stack.enter_context(ExitStack())
-                child = own.enter_context(_started(name, mesh))
+                child = own.enter_context(_started(part))
                 running.register(child.stdout, selectors.EVENT_READ, (key, child, own))
             if not running.get_map():
                 return
@@ -92,12 +92,12 @@ class _Child:
 
 
 @contextmanager
-def _started(name: str, mesh: Mesh) -> Iterator[_Child]:
-    """A child that decomposes the mesh, and ends with this context however it ends."""
+def _started(part: Part) -> Iterator[_Child]:
+    """A child that decomposes the part's mesh, and ends with this context however it ends."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="graycast-hulls-")))
         mesh_file, hull_file = folder / "mesh.npz", folder / "hulls.npz"
-        np.savez(mesh_file, vertices_m=mesh.vertices_m, faces=mesh.faces)
+        np.savez(mesh_file, vertices_m=part.mesh.vertices_m, faces=part.mesh.faces)
         log = stack.enter_context(tempfile.TemporaryFile("w+"))
         process = subprocess.Popen(
             [sys.executable, "-m", __spec__.name, mesh_file, hull_file],
@@ -112,7 +112,7 @@ def _started(name: str, mesh: Mesh) -> Iterator[_Child]:
         stack.callback(process.kill)
         assert process.stdout is not None
         yield _Child(
-            name=name, process=process, stdout=process.stdout, hull_file=hull_file, log=log
+            name=part.name, process=process, stdout=process.stdout, hull_file=hull_file, log=log
         )
 
 
@@ -122,7 +122,7 @@ def _obituary(name: str, code: int, log: IO[str]) -> str:
     words = "; ".join(line.strip() for line in log.read().splitlines()[-_LOG_LINES:])
     why = f" ({words})" if words else ""
     return (
-        f"the process that cuts {name or 'a part'} into convex hulls {how}{why}: free memory, or "
+        f"the process that cuts {name} into convex hulls {how}{why}: free memory, or "
         "decimate the part's mesh"
     )
 
@@ -137,7 +137,7 @@ def _main(mesh_file: Path, hull_file: Path) -> None:
     try:
         hulls = decompose(mesh, progress=Stages(lambda stage: _say(stage=stage)))
         _say(stage=f"measuring {len(hulls)} hulls")
-        write_decomposition(hull_file, measured(mesh, hulls))
+        write_decomposition(hull_file, measure(mesh, hulls))
     except ValueError as error:
         _say(refused=str(error))
     else:

@@ -1,15 +1,17 @@
-"""From a mesh to its hulls."""
+"""From a mesh to its hulls: pieces of the cut mesh, joined again where one hull serves two."""
+
+import heapq
 
 import numpy as np
+from jaxtyping import Int
 from manifold3d import Manifold
 
 from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh
-from .cutting import Cutter, Points
+from ...parts.surface import surface_of
+from .cutting import Cutter
 from .error import tolerance_m
-from .hulls import Hull, hull_of, thinned
-from .joining import joined
-from .solid import bodies_of, simplified, surface_of
+from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned
 
 # A hull that loses vertices may shrink so far, of the box diagonal. A scanned box whose nearly flat
 # sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
@@ -25,7 +27,7 @@ _PROGRESS_EACH = 25  # Progress is shown anew after so many pieces.
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
-    """The hulls of `convex_hulls`, not measured, made in this process.
+    """The hulls of `prepare`, not measured, made in this process.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.
@@ -60,7 +62,7 @@ def is_one_hull(mesh: Mesh) -> bool:
     """Whether a mesh is convex within the tolerance."""
     bodies = bodies_of(mesh)
     limit_m = CUT_SHARE * tolerance_m(mesh)
-    return len(bodies) == 1 and Cutter(bodies[0], limit_m).fits(bodies[0])
+    return len(bodies) == 1 and Cutter(bodies[0], limit_m).fits(bodies[0].hull())
 
 
 def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMeter) -> list[Points]:
@@ -69,8 +71,7 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMete
         return [surface_of(hull)[0]]
     while True:
         body, moved_m = simplified(whole, tolerance)
-        limit_m = CUT_SHARE * tolerance - moved_m
-        cutter = Cutter(body, limit_m)
+        cutter = Cutter(body, CUT_SHARE * tolerance - moved_m)
         pieces = _pieces(cutter, body, of, progress)
         if pieces:
             break
@@ -82,4 +83,49 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMete
     if len(points) == 1:
         return points
     progress.stage(f"joining {len(points)} hulls{of}")
-    return joined(points, limit_m, guess_m=cutter.guessed_harm_m, holds=cutter.hold)
+    return _joined(points, cutter)
+
+
+def _joined(hulls: list[Points], cutter: Cutter) -> list[Points]:
+    """Replaces pairs by their common hull, the least harmful first, while that follows the surface.
+
+    The time of a drop grows with the number of hulls, and cuts leave more of them than are needed.
+    """
+    alive = dict(enumerate(hulls))
+    waiting: list[tuple[float, int, int]] = []
+
+    def consider(i: int, j: int) -> None:
+        harm = cutter.guessed_harm_m(np.vstack([alive[i], alive[j]]))
+        if harm <= cutter.limit_m:
+            heapq.heappush(waiting, (harm, i, j))
+
+    for j in range(1, len(hulls)):
+        for i in _near(hulls[:j], hulls[j], cutter.limit_m):
+            consider(int(i), j)
+    new = len(hulls)
+    while waiting:
+        _, i, j = heapq.heappop(waiting)
+        if i not in alive or j not in alive:
+            continue
+        hull = Manifold.hull_points(np.vstack([alive[i], alive[j]]))
+        if not cutter.fits(hull):
+            continue
+        del alive[i], alive[j]
+        both = surface_of(hull)[0]
+        names = list(alive)
+        near = _near(list(alive.values()), both, cutter.limit_m)
+        alive[new] = both
+        for other in near:
+            consider(names[other], new)
+        new += 1
+    return list(alive.values())
+
+
+def _near(others: list[Points], one: Points, gap_m: float) -> Int[np.ndarray, " n"]:
+    """Which hulls have bounding boxes no farther than a gap from that of one."""
+    if not others:
+        return np.empty(0, dtype=np.int64)
+    low = np.array([points.min(axis=0) for points in others])
+    high = np.array([points.max(axis=0) for points in others])
+    near = (low <= one.max(axis=0) + gap_m) & (one.min(axis=0) <= high + gap_m)
+    return np.flatnonzero(near.all(axis=1))

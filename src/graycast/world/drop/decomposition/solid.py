@@ -1,15 +1,23 @@
-"""A part's mesh as solids: its bodies, without their cavities, with no more faces than needed."""
+"""A part's mesh as solids, without their cavities, and the convex hulls of points."""
+
+from itertools import product
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from manifold3d import Manifold, OpType
+from scipy.spatial import ConvexHull
 
 from ...parts import Mesh
-from ...parts.shells import ShellError, separate, shells_of
+from ...parts.surface import Refusal, separate, shells_of
+
+Points = Float[np.ndarray, "_ 3"]
+Hull = tuple[np.ndarray, np.ndarray]
+"""Vertices [m] (v, 3) in the part's frame and faces (f, 3), counter-clockwise from outside."""
 
 # These shares of the tolerance are tried in turn until so few faces are left: each costs time.
 SIMPLIFIED_BY = (0.1, 0.2, 0.3)
 ENOUGH_FACES = 12_500
+_PLANE_DECIMALS = 12  # Planes [m] that differ less are one: they are of coplanar triangles.
 
 
 def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
@@ -22,7 +30,7 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
     """
     try:
         shells, _ = shells_of(mesh.vertices_m, mesh.faces)
-    except ShellError as error:
+    except Refusal as error:
         raise ValueError(str(error)) from error
     if not shells:
         raise ValueError("the mesh encloses no volume: turn its faces outward")
@@ -45,10 +53,46 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
     return fewer, moved_m
 
 
-def surface_of(
-    solid: Manifold,
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices and faces."""
-    mesh = solid.to_mesh64()
-    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64)
-    return vertices, np.asarray(mesh.tri_verts).astype(np.int64)
+def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:
+    """The convex hull of points, faces turned outward."""
+    hull = ConvexHull(vertices)
+    number = np.full(len(vertices), -1)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    faces, corner = number[hull.simplices], vertices[hull.simplices]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    inward = np.einsum("fi,fi->f", normal, hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return vertices[hull.vertices], faces
+
+
+def height_m(
+    point: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
+) -> Float[np.ndarray, " n"]:
+    """Largest signed distance to the planes of the vertices' hull; negative inside."""
+    plane = _planes(vertices)
+    return (point @ plane[:, :3].T + plane[:, 3]).max(axis=1)
+
+
+def _planes(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "p 4"]:
+    return np.unique(ConvexHull(vertices).equations.round(_PLANE_DECIMALS), axis=0)
+
+
+def thinned(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarray, "k 3"]:
+    """A subset of vertices whose hull leaves no other vertex farther outside than the limit.
+
+    The engine's cost grows with each vertex. The farthest one outside of each face is added until
+    none is outside.
+    """
+    directions = np.array(list(product((-1, 0, 1), repeat=3)))
+    subset = np.unique((vertices @ directions.T).argmax(axis=0))
+    if np.linalg.matrix_rank(vertices[subset] - vertices[subset[0]], tol=1e-9) < 3:
+        return vertices
+    while True:
+        plane = _planes(vertices[subset])
+        outside_m = vertices @ plane[:, :3].T + plane[:, 3]
+        farthest = outside_m.argmax(axis=0)
+        far = outside_m.max(axis=0) > limit_m
+        more = np.union1d(subset, farthest[far])
+        if len(more) == len(subset):
+            return vertices[subset]
+        subset = more

@@ -1,9 +1,11 @@
 """A worker keeps its renderer from scene to scene, and never after what nobody foresaw."""
 
+from contextlib import closing
+
 import pytest
 
 from graycast.base.errors import DecodeError, DeviceError, DropError
-from graycast.cell.engine import SceneMaker, SceneTask, maker, worker_renderer
+from graycast.cell.engine import SceneMaker, SceneTask, job, maker
 from graycast.rendering import Renderer
 
 
@@ -32,9 +34,9 @@ def opened_for(task, monkeypatch, *errors):
         assert not renderer.closed
         raise left.pop(0)
 
-    monkeypatch.setattr(worker_renderer, "open_configured", open_one)
+    monkeypatch.setattr(job, "open_configured", open_one)
     monkeypatch.setattr(maker, "make_images", make)
-    with SceneMaker(task) as worker:
+    with closing(SceneMaker(task)) as worker:
         for scene_id, error in enumerate(errors):
             with pytest.raises(type(error)):
                 worker.make(scene_id)

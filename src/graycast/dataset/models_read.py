@@ -31,7 +31,7 @@ def read_models(dataset: Path) -> dict[int, StoredModel]:
     if not folder.is_dir():
         raise DatasetError(f"{dataset}: has no models: give a dataset that graycast generate made")
     try:
-        infos = read_json(folder / "models_info.json", records.ModelsInfo).root
+        infos = read_json(folder / "models_info.json", dict[str, records.ModelInfo])
     except Unreadable as error:
         raise DatasetError(f"{folder}: {error}: run graycast validate") from error
     return {int(key): _model(folder / f"obj_{int(key):06d}.ply", i) for key, i in infos.items()}

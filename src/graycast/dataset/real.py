@@ -8,7 +8,7 @@ annotators drew.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pycocotools import mask as coco_mask
@@ -18,19 +18,17 @@ from ..base.errors import DatasetError
 from ..base.mask_box import mask_box
 from .places import finished_scenes
 from .records import (
-    Box,
     Camera,
     Claim,
-    CocoCategory,
-    CocoImage,
-    CompressedRunLengths,
-    Count,
-    Distortion,
+    CocoFile,
     FormatVersion,
     Manifest,
-    Matrix3,
     OneImage,
     Positive,
+    RealAnnotation,
+    RealInfo,
+    RealPose,
+    RealView,
     Record,
     SceneCoco,
     split_annotation,
@@ -65,47 +63,6 @@ class RealClaim(Record):
     holds: list[StoredKind]
     sources: list[str]
     versions: dict[str, str]
-
-
-class RealView(Record):
-    """One image in `scene_camera.json`: where the camera stood is not known."""
-
-    cam_K: Matrix3
-    depth_scale: Positive
-    distortion: Distortion = [0.0] * 5
-
-
-class RealPose(Record):
-    """One instance in `scene_gt.json`: what it is, not where."""
-
-    obj_id: Annotated[int, Field(ge=1)]
-
-
-class RealInfo(Record):
-    """One instance in `scene_gt_info.json`."""
-
-    bbox_visib: Box
-    px_count_visib: Count
-
-
-class RealAnnotation(Record):
-    id: int
-    image_id: int
-    category_id: int
-    iscrowd: int
-    area: int
-    bbox: Box
-    segmentation: CompressedRunLengths
-
-
-class RealSplitCoco(Record):
-    """`train_coco.json` of real pictures."""
-
-    info: dict[str, str]
-    licenses: list[Any]
-    categories: list[CocoCategory]
-    images: list[CocoImage]
-    annotations: list[RealAnnotation]
 
 
 def is_real(out: Path) -> bool:
@@ -215,7 +172,7 @@ def _mask_problems(scene: SceneFolder, claim: RealClaim, size: tuple[int, int]) 
 
 def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterator[str]:
     try:
-        split = read_json(out / "train_coco.json", RealSplitCoco)
+        split = read_json(out / "train_coco.json", CocoFile[RealAnnotation])
     except Unreadable as error:
         yield str(error)
         return

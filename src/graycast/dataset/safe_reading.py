@@ -1,16 +1,17 @@
 """Files of a dataset, read without trust in them."""
 
 import zlib
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import pydantic
+from pydantic import TypeAdapter, ValidationError
 
 from ..base.file_limits import refuse_large_picture
 
-R = TypeVar("R", bound=pydantic.BaseModel)
+R = TypeVar("R")
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -25,12 +26,12 @@ def read_json(path: Path, form: type[R]) -> R:
         Unreadable: it is not there, not JSON or of another form.
     """
     try:
-        return form.model_validate_json(path.read_bytes())
+        return _checker(form).validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise Unreadable(f"{path.name} is missing") from error
     except OSError as error:
         raise Unreadable(f"{path.name} cannot be read: {error.strerror}") from error
-    except pydantic.ValidationError as error:
+    except ValidationError as error:
         raise Unreadable(_first_mistake(path.name, error)) from error
 
 
@@ -41,12 +42,17 @@ def record_as(content: Any, form: type[R], where: str) -> R:
         Unreadable: it is of another form.
     """
     try:
-        return form.model_validate(content)
-    except pydantic.ValidationError as error:
+        return _checker(form).validate_python(content)
+    except ValidationError as error:
         raise Unreadable(_first_mistake(where, error)) from error
 
 
-def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
+@cache
+def _checker(form: type[R]) -> TypeAdapter[R]:
+    return TypeAdapter(form)
+
+
+def _first_mistake(where: str, error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(key) for key in first["loc"])
     return ": ".join(filter(None, (where, key, first["msg"].removeprefix("Value error, "))))

@@ -6,7 +6,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel
 
 from ..base.frames import is_rigid
 from ..camera.decode import Reason
@@ -20,7 +19,7 @@ from .scene_folder import SceneFolder, of_sensor
 from .seal import facts_of
 from .sense import Evidence, sense_problems
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 BOX_MM = 1e-3  # The models hold the sizes of 3D boxes to nine digits.
 WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # One pose is computed through two cameras in double precision.
@@ -73,7 +72,7 @@ def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
     must = set(range(count))
     for name in (*_OF_IMAGE, "scene_gt_box3d", "scene_sl"):
         for suffix in ("", "_sl") if name in _OF_IMAGE else ("",):
-            images = set(files.record(name + suffix, records.Images[Any]).root)
+            images = set(files.record(name + suffix, records.Images[Any]))
             if images != must:
                 odd = sorted(images ^ must)[0]
                 yield (
@@ -165,8 +164,8 @@ def _read_image(
     files: SceneFolder, number: int, numbers: range, first_annotation: Mapping[str, int]
 ) -> Plain:
     view = _of_both(files, "scene_camera", number, records.View)
-    poses = _of_both(files, "scene_gt", number, records.Poses)
-    info = _of_both(files, "scene_gt_info", number, records.Infos)
+    poses = _of_both(files, "scene_gt", number, list[records.Pose])
+    info = _of_both(files, "scene_gt_info", number, list[records.Info])
     alike = {"scene_camera": view[""] == view["_sl"], "scene_gt": poses[""] == poses["_sl"]}
     for name, same in alike.items():
         if not same:
@@ -179,12 +178,12 @@ def _read_image(
         first_annotation=dict(first_annotation),
         image={name: files.png(name, number) for name in _IMAGES},
         view=view[""],
-        poses=poses[""].root,
-        info={suffix: record.root for suffix, record in info.items()},
+        poses=poses[""],
+        info=info,
         coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
-        box3d=files.of_image("scene_gt_box3d", number, records.Boxes3d).root,
+        box3d=files.of_image("scene_gt_box3d", number, list[records.Box3d]),
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
-        manifest=SceneFolder(files.path).record("manifest", records.Manifest).root,
+        manifest=SceneFolder(files.path).record("manifest", records.Manifest),
     )
 
 

@@ -20,7 +20,7 @@ from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_p
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # Our own datasets add this type of camera.
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 
 def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
@@ -97,7 +97,7 @@ class SceneFolder:
         return read_mask(self.mask_path(kind, instance, number))
 
     def _entry(self, name: str, number: int) -> Any:
-        entries = self.record(name, Images[Any]).root
+        entries = self.record(name, Images[Any])
         if number not in entries:
             raise Unreadable(f"{of_sensor(name, self.sensor)}.json says nothing of image {number}")
         return entries[number]

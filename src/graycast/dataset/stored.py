@@ -12,14 +12,13 @@ from typing import Any, final
 
 import numpy as np
 from pycocotools import mask as coco_mask
-from pydantic import RootModel
 
 from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from . import records
 from .example import Example, InstanceLabel, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
-from .real import RealClaim, RealInfo, RealPose, RealView, read_claim
+from .real import RealClaim, read_claim
 from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 from .seal import facts_of
@@ -28,9 +27,6 @@ NO_REASON = 255  # The dataset does not say why a pixel has no scanner depth.
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
-
-
-_Anything = RootModel[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,13 +117,13 @@ class StoredScene:
 
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
-        return self._of_image("scene_camera", RealView if self.real else records.View)
+        return self._of_image("scene_camera", records.RealView if self.real else records.View)
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
         files = SceneFolder(self.folder)
         whole = self._checked(partial(files.record, "manifest", records.Manifest))
-        return facts_of(whole.root, self.sensor, self.image)
+        return facts_of(whole, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -206,11 +202,11 @@ class StoredScene:
 
     def json_record(self, name: str) -> Any:
         """What a JSON file says of the scene's image, as it is."""
-        return self._of_image(name, _Anything).root
+        return self._of_image(name, object)
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
-        poses = self._of_instances("scene_gt", RealPose if self.real else records.Pose)
+        poses = self._of_instances("scene_gt", records.RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
                 f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
@@ -223,7 +219,7 @@ class StoredScene:
         if "masks" not in self.holds:
             return [], [], []
         poses = self.poses()
-        infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
+        infos = self._of_instances("scene_gt_info", records.RealInfo if self.real else records.Info)
         whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
         annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
         visible = sum(info.px_count_visib > 0 for info in infos)

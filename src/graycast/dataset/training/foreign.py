@@ -221,7 +221,7 @@ def _open_bop(path: Path) -> Foreign:
         alike = rescan is not None and rescan.config["camera"] == "image"
         perfect = SceneFolder(folder, rescan.config["sensor"]) if rescan and alike else None
         try:
-            annotations = scene.record("scene_gt", Images[list[AnyPose]]).root
+            annotations = scene.record("scene_gt", Images[list[AnyPose]])
         except Unreadable as error:
             raise DatasetError(
                 f"{folder}/{error}: each key must be the number of an image, and hold the list of "

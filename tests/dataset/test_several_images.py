@@ -12,7 +12,7 @@ from pycocotools.coco import COCO
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.dataset.claim import Taker
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.store import open_store

@@ -22,7 +22,7 @@ from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
-from ..dataset import Raw, Sample
+from ..dataset.sample import Raw, Sample
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..rig.optics import in_picture, points, project
 from ..rig.pair import Rig

@@ -299,7 +299,7 @@ def _live(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset import validate
+    from ..dataset.checking import validate
     from ..dataset.real import absent
 
     problems = validate(options.dataset, fast=options.fast)

@@ -27,7 +27,7 @@ from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, camera_file, finished_scenes
-from .records import InfoRecords, Manifest
+from .records import Manifest
 from .safe_reading import Unreadable
 from .sample import Sample
 from .scene_folder import SceneFolder, of_sensor, picture_name
@@ -152,9 +152,9 @@ class Store:
         for taker in self.takers:
             scene = SceneFolder(self.out / "train" / f"{scene_id:06d}", taker.name)
             try:
-                coco = scene.record("scene_gt_coco", Manifest).root
+                coco = scene.record("scene_gt_coco", Manifest)
                 for image in range(taker.images):
-                    infos = scene.of_image("scene_gt_info", image, InfoRecords).root
+                    infos = scene.of_image("scene_gt_info", image, list[dict[str, Any]])
                     own = [entry for entry in coco["annotations"] if entry["image_id"] == image]
                     yield number, own, infos
                     number += 1
@@ -244,24 +244,6 @@ def open_store(
         takers=takers,
         lock=lock,
     )
-
-
-def refuse_other_dataset(
-    out: Path,
-    *,
-    config: Mapping[str, Any],
-    seed: int,
-    parts: tuple[Part, ...],
-    rig: Rig,
-    depth_scale_mm: float,
-    takers: tuple[Taker, ...] = (),
-) -> None:
-    """Whether a folder's dataset is of this configuration; nothing is written.
-
-    Raises:
-        DatasetError: it is not, and where it differs; or it is damaged.
-    """
-    refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm, takers))
 
 
 @contextmanager

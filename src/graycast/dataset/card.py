@@ -23,8 +23,9 @@ from ..base.errors import GraycastError
 from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason
 from .json_text import plain
+from .scene_content import SceneContent, scene_content
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
-from .stored import SceneContent, StoredDataset, StoredScene, open_dataset
+from .stored import StoredDataset, StoredScene, open_dataset
 
 CARD = "README.md"
 FOLDER = "card"  # It holds the card's pictures.
@@ -82,7 +83,7 @@ def write_card(
     stored = open_dataset(dataset)
     census = take_census(stored.scenes)
     if statistics is None:
-        drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
+        drawn = (scene_figures(scene_content(scene)) for scene in sampled(stored.pictures))
         statistics = tally(drawn, stored.categories)
     examples = _examples(census)
     card = card_text(
@@ -176,7 +177,7 @@ def _publish(
         text = json.dumps(figures, indent=1, allow_nan=False)
         (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
         for scene in examples:
-            picture = scene_strip(scene.content())[..., ::-1]
+            picture = scene_strip(scene_content(scene))[..., ::-1]
             (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
         written.write_text(card, encoding="utf-8")
         shutil.rmtree(dataset / FOLDER, ignore_errors=True)

@@ -86,5 +86,5 @@ def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] |
         case "rgb":
             return scene.rgb()
         case "gray":
-            return np.repeat(scene.gray()[..., None], 3, axis=-1)
+            return np.repeat(scene.picture("gray_sl")[..., None], 3, axis=-1)
     return None

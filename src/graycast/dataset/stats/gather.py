@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.spawn import SPAWN
 from ..coco import IGNORED_BELOW
+from ..scene_content import scene_content
 from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
 
@@ -213,7 +214,7 @@ def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]
 
 
 def _read(scene: StoredScene) -> SceneFigures:
-    return scene_figures(scene.content())
+    return scene_figures(scene_content(scene))
 
 
 def _add(sums: _Sums, figures: SceneFigures) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 from pydantic import BaseModel, ConfigDict
 
-from ..stored import SceneContent
+from ..scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
 ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: it is two metres in steps of 0.1 mm.

@@ -25,8 +25,7 @@ from ..json_text import json_bytes
 from ..places import camera_file
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
-from .placing import bop_key, place
-from .shards import write_shards
+from .placing import bop_key, place, write_shards
 
 
 def write_imagewise(

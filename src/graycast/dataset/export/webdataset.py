@@ -16,7 +16,7 @@ import numpy as np
 
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
-from .shards import write_shards
+from .placing import write_shards
 
 
 def write_split(

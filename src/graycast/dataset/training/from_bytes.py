@@ -11,6 +11,8 @@ from ...base.errors import DatasetError
 from ..example import metres
 from ..safe_reading import Unreadable, pixels
 
+DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}  # of `Example`
+
 
 def picture(data: bytes, name: str) -> np.ndarray:
     """An encoded picture as stored, colour in OpenCV's order.

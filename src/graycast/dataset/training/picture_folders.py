@@ -14,9 +14,7 @@ from ...base.file_limits import parse_json
 from ..example import Example, pose_m
 from ..export.record import ExportRecord
 from ..safe_reading import Unreadable, read_png
-from .from_bytes import boxes, depth_m, image_fields, masks
-
-_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
+from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks
 
 
 def open_coco(
@@ -112,13 +110,13 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
     """The picture and the depths that an export holds."""
-    chosen = {"both": ("depth", "depth_sl"), "perfect": ("depth",), "scanner": ("depth_sl",)}
+    depths = {"both": ("depth", "depth_sl"), "perfect": ("depth",), "scanner": ("depth_sl",)}
     fields: dict[str, Any] = {}
     image = folder / "images" / name
     fields |= image_fields(record.options["image"], _bytes(image), str(image))
-    for depth in chosen.get(record.options.get("depth", "none"), ()):
+    for depth in depths.get(record.options.get("depth", "none"), ()):
         path = folder / depth / name
-        fields[_DEPTH_FIELDS[depth]] = depth_m(_bytes(path), scale_mm, str(path))
+        fields[DEPTH_FIELDS[depth]] = depth_m(_bytes(path), scale_mm, str(path))
     return fields
 
 

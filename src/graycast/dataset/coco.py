@@ -80,6 +80,15 @@ def scene_coco(
     }
 
 
+def add_images(
+    whole: dict[str, Any], images: list[dict[str, Any]], annotations: Iterable[Mapping[str, Any]]
+) -> None:
+    """Add images to a scene's file, and their annotations, whose ids go on counting from 1."""
+    whole["images"] += images
+    first = len(whole["annotations"]) + 1
+    whole["annotations"] += [{**entry, "id": k} for k, entry in enumerate(annotations, first)]
+
+
 def split_coco(
     annotated: Iterable[tuple[int, list[Any], list[Any]]],
     *,

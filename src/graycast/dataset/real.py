@@ -35,9 +35,8 @@ from .records import (
 )
 from .rescanned import claim_kind, is_rescanned
 from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, own_form
 
-IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
 StoredKind = Literal["rgb", "gray_sl", "depth_sl", "masks"]
 _ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")
 _NAMES = {
@@ -134,9 +133,9 @@ def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: Camera) -> Ite
         yield f"scene_camera.json: depth_scale is not graycast.json's {claim.depth_scale_mm}"
     for name in set(claim.holds) - {"masks"}:
         image = scene.png(name)
-        shape = (*size, 3) if name == "rgb" else size
-        if image.shape != shape or image.dtype != IMAGES[name]:
-            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(IMAGES[name])}"
+        shape, dtype = own_form(name, size)
+        if image.shape != shape or image.dtype != dtype:
+            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(dtype)}"
             yield f"{name}/000000.png is {is_}, it must be {must}"
     if "masks" in claim.holds:
         yield from _mask_problems(scene, claim, size)

@@ -19,6 +19,14 @@ from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_p
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # Our own datasets add this type of camera.
+OWN_PICTURES = {
+    "rgb": np.uint8,
+    "depth": np.uint16,
+    "gray_sl": np.uint8,
+    "depth_sl": np.uint16,
+    "reason_sl": np.uint8,
+    "modulation_sl": np.uint16,
+}
 
 R = TypeVar("R")
 
@@ -43,6 +51,11 @@ def of_sensor(name: str, sensor: str) -> str:
 def picture_name(kind: str, number: int, sensor: str = "") -> str:
     """A picture of an image, as a PNG, inside its scene's folder."""
     return f"{of_sensor(kind, sensor)}/{number:06d}.png"
+
+
+def own_form(kind: str, size_px: tuple[int, int]) -> tuple[tuple[int, ...], type]:
+    """Shape and type of a picture of our own datasets; only `rgb` has three channels."""
+    return (*size_px, 3)[: 3 if kind == "rgb" else 2], OWN_PICTURES[kind]
 
 
 @final
@@ -79,8 +92,8 @@ class SceneFolder:
 
     def picture(self, kind: str, number: int) -> np.ndarray | None:
         """A picture of any format as it is stored, colours in OpenCV's order, if there is one."""
-        found = self.find_picture(kind, number)
-        return None if found is None else read_picture(found)
+        path = self.find_picture(kind, number)
+        return None if path is None else read_picture(path)
 
     def png_path(self, kind: str, number: int = 0) -> Path:
         return self._of(kind) / f"{number:06d}.png"

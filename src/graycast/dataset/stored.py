@@ -20,12 +20,10 @@ from .example import Example, InstanceLabel, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .real import RealClaim, read_claim
 from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, own_form
 from .seal import facts_of
 
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
-_PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
-_DEPTH = (2, np.uint16)
 # An instance has a pose and figures, and an annotation if it is seen.
 Instance = tuple[Any, Any, records.SceneAnnotation | None]
 
@@ -102,11 +100,11 @@ class StoredScene:
 
     def picture(self, name: str) -> np.ndarray:
         """A picture as stored: colours in OpenCV's order, depth in steps, 0 where there is none."""
-        axes, kind = _PIXELS.get(name, _DEPTH)
+        shape, dtype = own_form(name, self.size_px)
         image = self._checked(partial(self._files.png, name, self.image))
-        if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
+        if image.shape != shape or image.dtype != dtype:
             height_px, width_px = self.size_px
-            must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
+            must = f"{np.dtype(dtype)}, {width_px} x {height_px} pixels"
             path = self._files.png_path(name, self.image)
             raise DatasetError(
                 f"{path}: is {image.dtype} {image.shape}, it must be {must}: run graycast validate"

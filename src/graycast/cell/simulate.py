@@ -92,7 +92,14 @@ def make_images(
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation, layout = _layout_of(cell, scene_id, seeds, progress)
+        variation = varied(cell, scene_id, seeds)
+        layout = drop(
+            variation.scene,
+            variation.counts,
+            seed=seeds["drop"],
+            limits=cell.config.drop,
+            progress=progress,
+        )
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
@@ -134,7 +141,7 @@ def _taken(
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
-            scene, layout, eye.patterns(), quality=quality, seed=seeds["render"]
+            scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
@@ -227,32 +234,6 @@ def compile_kernels(cell: Cell) -> None:
 def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
     """The seeds of a scene of this cell, and of its first image."""
     return scene_seeds(seed, scene_id, domain=cell.domain is not None, views=cell.draws_views)
-
-
-def lay_out(
-    cell: Cell, scene_id: int, *, seed: int, progress: ProgressMeter = UNWATCHED
-) -> tuple[Scene, Layout]:
-    """The scene that `make_scene` would render, and where its parts came to lie.
-
-    Raises:
-        DropError: the parts did not come to an acceptable rest.
-    """
-    variation, layout = _layout_of(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
-    return variation.scene, layout
-
-
-def _layout_of(
-    cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
-) -> tuple[Variation, Layout]:
-    variation = varied(cell, scene_id, seeds)
-    layout = drop(
-        variation.scene,
-        variation.counts,
-        seed=seeds["drop"],
-        limits=cell.config.drop,
-        progress=progress,
-    )
-    return variation, layout
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:

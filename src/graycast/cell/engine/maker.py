@@ -87,32 +87,25 @@ class SceneTask(Job):
 
 
 def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:
-    """The sample of each image, its manifest kept in `manifests`.
+    """The sample of each image, its manifest put into `manifests`.
 
     Raises:
-        DecodeError: as of `_refuse_undecoded`.
+        DecodeError: hardly a pixel of an image has a scanner depth, which `validate` would report;
+            says why most have none, and what helps.
     """
     for shot in shots:
         sample = shot.sample
-        image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
-        _refuse_undecoded(sample.manifest["reasons"], image)
+        reasons = sample.manifest["reasons"]
+        if reasons["decoded"] < LEAST_DECODED:
+            image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
+            most = max(reasons, key=lambda name: reasons[name])
+            raise DecodeError(
+                f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, "
+                f"so in none: {reasons[most]:.0%} are {most}: "
+                f"{_REMEDIES.get(most, 'see graycast preview')}"
+            )
         manifests.append(sample.manifest)
         yield sample
-
-
-def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
-    """Refuse an image without scanner depth, which `validate` would report.
-
-    Raises:
-        DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
-    """
-    if reasons["decoded"] >= LEAST_DECODED:
-        return
-    most = max(reasons, key=lambda name: reasons[name])
-    raise DecodeError(
-        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in "
-        f"none: {reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
-    )
 
 
 _LIGHT = "give a longer exposure.exposure_s, or remove that key, or a nearer view.distance_m"

@@ -21,11 +21,11 @@ from ..camera.decode import mean_shares
 from ..camera.scanner import Scanner
 from ..dataset.bop import scene_files
 from ..dataset.claim import BESIDE_CONFIG, Taker, described_values, make_claim, refuse_other
-from ..dataset.compare import differing_files
 from ..dataset.picture_bytes import depth_scale_mm
 from ..dataset.places import CLAIM
 from ..dataset.records import Claim
 from ..dataset.safe_reading import Unreadable, read_json
+from ..dataset.seal import differing_files
 from ..dataset.store import SetAside, Store, open_store
 from ..rig.pair import PRESETS
 from ..world.drop import hull_notes, prepare
@@ -79,12 +79,7 @@ def generate(
     """
     out = Path(out)
     start = time.perf_counter()
-    task = SceneTask(
-        cell=cell,
-        seed=seed,
-        device=workers.device(cell.config.render.backend, device),
-        depth_scale_mm=depth_step_mm(cell),
-    )
+    task = _task(cell, seed, workers.device(cell.config.render.backend, device))
     with open_store(out, **_claimed(task)) as store:
         there = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in there]
@@ -156,12 +151,7 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
             f"scene {scene_id} has {len(cell.images)} images, {len(images)} were given: give all "
             "that make_images makes"
         )
-    task = SceneTask(
-        cell=cell,
-        seed=manifest["dataset_seed"],
-        device=manifest["device"],
-        depth_scale_mm=depth_step_mm(cell),
-    )
+    task = _task(cell, manifest["dataset_seed"], manifest["device"])
     scene = out / "train" / f"{scene_id:06d}"
     with open_store(out, **_claimed(task)) as store:
         try:
@@ -238,18 +228,17 @@ def rerender(
         DatasetError: no such scene, or the dataset is of another configuration.
         DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
-    task = SceneTask(
-        cell=cell,
-        seed=seed,
-        device=ALONE.device(cell.config.render.backend, device),
-        depth_scale_mm=depth_step_mm(cell),
-    )
+    task = _task(cell, seed, ALONE.device(cell.config.render.backend, device))
     refuse_other(out / CLAIM, make_claim(**_claimed(task)))
     scene = out / "train" / f"{scene_id:06d}"
     if not scene.is_dir():
         raise DatasetError(f"{scene} is not there: give the number of a finished scene")
     with closing(SceneMaker(task)) as maker:
         return differing_files(scene, maker.make(scene_id).files)
+
+
+def _task(cell: Cell, seed: int, device: str) -> SceneTask:
+    return SceneTask(cell=cell, seed=seed, device=device, depth_scale_mm=depth_step_mm(cell))
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from ...base.frames import inverse
 from ...camera.decode import triangulation_axis
 from ...dataset.claim import rig_of
 from ...dataset.example import pose_m
-from ...dataset.models_read import StoredModel
+from ...dataset.models import StoredModel
 from ...dataset.raw import read_code_maps
 from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable

@@ -1,6 +1,7 @@
 """Files of a dataset, read without trust in them."""
 
 import zlib
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from ..base.file_limits import refuse_large_picture
 
 R = TypeVar("R")
+_checker: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -45,11 +47,6 @@ def record_as(content: Any, form: type[R], where: str) -> R:
         return _checker(form).validate_python(content)
     except ValidationError as error:
         raise Unreadable(_first_mistake(where, error)) from error
-
-
-@cache
-def _checker(form: type[R]) -> TypeAdapter[R]:
-    return TypeAdapter(form)
 
 
 def _first_mistake(where: str, error: ValidationError) -> str:

@@ -76,7 +76,9 @@ class Store:
             DatasetError: the disk refuses, or the scene is there already.
         """
         place = self.out / "train" / f"{scene_id:06d}"
-        with _disk_errors(self.out), _refusing_other(place), beside(place) as aside:
+        if place.exists():  # nobody else writes: the folder is locked
+            raise DatasetError(f"{place} exists already: remove it to make it again")
+        with _disk_errors(self.out), beside(place) as aside:
             aside.mkdir()
             for taker in self.takers:
                 for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
@@ -219,7 +221,11 @@ def open_store(
     _refuse_foreign(out)
     with _disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    lock = _locked(out)
+        lock = take_lock(out / _LOCK)
+    if lock is None:
+        raise DatasetError(
+            f"another run is writing to {out}: wait until it ends, or choose another folder"
+        )
     try:
         with _disk_errors(out):
             remove_left(out, out / "train")
@@ -246,16 +252,6 @@ def open_store(
     )
 
 
-@contextmanager
-def _refusing_other(place: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            raise
-        raise DatasetError(f"{place} exists already: remove it to make it again") from error
-
-
 def _sync(path: Path) -> None:
     folder = os.open(path, os.O_RDONLY)
     try:
@@ -280,16 +276,6 @@ def _refuse_foreign(out: Path) -> None:
             f"{out} is not empty and holds no Graycast dataset (it has {min(foreign)}): "
             "choose another folder"
         )
-
-
-def _locked(out: Path) -> IO[str]:
-    with _disk_errors(out):
-        lock = take_lock(out / _LOCK)
-    if lock is None:
-        raise DatasetError(
-            f"another run is writing to {out}: wait until it ends, or choose another folder"
-        )
-    return lock
 
 
 def _common_files(

@@ -71,7 +71,7 @@ def _problems(out: Path, *, fast: bool) -> Iterator[_Problem]:
     claim, finished = read_claim(out), sorted(finished_scenes(out))
     if isinstance(claim, RealClaim):
         yield from _sum_problems(out, finished)
-        yield from () if fast else real_problems(out)
+        yield from () if fast else real_problems(out, claim)
         return
     yield from _of_dataset(_leftovers(out))
     yield from _of_dataset(_claim_problems(out, claim))

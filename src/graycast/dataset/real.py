@@ -16,7 +16,7 @@ from pydantic import Field
 
 from ..base.errors import DatasetError
 from ..base.mask_box import mask_box
-from .places import finished_scenes
+from .places import CLAIM, finished_scenes
 from .records import (
     Camera,
     Claim,
@@ -64,26 +64,21 @@ class RealClaim(Record):
     versions: dict[str, str]
 
 
-def is_real(out: Path) -> bool:
-    """Whether a folder's `graycast.json` says that its pictures are real."""
-    return claim_kind(out) == "real"
-
-
 def read_claim(out: Path) -> Claim | RealClaim:
     """The `graycast.json` of a dataset of simulated or of real pictures.
 
     Raises:
         DatasetError: it is missing, damaged or of another version of Graycast.
     """
-    if is_rescanned(out):
+    kind = claim_kind(out)
+    if kind == "rescan":
         raise DatasetError(
             f"{out} has scanner depth for a dataset of others: give the folder of its split, where "
             "training examples are read, or use graycast validate and graycast report"
         )
     try:
-        if is_real(out):
-            return read_json(out / "graycast.json", RealClaim)
-        return read_json(out / "graycast.json", Claim)
+        form: type[Claim | RealClaim] = RealClaim if kind == "real" else Claim
+        return read_json(out / CLAIM, form)
     except Unreadable as error:
         raise DatasetError(f"{out} is not a Graycast dataset that can be read: {error}") from error
 
@@ -102,10 +97,9 @@ def absent(out: Path) -> tuple[str, ...]:
     return (*(_NAMES[name] for name in _NAMES if name not in claim.holds), *_ABSENT)
 
 
-def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
+def real_problems(out: Path, claim: RealClaim) -> Iterator[tuple[int | None, str]]:
     """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
     try:
-        claim = read_json(out / "graycast.json", RealClaim)
         camera = read_json(out / "camera.json", Camera)
     except Unreadable as error:
         yield None, str(error)

@@ -23,7 +23,7 @@ from ..rig.pair import Rig
 from ..world.parts import Part
 from .bop import camera_json, scene_files
 from .claim import Taker, make_claim, refuse_other
-from .coco import split_coco
+from .coco import coco_categories, split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, camera_file, finished_scenes
@@ -123,15 +123,11 @@ class Store:
             raise DatasetError(
                 f"{self.out}: scenes {missing} are not finished: run graycast generate to make them"
             )
-        categories = [
-            {"id": obj_id, "name": name, "supercategory": "graycast"}
-            for obj_id, name in self.categories
-        ]
         pictures = [picture for scene_id in finished for picture in self._pictures(scene_id)]
         text = split_coco(
             (of_picture for scene_id in finished for of_picture in self._annotations(scene_id)),
             pictures=pictures,
-            categories=categories,
+            categories=coco_categories(self.categories),
         )
         _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
 

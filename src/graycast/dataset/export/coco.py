@@ -7,6 +7,7 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
+from ..coco import coco_categories
 from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
@@ -30,10 +31,7 @@ def write_split(
     with open(target, "w", encoding="utf-8") as file:
         info = json.dumps({"description": f"Graycast, {split}"})
         file.write(f'{{"info": {info},\n"licenses": [],\n')
-        categories = [
-            {"id": obj_id, "name": name, "supercategory": "graycast"}
-            for obj_id, name in stored.categories.items()
-        ]
+        categories = coco_categories(stored.categories.items())
         file.write(f'"categories": {json.dumps(categories)},\n"annotations": [')
         for scene in scenes:
             images.append(_image(folder, split, scene, options))

@@ -93,7 +93,11 @@ class _Annotation(_Entry):
     )
 
 
-_COCO = {"images": _Image, "categories": _Category, "annotations": _Annotation}
+_COCO: Mapping[str, type[_Entry]] = {
+    "images": _Image,
+    "categories": _Category,
+    "annotations": _Annotation,
+}
 
 
 def _open_coco(path: Path) -> Foreign:

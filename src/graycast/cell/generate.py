@@ -301,10 +301,19 @@ class _Run:
             self.on_result(outcome)
             return
         if outcome.final:
-            self.set_aside.append(_set_aside(outcome))
+            error = outcome.error
+            trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
+            self.set_aside.append(
+                SetAside(
+                    scene_id=outcome.scene_id,
+                    tries=outcome.tries,
+                    reason=_error_text(error),
+                    traceback=trace,
+                )
+            )
             nothing = not self.reasons and not self.there
             if nothing and (last or len(self.set_aside) >= _HOPELESS):
-                raise _for_users(outcome.error)
+                raise _for_users(error)
             self.store.set_aside(self.set_aside)
         self.on_failed(outcome)
 
@@ -325,11 +334,3 @@ def _error_text(error: Exception) -> str:
 
 def _foreseen(error: Exception) -> bool:
     return isinstance(error, (GraycastError, ValueError))
-
-
-def _set_aside(failed: Failed) -> SetAside:
-    error = failed.error
-    trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
-    return SetAside(
-        scene_id=failed.scene_id, tries=failed.tries, reason=_error_text(error), traceback=trace
-    )

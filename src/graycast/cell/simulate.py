@@ -34,6 +34,8 @@ from .domain import Variation, draw, moved_place, vary
 from .resolve import Cell, Eye, eyes, patterns_of
 from .views import refuse_inside
 
+_PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
@@ -160,7 +162,12 @@ def _taken(
     manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
-        "versions": _versions(renderer),
+        "versions": {
+            "graycast": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in _PACKAGES},
+            **renderer.versions,
+        },
         "exposure_s": capture.reference_s,
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
@@ -298,13 +305,3 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     timings[stage] = time.perf_counter() - start
-
-
-def _versions(renderer: Renderer) -> dict[str, str]:
-    packages = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
-    return {
-        "graycast": __version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-        **renderer.versions,
-    }

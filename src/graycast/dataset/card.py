@@ -22,6 +22,7 @@ from ..base.color import srgb_of_bytes
 from ..base.errors import GraycastError
 from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason
+from .claim import BESIDE_CONFIG
 from .json_text import plain
 from .scene_content import SceneContent, scene_content
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
@@ -269,7 +270,7 @@ def _making(stored: StoredDataset) -> str:
     front_matter: dict[str, Any] = {
         key: claim[key] for key in ("seed", "versions", "sources") if key in claim
     }
-    config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
+    config = {k: v for k, v in claim.get("config", {}).items() if k not in BESIDE_CONFIG}
     text = yaml.safe_dump(plain(front_matter), sort_keys=True, default_flow_style=None, width=96)
     blocks = [fenced(text)]
     if config:

@@ -127,10 +127,9 @@ class StoredScene:
                 raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
             yield mask
 
-    def example(self, *, min_visibility: float = 0.0) -> Example:
+    def example(self) -> Example:
         """What a trainer wants of it."""
-        view, labels = self.view(), self.labels(min_visibility=min_visibility)
-        known = labels if "masks" in self.holds else None
+        view, labels = self.view(), self.labels()
         return Example(
             scene_id=self.image_id,
             K=np.array(view.cam_K).reshape(3, 3),
@@ -139,7 +138,7 @@ class StoredScene:
             gray=self.picture("gray_sl") if "gray_sl" in self.holds else None,
             depth_m=self.depth_m("depth") if "depth" in self.holds else None,
             scanner_depth_m=self.depth_m("depth_sl") if "depth_sl" in self.holds else None,
-            **label_arrays(known, self.size_px),
+            **(label_arrays(labels, self.size_px) if "masks" in self.holds else {}),
         )
 
     def poses(self) -> list[Any]:
@@ -290,11 +289,11 @@ class StoredDataset:
         of = len(self.images)
         return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
 
-    def picture(self, image_id: int, *, split: str = "train") -> StoredScene:
-        """An image by its number among all images of the split."""
+    def picture(self, image_id: int) -> StoredScene:
+        """An image by its number among all images of `train`."""
         scene_id, place = divmod(image_id, len(self.images))
         sensor, image = self.images[place]
-        return self.scene(scene_id, split=split, sensor=sensor, image=image)
+        return self.scene(scene_id, sensor=sensor, image=image)
 
     def taker(self, sensor: str) -> Mapping[str, Any]:
         """The rig and the scanner of a name as the claim says them; nothing of real pictures."""

@@ -102,7 +102,9 @@ def _draw_randomized(
         }
     if section.lamps is not None:
         moved = with_rig_and_bin(domain, scene, record)
-        record["lamps"] = _lamps(section.lamps, moved, streams["lamps"])
+        rng, cones = streams["lamps"], views(moved)
+        count = int(rng.integers(*section.lamps.count, endpoint=True))
+        record["lamps"] = [_lamp(section.lamps, moved, cones, rng) for _ in range(count)]
     if section.environment is not None:
         record["environment"] = _environment(section.environment, domain, streams["environment"])
     if section.table is not None:
@@ -226,11 +228,6 @@ def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
     if np.linalg.norm(center_m - (low_m + high_m) / 2) < reach_m + bin_reach_m:
         return True
     return any(cone.meets(center_m, reach_m) for cone in cones)
-
-
-def _lamps(ranges: LampRanges, scene: Scene, rng: np.random.Generator) -> list[dict[str, float]]:
-    count, cones = int(rng.integers(*ranges.count, endpoint=True)), views(scene)
-    return [_lamp(ranges, scene, cones, rng) for _ in range(count)]
 
 
 def _lamp(

@@ -108,7 +108,10 @@ def _adapted(scene: Scene, record: Record) -> Scene:
 def _tolerated(T_world_cam: Float[np.ndarray, "4 4"], record: Record) -> Float[np.ndarray, "4 4"]:
     camera, T_world_cell = record["camera"], _world_of(record["bin"])
     if any(camera["offset_m"]) or any(camera["rotation_rad"]):
-        T_world_cam = _nudged(T_world_cam, camera["offset_m"], camera["rotation_rad"])
+        turn = np.eye(3)
+        for axis, angle_rad in zip("xyz", camera["rotation_rad"], strict=True):
+            turn = turn @ axis_rotation(axis, angle_rad)
+        T_world_cam = rigid(T_world_cam[:3, :3] @ turn, T_world_cam[:3, 3] + camera["offset_m"])
     return T_world_cam if T_world_cell is None else T_world_cell @ T_world_cam
 
 
@@ -117,15 +120,6 @@ def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
     if not any(box["offset_m"]) and not box["turn_rad"]:
         return None
     return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
-
-
-def _nudged(
-    T_world_cam: Float[np.ndarray, "4 4"], offset_m: list[float], rotation_rad: list[float]
-) -> Float[np.ndarray, "4 4"]:
-    turn = np.eye(3)
-    for axis, angle_rad in zip("xyz", rotation_rad, strict=True):
-        turn = turn @ axis_rotation(axis, angle_rad)
-    return rigid(T_world_cam[:3, :3] @ turn, T_world_cam[:3, 3] + offset_m)
 
 
 def _carried(lamp: Lamp, T: Float[np.ndarray, "4 4"]) -> Lamp:

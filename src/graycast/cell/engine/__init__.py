@@ -1,6 +1,6 @@
 """Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
-from .job import Job, TaskResult, TaskRunner, WorkerRenderer, keep_to_threads
+from .job import Job, TaskResult, WorkerRenderer, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all
 from .workers import ALONE, Workers, make_missing, open_pool
@@ -14,7 +14,6 @@ __all__ = [
     "SceneMaker",
     "SceneTask",
     "TaskResult",
-    "TaskRunner",
     "WorkerRenderer",
     "Workers",
     "keep_to_threads",

@@ -15,7 +15,6 @@ from typing import Annotated, Any, final
 
 import cv2
 import numpy as np
-from pycocotools import mask as coco_mask
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...base.errors import DatasetError
@@ -25,7 +24,7 @@ from ..records import Images, Positive
 from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
 from ..safe_reading import Unreadable
 from ..scene_folder import SCANNER, AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
-from .from_bytes import boxes, masks, picture
+from .from_bytes import boxes, compressed, masks, picture
 
 
 @final
@@ -178,12 +177,9 @@ def _coco_example(
 def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
     """Polygons or run lengths as compressed run lengths."""
     try:
-        if isinstance(shape, list):
-            return coco_mask.merge(coco_mask.frPyObjects(shape, *size))
-        check_runs(shape, f"{name}: a segmentation", DatasetError)
-        if isinstance(shape["counts"], list):
-            return coco_mask.frPyObjects(shape, *size)
-        return {"size": list(shape["size"]), "counts": shape["counts"]}
+        if not isinstance(shape, list):
+            check_runs(shape, f"{name}: a segmentation", DatasetError)
+        return compressed(shape, size)
     except KeyError as error:
         raise DatasetError(f"{name}: a segmentation is damaged ({error} is missing)") from error
     except (TypeError, ValueError) as error:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt16
+from jaxtyping import Bool, Int, UInt16
 from pycocotools import mask as coco_mask
 
 from ..base.mask_box import mask_box
@@ -137,7 +137,8 @@ def _surface_problems(
     pose = scene.poses[i]
     T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
     raster = rasterize(model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, scene.lens)
-    window, z_mm = _in_image(raster, mask.shape)
+    window, own = raster.window(*mask.shape)
+    z_mm = raster.z[own]
     rendered, mask_px = ~np.isnan(z_mm), int(mask.sum())
     allowed = EDGE_PX + EDGE_SHARE * _outline_px(rendered)
     mask, visible = mask[window], visible[window]
@@ -217,19 +218,6 @@ def _counts(runs: records.RunLengths) -> bytes:
     if sum(runs.counts) != height_px * width_px:
         return b""
     return coco_mask.frPyObjects(runs.model_dump(), height_px, width_px)["counts"]
-
-
-def _in_image(
-    raster: Raster, size: tuple[int, ...]
-) -> tuple[tuple[slice, slice], Float[np.ndarray, "bh bw"]]:
-    """The window of the image that a raster covers, perhaps an empty one, and z inside it."""
-    h, w = raster.z.shape
-    top, left = max(raster.top_px, 0), max(raster.left_px, 0)
-    bottom = max(min(raster.top_px + h, size[0]), top)
-    right = max(min(raster.left_px + w, size[1]), left)
-    rows = slice(top - raster.top_px, bottom - raster.top_px)
-    columns = slice(left - raster.left_px, right - raster.left_px)
-    return (slice(top, bottom), slice(left, right)), raster.z[rows, columns]
 
 
 def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:

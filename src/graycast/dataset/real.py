@@ -77,8 +77,9 @@ def read_claim(out: Path) -> Claim | RealClaim:
             "training examples are read, or use graycast validate and graycast report"
         )
     try:
-        form: type[Claim | RealClaim] = RealClaim if kind == "real" else Claim
-        return read_json(out / CLAIM, form)
+        if kind == "real":
+            return read_json(out / CLAIM, RealClaim)
+        return read_json(out / CLAIM, Claim)
     except Unreadable as error:
         raise DatasetError(f"{out} is not a Graycast dataset that can be read: {error}") from error
 

@@ -4,6 +4,7 @@ import zlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import GenericAlias
 from typing import Any, TypeVar
 
 import cv2
@@ -13,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from ..base.file_limits import refuse_large_picture
 
 R = TypeVar("R")
+Form = type[R] | GenericAlias  # GenericAlias is what `list[Pose]` is when the program runs.
 _checker: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -21,7 +23,7 @@ class Unreadable(Exception):
     """A file that is missing, damaged or of another form than it must have."""
 
 
-def read_json(path: Path, form: type[R]) -> R:
+def read_json(path: Path, form: Form[R]) -> R:
     """A JSON file as the record it must be.
 
     Raises:
@@ -37,7 +39,7 @@ def read_json(path: Path, form: type[R]) -> R:
         raise Unreadable(_first_mistake(path.name, error)) from error
 
 
-def record_as(content: Any, form: type[R], where: str) -> R:
+def record_as(content: Any, form: Form[R], where: str) -> R:
     """What a file or a part of it holds as the record it must be.
 
     Raises:

@@ -14,7 +14,7 @@ from .mask_check import mask_problems
 from .places import camera_file
 from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
-from .safe_reading import Unreadable, png_kind
+from .safe_reading import Form, Unreadable, png_kind
 from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 from .seal import facts_of
 from .sense import Evidence, sense_problems
@@ -154,7 +154,7 @@ def _read_image(
     )
 
 
-def _of_both(files: SceneFolder, name: str, number: int, form: type[R]) -> dict[str, R]:
+def _of_both(files: SceneFolder, name: str, number: int, form: Form[R]) -> dict[str, R]:
     """What a JSON file says of one image, by camera type."""
     return {suffix: files.of_image(name + suffix, number, form) for suffix in ("", "_sl")}
 

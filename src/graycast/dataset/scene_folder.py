@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..base.array_types import Bool
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
-from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_png, record_as
+from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # Our own datasets add this type of camera.
@@ -70,15 +70,15 @@ class SceneFolder:
     path: Path
     sensor: str = ""
 
-    def record(self, name: str, form: type[R]) -> R:
+    def record(self, name: str, form: Form[R]) -> R:
         """A JSON file as the record that it must be."""
         return read_json(self.path / f"{of_sensor(name, self.sensor)}.json", form)
 
-    def of_image(self, name: str, number: int, form: type[R]) -> R:
+    def of_image(self, name: str, number: int, form: Form[R]) -> R:
         """What a JSON file says of one image; what it says of others is not judged."""
         return record_as(self._entry(name, number), form, self._where(name, number))
 
-    def of_instances(self, name: str, number: int, form: type[R]) -> list[R]:
+    def of_instances(self, name: str, number: int, form: Form[R]) -> list[R]:
         """What a JSON file says of each instance in one image."""
         where, entry = self._where(name, number), self._entry(name, number)
         if not isinstance(entry, list):

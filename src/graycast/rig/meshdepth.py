@@ -31,15 +31,21 @@ class Raster:
         """Face and z over the whole image and no more."""
         face = np.full((camera.height_px, camera.width_px), -1)
         z = np.full(face.shape, np.nan)
-        rows, columns = self.z.shape
-        top, left = max(self.top_px, 0), max(self.left_px, 0)
-        bottom = max(min(self.top_px + rows, camera.height_px), top)
-        right = max(min(self.left_px + columns, camera.width_px), left)
-        from_y, from_x = top - self.top_px, left - self.left_px
-        mine = np.s_[from_y : from_y + bottom - top, from_x : from_x + right - left]
-        face[top:bottom, left:right] = self.face[mine]
-        z[top:bottom, left:right] = self.z[mine]
+        window, own = self.window(camera.height_px, camera.width_px)
+        face[window], z[window] = self.face[own], self.z[own]
         return face, z
+
+    def window(
+        self, height_px: int, width_px: int
+    ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+        """Its pixels that lie in an image, perhaps none, as the image and as it counts them."""
+        h, w = self.z.shape
+        top, left = max(self.top_px, 0), max(self.left_px, 0)
+        bottom = max(min(self.top_px + h, height_px), top)
+        right = max(min(self.left_px + w, width_px), left)
+        rows = slice(top - self.top_px, bottom - self.top_px)
+        columns = slice(left - self.left_px, right - self.left_px)
+        return (slice(top, bottom), slice(left, right)), (rows, columns)
 
 
 NOTHING = Raster(left_px=0, top_px=0, z=np.zeros((0, 0)), face=np.zeros((0, 0), dtype=np.int64))

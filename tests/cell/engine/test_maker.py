@@ -1,6 +1,7 @@
 """A worker keeps its renderer from scene to scene, and never after what nobody foresaw."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -59,6 +60,6 @@ def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
 
 def test_a_job_goes_to_another_device_with_all_else(task):
     """Workers of a cluster get the job so: with another seed or cell they would make others."""
-    there = task.on("cuda")
+    there = replace(task, device="cuda")
     assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")
     assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

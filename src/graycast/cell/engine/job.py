@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol, TypeVar, final, runtime_checkable
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numba
 
@@ -15,8 +15,6 @@ from ...world.parts import Part
 from ..config import RenderSection
 from ..resolve import open_configured
 from ..simulate import Shot
-
-J = TypeVar("J", bound="Job")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,10 +111,6 @@ class Job:
     def parts(self) -> Sequence[Part]:
         """The kinds of parts that fall."""
         return ()
-
-    def on(self: J, device: str) -> J:
-        """The same job on another device."""
-        return replace(self, device=device)
 
     def open(
         self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED

@@ -63,7 +63,7 @@ def measure(*, count: int = PARTS, scenes: int = SCENES, show: Show) -> Figures:
 
 
 def _contenders(task: SceneTask, open_now: ExitStack) -> Iterator[tuple[str, _Contender]]:
-    maker = open_now.enter_context(SceneMaker(task, threads=1))
+    maker = open_now.enter_context(closing(SceneMaker(task, threads=1)))
 
     def bare(scene_ids: list[int]) -> None:
         for scene_id in scene_ids:

@@ -18,7 +18,7 @@ from graycast.base.folder import new_folder
 from graycast.base.frames import transform_points
 from graycast.dataset.detections import Detections
 from graycast.dataset.export.split import Split
-from graycast.dataset.models_read import StoredModel, read_models
+from graycast.dataset.models import StoredModel, read_models
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import Example, Examples, open_examples
 from graycast.rig.meshdepth import rasterize

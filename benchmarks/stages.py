@@ -97,7 +97,8 @@ def images(work: Path, number: int) -> Iterator[Job]:
 
 def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iterator[Job]:
     from graycast.cell import simulate
-    from graycast.dataset import open_store, validate
+    from graycast.dataset.checking import validate
+    from graycast.dataset.store import open_store
 
     # `make_scene` with the layout and light that are there: a manifest must fit its dataset.
     simulation: Any = simulate

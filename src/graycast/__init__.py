@@ -78,7 +78,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .cell.simulate import make_images as make_images
     from .cell.simulate import make_scene as make_scene
     from .cell.views import ViewSection as ViewSection
-    from .dataset import validate as validate
+    from .dataset.checking import validate as validate
     from .dataset.detections import Detections as Detections
     from .dataset.export.split import Split as Split
     from .dataset.training import Example as Example
@@ -149,7 +149,7 @@ _MODULE = {
         "camera.scanner": "Scanner measure preset take",
         "camera.sensor": "Capture SensorSpec",
         "camera.stack": "decode_stack describe_code",
-        "dataset": "validate",
+        "dataset.checking": "validate",
         "dataset.detections": "Detections",
         "dataset.export.split": "Split",
         "dataset.training": "Example open_examples",

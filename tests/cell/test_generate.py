@@ -26,7 +26,7 @@ from graycast.cell.generate import generate, read_origin, rerender
 from graycast.cell.resolve import resolve_cell
 from graycast.cell.simulate import counts_of
 from graycast.cli import main
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.rig.pattern import CodeSpec
 
 

@@ -9,8 +9,9 @@ import yaml
 from pictured import forget, write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.dataset import card, validate
+from graycast.dataset import card
 from graycast.dataset.card import write_card
+from graycast.dataset.checking import validate
 from graycast.dataset.stats import dataset_statistics
 from graycast.dataset.stored import open_dataset
 

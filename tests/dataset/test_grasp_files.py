@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.dataset.plain_scene import transform_of
 
 JAWS = {"kind": "jaws", "jaws": {"opening_m": 0.06}}

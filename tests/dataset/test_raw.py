@@ -18,10 +18,13 @@ from graycast.camera.scanner import ExposureSpec, Scanner
 from graycast.camera.sensor import SensorSpec
 from graycast.camera.stack import decode_stack
 from graycast.cli import main
-from graycast.dataset import Raw, read_capture, read_code_maps, records, validate
+from graycast.dataset import records
 from graycast.dataset.bop import scene_files
+from graycast.dataset.checking import validate
+from graycast.dataset.raw import read_capture, read_code_maps
 from graycast.dataset.raw_check import raw_problems
 from graycast.dataset.safe_reading import read_json
+from graycast.dataset.sample import Raw
 from graycast.dataset.scene_folder import SceneFolder
 from graycast.rig.pattern import CodeSpec
 

@@ -31,7 +31,7 @@ def scene(tmp_path):
 
 
 def test_images_are_found_by_their_numbers(scene):
-    assert sorted(scene.record("scene_camera", Images[AnyView]).root) == [9, 10]
+    assert sorted(scene.record("scene_camera", Images[AnyView])) == [9, 10]
     assert scene.of_image("scene_camera", 10, AnyView).cam_K == K
     assert [pose.obj_id for pose in scene.of_instances("scene_gt", 9, AnyPose)] == [7, 2]
     assert scene.of_instances("scene_gt", 10, AnyPose) == []

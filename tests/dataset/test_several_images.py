@@ -12,9 +12,10 @@ from pycocotools.coco import COCO
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.dataset.claim import Taker
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
+from graycast.dataset.scene_content import scene_content
 from graycast.dataset.store import open_store
 from graycast.dataset.stored import open_dataset
 from graycast.dataset.training import open_examples
@@ -139,7 +140,7 @@ def test_what_is_stored_of_each_image_comes_back(made):
     assert stored.images == (("left", 0), ("left", 1), ("right", 0))
     for scene in stored.scenes:
         for one, sample in zip(stored.images_of(scene), samples[scene.scene_id], strict=True):
-            content = one.content()
+            content = scene_content(one)
             np.testing.assert_array_equal(content.rgb, sample.rgb)
             np.testing.assert_array_equal(content.label, sample.truth.instance)
             np.testing.assert_array_equal(content.reason, sample.scanner_depth.reason)

@@ -8,6 +8,7 @@ from several_pictures import NAMES, SCENES, several  # noqa: F401
 
 from graycast.dataset.card import write_card
 from graycast.dataset.export import Options, Split, export
+from graycast.dataset.scene_content import scene_content
 from graycast.dataset.stats import dataset_statistics, stats_plots
 from graycast.dataset.stored import open_dataset
 from graycast.dataset.training import open_examples
@@ -30,7 +31,7 @@ def test_every_picture_is_read_as_it_was_taken(several):  # noqa: F811
         assert shot.depth_m("depth_sl") == pytest.approx(
             sample.scanner_depth.depth_m.astype(np.float32), abs=2e-5, nan_ok=True
         )
-        assert np.array_equal(shot.content().label, sample.truth.instance)
+        assert np.array_equal(scene_content(shot).label, sample.truth.instance)
         assert stored.picture(shot.image_id) == shot
 
 

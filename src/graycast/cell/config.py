@@ -299,11 +299,11 @@ def resolve_parts(
     for section in config.parts:
         if section.mesh is not None:
             progress.stage(f"reading {section.mesh}")
-        part, found = resolve_part(section, folder)
+        part, own_notes = resolve_part(section, folder)
         if part.name in {other.name for other in parts}:
             raise ConfigError(f"two parts have the name {part.name}: rename one of them")
         parts.append(part)
-        notes.extend(f"{part.name}: {note}" for note in found)
+        notes.extend(f"{part.name}: {note}" for note in own_notes)
     return tuple(parts), tuple(notes)
 
 
@@ -325,16 +325,16 @@ def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]
             friction=section.friction,
         )
         return box, ()
-    found = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
+    loaded = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
     box = Bin(
-        inner_m=found.inner_m,
-        mesh=found.mesh,
-        own_texture=own_material is None and found.material.texture is not None,
-        material=own_material or found.material,
+        inner_m=loaded.inner_m,
+        mesh=loaded.mesh,
+        own_texture=own_material is None and loaded.material.texture is not None,
+        material=own_material or loaded.material,
         floor=floor,
         friction=section.friction,
     )
-    return box, tuple(f"bin: {note}" for note in found.notes)
+    return box, tuple(f"bin: {note}" for note in loaded.notes)
 
 
 def resolve_environment(section: EnvironmentSection, folder: Path) -> Environment:
@@ -365,14 +365,14 @@ def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner],
     """
     if config.scanners is None:
         return (("", _resolved(config.rig, config, config.resolution, folder)),)
-    found = []
+    scanners = []
     for entry in config.scanners:
         try:
             scanner = _resolved(entry.rig, entry, config.resolution, folder)
         except ConfigError as error:
             raise ConfigError(f"scanner {entry.name}: {error}") from error
-        found.append((entry.name, scanner))
-    return tuple(found)
+        scanners.append((entry.name, scanner))
+    return tuple(scanners)
 
 
 def _resolved(rig: str, sections: ScannerSections, resolution: str, folder: Path) -> Scanner:

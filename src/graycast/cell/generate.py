@@ -9,7 +9,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,14 @@ from ..base.errors import ConfigError, DatasetError, GraycastError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.decode import mean_shares
 from ..camera.scanner import Scanner
-from ..dataset import (
-    SetAside,
-    Store,
-    depth_scale_mm,
-    described_values,
-    differing_files,
-    open_store,
-    refuse_other_dataset,
-    scene_files,
-)
-from ..dataset.claim import BESIDE_CONFIG, Taker
+from ..dataset.bop import scene_files
+from ..dataset.claim import BESIDE_CONFIG, Taker, described_values, make_claim, refuse_other
+from ..dataset.picture_bytes import depth_scale_mm
+from ..dataset.places import CLAIM
 from ..dataset.records import Claim
 from ..dataset.safe_reading import Unreadable, read_json
+from ..dataset.seal import differing_files
+from ..dataset.store import SetAside, Store, open_store
 from ..rig.pair import PRESETS
 from ..world.drop import hull_notes, prepare
 from .config import Config
@@ -84,18 +79,13 @@ def generate(
     """
     out = Path(out)
     start = time.perf_counter()
-    task = SceneTask(
-        cell=cell,
-        seed=seed,
-        device=workers.device(cell.config.render.backend, device),
-        depth_scale_mm=depth_step_mm(cell),
-    )
+    task = _task(cell, seed, workers.device(cell.config.render.backend, device))
     with open_store(out, **_claimed(task)) as store:
-        found = store.finished()
-        todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
+        there = store.finished()
+        todo = [scene_id for scene_id in range(scenes) if scene_id not in there]
         store.set_aside(())  # scenes that the last run set aside are tried again
         progress.count("scenes", scenes - len(todo), scenes)
-        run = _Run(store=store, found=len(found), on_result=on_result, on_failed=on_failed)
+        run = _Run(store=store, there=len(there), on_result=on_result, on_failed=on_failed)
         try:
             if todo:
                 prepared = prepare(task.parts, progress=progress)  # once, not by every worker
@@ -161,12 +151,7 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
             f"scene {scene_id} has {len(cell.images)} images, {len(images)} were given: give all "
             "that make_images makes"
         )
-    task = SceneTask(
-        cell=cell,
-        seed=manifest["dataset_seed"],
-        device=manifest["device"],
-        depth_scale_mm=depth_step_mm(cell),
-    )
+    task = _task(cell, manifest["dataset_seed"], manifest["device"])
     scene = out / "train" / f"{scene_id:06d}"
     with open_store(out, **_claimed(task)) as store:
         try:
@@ -218,7 +203,7 @@ def read_origin(out: Path) -> Origin:
         DatasetError: `out` holds no such dataset, or one of another version of Graycast.
     """
     try:
-        claim = read_json(out / "graycast.json", Claim)
+        claim = read_json(out / CLAIM, Claim)
         settings = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
         stored = settings["store"] | {"depth_step_mm": claim.depth_scale_mm}
         config = Config.model_validate(settings | {"store": stored})
@@ -243,18 +228,17 @@ def rerender(
         DatasetError: no such scene, or the dataset is of another configuration.
         DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
-    task = SceneTask(
-        cell=cell,
-        seed=seed,
-        device=ALONE.device(cell.config.render.backend, device),
-        depth_scale_mm=depth_step_mm(cell),
-    )
-    refuse_other_dataset(out, **_claimed(task))
+    task = _task(cell, seed, ALONE.device(cell.config.render.backend, device))
+    refuse_other(out / CLAIM, make_claim(**_claimed(task)))
     scene = out / "train" / f"{scene_id:06d}"
     if not scene.is_dir():
         raise DatasetError(f"{scene} is not there: give the number of a finished scene")
-    with SceneMaker(task) as maker:
+    with closing(SceneMaker(task)) as maker:
         return differing_files(scene, maker.make(scene_id).files)
+
+
+def _task(cell: Cell, seed: int, device: str) -> SceneTask:
+    return SceneTask(cell=cell, seed=seed, device=device, depth_scale_mm=depth_step_mm(cell))
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
@@ -296,38 +280,42 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
 _HOPELESS = 3  # If so many scenes are given up before any comes out, the rest would be, too.
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """The results so far."""
+    """The results so far; `there` scenes were finished before."""
 
-    def __init__(
-        self,
-        *,
-        store: Store,
-        found: int,
-        on_result: Callable[[TaskResult], None],
-        on_failed: Callable[[Failed], None],
-    ) -> None:
-        self.reasons: list[dict[str, float]] = []
-        self.part_reasons: list[dict[str, float]] = []
-        self.set_aside: list[SetAside] = []
-        self._store, self._found = store, found
-        self._on_result, self._on_failed = on_result, on_failed
+    store: Store
+    there: int
+    on_result: Callable[[TaskResult], None]
+    on_failed: Callable[[Failed], None]
+    reasons: list[dict[str, float]] = field(default_factory=list)
+    part_reasons: list[dict[str, float]] = field(default_factory=list)
+    set_aside: list[SetAside] = field(default_factory=list)
 
     def take(self, outcome: TaskResult | Failed, *, last: bool) -> None:
         """Keep a scene, or record that it is given up; raise its error where all are."""
         if isinstance(outcome, TaskResult):
-            self._store.write_files(outcome.scene_id, outcome.files)
+            self.store.write_files(outcome.scene_id, outcome.files)
             self.reasons.append(outcome.reasons)
             self.part_reasons.append(outcome.part_reasons)
-            self._on_result(outcome)
+            self.on_result(outcome)
             return
         if outcome.final:
-            self.set_aside.append(_set_aside(outcome))
-            nothing = not self.reasons and not self._found
+            error = outcome.error
+            trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
+            self.set_aside.append(
+                SetAside(
+                    scene_id=outcome.scene_id,
+                    tries=outcome.tries,
+                    reason=_error_text(error),
+                    traceback=trace,
+                )
+            )
+            nothing = not self.reasons and not self.there
             if nothing and (last or len(self.set_aside) >= _HOPELESS):
-                raise _for_users(outcome.error)
-            self._store.set_aside(self.set_aside)
-        self._on_failed(outcome)
+                raise _for_users(error)
+            self.store.set_aside(self.set_aside)
+        self.on_failed(outcome)
 
 
 def _for_users(error: Exception) -> Exception:
@@ -346,11 +334,3 @@ def _error_text(error: Exception) -> str:
 
 def _foreseen(error: Exception) -> bool:
     return isinstance(error, (GraycastError, ValueError))
-
-
-def _set_aside(failed: Failed) -> SetAside:
-    error = failed.error
-    trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
-    return SetAside(
-        scene_id=failed.scene_id, tries=failed.tries, reason=_error_text(error), traceback=trace
-    )

@@ -1,8 +1,9 @@
 """A cell: a configuration with its files read, which all scenes of a dataset share."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +29,14 @@ from .config import (
 )
 from .domain import Domain, deepest_m, domain_files, resolve_domain
 from .views import (
+    DomeSection,
+    JitterSection,
     Pose,
     Sampler,
     ViewSection,
     farthest,
     hang,
     how_many,
-    is_drawn,
     places,
     refuse_inside,
     refuse_outside,
@@ -56,10 +58,6 @@ class Eye:
     scanner: Scanner
     T_world_cam: Pose
     T_first_cam: Pose | None = None
-
-    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """What the projector is given: grey levels that undo its response."""
-        return patterns_of(self.scanner)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +100,7 @@ class Cell:
     def draws_views(self) -> bool:
         """Whether each scene has places of its own for its images."""
         own = [_own_views(self.config, station) for station in range(len(self.scanners))]
-        return any(is_drawn(views) for views in own)
+        return any(isinstance(views, DomeSection | JitterSection) for views in own)
 
     @property
     def images(self) -> tuple[tuple[str, int], ...]:
@@ -145,47 +143,55 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
     Raises:
         ConfigError: a camera or projector would be inside the bin.
     """
-    found: list[Eye] = []
-    first: tuple[Pose, ...] = ()
-    for station, (name, scanner) in enumerate(cell.scanners):
-        poses = _places(cell, station, first, seed)
+    images: list[Eye] = []
+    box = bin_of(cell.scene)
+    for station, poses in _stations(cell, partial(places, seed=seed)):
+        (name, scanner), T_first_cam = cell.scanners[station], _mounting(cell, station)
         for image, T_world_cam in enumerate(poses):
+            if T_first_cam is not None:
+                refuse_inside(T_world_cam, scanner.rig, box, f"scanner {name}: image {image}")
             where = " ".join(filter(None, (name, f"image {image}")))
-            refuse_outside(T_world_cam, scanner.rig, bin_of(cell.scene), where)
-        first = first or poses
-        found += [
-            Eye(
-                sensor=name,
-                image=image,
-                station=station,
-                scanner=scanner,
-                T_world_cam=T,
-                T_first_cam=_mounting(cell, station),
+            refuse_outside(T_world_cam, scanner.rig, box, where)
+            images.append(
+                Eye(
+                    sensor=name,
+                    image=image,
+                    station=station,
+                    scanner=scanner,
+                    T_world_cam=T_world_cam,
+                    T_first_cam=T_first_cam,
+                )
             )
-            for image, T in enumerate(poses)
-        ]
-    return tuple(found)
+    return tuple(images)
+
+
+def _stations(
+    cell: Cell, poses_of: Callable[..., tuple[Pose, ...]]
+) -> Iterator[tuple[int, tuple[Pose, ...]]]:
+    """Each scanner's place in the configuration, and its poses: those of its views, if it has any.
+
+    With the same seed a dome has the same poses for all rigs.
+
+    Args:
+        poses_of: called with views, the configuration's single view, rig and bin.
+    """
+    config, box = cell.config, bin_of(cell.scene)
+    first: tuple[Pose, ...] = ()
+    for station, (_, scanner) in enumerate(cell.scanners):
+        views, T_first_cam = _own_views(config, station), _mounting(cell, station)
+        if T_first_cam is not None:
+            poses = tuple(T_world_first @ T_first_cam for T_world_first in first)
+        elif views is not None:
+            poses = poses_of(views, config.view, scanner.rig, box)
+        else:
+            poses = (hang(config.view, scanner.rig, box) if station else cell.scene.T_world_cam,)
+        first = first or poses
+        yield station, poses
 
 
 def _mounting(cell: Cell, station: int) -> Pose | None:
     numbers = None if cell.config.scanners is None else cell.config.scanners[station].T_first_cam
     return None if numbers is None else np.reshape(numbers, (4, 4)).astype(np.float64)
-
-
-def _places(cell: Cell, station: int, first: tuple[Pose, ...], seed: int) -> tuple[Pose, ...]:
-    """The places of one scanner; with the same seed a dome has the same for all rigs."""
-    config, box, rig = cell.config, bin_of(cell.scene), cell.scanners[station][1].rig
-    T_first_cam = _mounting(cell, station)
-    if T_first_cam is not None:
-        moved = tuple(T_world_first @ T_first_cam for T_world_first in first)
-        for number, T_world_cam in enumerate(moved):
-            where = f"scanner {cell.scanners[station][0]}: image {number}"
-            refuse_inside(T_world_cam, rig, box, where)
-        return moved
-    views = _own_views(config, station)
-    if views is not None:
-        return places(views, config.view, rig, box, seed)
-    return (hang(config.view, rig, box) if station else cell.scene.T_world_cam,)
 
 
 def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sampler | None:
@@ -274,19 +280,9 @@ def reach_m(cell: Cell) -> float:
 
 def _farthest(cell: Cell) -> Iterator[Scene]:
     """The cell's scene before each scanner, from where it may see the bin the deepest."""
-    config, box = cell.config, bin_of(cell.scene)
-    first: tuple[Pose, ...] = ()
-    for station, (_, scanner) in enumerate(cell.scanners):
-        views, T_first_cam = _own_views(config, station), _mounting(cell, station)
-        if T_first_cam is not None:
-            poses = tuple(T_world_first @ T_first_cam for T_world_first in first)
-        elif views is None:
-            poses = _places(cell, station, first, 0)
-        else:
-            poses = farthest(views, config.view, scanner.rig, box)
-        first = first or poses
-        for T_world_cam in poses:
-            yield replace(cell.scene, rig=scanner.rig, T_world_cam=T_world_cam)
+    for station, poses in _stations(cell, farthest):
+        rig = cell.scanners[station][1].rig
+        yield from (replace(cell.scene, rig=rig, T_world_cam=T) for T in poses)
 
 
 def open_cell_renderer(

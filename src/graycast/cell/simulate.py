@@ -22,7 +22,7 @@ from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
-from ..dataset import Raw, Sample
+from ..dataset.sample import Raw, Sample
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..rig.optics import in_picture, points, project
 from ..rig.pair import Rig
@@ -33,6 +33,8 @@ from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
 from .resolve import Cell, Eye, eyes, patterns_of
 from .views import refuse_inside
+
+_PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +94,14 @@ def make_images(
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation, layout = _layout_of(cell, scene_id, seeds, progress)
+        variation = varied(cell, scene_id, seeds)
+        layout = drop(
+            variation.scene,
+            variation.counts,
+            seed=seeds["drop"],
+            limits=cell.config.drop,
+            progress=progress,
+        )
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
@@ -134,7 +143,7 @@ def _taken(
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
-            scene, layout, eye.patterns(), quality=quality, seed=seeds["render"]
+            scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
@@ -153,7 +162,12 @@ def _taken(
     manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
-        "versions": _versions(renderer),
+        "versions": {
+            "graycast": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in _PACKAGES},
+            **renderer.versions,
+        },
         "exposure_s": capture.reference_s,
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
@@ -229,32 +243,6 @@ def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
     return scene_seeds(seed, scene_id, domain=cell.domain is not None, views=cell.draws_views)
 
 
-def lay_out(
-    cell: Cell, scene_id: int, *, seed: int, progress: ProgressMeter = UNWATCHED
-) -> tuple[Scene, Layout]:
-    """The scene that `make_scene` would render, and where its parts came to lie.
-
-    Raises:
-        DropError: the parts did not come to an acceptable rest.
-    """
-    variation, layout = _layout_of(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
-    return variation.scene, layout
-
-
-def _layout_of(
-    cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
-) -> tuple[Variation, Layout]:
-    variation = varied(cell, scene_id, seeds)
-    layout = drop(
-        variation.scene,
-        variation.counts,
-        seed=seeds["drop"],
-        limits=cell.config.drop,
-        progress=progress,
-    )
-    return variation, layout
-
-
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
     """What a scene drops and renders first: the cell's own, or as the cell's domain has it."""
     counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
@@ -317,13 +305,3 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     timings[stage] = time.perf_counter() - start
-
-
-def _versions(renderer: Renderer) -> dict[str, str]:
-    packages = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
-    return {
-        "graycast": __version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-        **renderer.versions,
-    }

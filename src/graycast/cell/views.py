@@ -219,11 +219,6 @@ def hang(view: ViewSection, rig: Rig, box: Bin) -> Pose:
 Sampler = DomeSection | PathSection | JitterSection
 
 
-def is_drawn(views: tuple[ViewSection, ...] | Sampler | None) -> bool:
-    """Whether each scene has places of its own."""
-    return isinstance(views, DomeSection | JitterSection)
-
-
 def how_many(views: tuple[ViewSection, ...] | Sampler | None) -> int:
     """How many images of a scene they make."""
     if views is None:
@@ -245,16 +240,16 @@ def places(
     """
     match views:
         case DomeSection():
-            found = _on_dome(views, view, rig, box, np.random.default_rng(seed))
+            poses = _on_dome(views, view, rig, box, np.random.default_rng(seed))
         case PathSection():
-            found = _along(views, rig, box)
+            poses = _along(views, rig, box)
         case JitterSection():
-            found = _about(views, hang(view, rig, box), np.random.default_rng(seed))
+            poses = _about(views, hang(view, rig, box), np.random.default_rng(seed))
         case _:
-            found = [hang(one, rig, box) for one in views]
-    for number, T_world_cam in enumerate(found):
+            poses = [hang(one, rig, box) for one in views]
+    for number, T_world_cam in enumerate(poses):
         refuse_inside(T_world_cam, rig, box, f"views: image {number}")
-    return tuple(found)
+    return tuple(poses)
 
 
 def _on_dome(
@@ -262,7 +257,7 @@ def _on_dome(
 ) -> list[Pose]:
     low, high = np.cos(np.radians(dome.tilt_deg))
     near_m, far_m = _distances(dome, view, rig)
-    drawn = rng.uniform(size=(dome.count, 3))
+    uniform = rng.uniform(size=(dome.count, 3))
     return [
         _on(
             view,
@@ -272,7 +267,7 @@ def _on_dome(
             tilt_rad=float(np.arccos(low + (high - low) * b)),
             azimuth_rad=float(np.radians(dome.azimuth_deg[0] + np.ptp(dome.azimuth_deg) * c)),
         )
-        for a, b, c in drawn.tolist()
+        for a, b, c in uniform.tolist()
     ]
 
 
@@ -304,22 +299,22 @@ def _along(path: PathSection, rig: Rig, box: Bin) -> list[Pose]:
 
 
 def _about(jitter: JitterSection, T: Pose, rng: np.random.Generator) -> list[Pose]:
-    found = []
+    poses = []
     for _ in range(jitter.count):
         moved_m = jitter.position_m * _within(rng)
         turn = np.eye(3)
         for axis, sigmas in zip("xyz", _within(rng), strict=True):
             turn = turn @ axis_rotation(axis, np.radians(jitter.rotation_deg) * sigmas)
-        found.append(rigid(T[:3, :3] @ turn, T[:3, 3] + moved_m))
-    return found
+        poses.append(rigid(T[:3, :3] @ turn, T[:3, 3] + moved_m))
+    return poses
 
 
 def _within(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
     """Three standard normal numbers, none beyond `FARTHEST_SIGMAS`."""
-    drawn = rng.standard_normal(3)
-    while (far := np.abs(drawn) > FARTHEST_SIGMAS).any():
-        drawn[far] = rng.standard_normal(int(far.sum()))
-    return drawn
+    normal = rng.standard_normal(3)
+    while (far := np.abs(normal) > FARTHEST_SIGMAS).any():
+        normal[far] = rng.standard_normal(int(far.sum()))
+    return normal
 
 
 def farthest(

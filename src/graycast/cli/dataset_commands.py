@@ -248,10 +248,10 @@ def _export(options: argparse.Namespace) -> int:
     from ..dataset.export import Options, export
 
     settings = {name: getattr(options, name) or None for name in _OPTIONS}
-    chosen = Options(format=options.format, split=division_of(options), **settings)
+    export_options = Options(format=options.format, split=division_of(options), **settings)
     with open_bars() as bars:
         record = export(
-            options.dataset, options.out, chosen, selection=options.selection, progress=bars
+            options.dataset, options.out, export_options, selection=options.selection, progress=bars
         )
     counts = ", ".join(f"{name} {len(ids)}" for name, ids in record.splits.items())
     print(f"{options.out}: {record.format}, scenes: {counts}")

@@ -190,11 +190,11 @@ def _generate(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     config = cell.config
     scenes = options.scenes or config.scenes
-    chosen_seed = config.seed if options.seed is None else options.seed
+    seed = config.seed if options.seed is None else options.seed
     backend = config.render.backend
     print(
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
-        f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
+        f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {seed}, {_who(workers)}"
     )
     reports = 0
     with open_bars() as bars, GpuWatch() as gpu:
@@ -220,7 +220,7 @@ def _generate(options: argparse.Namespace) -> int:
             cell,
             options.out,
             scenes=scenes,
-            seed=chosen_seed,
+            seed=seed,
             device=options.device,
             workers=workers,
             progress=bars,
@@ -299,7 +299,7 @@ def _live(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset import validate
+    from ..dataset.checking import validate
     from ..dataset.real import absent
 
     problems = validate(options.dataset, fast=options.fast)

@@ -23,7 +23,7 @@ from ..base.streams import OF_IMAGE
 from ..camera.decode import Reason
 from ..rendering.radiance import Silhouette
 from ..rig.optics import Optics
-from .coco import run_lengths, scene_annotation, scene_coco, scene_image
+from .coco import add_images, run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
 from .picture_bytes import depth_steps, mask_png, modulation_steps, png
 from .raw import raw_facts, raw_files
@@ -82,21 +82,16 @@ def scanner_files(
         ValueError, DatasetError: as `scene_files`.
     """
     _check_shapes(sample, sample.truth.instance.shape)
-    scene_record, coco = _SceneRecord(), dict[str, list[_OfCoco]]()
-    files = [
-        (name, content)
-        for name, content in _image_files(
-            labelled(sample), scale_mm, scene_record, coco, obj_ids=obj_ids
-        )
-        if SCANNER in name
-    ]
+    scene_record = _SceneRecord()
+    image_files = _image_files(labelled(sample), scale_mm, scene_record, obj_ids)
+    files = [(name, content) for name, content in image_files if SCANNER in name]
     entries = {
         name: images[str(sample.image)]
         for name, images in scene_record.records.items()
         if name.endswith(SCANNER)
     }
     name = f"scene_gt_coco{SCANNER}"
-    return files, entries | {name: _coco(obj_ids, coco[name])}
+    return files, entries | {name: scene_record.coco[name]}
 
 
 class _SceneRecord:
@@ -105,6 +100,7 @@ class _SceneRecord:
     def __init__(self) -> None:
         self.manifest: dict[str, Any] = {}
         self.records: dict[str, dict[str, Any]] = {}  # of JSON files, by image
+        self.coco: dict[str, dict[str, Any]] = {}  # of COCO files
 
     def image(self, name: str, number: int, entry: Any) -> None:
         self.records.setdefault(name, {})[str(number)] = entry
@@ -128,29 +124,18 @@ def _unsealed_files(
     samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
     """All but the manifest, whose content goes into `scene_record`."""
-    coco: dict[str, list[_OfCoco]] = {}
-    parts = 0
     for sample in samples:
         camera = sample.scene.rig.camera
         _check_shapes(sample, (camera.height_px, camera.width_px))
         scene_record.of_manifest(sample)
         known = labelled(sample)
-        parts = len(known.scene.parts)
-        ids = range(1, parts + 1)
-        yield from _image_files(known, scale_mm, scene_record, coco, obj_ids=ids)
-    for name, records in scene_record.records.items():
-        yield f"{name}.json", json_bytes(records)
-    for name, images in coco.items():
-        yield f"{name}.json", json_bytes(_coco(range(1, parts + 1), images))
+        yield from _image_files(known, scale_mm, scene_record, range(1, len(known.scene.parts) + 1))
+    for name, record in (scene_record.records | scene_record.coco).items():
+        yield f"{name}.json", json_bytes(record)
 
 
 def _image_files(
-    sample: Sample,
-    scale_mm: float,
-    scene_record: _SceneRecord,
-    coco: dict[str, list["_OfCoco"]],
-    *,
-    obj_ids: Sequence[int],
+    sample: Sample, scale_mm: float, scene_record: _SceneRecord, obj_ids: Sequence[int]
 ) -> Iterator[tuple[str, bytes]]:
     """Pictures and masks of one image; its entries of JSON files go into `scene_record`."""
     camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
@@ -175,6 +160,8 @@ def _image_files(
             for kind, content in ((f"mask{suffix}", amodal), (f"mask_visib{suffix}", visible)):
                 yield f"{of_sensor(kind, sample.sensor)}/{number:06d}_{i:06d}.png", content
     poses, view = _poses(sample, obj_ids), _view(sample, scale_mm)
+    size = {"height_px": camera.height_px, "width_px": camera.width_px}
+    annotations = _annotations(sample, silhouettes, obj_ids)
     for suffix, depth, image in (("", truth, "rgb"), ("_sl", scanned, "gray_sl")):
         entries = {
             "scene_camera": view,
@@ -183,8 +170,12 @@ def _image_files(
         }
         for name, entry in entries.items():
             scene_record.image(of_sensor(name + suffix, sample.sensor), number, entry)
-        of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
-        of_coco.append(_of_coco(sample, silhouettes, place(image), obj_ids))
+        coco = scene_record.coco.setdefault(
+            of_sensor(f"scene_gt_coco{suffix}", sample.sensor),
+            scene_coco(obj_ids=obj_ids, images=[], annotations=[]),
+        )
+        listed = scene_image(image_id=number, file_name=place(image), **size)
+        add_images(coco, [listed], annotations)
     scene_record.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
@@ -204,9 +195,9 @@ class _Silhouettes:
 
 def _instances(sample: Sample) -> list[_Silhouettes]:
     truth, (height_px, width_px) = sample.truth, sample.truth.instance.shape
-    found = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
+    windows = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
     silhouettes = []
-    for i, (whole, box) in enumerate(zip(truth.amodal, found, strict=True)):
+    for i, (whole, box) in enumerate(zip(truth.amodal, windows, strict=True)):
         rows, columns = box if box is not None else (slice(0, 0), slice(0, 0))
         visible = Silhouette(
             left_px=columns.start, top_px=rows.start, mask=truth.instance[rows, columns] == i
@@ -308,17 +299,10 @@ def _span(crop: Silhouette) -> list[int]:
     return [x + crop.left_px, y + crop.top_px, columns - 1, rows - 1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _OfCoco:
-    """What a scene's COCO file has of one image; ids of annotations are not given yet."""
-
-    image: dict[str, Any]
-    annotations: list[dict[str, Any]]
-
-
-def _of_coco(
-    sample: Sample, silhouettes: list[_Silhouettes], file_name: str, obj_ids: Sequence[int]
-) -> _OfCoco:
+def _annotations(
+    sample: Sample, silhouettes: list[_Silhouettes], obj_ids: Sequence[int]
+) -> list[dict[str, Any]]:
+    """COCO annotations of the visible instances, without ids."""
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []
@@ -338,16 +322,4 @@ def _of_coco(
                 **size,
             )
         )
-    return _OfCoco(
-        image=scene_image(image_id=sample.image, file_name=file_name, **size),
-        annotations=annotations,
-    )
-
-
-def _coco(obj_ids: Iterable[int], images: list[_OfCoco]) -> dict[str, Any]:
-    annotations = [annotation for image in images for annotation in image.annotations]
-    return scene_coco(
-        obj_ids=obj_ids,
-        images=[image.image for image in images],
-        annotations=[{"id": k} | entry for k, entry in enumerate(annotations, start=1)],
-    )
+    return annotations

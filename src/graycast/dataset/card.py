@@ -7,8 +7,8 @@ datasets have equal cards, to the byte and wherever they lie: no date, no durati
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,11 @@ from ..base.color import srgb_of_bytes
 from ..base.errors import GraycastError
 from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason
+from .claim import BESIDE_CONFIG
 from .json_text import plain
+from .scene_content import SceneContent, scene_content
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
-from .stored import SceneContent, StoredDataset, StoredScene, open_dataset
+from .stored import StoredDataset, StoredScene, open_dataset
 
 CARD = "README.md"
 FOLDER = "card"  # It holds the card's pictures.
@@ -34,22 +36,7 @@ _MOST = 3
 _TILE_PX = 480
 _NAMED = 4  # A title names so many parts.
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Census:
-    """Which objects every scene holds; an object is there as often as it has instances."""
-
-    objects: Mapping[StoredScene, tuple[int, ...]]
-
-    def instances(self, obj_id: int) -> int:
-        return sum(obj_ids.count(obj_id) for obj_ids in self.objects.values())
-
-    def scenes(self, obj_id: int) -> int:
-        return sum(obj_id in obj_ids for obj_ids in self.objects.values())
-
-    @property
-    def obj_ids(self) -> list[int]:
-        return sorted({obj_id for of_scene in self.objects.values() for obj_id in of_scene})
+Objects = Mapping[StoredScene, tuple[int, ...]]  # Each scene has an id for each instance.
 
 
 def write_card(
@@ -80,21 +67,21 @@ def write_card(
     if licence is not None:
         licence = spdx(licence)
     stored = open_dataset(dataset)
-    census = take_census(stored.scenes)
+    objects = {scene: scene.obj_ids() for scene in stored.scenes}
     if statistics is None:
-        drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
-        statistics = tally(drawn, stored.categories)
-    examples = _examples(census)
+        figures = (scene_figures(scene_content(scene)) for scene in sampled(stored.pictures))
+        statistics = tally(figures, stored.categories)
+    examples = _examples(objects)
     card = card_text(
         title or _title(stored),
         statistics,
-        census,
+        objects,
         stored,
         licence=licence,
         pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in examples],
     )
     try:
-        _publish(dataset, card, statistics, len(census.objects), examples)
+        _publish(dataset, card, statistics, len(objects), examples)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -137,29 +124,20 @@ def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
 
     Drawn, not evenly spread: scenes of several parts take turns.
     """
-    drawn = np.random.default_rng(0).permutation(len(scenes))[:SAMPLED]
-    return [scenes[k] for k in sorted(drawn)]
+    order = np.random.default_rng(0).permutation(len(scenes))[:SAMPLED]
+    return [scenes[k] for k in sorted(order)]
 
 
-def take_census(scenes: Sequence[StoredScene]) -> Census:
-    """Count objects from the labels alone; of a scene's pictures one tells all.
-
-    Raises:
-        DatasetError: a label file is missing or damaged.
-    """
-    return Census(objects={scene: scene.obj_ids() for scene in scenes})
-
-
-def _examples(census: Census) -> list[StoredScene]:
+def _examples(objects: Objects) -> list[StoredScene]:
     """A scene of each mix of objects first, then any."""
     first: dict[frozenset[int], StoredScene] = {}
-    for scene, obj_ids in census.objects.items():
+    for scene, obj_ids in objects.items():
         first.setdefault(frozenset(obj_ids), scene)
-    return list(dict.fromkeys([*first.values(), *census.objects]))[:_MOST]
+    return list(dict.fromkeys([*first.values(), *objects]))[:_MOST]
 
 
 def _title(stored: StoredDataset) -> str:
-    kind = "Real scans" if stored.claim.get("kind") == "real" else "Simulated scans"
+    kind = "Real scans" if stored.real else "Simulated scans"
     names = list(stored.categories.values())
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"{kind} of {', '.join(names[:_NAMED])}{more}" if names else kind
@@ -176,7 +154,7 @@ def _publish(
         text = json.dumps(figures, indent=1, allow_nan=False)
         (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
         for scene in examples:
-            picture = scene_strip(scene.content())[..., ::-1]
+            picture = scene_strip(scene_content(scene))[..., ::-1]
             (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
         written.write_text(card, encoding="utf-8")
         shutil.rmtree(dataset / FOLDER, ignore_errors=True)
@@ -185,7 +163,7 @@ def _publish(
 def card_text(
     title: str,
     statistics: Statistics,
-    census: Census,
+    objects: Objects,
     stored: StoredDataset,
     *,
     licence: str | None,
@@ -206,8 +184,8 @@ def card_text(
         *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_MOST]),
         _CAPTION if pictures else "",
         "## Figures",
-        _figures(statistics, census, stored),
-        _sample_text(statistics, census, len(stored.images)),
+        _figures(statistics, objects, stored),
+        _sample_text(statistics, len(objects), len(stored.images)),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
@@ -224,7 +202,7 @@ _CAPTION = (
 
 
 def _introduction(stored: StoredDataset) -> str:
-    if stored.claim.get("kind") == "real":
+    if stored.real:
         return (
             "Real pictures in the files of a [BOP](https://bop.felk.cvut.cz) dataset, brought in "
             "by Graycast. Poses and perfect depth are not known."
@@ -237,8 +215,8 @@ def _introduction(stored: StoredDataset) -> str:
     )
 
 
-def _sample_text(s: Statistics, census: Census, of: int) -> str:
-    pictures = len(census.objects) * of
+def _sample_text(s: Statistics, scenes: int, of: int) -> str:
+    pictures = scenes * of
     if s.pictures == pictures:
         return ""
     what = "scenes" if of == 1 else "pictures"
@@ -249,19 +227,17 @@ def _sample_text(s: Statistics, census: Census, of: int) -> str:
     )
 
 
-def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
-    splits: dict[str, int] = {}
-    for scene in census.objects:
-        splits[scene.split] = splits.get(scene.split, 0) + 1
+def _figures(s: Statistics, objects: Objects, stored: StoredDataset) -> str:
+    splits = Counter(scene.split for scene in objects)
+    instances = Counter(obj_id for of_scene in objects.values() for obj_id in of_scene)
     each = "" if len(stored.images) == 1 else f", each of {len(stored.images)} pictures"
     rows = [
         ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items()) + each),
         ("pictures", ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)),
     ]
-    for obj_id in census.obj_ids:
-        scenes = census.scenes(obj_id)
-        plural = "" if scenes == 1 else "s"
-        count = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
+    for obj_id, number in sorted(instances.items()):
+        scenes = sum(obj_id in of_scene for of_scene in objects.values())
+        count = f"{number:,} instances in {scenes:,} scene{'' if scenes == 1 else 's'}"
         rows.append((f"part {escaped(stored.categories[obj_id])}", count))
     if s.depth_bin:
         depth = s.depth_quantiles_mm
@@ -281,9 +257,9 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         error = s.part_error
         figures = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
         rows.append(("scanner less perfect depth, on parts", figures))
-    kept = stored.claim.get("config", {}).get("store", {})
+    extras = stored.claim.get("config", {}).get("store", {})
     names = {"frames": "every captured frame", "columns": "projector columns"}
-    also = [words for key, words in names.items() if kept.get(key)]
+    also = [words for key, words in names.items() if extras.get(key)]
     rows += [("kept beside", ", ".join(also))] if also else []
     lines = [f"| {name} | {value} |" for name, value in rows]
     return "\n".join(["| | |", "|---|---|", *lines])
@@ -294,7 +270,7 @@ def _making(stored: StoredDataset) -> str:
     front_matter: dict[str, Any] = {
         key: claim[key] for key in ("seed", "versions", "sources") if key in claim
     }
-    config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
+    config = {k: v for k, v in claim.get("config", {}).items() if k not in BESIDE_CONFIG}
     text = yaml.safe_dump(plain(front_matter), sort_keys=True, default_flow_style=None, width=96)
     blocks = [fenced(text)]
     if config:

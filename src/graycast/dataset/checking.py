@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from pycocotools import mask as coco_mask
 
 from ..base.file_limits import parse_json
 from ..base.frames import is_rigid
@@ -26,6 +25,7 @@ from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
 
+_Problem = tuple[int | None, str]  # They are scene, if it is of one, and what is wrong.
 _MODEL_MM = 1e-3  # A PLY has nine digits, which are read back in single precision.
 
 
@@ -61,72 +61,73 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
     Raises:
         DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
     """
-    out = Path(out)
+    return tuple(Problem(scene=scene, what=what) for scene, what in _problems(Path(out), fast=fast))
+
+
+def _problems(out: Path, *, fast: bool) -> Iterator[_Problem]:
     if is_rescanned(out):
-        found = rescan_problems(out, fast=fast)
-        return tuple(Problem(scene=scene, what=what) for scene, what in found)
+        yield from rescan_problems(out, fast=fast)
+        return
     claim, finished = read_claim(out), sorted(finished_scenes(out))
     if isinstance(claim, RealClaim):
-        of_real = () if fast else real_problems(out)
-        sums = _sum_problems(out, finished)
-        return (*sums, *(Problem(scene=scene, what=what) for scene, what in of_real))
-    problems = [Problem(scene=None, what=what) for what in _leftovers(out)]
-    problems += [Problem(scene=None, what=what) for what in _claim_problems(out, claim)]
-    problems += _sum_problems(out, finished)
+        yield from _sum_problems(out, finished)
+        yield from () if fast else real_problems(out, claim)
+        return
+    yield from _of_dataset(_leftovers(out))
+    yield from _of_dataset(_claim_problems(out, claim))
+    yield from _sum_problems(out, finished)
     if fast:
-        return tuple(problems)
+        return
     try:
         cameras = {
             taker.name: read_json(out / camera_file(taker.name), records.Camera)
             for taker in claim.takers
         }
-        infos = read_json(out / "models" / "models_info.json", records.ModelsInfo).root
+        infos = read_json(out / "models" / "models_info.json", dict[str, records.ModelInfo])
     except Unreadable as error:
-        return (*problems, Problem(scene=None, what=str(error)))
-    problems += [Problem(scene=None, what=what) for what in _camera_problems(cameras, claim)]
+        yield None, str(error)
+        return
+    yield from _of_dataset(_camera_problems(cameras, claim))
     expected = {str(part.obj_id) for part in claim.parts}
     if set(infos) != expected:
-        what = f"models_info.json has objects {sorted(infos)}, graycast.json {sorted(expected)}"
-        problems.append(Problem(scene=None, what=what))
+        names = f"{sorted(infos)}, graycast.json {sorted(expected)}"
+        yield None, f"models_info.json has objects {names}"
     models: dict[int, Model] = {}
     for obj_id, info in infos.items():
         try:
             models[int(obj_id)] = model = _read_model(out, int(obj_id), info)
         except Unreadable as error:
-            problems.append(Problem(scene=None, what=str(error)))
+            yield None, str(error)
             continue
-        problems += [Problem(scene=None, what=w) for w in _model_problems(int(obj_id), model)]
+        yield from _of_dataset(_model_problems(int(obj_id), model))
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
         of_scene = scene_problems(folder, claim=claim, cameras=cameras, models=models)
-        problems += [Problem(scene=scene_id, what=what) for what in of_scene]
-    problems += [
-        Problem(scene=None, what=what) for what in _split_problems(out, cameras, finished, claim)
-    ]
-    problems += [
-        Problem(scene=None, what=what) for what in grasp_problems(out, claim.fingerprint, models)
-    ]
-    return tuple(problems)
+        yield from ((scene_id, what) for what in of_scene)
+    yield from _of_dataset(_split_problems(out, cameras, finished, claim))
+    yield from _of_dataset(grasp_problems(out, claim.fingerprint, models))
 
 
-def _sum_problems(out: Path, finished: Iterable[int]) -> list[Problem]:
+def _of_dataset(problems: Iterable[str]) -> Iterator[_Problem]:
+    return ((None, what) for what in problems)
+
+
+def _sum_problems(out: Path, finished: Iterable[int]) -> Iterator[_Problem]:
     """Files that are not what was written."""
-    problems = []
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
         try:
-            manifest = read_json(folder / MANIFEST, records.Manifest).root
+            manifest = read_json(folder / MANIFEST, records.Manifest)
         except Unreadable as error:
-            problems.append(Problem(scene=scene_id, what=str(error)))
+            yield scene_id, str(error)
             continue
-        problems += [Problem(scene=scene_id, what=w) for w in seal_problems(folder, manifest)]
+        yield from ((scene_id, what) for what in seal_problems(folder, manifest))
         if manifest.get("scene_id", scene_id) != scene_id:  # of real pictures it tells of none
-            what = (
+            yield (
+                scene_id,
                 f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
-                "of another scene"
+                "of another scene",
             )
-            problems.append(Problem(scene=scene_id, what=what))
-    return problems
 
 
 def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
@@ -210,7 +211,7 @@ def _split_problems(
 ) -> Iterator[str]:
     """`train_coco.json` against the scenes' own COCO files, which are checked against masks."""
     try:
-        split = read_json(out / "train_coco.json", records.SplitCoco)
+        split = read_json(out / "train_coco.json", records.CocoFile[records.SplitAnnotation])
     except Unreadable as error:
         yield (
             f"{error}: let the run finish, then validate again"
@@ -262,7 +263,7 @@ def _split_image_problems(
     scene = SceneFolder(out / "train" / f"{scene_id:06d}", sensor)
     try:
         of_scene = scene.record("scene_gt_coco", records.SceneCoco).annotations
-        infos = scene.of_image("scene_gt_info", image, records.Infos).root
+        infos = scene.of_image("scene_gt_info", image, list[records.Info])
     except Unreadable:
         return  # told where the scene is checked
     annotations = [entry for entry in of_scene if entry.image_id == image]
@@ -272,17 +273,9 @@ def _split_image_problems(
         yield f"train_coco.json: {counts}"
         return
     for entry, source, visib_fract in zip(entries, annotations, visible, strict=True):
-        runs = source.segmentation.model_dump()
-        compressed = coco_mask.frPyObjects(runs, *runs["size"])
-        must = {
-            "category_id": source.category_id,
-            "iscrowd": 0,
-            "area": source.area,
-            "bbox": [int(b) for b in coco_mask.toBbox(compressed)],
-            "segmentation": {"size": runs["size"], "counts": compressed["counts"].decode()},
-            "visib_fract": visib_fract,
-        }
-        values = entry.model_dump(exclude={"id", "image_id"})
+        must = records.split_annotation(source.model_dump(), image_id)
+        must["visib_fract"] = visib_fract
+        values = entry.model_dump(exclude={"id"})
         if values != must:
             wrong = ", ".join(key for key in must if values[key] != must[key])
             yield f"train_coco.json: annotation {entry.id}: {wrong} differs from scene {scene_id}"

@@ -71,6 +71,15 @@ def make_claim(
     distractors = [
         {"name": part.name, "content": part_digest(part)} for part in parts if not part.labelled
     ]
+    scanners = [
+        {
+            "name": taker.name,
+            "images": taker.images,
+            "rig": described_values(taker.rig),
+            "scanner": taker.scanning,
+        }
+        for taker in takers
+    ]
     claim = plain(
         {
             "format_version": FORMAT_VERSION,
@@ -81,7 +90,7 @@ def make_claim(
             "parts": described,
         }
         | ({"distractors": distractors} if distractors else {})
-        | ({"scanners": [_described_taker(taker) for taker in takers]} if takers else {})
+        | ({"scanners": scanners} if scanners else {})
     )
     versions = {
         "graycast": __version__,
@@ -92,15 +101,6 @@ def make_claim(
         "fingerprint": fingerprint(claim),
         "sources": [part.source for part in known],
         "versions": versions,
-    }
-
-
-def _described_taker(taker: Taker) -> dict[str, Any]:
-    return {
-        "name": taker.name,
-        "images": taker.images,
-        "rig": described_values(taker.rig),
-        "scanner": taker.scanning,
     }
 
 
@@ -202,9 +202,9 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
     if known != claim["fingerprint"]:
         where = next(
             (
-                found
+                place
                 for key in _CLAIMED
-                if (found := difference(content.get(key), claim.get(key), key)) is not None
+                if (place := difference(content.get(key), claim.get(key), key)) is not None
             ),
             "the fingerprint",
         )
@@ -224,7 +224,7 @@ def difference(a: Any, b: Any, where: str) -> str | None:
         pairs = ((x, y, f"{where}[{i}]") for i, (x, y) in enumerate(zip(a, b, strict=True)))
     else:
         return f"{where} ({_short(a)} there, {_short(b)} here)"
-    return next((found for x, y, key in pairs if (found := difference(x, y, key))), where)
+    return next((place for x, y, key in pairs if (place := difference(x, y, key))), where)
 
 
 def _short(value: Any) -> str:

@@ -62,6 +62,11 @@ def scene_image(*, image_id: int, file_name: str, height_px: int, width_px: int)
     return {"id": image_id, "file_name": file_name, "width": width_px, "height": height_px}
 
 
+def coco_categories(names: Iterable[tuple[int, str]]) -> list[dict[str, Any]]:
+    """Categories of objects by their ids and names."""
+    return [{"id": i, "name": name, "supercategory": "graycast"} for i, name in names]
+
+
 def scene_coco(
     *,
     obj_ids: Iterable[int],
@@ -72,12 +77,19 @@ def scene_coco(
     return {
         "info": {"description": "graycast_train", "version": "0.1.0"},
         "licenses": [],
-        "categories": [
-            {"id": obj_id, "name": str(obj_id), "supercategory": "graycast"} for obj_id in obj_ids
-        ],
+        "categories": coco_categories((obj_id, str(obj_id)) for obj_id in obj_ids),
         "images": images,
         "annotations": annotations,
     }
+
+
+def add_images(
+    whole: dict[str, Any], images: list[dict[str, Any]], annotations: Iterable[Mapping[str, Any]]
+) -> None:
+    """Add images to a scene's file, and their annotations, whose ids go on counting from 1."""
+    whole["images"] += images
+    first = len(whole["annotations"]) + 1
+    whole["annotations"] += [{**entry, "id": k} for k, entry in enumerate(annotations, first)]
 
 
 def split_coco(

@@ -46,27 +46,27 @@ class Detections:
         return len(self.score)
 
 
-def results_bytes(found: Sequence[Detections]) -> bytes:
+def results_bytes(pictures: Sequence[Detections]) -> bytes:
     """COCO results: a list with an entry for each detection, with box and optional mask.
 
     Numbers have as many digits as are needed to read back the same values.
     """
-    lines = [json.dumps(entry, allow_nan=False) for each in found for entry in _entries(each)]
+    lines = [json.dumps(entry, allow_nan=False) for each in pictures for entry in _entries(each)]
     return ("[\n" + ",\n".join(lines) + "\n]\n").encode()
 
 
-def _entries(found: Detections) -> list[dict[str, Any]]:
+def _entries(one: Detections) -> list[dict[str, Any]]:
     entries: list[dict[str, Any]] = [
         {
-            "image_id": found.scene_id,
+            "image_id": one.scene_id,
             "category_id": int(obj_id),
             "bbox": [_shortest(edge) for edge in box],
             "score": _shortest(score),
         }
-        for obj_id, box, score in zip(found.obj_id, found.box_px, found.score, strict=True)
+        for obj_id, box, score in zip(one.obj_id, one.box_px, one.score, strict=True)
     ]
-    if found.mask is not None:
-        for entry, mask in zip(entries, found.mask, strict=True):
+    if one.mask is not None:
+        for entry, mask in zip(entries, one.mask, strict=True):
             size = [int(edge) for edge in mask["size"]]
             entry["segmentation"] = {"size": size, "counts": mask["counts"]}
     return entries

@@ -168,10 +168,8 @@ def metres(steps: UInt16[np.ndarray, "h w"], scale_mm: float) -> Float32[np.ndar
     return np.where(steps > 0, depth_m, np.nan).astype(np.float32)
 
 
-def label_arrays(labels: list[InstanceLabel] | None, size_px: tuple[int, int]) -> dict[str, Any]:
+def label_arrays(labels: list[InstanceLabel], size_px: tuple[int, int]) -> dict[str, Any]:
     """The labels as `Example` has them."""
-    if labels is None:
-        return {}
     count = len(labels)
     mask = np.zeros((count, *size_px), dtype=bool)
     for i, label in enumerate(labels):

@@ -16,7 +16,8 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
         ValueError: something in it has no JSON form.
     """
     tree = plain(content)
-    lines = [f"  {json.dumps(key)}: {_compact(tree[key])}" for key in sorted(tree)]
+    values = {key: json.dumps(tree[key], sort_keys=True, allow_nan=False) for key in sorted(tree)}
+    lines = [f"  {json.dumps(key)}: {value}" for key, value in values.items()]
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
 
 
@@ -42,7 +43,3 @@ def plain(value: Any) -> Any:
         case list() | tuple():
             return [plain(item) for item in value]
     raise ValueError(f"{value!r} has no JSON form")
-
-
-def _compact(tree: Any) -> str:
-    return json.dumps(tree, sort_keys=True, allow_nan=False)

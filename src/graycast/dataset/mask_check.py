@@ -139,20 +139,20 @@ def _surface_problems(
     raster = rasterize(model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, scene.lens)
     window, own = overlap(raster.top_px, raster.left_px, raster.z.shape, mask.shape)
     z_mm = raster.z[own]
-    drawn, mask_px = ~np.isnan(z_mm), int(mask.sum())
-    allowed = EDGE_PX + EDGE_SHARE * _outline_px(drawn)
+    rendered, mask_px = ~np.isnan(z_mm), int(mask.sum())
+    allowed = EDGE_PX + EDGE_SHARE * _outline_px(rendered)
     mask, visible = mask[window], visible[window]
-    wrong = int((drawn != mask).sum()) + mask_px - int(mask.sum())
+    wrong = int((rendered != mask).sum()) + mask_px - int(mask.sum())
     if wrong > allowed:
         yield (
-            f"mask differs from the model at its pose in {wrong} of {int(drawn.sum())} pixels; "
+            f"mask differs from the model at its pose in {wrong} of {int(rendered.sum())} pixels; "
             f"edges may cost {int(allowed)}"
         )
     if not any(camera.distortion):
         yield from _outside_problems(scene.info[""][i], raster)
     depth_mm = scene.image["depth"][window] * camera.depth_scale
     tolerance_mm = camera.depth_scale / 2 + DEPTH_TOLERANCE_MM
-    checked = drawn & visible
+    checked = rendered & visible
     off = np.abs(depth_mm[checked] - z_mm[checked])
     bad = int((off > tolerance_mm).sum())
     if bad > DEPTH_PX + DEPTH_SHARE * checked.sum():
@@ -160,7 +160,7 @@ def _surface_problems(
             f"depth is off the model at its pose in {bad} of {int(checked.sum())} visible "
             f"pixels, by {np.median(off):.3g} mm in the middle"
         )
-    hidden = drawn & mask & ~visible
+    hidden = rendered & mask & ~visible
     # Where parts touch, what hides is as deep as what is hidden: along a line, as edges are.
     covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
     bare = int((hidden & ~covered).sum())
@@ -170,12 +170,12 @@ def _surface_problems(
 
 def _outside_problems(info: records.Info, raster: Raster) -> Iterator[str]:
     """Counts and box of the whole silhouette, of which the image may show only a part."""
-    drawn = ~np.isnan(raster.z)
-    allowed = EDGE_PX + EDGE_SHARE * _outline_px(drawn)
-    if abs(info.px_count_all - int(drawn.sum())) > allowed:
-        yield f"px_count_all is {info.px_count_all}, the model covers {int(drawn.sum())} pixels"
-    if drawn.any() and info.px_count_visib > 0:
-        x, y, w, h = _bop_box(drawn)
+    rendered = ~np.isnan(raster.z)
+    allowed = EDGE_PX + EDGE_SHARE * _outline_px(rendered)
+    if abs(info.px_count_all - int(rendered.sum())) > allowed:
+        yield f"px_count_all is {info.px_count_all}, the model covers {int(rendered.sum())} pixels"
+    if rendered.any() and info.px_count_visib > 0:
+        x, y, w, h = _bop_box(rendered)
         box = [x + raster.left_px, y + raster.top_px, w, h]
         if np.abs(np.subtract(info.bbox_obj, box)).max() > 2:
             yield f"bbox_obj is {info.bbox_obj}, the model covers {box}"

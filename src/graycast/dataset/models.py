@@ -1,10 +1,12 @@
-"""Parts as BOP object models: PLY files in millimetres, textures, `models_info.json`.
+"""Parts as BOP object models, written and read: PLY files in millimetres, `models_info.json`.
 
 A model keeps the part's own frame, so that poses speak of the user's CAD coordinates; BOP's habit
 of an origin in the middle of the bounding box is only a habit (`models_info.json` has the box).
 """
 
 import io
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,9 +16,11 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
 from ..base.color import srgb
+from ..base.errors import DatasetError, MeshError
 from ..base.ply import COLORS, header
-from ..world.parts import Mesh, Part
-from .records import MM_PER_M
+from ..world.parts import Mesh, Part, Symmetry, load_mesh
+from .records import MM_PER_M, Continuous, ModelInfo
+from .safe_reading import Unreadable, read_json
 
 TEXTURE = "comment TextureFile"  # The header of a model with a texture has it.
 _CHUNK = 2048  # So many rows of the distance matrix are in memory at once.
@@ -41,7 +45,8 @@ def models_info(parts: tuple[Part, ...]) -> dict[str, Any]:
 
 
 def _info(part: Part) -> dict[str, Any]:
-    vertices_mm = _used_vertices_mm(part.mesh)
+    mesh = part.mesh
+    vertices_mm = mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64) * MM_PER_M
     low, size = vertices_mm.min(axis=0), np.ptp(vertices_mm, axis=0)
     info: dict[str, Any] = {"diameter": diameter(vertices_mm)}
     for i, axis in enumerate("xyz"):
@@ -69,10 +74,6 @@ def diameter(points: Float[np.ndarray, "n 3"]) -> float:
         pass
     chunks = (points[i : i + _CHUNK] for i in range(0, len(points), _CHUNK))
     return max(float(cdist(chunk, points).max()) for chunk in chunks)
-
-
-def _used_vertices_mm(mesh: Mesh) -> Float[np.ndarray, "v 3"]:
-    return mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64) * MM_PER_M
 
 
 def _ply(part: Part, texture_name: str | None) -> bytes:
@@ -125,3 +126,59 @@ def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Vectors of length one; a vector without direction stays zero."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.where(length > 0, length, 1.0)
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredModel:
+    """A part's shape [m] with what `models_info.json` says of it."""
+
+    mesh: Mesh
+    diameter_m: float
+    symmetry: Symmetry
+
+
+def read_models(dataset: Path) -> dict[int, StoredModel]:
+    """The models of a dataset by object id.
+
+    Raises:
+        DatasetError: there are none, or a file is missing or damaged.
+    """
+    folder = dataset / "models"
+    if not folder.is_dir():
+        raise DatasetError(f"{dataset}: has no models: give a dataset that graycast generate made")
+    try:
+        infos = read_json(folder / "models_info.json", dict[str, ModelInfo])
+    except Unreadable as error:
+        raise DatasetError(f"{folder}: {error}: run graycast validate") from error
+    return {int(key): _model(folder / f"obj_{int(key):06d}.ply", i) for key, i in infos.items()}
+
+
+def _model(file: Path, info: ModelInfo) -> StoredModel:
+    try:
+        mesh = load_mesh(file, unit="mm")[0]
+    except MeshError as error:
+        raise DatasetError(f"{error}: run graycast validate") from error
+    return StoredModel(
+        mesh=mesh,
+        diameter_m=info.diameter / MM_PER_M,
+        symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
+    )
+
+
+def symmetry_m(discrete: list[list[float]], continuous: list[Continuous]) -> Symmetry:
+    """Of `models_info.json`, whose lengths are millimetres."""
+    scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
+    return Symmetry(
+        discrete=tuple(np.reshape(matrix, (4, 4)) * scale for matrix in discrete),
+        continuous=tuple(
+            (_three(one.axis), _three([x / MM_PER_M for x in one.offset])) for one in continuous
+        ),
+    )
+
+
+def _three(numbers: list[float]) -> tuple[float, float, float]:
+    x, y, z = numbers
+    return x, y, z

@@ -46,17 +46,13 @@ def depth_steps(
     fits = (steps >= 1) & (steps <= DEPTH_MAX)  # False for NaN
     if (needed & ~fits).any():
         worst_m = depth_m[needed & ~fits][0]
+        coarser = (mm for mm in _SCALES_MM if worst_m * MM_PER_M <= mm * DEPTH_MAX)
         raise DatasetError(
             f"a depth of {worst_m:.6g} m does not fit 16 bits in steps of {scale_mm} mm "
             f"(up to {scale_mm * DEPTH_MAX / MM_PER_M:.3f} m): give a coarser step, such as "
-            f"store: {{depth_step_mm: {_coarser_mm(worst_m)}}}"
+            f"store: {{depth_step_mm: {next(coarser, _SCALES_MM[-1])}}}"
         )
     return np.where(fits, steps, 0).astype(np.uint16)
-
-
-def _coarser_mm(depth_m: float) -> float:
-    """A step that reaches a depth, or the coarsest."""
-    return next((mm for mm in _SCALES_MM if depth_m * MM_PER_M <= mm * DEPTH_MAX), _SCALES_MM[-1])
 
 
 def modulation_steps(

@@ -28,7 +28,7 @@ class Plain:
 
     `coco` has the annotations of this image alone, `first_annotation` is the id of the first one by
     camera type. `files` and `number` say where all of it lies, `numbers` are those of all images
-    of the scanner.
+    of the scanner. `manifest` is what the scene's says of this image.
     """
 
     files: SceneFolder

@@ -73,9 +73,11 @@ def read_pose_results(path: Path) -> list[PoseEstimate]:
             f"{path}: does not begin with the line {','.join(HEADER)}: give a CSV file of BOP "
             "results"
         )
-    found = [_estimate(row, f"{path}: line {n}") for n, row in enumerate(rows[1:], start=2) if row]
-    _check_times(path, found)
-    return found
+    estimates = [
+        _estimate(row, f"{path}: line {n}") for n, row in enumerate(rows[1:], start=2) if row
+    ]
+    _check_times(path, estimates)
+    return estimates
 
 
 def _estimate(row: list[str], where: str) -> PoseEstimate:
@@ -124,10 +126,10 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
     return values
 
 
-def _check_times(path: Path, found: Sequence[PoseEstimate]) -> None:
+def _check_times(path: Path, estimates: Sequence[PoseEstimate]) -> None:
     """BOP's time is of a picture, so all its poses state the same."""
     known: dict[tuple[int, int], float] = {}
-    for one in found:
+    for one in estimates:
         image = (one.scene_id, one.im_id)
         if known.setdefault(image, one.time_s) != one.time_s:
             raise GraycastError(

@@ -171,7 +171,7 @@ def raw_facts_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.R
     path = scene / "manifest.json"
     if not path.exists():
         return records.RawFacts()
-    manifest = read_json(path, records.Manifest).root
+    manifest = read_json(path, records.Manifest)
     return record_as(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
 
 

@@ -8,7 +8,7 @@ annotators drew.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pycocotools import mask as coco_mask
@@ -16,30 +16,27 @@ from pydantic import Field
 
 from ..base.errors import DatasetError
 from ..base.mask_box import mask_box
-from .places import finished_scenes
+from .places import CLAIM, finished_scenes
 from .records import (
-    Box,
     Camera,
     Claim,
-    CocoCategory,
-    CocoImage,
-    CompressedRunLengths,
-    Count,
-    Distortion,
+    CocoFile,
     FormatVersion,
     Manifest,
-    Matrix3,
     OneImage,
     Positive,
+    RealAnnotation,
+    RealInfo,
+    RealPose,
+    RealView,
     Record,
     SceneCoco,
     split_annotation,
 )
 from .rescanned import claim_kind, is_rescanned
 from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, own_form
 
-IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
 StoredKind = Literal["rgb", "gray_sl", "depth_sl", "masks"]
 _ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")
 _NAMES = {
@@ -67,67 +64,22 @@ class RealClaim(Record):
     versions: dict[str, str]
 
 
-class RealView(Record):
-    """One image in `scene_camera.json`: where the camera stood is not known."""
-
-    cam_K: Matrix3
-    depth_scale: Positive
-    distortion: Distortion = [0.0] * 5
-
-
-class RealPose(Record):
-    """One instance in `scene_gt.json`: what it is, not where."""
-
-    obj_id: Annotated[int, Field(ge=1)]
-
-
-class RealInfo(Record):
-    """One instance in `scene_gt_info.json`."""
-
-    bbox_visib: Box
-    px_count_visib: Count
-
-
-class RealAnnotation(Record):
-    id: int
-    image_id: int
-    category_id: int
-    iscrowd: int
-    area: int
-    bbox: Box
-    segmentation: CompressedRunLengths
-
-
-class RealSplitCoco(Record):
-    """`train_coco.json` of real pictures."""
-
-    info: dict[str, str]
-    licenses: list[Any]
-    categories: list[CocoCategory]
-    images: list[CocoImage]
-    annotations: list[RealAnnotation]
-
-
-def is_real(out: Path) -> bool:
-    """Whether a folder's `graycast.json` says that its pictures are real."""
-    return claim_kind(out) == "real"
-
-
 def read_claim(out: Path) -> Claim | RealClaim:
     """The `graycast.json` of a dataset of simulated or of real pictures.
 
     Raises:
         DatasetError: it is missing, damaged or of another version of Graycast.
     """
-    if is_rescanned(out):
+    kind = claim_kind(out)
+    if kind == "rescan":
         raise DatasetError(
             f"{out} has scanner depth for a dataset of others: give the folder of its split, where "
             "training examples are read, or use graycast validate and graycast report"
         )
     try:
-        if is_real(out):
-            return read_json(out / "graycast.json", RealClaim)
-        return read_json(out / "graycast.json", Claim)
+        if kind == "real":
+            return read_json(out / CLAIM, RealClaim)
+        return read_json(out / CLAIM, Claim)
     except Unreadable as error:
         raise DatasetError(f"{out} is not a Graycast dataset that can be read: {error}") from error
 
@@ -146,10 +98,9 @@ def absent(out: Path) -> tuple[str, ...]:
     return (*(_NAMES[name] for name in _NAMES if name not in claim.holds), *_ABSENT)
 
 
-def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
+def real_problems(out: Path, claim: RealClaim) -> Iterator[tuple[int | None, str]]:
     """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
     try:
-        claim = read_json(out / "graycast.json", RealClaim)
         camera = read_json(out / "camera.json", Camera)
     except Unreadable as error:
         yield None, str(error)
@@ -177,9 +128,9 @@ def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: Camera) -> Ite
         yield f"scene_camera.json: depth_scale is not graycast.json's {claim.depth_scale_mm}"
     for name in set(claim.holds) - {"masks"}:
         image = scene.png(name)
-        shape = (*size, 3) if name == "rgb" else size
-        if image.shape != shape or image.dtype != IMAGES[name]:
-            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(IMAGES[name])}"
+        shape, dtype = own_form(name, size)
+        if image.shape != shape or image.dtype != dtype:
+            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(dtype)}"
             yield f"{name}/000000.png is {is_}, it must be {must}"
     if "masks" in claim.holds:
         yield from _mask_problems(scene, claim, size)
@@ -215,7 +166,7 @@ def _mask_problems(scene: SceneFolder, claim: RealClaim, size: tuple[int, int]) 
 
 def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterator[str]:
     try:
-        split = read_json(out / "train_coco.json", RealSplitCoco)
+        split = read_json(out / "train_coco.json", CocoFile[RealAnnotation])
     except Unreadable as error:
         yield str(error)
         return

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Generic, TypeVar
 
 from pycocotools import mask as coco_mask
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, RootModel
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 MM_PER_M = 1000.0  # The files have the millimetres of BOP.
 FORMAT_VERSION = 3  # It is the version of `graycast.json` and all that belongs to it.
@@ -19,6 +19,8 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
 T = TypeVar("T")
+Images = dict[Count, T]  # A file of a scene that says something of each image.
+Manifest = dict[str, Any]  # It is whatever the run of a scene had to say.
 
 
 def _refuse_other_format(version: int) -> int:
@@ -127,36 +129,47 @@ class ModelInfo(Record):
         return [self.size_x, self.size_y, self.size_z]
 
 
-class ModelsInfo(RootModel[dict[str, ModelInfo]]):
-    """`models_info.json`."""
-
-
-class View(Record):
-    """One image in `scene_camera.json`."""
+class RealView(Record):
+    """One image in `scene_camera.json` of real pictures: where the camera stood is not known."""
 
     cam_K: Matrix3
-    cam_R_w2c: Matrix3
-    cam_t_w2c: Vector
     depth_scale: Positive
     distortion: Distortion = [0.0] * 5
 
 
-class Pose(Record):
+class View(RealView):
+    """One image in `scene_camera.json`."""
+
+    cam_R_w2c: Matrix3
+    cam_t_w2c: Vector
+
+
+class RealPose(Record):
+    """One instance in `scene_gt.json` of real pictures: what it is, not where."""
+
+    obj_id: Annotated[int, Field(ge=1)]
+
+
+class Pose(RealPose):
     """One instance in `scene_gt.json`."""
 
     cam_R_m2c: Matrix3
     cam_t_m2c: Vector
-    obj_id: Annotated[int, Field(ge=1)]
 
 
-class Info(Record):
+class RealInfo(Record):
+    """One instance in `scene_gt_info.json` of real pictures."""
+
+    bbox_visib: Box
+    px_count_visib: Count
+
+
+class Info(RealInfo):
     """One instance in `scene_gt_info.json`."""
 
     bbox_obj: Box
-    bbox_visib: Box
     px_count_all: Count
     px_count_valid: Count
-    px_count_visib: Count
     visib_fract: Annotated[float, Field(ge=0, le=1)]
 
 
@@ -175,30 +188,10 @@ class ScannerRecord(Record):
     reasons: dict[str, int]
 
 
-class Poses(RootModel[list[Pose]]):
-    """One image in `scene_gt.json`."""
-
-
-class Infos(RootModel[list[Info]]):
-    """One image in `scene_gt_info.json`."""
-
-
-class Boxes3d(RootModel[list[Box3d]]):
-    """One image in `scene_gt_box3d.json`."""
-
-
-class InfoRecords(RootModel[list[dict[str, Any]]]):
-    """One image in `scene_gt_info.json`, as it is."""
-
-
 class OneImage(Record, Generic[T]):
     """A file of a scene that holds one image: its only key is that image's number."""
 
     image: Annotated[T, Field(alias="0")]
-
-
-class Images(RootModel[dict[Count, T]], Generic[T]):
-    """A file of a scene that says something of each image."""
 
 
 class RunLengths(Record):
@@ -224,48 +217,43 @@ class CocoCategory(Record):
     supercategory: str
 
 
-class SceneAnnotation(Record):
+class _Annotation(Record):
     id: int
     image_id: int
     category_id: int
     iscrowd: int
     area: int
     bbox: Box
+
+
+class SceneAnnotation(_Annotation):
     segmentation: RunLengths
     width: int
     height: int
     ignore: bool
 
 
-class SplitAnnotation(Record):
-    id: int
-    image_id: int
-    category_id: int
-    iscrowd: int
-    area: int
-    bbox: Box
+class RealAnnotation(_Annotation):
+    """In the file of a split of real pictures."""
+
     segmentation: CompressedRunLengths
+
+
+class SplitAnnotation(RealAnnotation):
     visib_fract: float
 
 
-class SceneCoco(Record):
-    """`scene_gt_coco.json`."""
+class CocoFile(Record, Generic[T]):
+    """A file of COCO annotations: `scene_gt_coco.json`, or `train_coco.json` of a split."""
 
     info: dict[str, str]
     licenses: list[Any]
     categories: list[CocoCategory]
     images: list[CocoImage]
-    annotations: list[SceneAnnotation]
+    annotations: list[T]
 
 
-class SplitCoco(Record):
-    """`train_coco.json`."""
-
-    info: dict[str, str]
-    licenses: list[Any]
-    categories: list[CocoCategory]
-    images: list[CocoImage]
-    annotations: list[SplitAnnotation]
+SceneCoco = CocoFile[SceneAnnotation]
 
 
 def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, Any]:
@@ -329,7 +317,3 @@ class SceneManifest(BaseModel):
     physics: Physics | None = None
     reasons: dict[str, float]
     config: dict[str, Any]
-
-
-class Manifest(RootModel[dict[str, Any]]):
-    """`manifest.json` of a scene: whatever its run had to say."""

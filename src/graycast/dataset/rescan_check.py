@@ -10,20 +10,14 @@ from pycocotools import mask as coco_mask
 from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
 from ..camera.decode import Reason
-from .coco import scene_coco
+from .coco import add_images, scene_coco
 from .places import CLAIM
 from .rescanned import RECORDS, ImageRecord, RescanClaim, image_records
 from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder, scene_folders
+from .scene_folder import OWN_PICTURES, SCANNER, SceneFolder, scene_folders
 from .seal import sum_problems
 
 _COCO = "scene_gt_coco_sl"
-_PICTURES = {
-    "gray_sl": np.uint8,
-    "depth_sl": np.uint16,
-    "reason_sl": np.uint8,
-    "modulation_sl": np.uint16,
-}
 _NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
 
 
@@ -41,11 +35,7 @@ def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any
             whole = files.setdefault(name, scene_coco(obj_ids=(), images=[], annotations=[]))
             known = {category["id"] for category in whole["categories"]}
             whole["categories"] += [one for one in entry["categories"] if one["id"] not in known]
-            whole["images"] += entry["images"]
-            first = len(whole["annotations"]) + 1
-            whole["annotations"] += [
-                {**annotation, "id": k} for k, annotation in enumerate(entry["annotations"], first)
-            ]
+            add_images(whole, entry["images"], entry["annotations"])
     return files
 
 
@@ -89,10 +79,11 @@ def _image_problems(
     scene: SceneFolder, number: int, record: ImageRecord, claim: RescanClaim
 ) -> Iterator[str]:
     entries = record.entries
-    image = {name: scene.png(name, number) for name in _PICTURES}
+    names = [name for name in OWN_PICTURES if name.endswith(SCANNER)]
+    image = {name: scene.png(name, number) for name in names}
     size = image["reason_sl"].shape
-    for name, kind in _PICTURES.items():
-        if image[name].shape != size or image[name].dtype != kind:
+    for name in names:
+        if image[name].shape != size or image[name].dtype != OWN_PICTURES[name]:
             yield f"{name} is {image[name].shape} {image[name].dtype}, reason_sl is {size}"
             return
     depth, reason = image["depth_sl"], image["reason_sl"]

@@ -1,16 +1,21 @@
 """Files of a dataset, read without trust in them."""
 
 import zlib
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from types import GenericAlias
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import pydantic
+from pydantic import TypeAdapter, ValidationError
 
 from ..base.file_limits import refuse_large_picture
 
-R = TypeVar("R", bound=pydantic.BaseModel)
+R = TypeVar("R")
+Form = type[R] | GenericAlias  # GenericAlias is what `list[Pose]` is when the program runs.
+_checker: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -18,35 +23,35 @@ class Unreadable(Exception):
     """A file that is missing, damaged or of another form than it must have."""
 
 
-def read_json(path: Path, form: type[R]) -> R:
+def read_json(path: Path, form: Form[R]) -> R:
     """A JSON file as the record it must be.
 
     Raises:
         Unreadable: it is not there, not JSON or of another form.
     """
     try:
-        return form.model_validate_json(path.read_bytes())
+        return _checker(form).validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise Unreadable(f"{path.name} is missing") from error
     except OSError as error:
         raise Unreadable(f"{path.name} cannot be read: {error.strerror}") from error
-    except pydantic.ValidationError as error:
+    except ValidationError as error:
         raise Unreadable(_first_mistake(path.name, error)) from error
 
 
-def record_as(content: Any, form: type[R], where: str) -> R:
+def record_as(content: Any, form: Form[R], where: str) -> R:
     """What a file or a part of it holds as the record it must be.
 
     Raises:
         Unreadable: it is of another form.
     """
     try:
-        return form.model_validate(content)
-    except pydantic.ValidationError as error:
+        return _checker(form).validate_python(content)
+    except ValidationError as error:
         raise Unreadable(_first_mistake(where, error)) from error
 
 
-def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
+def _first_mistake(where: str, error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(key) for key in first["loc"])
     return ": ".join(filter(None, (where, key, first["msg"].removeprefix("Value error, "))))

@@ -79,19 +79,19 @@ def labelled(sample: Sample) -> Sample:
     has_label = np.array([part.labelled for part in scene.parts], dtype=bool)
     if has_label.all():
         return sample
-    kept = has_label[layout.part_index]
-    number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # -1, no part, stays -1
+    keep = has_label[layout.part_index]
+    number = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)  # -1, no part, stays -1
     return replace(
         sample,
         scene=replace(scene, parts=tuple(part for part in scene.parts if part.labelled)),
         layout=replace(
             layout,
-            T_world_part=layout.T_world_part[kept],
-            part_index=layout.part_index[kept],
+            T_world_part=layout.T_world_part[keep],
+            part_index=layout.part_index[keep],
         ),
         truth=replace(
             truth,
             instance=number[truth.instance].astype(truth.instance.dtype),
-            amodal=tuple(whole for whole, own in zip(truth.amodal, kept, strict=True) if own),
+            amodal=tuple(whole for whole, own in zip(truth.amodal, keep, strict=True) if own),
         ),
     )

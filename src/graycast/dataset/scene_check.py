@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
-from pydantic import BaseModel
+from jaxtyping import Float
 
 from ..base.frames import is_rigid
 from ..camera.decode import Reason
@@ -15,25 +14,17 @@ from .mask_check import mask_problems
 from .places import camera_file
 from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
-from .safe_reading import Unreadable, png_kind
-from .scene_folder import SceneFolder, of_sensor
+from .safe_reading import Form, Unreadable, png_kind
+from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 from .seal import facts_of
 from .sense import Evidence, sense_problems
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 BOX_MM = 1e-3  # The models hold the sizes of 3D boxes to nine digits.
 WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # One pose is computed through two cameras in double precision.
 
 _OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
-_IMAGES = {
-    "rgb": np.uint8,
-    "depth": np.uint16,
-    "gray_sl": np.uint8,
-    "depth_sl": np.uint16,
-    "reason_sl": np.uint8,
-    "modulation_sl": np.uint16,
-}
 
 
 def scene_problems(
@@ -59,9 +50,9 @@ def scene_problems(
                 image = _read_image(files, number, range(taker.images), first_annotation)
                 for suffix, coco in image.coco.items():
                     first_annotation[suffix] += len(coco.annotations)
-                found = _image_problems(image, claim, cameras[taker.name], models)
+                problems = _image_problems(image, claim, cameras[taker.name], models)
                 which = f"{' '.join(filter(None, ('image', str(number), taker.name)))}: "
-                yield from ((which if many else "") + what for what in found)
+                yield from ((which if many else "") + what for what in problems)
                 first = first or image
                 yield from _world_problems(first, image)
         except Unreadable as error:
@@ -73,7 +64,7 @@ def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
     must = set(range(count))
     for name in (*_OF_IMAGE, "scene_gt_box3d", "scene_sl"):
         for suffix in ("", "_sl") if name in _OF_IMAGE else ("",):
-            images = set(files.record(name + suffix, records.Images[Any]).root)
+            images = set(files.record(name + suffix, records.Images[Any]))
             if images != must:
                 odd = sorted(images ^ must)[0]
                 yield (
@@ -126,69 +117,44 @@ def _image_problems(
     try:
         yield from mask_problems(scene, camera, models, instance)
         if all(pose.obj_id in models for pose in scene.poses):
-            yield from sense_problems(_evidence(scene, claim, models, instance))
+            placed = ((models[pose.obj_id], _placed(pose)) for pose in scene.poses)
+            parts_mm = tuple(model.vertices @ T[:3, :3].T + T[:3, 3] for model, T in placed)
+            yield from sense_problems(
+                Evidence(claim=claim, plain=scene, instance=instance, parts_mm=parts_mm)
+            )
     except Unreadable as error:
         yield str(error)
-
-
-def _evidence(
-    scene: Plain,
-    claim: records.Claim,
-    models: Mapping[int, Model],
-    instance: Int[np.ndarray, "h w"],
-) -> Evidence:
-    placed = ((models[p.obj_id], _placed(p)) for p in scene.poses)
-    sensor = scene.files.sensor
-    taker = [taker.name for taker in claim.takers].index(sensor)
-    return Evidence(
-        scene_id=int(scene.files.path.name),
-        claim=claim,
-        taker=taker,
-        number=scene.number,
-        manifest=facts_of(scene.manifest, sensor, scene.number),
-        lens=scene.lens,
-        view=scene.view,
-        poses=scene.poses,
-        scanner=scene.scanner,
-        rgb=scene.image["rgb"],
-        gray=scene.image["gray_sl"],
-        depth=scene.image["depth"],
-        depth_sl=scene.image["depth_sl"],
-        reason=scene.image["reason_sl"],
-        modulation_step=scene.image["modulation_sl"],
-        instance=instance,
-        parts_mm=tuple(model.vertices @ T[:3, :3].T + T[:3, 3] for model, T in placed),
-    )
 
 
 def _read_image(
     files: SceneFolder, number: int, numbers: range, first_annotation: Mapping[str, int]
 ) -> Plain:
     view = _of_both(files, "scene_camera", number, records.View)
-    poses = _of_both(files, "scene_gt", number, records.Poses)
-    info = _of_both(files, "scene_gt_info", number, records.Infos)
+    poses = _of_both(files, "scene_gt", number, list[records.Pose])
+    info = _of_both(files, "scene_gt_info", number, list[records.Info])
     alike = {"scene_camera": view[""] == view["_sl"], "scene_gt": poses[""] == poses["_sl"]}
     for name, same in alike.items():
         if not same:
             one, other = (of_sensor(name + suffix, files.sensor) for suffix in ("_sl", ""))
             raise Unreadable(f"{one}.json differs from {other}.json: both look through one lens")
+    manifest = SceneFolder(files.path).record("manifest", records.Manifest)
     return Plain(
         files=files,
         number=number,
         numbers=numbers,
         first_annotation=dict(first_annotation),
-        image={name: files.png(name, number) for name in _IMAGES},
+        image={name: files.png(name, number) for name in OWN_PICTURES},
         view=view[""],
-        poses=poses[""].root,
-        info={suffix: record.root for suffix, record in info.items()},
+        poses=poses[""],
+        info=info,
         coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
-        box3d=files.of_image("scene_gt_box3d", number, records.Boxes3d).root,
+        box3d=files.of_image("scene_gt_box3d", number, list[records.Box3d]),
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
-        manifest=SceneFolder(files.path).record("manifest", records.Manifest).root,
+        manifest=facts_of(manifest, files.sensor, number),
     )
 
 
-def _of_both(files: SceneFolder, name: str, number: int, form: type[R]) -> dict[str, R]:
+def _of_both(files: SceneFolder, name: str, number: int, form: Form[R]) -> dict[str, R]:
     """What a JSON file says of one image, by camera type."""
     return {suffix: files.of_image(name + suffix, number, form) for suffix in ("", "_sl")}
 
@@ -208,9 +174,9 @@ def _picture_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
         kind = png_kind(scene.files.png_path(name, scene.number))
         if kind != ("colour" if name == "rgb" else "grey"):
             yield f"{scene.name(name)} is a PNG of the kind {kind}, which no writer of ours makes"
-        shape = (camera.height, camera.width, 3)[: 3 if name == "rgb" else 2]
-        if image.shape != shape or image.dtype != _IMAGES[name]:
-            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(_IMAGES[name])}"
+        shape, dtype = own_form(name, (camera.height, camera.width))
+        if image.shape != shape or image.dtype != dtype:
+            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(dtype)}"
             yield f"{scene.name(name)} is {is_}, it must be {must}"
 
 

@@ -15,12 +15,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..base.array_types import Bool
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
-from .safe_reading import Unreadable, read_json, read_mask, read_picture, read_png, record_as
+from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # Our own datasets add this type of camera.
+OWN_PICTURES = {
+    "rgb": np.uint8,
+    "depth": np.uint16,
+    "gray_sl": np.uint8,
+    "depth_sl": np.uint16,
+    "reason_sl": np.uint8,
+    "modulation_sl": np.uint16,
+}
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 
 def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
@@ -45,6 +53,11 @@ def picture_name(kind: str, number: int, sensor: str = "") -> str:
     return f"{of_sensor(kind, sensor)}/{number:06d}.png"
 
 
+def own_form(kind: str, size_px: tuple[int, int]) -> tuple[tuple[int, ...], type]:
+    """Shape and type of a picture of our own datasets; only `rgb` has three channels."""
+    return (*size_px, 3)[: 3 if kind == "rgb" else 2], OWN_PICTURES[kind]
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class SceneFolder:
@@ -57,15 +70,15 @@ class SceneFolder:
     path: Path
     sensor: str = ""
 
-    def record(self, name: str, form: type[R]) -> R:
+    def record(self, name: str, form: Form[R]) -> R:
         """A JSON file as the record that it must be."""
         return read_json(self.path / f"{of_sensor(name, self.sensor)}.json", form)
 
-    def of_image(self, name: str, number: int, form: type[R]) -> R:
+    def of_image(self, name: str, number: int, form: Form[R]) -> R:
         """What a JSON file says of one image; what it says of others is not judged."""
         return record_as(self._entry(name, number), form, self._where(name, number))
 
-    def of_instances(self, name: str, number: int, form: type[R]) -> list[R]:
+    def of_instances(self, name: str, number: int, form: Form[R]) -> list[R]:
         """What a JSON file says of each instance in one image."""
         where, entry = self._where(name, number), self._entry(name, number)
         if not isinstance(entry, list):
@@ -79,8 +92,8 @@ class SceneFolder:
 
     def picture(self, kind: str, number: int) -> np.ndarray | None:
         """A picture of any format as it is stored, colours in OpenCV's order, if there is one."""
-        found = self.find_picture(kind, number)
-        return None if found is None else read_picture(found)
+        path = self.find_picture(kind, number)
+        return None if path is None else read_picture(path)
 
     def png_path(self, kind: str, number: int = 0) -> Path:
         return self._of(kind) / f"{number:06d}.png"
@@ -97,7 +110,7 @@ class SceneFolder:
         return read_mask(self.mask_path(kind, instance, number))
 
     def _entry(self, name: str, number: int) -> Any:
-        entries = self.record(name, Images[Any]).root
+        entries = self.record(name, Images[Any])
         if number not in entries:
             raise Unreadable(f"{of_sensor(name, self.sensor)}.json says nothing of image {number}")
         return entries[number]

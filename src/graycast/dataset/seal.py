@@ -2,7 +2,8 @@
 
 A manifest also holds the SHA-256 of itself, over all but its timings, which differ between equal
 runs. These guard against accidents; who changes a file and computes the sums anew is found by the
-checks of sense in `sense/`, as far as the files know better.
+checks of sense in `sense/`, as far as the files know better. A scene that is made again is compared
+file by file.
 """
 
 import hashlib
@@ -10,7 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..base.file_limits import parse_json
 from .json_text import json_bytes
+from .safe_reading import png_pixels
 
 MANIFEST = "manifest.json"
 SUMS, OWN = "sha256", "manifest_sha256"  # Both are in a manifest, the first in `graycast.json` too.
@@ -18,6 +23,7 @@ SUMS, OWN = "sha256", "manifest_sha256"  # Both are in a manifest, the first in 
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
 OWN_FACTS = ("exposure_s", "reasons", "part_reasons", "frames", "code_maps")
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
+_NOT_COMPARED = {*_UNSEALED, SUMS}  # Sums of files that differ would say the same twice.
 
 
 def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, Any]:
@@ -86,3 +92,33 @@ def _sum_of(path: Path) -> str | None:
 def _named(names: list[str]) -> str:
     more = f" (and {len(names) - 1} more)" if len(names) > 1 else ""
     return f"{names[0]}{more}"
+
+
+def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
+    """The files of a stored scene that differ, and how; timings in manifests are ignored."""
+    new = dict(files)
+    stored = {str(p.relative_to(scene)): p for p in scene.rglob("*") if p.is_file()}
+    differing = dict.fromkeys(new.keys() - stored.keys(), "is not stored")
+    differing |= dict.fromkeys(
+        stored.keys() - new.keys(), "is stored, but the new scene does not have it"
+    )
+    for name in new.keys() & stored.keys():
+        content = stored[name].read_bytes()
+        if content != new[name] and (how := _difference(name, content, new[name])):
+            differing[name] = how
+    return dict(sorted(differing.items()))
+
+
+def _difference(name: str, stored: bytes, new: bytes) -> str | None:
+    if name == "manifest.json":
+        one, other = parse_json(stored), parse_json(new)
+        keys = [k for k in sorted({*one, *other} - _NOT_COMPARED) if one.get(k) != other.get(k)]
+        return f"differs in {', '.join(keys)}" if keys else None
+    if not name.endswith(".png"):
+        return "differs"
+    pictures = [png_pixels(content, name).astype(np.int64) for content in (stored, new)]
+    if pictures[0].shape != pictures[1].shape:
+        return "has another size"
+    gap = np.abs(pictures[0] - pictures[1])
+    changed = gap if gap.ndim == 2 else gap.max(axis=2)
+    return f"differs in {np.count_nonzero(changed)} of {changed.size} pixels, by up to {gap.max()}"

@@ -23,11 +23,11 @@ from ..rig.pair import Rig
 from ..world.parts import Part
 from .bop import camera_json, scene_files
 from .claim import Taker, make_claim, refuse_other
-from .coco import split_coco
+from .coco import coco_categories, split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, camera_file, finished_scenes
-from .records import InfoRecords, Manifest
+from .records import Manifest
 from .safe_reading import Unreadable
 from .sample import Sample
 from .scene_folder import SceneFolder, of_sensor, picture_name
@@ -76,7 +76,9 @@ class Store:
             DatasetError: the disk refuses, or the scene is there already.
         """
         place = self.out / "train" / f"{scene_id:06d}"
-        with _disk_errors(self.out), _refusing_other(place), beside(place) as aside:
+        if place.exists():  # nobody else writes: the folder is locked
+            raise DatasetError(f"{place} exists already: remove it to make it again")
+        with _disk_errors(self.out), beside(place) as aside:
             aside.mkdir()
             for taker in self.takers:
                 for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
@@ -121,15 +123,11 @@ class Store:
             raise DatasetError(
                 f"{self.out}: scenes {missing} are not finished: run graycast generate to make them"
             )
-        categories = [
-            {"id": obj_id, "name": name, "supercategory": "graycast"}
-            for obj_id, name in self.categories
-        ]
         pictures = [picture for scene_id in finished for picture in self._pictures(scene_id)]
         text = split_coco(
             (of_picture for scene_id in finished for of_picture in self._annotations(scene_id)),
             pictures=pictures,
-            categories=categories,
+            categories=coco_categories(self.categories),
         )
         _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
 
@@ -152,9 +150,9 @@ class Store:
         for taker in self.takers:
             scene = SceneFolder(self.out / "train" / f"{scene_id:06d}", taker.name)
             try:
-                coco = scene.record("scene_gt_coco", Manifest).root
+                coco = scene.record("scene_gt_coco", Manifest)
                 for image in range(taker.images):
-                    infos = scene.of_image("scene_gt_info", image, InfoRecords).root
+                    infos = scene.of_image("scene_gt_info", image, list[dict[str, Any]])
                     own = [entry for entry in coco["annotations"] if entry["image_id"] == image]
                     yield number, own, infos
                     number += 1
@@ -219,7 +217,11 @@ def open_store(
     _refuse_foreign(out)
     with _disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    lock = _locked(out)
+        lock = take_lock(out / _LOCK)
+    if lock is None:
+        raise DatasetError(
+            f"another run is writing to {out}: wait until it ends, or choose another folder"
+        )
     try:
         with _disk_errors(out):
             remove_left(out, out / "train")
@@ -246,34 +248,6 @@ def open_store(
     )
 
 
-def refuse_other_dataset(
-    out: Path,
-    *,
-    config: Mapping[str, Any],
-    seed: int,
-    parts: tuple[Part, ...],
-    rig: Rig,
-    depth_scale_mm: float,
-    takers: tuple[Taker, ...] = (),
-) -> None:
-    """Whether a folder's dataset is of this configuration; nothing is written.
-
-    Raises:
-        DatasetError: it is not, and where it differs; or it is damaged.
-    """
-    refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm, takers))
-
-
-@contextmanager
-def _refusing_other(place: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            raise
-        raise DatasetError(f"{place} exists already: remove it to make it again") from error
-
-
 def _sync(path: Path) -> None:
     folder = os.open(path, os.O_RDONLY)
     try:
@@ -298,16 +272,6 @@ def _refuse_foreign(out: Path) -> None:
             f"{out} is not empty and holds no Graycast dataset (it has {min(foreign)}): "
             "choose another folder"
         )
-
-
-def _locked(out: Path) -> IO[str]:
-    with _disk_errors(out):
-        lock = take_lock(out / _LOCK)
-    if lock is None:
-        raise DatasetError(
-            f"another run is writing to {out}: wait until it ends, or choose another folder"
-        )
-    return lock
 
 
 def _common_files(

@@ -4,7 +4,7 @@ Nothing is trusted: a file that is missing, damaged or contradicts another is a 
 says which one.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,69 +12,20 @@ from typing import Any, final
 
 import numpy as np
 from pycocotools import mask as coco_mask
-from pydantic import RootModel
 
-from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
+from ..base.array_types import Bool, Float32, UInt8
 from ..base.errors import DatasetError
 from . import records
 from .example import Example, InstanceLabel, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
-from .real import RealClaim, RealInfo, RealPose, RealView, read_claim
+from .real import RealClaim, read_claim
 from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, own_form
 from .seal import facts_of
 
-NO_REASON = 255  # The dataset does not say why a pixel has no scanner depth.
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
-_PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
-_DEPTH = (2, np.uint16)
-
-
-_Anything = RootModel[Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StoredInstance:
-    """One instance, seen or not; None is what a dataset of real pictures does not know.
-
-    `box` and `amodal_box` are BOP's [x, y, last column - first, last row - first], -1 four times
-    where nothing is visible; `box3d` is rotation (9), centre and size [mm], camera frame.
-    """
-
-    obj_id: int
-    area_px: int
-    box: list[int]
-    visib_fract: float | None = None
-    amodal_box: list[int] | None = None
-    position_mm: list[float] | None = None
-    box3d: tuple[list[float], list[float], list[float]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SceneContent:
-    """All of one scene in memory, as stored; a picture that the dataset does not hold is None.
-
-    Depths are steps of `depth_scale_mm`, 0 where there is none. `reason` holds the numbers of
-    `reason_name`, 0 where there is a scanner depth and `NO_REASON` where the dataset does not say
-    why there is none. `label` is the visible instance of each pixel, -1 for none; where masks of
-    annotators overlap, the later one.
-    """
-
-    stored: "StoredScene"
-    rgb: UInt8[np.ndarray, "h w 3"] | None
-    gray: UInt8[np.ndarray, "h w"] | None
-    depth: UInt16[np.ndarray, "h w"] | None
-    scanner: UInt16[np.ndarray, "h w"] | None
-    reason: UInt8[np.ndarray, "h w"]
-    label: Int[np.ndarray, "h w"]
-    view: dict[str, Any]
-    instances: tuple[StoredInstance, ...]
-    reason_name: dict[int, str]
-    manifest: dict[str, Any]
-
-    @property
-    def depth_scale_mm(self) -> float:
-        return float(self.view["depth_scale"])
+# An instance has a pose and figures, and an annotation if it is seen.
+Instance = tuple[Any, Any, records.SceneAnnotation | None]
 
 
 @final
@@ -121,13 +72,13 @@ class StoredScene:
 
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
-        return self._of_image("scene_camera", RealView if self.real else records.View)
+        return self.of_image("scene_camera", records.RealView if self.real else records.View)
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
         files = SceneFolder(self.folder)
         whole = self._checked(partial(files.record, "manifest", records.Manifest))
-        return facts_of(whole.root, self.sensor, self.image)
+        return facts_of(whole, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -135,82 +86,64 @@ class StoredScene:
 
     def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
         """The visible instances, or those visible for at least a share; none without masks."""
-        poses, infos, annotations = self._annotated()
-        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
-        labels = (
-            self._label(i, poses[i], infos[i], entry)
-            for i, entry in zip(visible, annotations, strict=True)
-        )
+        rated = "shares" in self.holds
         return [
-            label
-            for label in labels
-            if label.visib_fract is None or label.visib_fract >= min_visibility
+            self._label(i, pose, info, entry)
+            for i, (pose, info, entry) in enumerate(self.instances())
+            if entry is not None and not (rated and info.visib_fract < min_visibility)
         ]
 
     def png(self, name: str) -> Path:
-        """A picture's file, found whole and of the right form."""
-        self._image(name)
+        """A picture's file, which is whole and of the right form."""
+        self.picture(name)
         return self._files.png_path(name, self.image)
 
+    def picture(self, name: str) -> np.ndarray:
+        """A picture as stored: colours in OpenCV's order, depth in steps, 0 where there is none."""
+        shape, dtype = own_form(name, self.size_px)
+        image = self._checked(partial(self._files.png, name, self.image))
+        if image.shape != shape or image.dtype != dtype:
+            height_px, width_px = self.size_px
+            must = f"{np.dtype(dtype)}, {width_px} x {height_px} pixels"
+            path = self._files.png_path(name, self.image)
+            raise DatasetError(
+                f"{path}: is {image.dtype} {image.shape}, it must be {must}: run graycast validate"
+            )
+        return image
+
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
-        return np.ascontiguousarray(self._image("rgb")[..., ::-1])
-
-    def gray(self) -> UInt8[np.ndarray, "h w"]:
-        return self._image("gray_sl")
-
-    def depth_steps(self, name: str) -> UInt16[np.ndarray, "h w"]:
-        """`depth` or `depth_sl` as stored: steps of the depth scale, 0 where there is none."""
-        return self._image(name)
+        return np.ascontiguousarray(self.picture("rgb")[..., ::-1])
 
     def depth_m(self, name: str) -> Float32[np.ndarray, "h w"]:
         """z [m] of `depth` or `depth_sl`, NaN where there is none."""
-        return metres(self._image(name), self.view().depth_scale)
+        return metres(self.picture(name), self.view().depth_scale)
 
-    def masks(self, name: str) -> list[Bool[np.ndarray, "h w"]]:
+    def masks(self, name: str) -> Iterator[Bool[np.ndarray, "h w"]]:
         """All masks of `mask` or `mask_visib`, of hidden instances too."""
-        return [self._mask(name, i) for i in range(len(self.poses()))]
+        for i in range(len(self.poses())):
+            mask = self._checked(partial(self._files.mask, name, i, self.image))
+            if mask.shape != self.size_px:
+                path = self._files.mask_path(name, i, self.image)
+                raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
+            yield mask
 
-    def example(self, *, min_visibility: float = 0.0) -> Example:
+    def example(self) -> Example:
         """What a trainer wants of it."""
-        view, labels = self.view(), self.labels(min_visibility=min_visibility)
-        known = labels if "masks" in self.holds else None
+        view, labels = self.view(), self.labels()
         return Example(
             scene_id=self.image_id,
             K=np.array(view.cam_K).reshape(3, 3),
             distortion=tuple(view.distortion),
             rgb=self.rgb() if "rgb" in self.holds else None,
-            gray=self.gray() if "gray_sl" in self.holds else None,
+            gray=self.picture("gray_sl") if "gray_sl" in self.holds else None,
             depth_m=self.depth_m("depth") if "depth" in self.holds else None,
             scanner_depth_m=self.depth_m("depth_sl") if "depth_sl" in self.holds else None,
-            **label_arrays(known, self.size_px),
+            **(label_arrays(labels, self.size_px) if "masks" in self.holds else {}),
         )
-
-    def content(self) -> SceneContent:
-        """What statistics and pages want of it: everything."""
-        scanner = self.depth_steps("depth_sl") if "depth_sl" in self.holds else None
-        reason, reason_name = self._reasons(scanner)
-        poses, infos, annotations = self._annotated()
-        return SceneContent(
-            stored=self,
-            rgb=self.rgb() if "rgb" in self.holds else None,
-            gray=self.gray() if "gray_sl" in self.holds else None,
-            depth=self.depth_steps("depth") if "depth" in self.holds else None,
-            scanner=scanner,
-            reason=reason,
-            label=self._label_map(infos, annotations),
-            view=self.view().model_dump(),
-            instances=self._instances(poses, infos),
-            reason_name=reason_name,
-            manifest=self.manifest(),
-        )
-
-    def json_record(self, name: str) -> Any:
-        """What a JSON file says of the scene's image, as it is."""
-        return self._of_image(name, _Anything).root
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
-        poses = self._of_instances("scene_gt", RealPose if self.real else records.Pose)
+        poses = self.of_instances("scene_gt", records.RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
                 f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
@@ -218,12 +151,12 @@ class StoredScene:
             )
         return poses
 
-    def _annotated(self) -> tuple[list[Any], list[Any], list[records.SceneAnnotation]]:
-        """Poses and figures of all instances, annotations of those that are seen."""
+    def instances(self) -> list[Instance]:
+        """Every instance, seen or not; none without masks."""
         if "masks" not in self.holds:
-            return [], [], []
+            return []
         poses = self.poses()
-        infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
+        infos = self.of_instances("scene_gt_info", records.RealInfo if self.real else records.Info)
         whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
         annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
         visible = sum(info.px_count_visib > 0 for info in infos)
@@ -241,7 +174,11 @@ class StoredScene:
                     f"{self.folder / 'scene_gt_coco.json'}: annotation {entry.id} is of another "
                     f"image than {size[1]} x {size[0]} pixels: run graycast validate"
                 )
-        return poses, infos, annotations
+        entries = iter(annotations)
+        return [
+            (pose, info, next(entries) if info.px_count_visib > 0 else None)
+            for pose, info in zip(poses, infos, strict=True)
+        ]
 
     def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> InstanceLabel:
         size = list(self.size_px)
@@ -256,80 +193,16 @@ class StoredScene:
             visib_fract=info.visib_fract if "shares" in self.holds else None,
         )
 
-    def _label_map(
-        self, infos: list[Any], annotations: list[records.SceneAnnotation]
-    ) -> Int[np.ndarray, "h w"]:
-        """From run lengths: a picture per mask would be read a hundred times slower."""
-        height_px, width_px = self.size_px
-        label = np.full(height_px * width_px, -1, dtype=np.int32)  # by columns, as COCO counts
-        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
-        for i, entry in zip(visible, annotations, strict=True):
-            turn = np.cumsum(entry.segmentation.counts).tolist()
-            for start, end in zip(turn[0::2], turn[1::2], strict=False):
-                label[start:end] = i
-        return np.ascontiguousarray(label.reshape(width_px, height_px).T)
-
-    def _instances(self, poses: list[Any], infos: list[Any]) -> tuple[StoredInstance, ...]:
-        if self.real:
-            return tuple(
-                StoredInstance(obj_id=pose.obj_id, area_px=info.px_count_visib, box=info.bbox_visib)
-                for pose, info in zip(poses, infos, strict=True)
-            )
-        boxes = self._of_instances("scene_gt_box3d", records.Box3d)
-        if len(boxes) != len(poses):
-            raise DatasetError(
-                f"{self.folder}: scene_gt_box3d.json has {len(boxes)} boxes, scene_gt.json "
-                f"{len(poses)} instances: run graycast validate"
-            )
-        return tuple(
-            StoredInstance(
-                obj_id=pose.obj_id,
-                area_px=info.px_count_visib,
-                box=info.bbox_visib,
-                visib_fract=info.visib_fract,
-                amodal_box=info.bbox_obj,
-                position_mm=pose.cam_t_m2c,
-                box3d=(box.R, box.center, box.size),
-            )
-            for pose, info, box in zip(poses, infos, boxes, strict=True)
-        )
-
-    def _reasons(
-        self, scanner: UInt16[np.ndarray, "h w"] | None
-    ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
-        if not self.real:
-            numbers = self._of_image("scene_sl", records.ScannerRecord).reasons
-            return self._image("reason_sl"), {k: name.lower() for name, k in numbers.items()}
-        known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
-        return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}
-
-    def _image(self, name: str) -> np.ndarray:
-        axes, kind = _PIXELS.get(name, _DEPTH)
-        image = self._checked(partial(self._files.png, name, self.image))
-        if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
-            height_px, width_px = self.size_px
-            must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
-            path = self._files.png_path(name, self.image)
-            raise DatasetError(
-                f"{path}: is {image.dtype} {image.shape}, it must be {must}: run graycast validate"
-            )
-        return image
-
-    def _mask(self, name: str, i: int) -> Bool[np.ndarray, "h w"]:
-        mask = self._checked(partial(self._files.mask, name, i, self.image))
-        if mask.shape != self.size_px:
-            path = self._files.mask_path(name, i, self.image)
-            raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
-        return mask
-
     @property
     def _files(self) -> SceneFolder:
         return SceneFolder(self.folder, self.sensor)
 
-    def _of_image(self, name: str, form: Any) -> Any:
+    def of_image(self, name: str, form: Any) -> Any:
+        """What a JSON file says of this image, as the record that it must be."""
         return self._checked(partial(self._files.of_image, name, self.image, form))
 
-    def _of_instances(self, name: str, form: Any) -> Any:
+    def of_instances(self, name: str, form: Any) -> Any:
+        """What a JSON file says of each instance in this image."""
         return self._checked(partial(self._files.of_instances, name, self.image, form))
 
     def _checked(self, read: partial) -> Any:
@@ -416,11 +289,11 @@ class StoredDataset:
         of = len(self.images)
         return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
 
-    def picture(self, image_id: int, *, split: str = "train") -> StoredScene:
-        """An image by its number among all images of the split."""
+    def picture(self, image_id: int) -> StoredScene:
+        """An image by its number among all images of `train`."""
         scene_id, place = divmod(image_id, len(self.images))
         sensor, image = self.images[place]
-        return self.scene(scene_id, split=split, sensor=sensor, image=image)
+        return self.scene(scene_id, sensor=sensor, image=image)
 
     def taker(self, sensor: str) -> Mapping[str, Any]:
         """The rig and the scanner of a name as the claim says them; nothing of real pictures."""

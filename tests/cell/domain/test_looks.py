@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graycast.base.color import linear, srgb
-from graycast.cell.domain.looks import drawn_color, light_of, retouched
+from graycast.cell.domain.looks import color_of, light_of, retouched
 from graycast.world.parts import Material
 
 
@@ -19,7 +19,7 @@ from graycast.world.parts import Material
 )
 def test_a_drawn_colour_is_that_of_a_colour_picker(hue_deg, saturation, value, encoded):
     drawn = {"hue_deg": hue_deg, "saturation": saturation, "value": value}
-    assert srgb(np.array(drawn_color(drawn))).tolist() == list(encoded)
+    assert srgb(np.array(color_of(drawn))).tolist() == list(encoded)
 
 
 def test_a_factor_multiplies_the_linear_values_of_a_picture_and_ends_at_1():

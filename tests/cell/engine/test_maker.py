@@ -1,9 +1,12 @@
 """A worker keeps its renderer from scene to scene, and never after what nobody foresaw."""
 
+from contextlib import closing
+from dataclasses import replace
+
 import pytest
 
 from graycast.base.errors import DecodeError, DeviceError, DropError
-from graycast.cell.engine import SceneMaker, SceneTask, maker, worker_renderer
+from graycast.cell.engine import SceneMaker, SceneTask, job, maker
 from graycast.rendering import Renderer
 
 
@@ -32,9 +35,9 @@ def opened_for(task, monkeypatch, *errors):
         assert not renderer.closed
         raise left.pop(0)
 
-    monkeypatch.setattr(worker_renderer, "open_configured", open_one)
+    monkeypatch.setattr(job, "open_configured", open_one)
     monkeypatch.setattr(maker, "make_images", make)
-    with SceneMaker(task) as worker:
+    with closing(SceneMaker(task)) as worker:
         for scene_id, error in enumerate(errors):
             with pytest.raises(type(error)):
                 worker.make(scene_id)
@@ -57,6 +60,6 @@ def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
 
 def test_a_job_goes_to_another_device_with_all_else(task):
     """Workers of a cluster get the job so: with another seed or cell they would make others."""
-    there = task.on("cuda")
+    there = replace(task, device="cuda")
     assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")
     assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

@@ -6,7 +6,17 @@ import pytest
 from metered import Metered
 
 from graycast.base.errors import ConfigError, DeviceError, DropError, GraycastError, WorkerDied
-from graycast.cell.engine import TRIES, Failed, TaskResult, Workers, make_all, make_each, open_pool
+from graycast.cell.engine import (
+    TRIES,
+    Failed,
+    Job,
+    TaskResult,
+    Workers,
+    make_all,
+    make_missing,
+    open_pool,
+    workers,
+)
 
 IDS = range(20)
 
@@ -103,12 +113,13 @@ def test_an_unknown_engine_is_refused(task):
         open_pool(task, Workers(engine="slurm", count=2), scenes=2)
 
 
-def handed(script, ids=IDS):
-    """What `make_each` hands over of a pool that fails so, what it gives up, and the pool."""
+def handed(monkeypatch, script, ids=IDS):
+    """What `make_missing` hands over of a pool that fails so, what it gives up, and the pool."""
     pool, made, failed, meter = Scripted(script), [], [], Metered()
+    monkeypatch.setattr(workers, "open_pool", lambda *_, **words: pool)
     try:
-        lost = make_each(
-            pool,
+        lost = make_missing(
+            Job(seed=0, device="cpu"),
             ids,
             what="scenes",
             total=1 + len(ids),
@@ -119,23 +130,23 @@ def handed(script, ids=IDS):
     except Exception as raised:
         lost = raised
     whole = 1 + len(ids)  # one was there before
-    assert meter.counts == [("scenes", 2 + k, whole) for k in range(len(made))]
+    assert meter.counts == [("scenes", 1 + k, whole) for k in range(1 + len(made))]
     return [one.scene_id for one in made], [one.scene_id for one in failed], lost, pool
 
 
-def test_scenes_that_are_given_up_are_told_once_the_others_are_made():
-    made, failed, lost, pool = handed({4: [DropError("no rest")], 7: [MemoryError()]})
+def test_scenes_that_are_given_up_are_told_once_the_others_are_made(monkeypatch):
+    made, failed, lost, pool = handed(monkeypatch, {4: [DropError("no rest")], 7: [MemoryError()]})
     assert sorted(made) == [scene_id for scene_id in IDS if scene_id != 4]
     assert (sorted(failed), lost, pool.closed) == ([4, 7], (4,), True)
 
 
-def test_a_cell_that_serves_no_scene_stops_the_run():
+def test_a_cell_that_serves_no_scene_stops_the_run(monkeypatch):
     error = ConfigError("the tool fits round no part")
-    made, failed, lost, pool = handed({0: [error], 1: [error], 2: [error]})
+    made, failed, lost, pool = handed(monkeypatch, {0: [error], 1: [error], 2: [error]})
     assert (made, failed, lost, pool.closed) == ([], [], error, True)
 
 
-def test_where_all_are_given_up_the_last_error_is_raised():
+def test_where_all_are_given_up_the_last_error_is_raised(monkeypatch):
     errors = [DropError("no rest"), DropError("none either")]
-    _, failed, lost, pool = handed({0: [errors[0]], 1: [errors[1]]}, ids=(0, 1))
+    _, failed, lost, pool = handed(monkeypatch, {0: [errors[0]], 1: [errors[1]]}, ids=(0, 1))
     assert len(failed) == 2 and lost in errors and pool.closed

@@ -11,6 +11,7 @@ from pictured import SCALE_MM, forget, write_dataset
 
 from graycast.base.errors import DatasetError
 from graycast.camera.decode import Reason
+from graycast.dataset.scene_content import scene_content
 from graycast.dataset.stats import (
     dataset_statistics,
     scene_figures,
@@ -38,7 +39,7 @@ def statistics(made):
 def test_labels_from_run_lengths_are_the_mask_pictures(made):
     """Oracle: the PNGs of mask_visib, which are written by other code."""
     for scene in open_dataset(made[0]).scenes:
-        label = scene.content().label
+        label = scene_content(scene).label
         painted = np.full(label.shape, -1)
         for path in (scene.folder / "mask_visib").glob("*.png"):
             painted[cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0] = int(path.stem[-6:])
@@ -95,7 +96,7 @@ def test_depth_range_holds_the_wall(made, statistics):
 
 
 def test_figures_survive_json(made):
-    figures = scene_figures(open_dataset(made[0]).scene(3).content())
+    figures = scene_figures(scene_content(open_dataset(made[0]).scene(3)))
     assert type(figures).model_validate_json(figures.model_dump_json()) == figures
 
 

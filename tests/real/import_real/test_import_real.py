@@ -12,7 +12,7 @@ from simulated_dataset import SCALE_MM, visible, write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.cli import main
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.dataset.export import FORMATS, Options, export
 from graycast.dataset.real import absent
 from graycast.dataset.training import open_examples

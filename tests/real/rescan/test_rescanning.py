@@ -19,7 +19,7 @@ from pycocotools.coco import COCO
 from graycast.base.errors import ConfigError, DatasetError, GraycastError
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
-from graycast.dataset import validate
+from graycast.dataset.checking import validate
 from graycast.dataset.stored import open_dataset
 from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder

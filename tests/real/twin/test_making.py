@@ -13,12 +13,13 @@ from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.camera.scanner import scan
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
-from graycast.cell.simulate import lay_out
+from graycast.cell.simulate import cell_seeds, varied
 from graycast.cli import main
 from graycast.real.twin import making, searching
 from graycast.real.twin.parameters import OF_BIN, PARAMETERS
 from graycast.rendering import Quality
 from graycast.rig.pattern import CodeSpec
+from graycast.world.drop import drop
 
 SCANS = 5
 
@@ -33,9 +34,11 @@ def scanned(tmp_path_factory, mitsuba_renderer):
     save_scanner(replace(load_scanner(folder / "rig.yaml"), code=code), folder / "rig.yaml")
     cell = resolve_cell(load_config(path), folder)
     for number in range(SCANS):
-        scene, layout = lay_out(cell, number, seed=5)
+        seeds = cell_seeds(cell, number, seed=5)
+        fall = varied(cell, number, seeds)
+        layout = drop(fall.scene, fall.counts, seed=seeds["drop"], limits=cell.config.drop)
         found = mitsuba_renderer.render(
-            scene, layout, cell.patterns(), quality=Quality(samples=16, depth=3), seed=number
+            fall.scene, layout, cell.patterns(), quality=Quality(samples=16, depth=3), seed=number
         )
         shot = scan(cell.scanner, found.radiance, seed=number)
         np.save(folder / f"depth_{number}.npy", shot.depth.depth_m)

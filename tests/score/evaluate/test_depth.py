@@ -8,7 +8,8 @@ import pytest
 from metered import Metered
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.stored import SceneContent, StoredScene
+from graycast.dataset.scene_content import SceneContent
+from graycast.dataset.stored import StoredScene
 from graycast.rig.optics import Optics, rays
 from graycast.score.evaluate.depth import EDGE, depth_rows, incidence_rad
 from graycast.score.evaluate.depth_files import depth_markdown, evaluate_depth, write_depth

@@ -8,7 +8,7 @@ import pytest
 from pictured import write_dataset
 
 from graycast.cli import main
-from graycast.dataset.export.selection import chosen_pictures
+from graycast.dataset.export.formats import selected_pictures
 from graycast.dataset.stored import open_dataset
 from graycast.show.report.page import write_report
 
@@ -153,7 +153,7 @@ def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, ma
     saved = tmp_path / download.value.suggested_filename
     download.value.save_as(saved)
     assert saved.name == "bins-scenes.json"
-    assert chosen_pictures(saved, open_dataset(dataset)) == [4]
+    assert selected_pictures(saved, open_dataset(dataset)) == [4]
     command = ["dataset", "export", str(dataset), "--format", "yolo", "--selection", str(saved)]
     assert main([*command, "--out", str(tmp_path / "yolo")]) == 0
     assert [p.stem for p in (tmp_path / "yolo/images/train").iterdir()] == ["000004"]

@@ -13,7 +13,7 @@ from graycast.base.frames import axis_rotation, random_quaternions, rigid, rotat
 from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.camera.sensor import Capture, SensorSpec
 from graycast.cell.simulate import Shot
-from graycast.dataset import Sample
+from graycast.dataset.sample import Sample
 from graycast.rendering import GroundTruth, Radiance, Rendering, Silhouette
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig

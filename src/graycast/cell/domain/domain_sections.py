@@ -14,14 +14,6 @@ from ...world.parts.part_sections import PartSection
 
 KINDS = ("adapted", "randomized")
 
-
-Hue = SpanOf[Annotated[float, Field(ge=0, le=360)]]
-RoughnessSpan = SpanOf[Roughness]
-SizeFactor = SpanOf[Annotated[float, Field(ge=0.5, le=2)]]
-DistanceFactor = SpanOf[Annotated[float, Field(ge=0.2, le=5)]]
-Tilt = SpanOf[Annotated[float, Field(ge=-80, le=80)]]
-Elevation = SpanOf[Annotated[float, Field(ge=5, le=90)]]
-CountShare = SpanOf[Annotated[float, Field(ge=0.01, le=1)]]
 Angle = SpanOf[Annotated[float, Field(ge=-360, le=360)]]
 Kelvins = SpanOf[Annotated[float, Field(ge=1667, le=25000)]]
 Counts = SpanOf[Annotated[int, Field(ge=0, le=255)]]
@@ -98,7 +90,7 @@ class AdaptedSection(Settings):
 class ColorRanges(Settings):
     """A colour by hue, saturation and value of its sRGB encoding."""
 
-    hue_deg: Hue = Field(
+    hue_deg: SpanOf[Annotated[float, Field(ge=0, le=360)]] = Field(
         (0.0, 360.0), description="The range of the hue in degrees: 0 is red, 120 is green."
     )
     saturation: ShareSpan = Field((0.0, 1.0), description="The range of the saturation: 0 is grey.")
@@ -120,7 +112,7 @@ class SurfaceRanges(Settings):
         description="The range of the length that a picture covers before it repeats, in "
         "metres, log-uniform.",
     )
-    roughness: RoughnessSpan = Field(
+    roughness: SpanOf[Roughness] = Field(
         (0.3, 1.0), description="The range of the roughness: 0.05 is polished, 1 is matt."
     )
     metal_share: Share = Field(
@@ -131,7 +123,7 @@ class SurfaceRanges(Settings):
 class BinRanges(SurfaceRanges):
     """The look of the bin, which is the same inside and outside, and its size."""
 
-    size_factor: SizeFactor = Field(
+    size_factor: SpanOf[Annotated[float, Field(ge=0.5, le=2)]] = Field(
         (1.0, 1.0),
         description="The range of the factor by which all three inner sizes are scaled, "
         "log-uniform.",
@@ -141,11 +133,11 @@ class BinRanges(SurfaceRanges):
 class CameraRanges(Settings):
     """How the rig moves from its configured view, about the target of the view."""
 
-    distance_factor: DistanceFactor = Field(
+    distance_factor: SpanOf[Annotated[float, Field(ge=0.2, le=5)]] = Field(
         (0.9, 1.1),
         description="The range of the factor on the distance to the target, log-uniform.",
     )
-    tilt_deg: Tilt = Field(
+    tilt_deg: SpanOf[Annotated[float, Field(ge=-80, le=80)]] = Field(
         (-10.0, 10.0),
         description="The range of the angle that is added to the view's tilt, in degrees.",
     )
@@ -190,7 +182,7 @@ class LampRanges(Settings):
         (1.0, 2.5),
         description="The range of a lamp's distance from the middle of the bin, in metres.",
     )
-    elevation_deg: Elevation = Field(
+    elevation_deg: SpanOf[Annotated[float, Field(ge=5, le=90)]] = Field(
         (30.0, 80.0),
         description="The range of a lamp's angle above the horizon, in degrees. Directions "
         "are uniform over the solid angle.",
@@ -266,7 +258,7 @@ class RandomizedSection(Settings):
     bin: BinRanges | None = BinRanges()
     table: SurfaceRanges | None = SurfaceRanges()
     parts: PartRanges | None = PartRanges()
-    count_share: CountShare = Field(
+    count_share: SpanOf[Annotated[float, Field(ge=0.01, le=1)]] = Field(
         (0.5, 1.0),
         description="The range of the share of the configured count of parts. It is rounded, "
         "with at least 1 part of each kind.",

@@ -92,28 +92,30 @@ def _draw_randomized(
     counts: tuple[int, ...],
     streams: Streams,
 ) -> dict[str, Any]:
-    drawn: dict[str, Any] = {"kind": "randomized"}
+    record: dict[str, Any] = {"kind": "randomized"}
     if section.camera is not None:
-        drawn["camera"] = _camera(section.camera, streams["camera"])
+        record["camera"] = _camera(section.camera, streams["camera"])
     if section.bin is not None:
-        drawn["bin"] = {
+        record["bin"] = {
             "size_factor": _log_uniform(streams["bin"], section.bin.size_factor),
             **_surface(section.bin, domain.bin_textures, streams["bin"]),
         }
     if section.lamps is not None:
-        moved = with_rig_and_bin(domain, scene, drawn)
-        drawn["lamps"] = _lamps(section.lamps, moved, streams["lamps"])
+        moved = with_rig_and_bin(domain, scene, record)
+        rng, cones = streams["lamps"], views(moved)
+        count = int(rng.integers(*section.lamps.count, endpoint=True))
+        record["lamps"] = [_lamp(section.lamps, moved, cones, rng) for _ in range(count)]
     if section.environment is not None:
-        drawn["environment"] = _environment(section.environment, domain, streams["environment"])
+        record["environment"] = _environment(section.environment, domain, streams["environment"])
     if section.table is not None:
-        drawn["table"] = _surface(section.table, domain.table_textures, streams["table"])
+        record["table"] = _surface(section.table, domain.table_textures, streams["table"])
     if section.parts is not None:
         kinds = (*scene.parts, *domain.distractors)
-        drawn["parts"] = {kind.name: _part(section.parts, streams["parts"]) for kind in kinds}
-    drawn["count_share"] = _uniform(streams["counts"], section.count_share)
-    room = PARTS_MAX - sum(shared_out(counts, drawn["count_share"]))
-    drawn["distractors"] = _distractors(section.distractors, domain, room, streams["distractors"])
-    return drawn
+        record["parts"] = {kind.name: _part(section.parts, streams["parts"]) for kind in kinds}
+    record["count_share"] = _uniform(streams["counts"], section.count_share)
+    room = PARTS_MAX - sum(shared_out(counts, record["count_share"]))
+    record["distractors"] = _distractors(section.distractors, domain, room, streams["distractors"])
+    return record
 
 
 def _camera(camera: CameraRanges, rng: np.random.Generator) -> dict[str, Any]:
@@ -141,27 +143,27 @@ def _environment(
 
 
 def _part(ranges: PartRanges, rng: np.random.Generator) -> dict[str, Any]:
-    drawn = {
+    values = {
         "brightness": _log_uniform(rng, ranges.brightness),
         "tint": [_log_uniform(rng, ranges.tint) for _ in range(3)],
         "roughness": _uniform(rng, ranges.roughness),
         "metallic": _uniform(rng, ranges.metallic),
     }
     repainted, color = rng.random() < ranges.repainted_share, _color(ranges.color, rng)
-    return drawn | {"color": color if repainted else None}
+    return values | {"color": color if repainted else None}
 
 
 def _surface(
     ranges: SurfaceRanges, textures: tuple[Path, ...], rng: np.random.Generator
 ) -> dict[str, Any]:
-    drawn = {
+    values = {
         "color": _color(ranges.color, rng),
         "roughness": _uniform(rng, ranges.roughness),
         "metallic": float(rng.random() < ranges.metal_share),
         "texture_size_m": _log_uniform(rng, ranges.texture_size_m),
     }
     textured = rng.random() < ranges.textured_share and len(textures) > 0
-    return drawn | {"texture": _any_of(textures, rng) if textured else None}
+    return values | {"texture": _any_of(textures, rng) if textured else None}
 
 
 def _color(ranges: ColorRanges, rng: np.random.Generator) -> dict[str, float]:
@@ -228,18 +230,13 @@ def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
     return any(cone.meets(center_m, reach_m) for cone in cones)
 
 
-def _lamps(ranges: LampRanges, scene: Scene, rng: np.random.Generator) -> list[dict[str, float]]:
-    count, cones = int(rng.integers(*ranges.count, endpoint=True)), views(scene)
-    return [_lamp(ranges, scene, cones, rng) for _ in range(count)]
-
-
 def _lamp(
     ranges: LampRanges, scene: Scene, cones: tuple[_Cone, ...], rng: np.random.Generator
 ) -> dict[str, float]:
     """A lamp that is neither in the bin nor in the cones in which camera and projector see."""
     for _ in range(LAMP_TRIES):
         height = rng.uniform(*np.sin(np.radians(ranges.elevation_deg)))  # uniform over the sphere
-        drawn = {
+        values = {
             "distance_m": _uniform(rng, ranges.distance_m),
             "elevation_rad": float(np.arcsin(height)),
             "azimuth_rad": float(np.radians(_uniform(rng, ranges.azimuth_deg))),
@@ -247,8 +244,8 @@ def _lamp(
             "irradiance": _log_uniform(rng, ranges.irradiance),
             "color_temperature_k": _uniform(rng, ranges.color_temperature_k),
         }
-        if not in_the_way(lamp_of(drawn, scene), scene, cones):
-            return drawn
+        if not in_the_way(lamp_of(values, scene), scene, cones):
+            return values
     raise ConfigError(
         f"domain.lamps: {LAMP_TRIES} consecutive lamps were inside the bin or in the rig's view: "
         "give a lower elevation_deg, a larger distance_m or a smaller size_m"

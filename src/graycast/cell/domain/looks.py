@@ -24,22 +24,20 @@ _RGB_OF_XYZ = np.array(
 )  # The matrix is that of IEC 61966-2-1 for white D65.
 
 
-def drawn_color(drawn: Mapping[str, float]) -> Rgb:
+def color_of(values: Mapping[str, float]) -> Rgb:
     """Linear reflectance of a hue [deg], saturation and value, which are of the sRGB encoding."""
-    encoded = colorsys.hsv_to_rgb(drawn["hue_deg"] / 360, drawn["saturation"], drawn["value"])
+    encoded = colorsys.hsv_to_rgb(values["hue_deg"] / 360, values["saturation"], values["value"])
     red, green, blue = linear_share(np.array(encoded)).tolist()
     return red, green, blue
 
 
-def drawn_material(
-    drawn: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None
-) -> Material:
+def material_of(values: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None) -> Material:
     """A surface of a drawn look; a texture takes the colour's place."""
     return Material(
-        base_color=drawn_color(drawn["color"]),
+        base_color=color_of(values["color"]),
         texture=texture,
-        metallic=drawn["metallic"],
-        roughness=drawn["roughness"],
+        metallic=values["metallic"],
+        roughness=values["roughness"],
     )
 
 

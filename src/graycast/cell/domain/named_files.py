@@ -39,11 +39,11 @@ def resolve_domain(
     if isinstance(section, AdaptedSection):
         return Domain(section=section)
     distractors, notes = _distractors(section.distractors, folder, scene)
-    found = {
+    files = {
         name: tuple(folder / path for path in paths)
         for name, paths in _folders(section, folder).items()
     }
-    return Domain(section=section, distractors=distractors, notes=notes, **found)
+    return Domain(section=section, distractors=distractors, notes=notes, **files)
 
 
 def domain_files(
@@ -82,14 +82,14 @@ def _listed(folder: Path, path: Path, endings: tuple[str, ...], key: str) -> tup
     if not (folder / path).is_dir():
         raise ConfigError(f"domain.{key}: no folder {folder / path}: check the path")
     names = sorted(entry.name for entry in (folder / path).iterdir() if entry.is_file())
-    found = tuple(path / name for name in names if Path(name).suffix.lower() in endings)
-    if not found:
+    paths = tuple(path / name for name in names if Path(name).suffix.lower() in endings)
+    if not paths:
         raise ConfigError(
             f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: add at least one"
         )
-    for file in found:
+    for file in paths:
         refuse_large_picture(folder / file, f"domain.{key}: {folder / file}", ConfigError)
-    return found
+    return paths
 
 
 def _distractors(
@@ -106,7 +106,7 @@ def _distractors(
     parts: list[Part] = []
     notes: list[str] = []
     for section in ranges.parts:
-        part, found = resolve_part(section, folder)
+        part, own_notes = resolve_part(section, folder)
         if part.name in taken:
             raise ConfigError(
                 f"domain.distractors.parts: there is another part {part.name}: give it another "
@@ -114,5 +114,5 @@ def _distractors(
             )
         taken.add(part.name)
         parts.append(replace(part, labelled=False))
-        notes.extend(f"{part.name}: {note}" for note in found)
+        notes.extend(f"{part.name}: {note}" for note in own_notes)
     return tuple(parts), tuple(notes)

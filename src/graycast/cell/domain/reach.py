@@ -27,7 +27,7 @@ def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) 
         shift_m = max(map(abs, section.camera.shift_m)) * math.sqrt(3)
     if section is not None and section.bin is not None:
         corner_m = corner_m * section.bin.size_factor[1]
-    return max(_depth_m(T, corner_m) for T in poses) + shift_m
+    return float(max(transform_points(inverse(T), corner_m)[:, 2].max() for T in poses)) + shift_m
 
 
 def _hung(section: RandomizedSection, scene: Scene) -> Iterator[Float[np.ndarray, "4 4"]]:
@@ -39,14 +39,14 @@ def _hung(section: RandomizedSection, scene: Scene) -> Iterator[Float[np.ndarray
         set(camera.roll_deg),
         np.linspace(*camera.azimuth_deg, _AZIMUTHS),
     ):
-        drawn = {
+        values = {
             "distance_factor": camera.distance_factor[1],
             "tilt_rad": math.radians(tilt_deg),
             "azimuth_rad": math.radians(azimuth_deg),
             "roll_rad": math.radians(roll_deg),
             "shift_m": [0.0, 0.0, 0.0],
         }
-        yield moved_rig(scene, drawn)
+        yield moved_rig(scene, values)
 
 
 def _within_tolerances(
@@ -62,7 +62,3 @@ def _within_tolerances(
     tilted_rad = math.radians(section.camera.rotation_deg) * math.sqrt(3)
     moved_m = section.camera.position_m * math.sqrt(3) + section.bin.position_m * math.sqrt(2)
     return float(in_cam_m[:, 2].max() + moved_m + tilted_rad * aside_m)
-
-
-def _depth_m(T_world_cam: Float[np.ndarray, "4 4"], point_m: Float[np.ndarray, "n 3"]) -> float:
-    return float(transform_points(inverse(T_world_cam), point_m)[:, 2].max())

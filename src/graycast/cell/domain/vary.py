@@ -17,7 +17,7 @@ from ...rig.pair import frame_in_camera, standoff_m
 from ...world.parts import Part
 from ...world.parts.part_sections import read_texture
 from ...world.scene import Bin, Environment, Lamp, Scene, bin_of
-from .looks import drawn_color, drawn_material, light_of, retouched
+from .looks import color_of, light_of, material_of, retouched
 from .named_files import Domain
 
 Vector = tuple[float, float, float]
@@ -108,7 +108,10 @@ def _adapted(scene: Scene, record: Record) -> Scene:
 def _tolerated(T_world_cam: Float[np.ndarray, "4 4"], record: Record) -> Float[np.ndarray, "4 4"]:
     camera, T_world_cell = record["camera"], _world_of(record["bin"])
     if any(camera["offset_m"]) or any(camera["rotation_rad"]):
-        T_world_cam = _nudged(T_world_cam, camera["offset_m"], camera["rotation_rad"])
+        turn = np.eye(3)
+        for axis, angle_rad in zip("xyz", camera["rotation_rad"], strict=True):
+            turn = turn @ axis_rotation(axis, angle_rad)
+        T_world_cam = rigid(T_world_cam[:3, :3] @ turn, T_world_cam[:3, 3] + camera["offset_m"])
     return T_world_cam if T_world_cell is None else T_world_cell @ T_world_cam
 
 
@@ -117,15 +120,6 @@ def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
     if not any(box["offset_m"]) and not box["turn_rad"]:
         return None
     return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
-
-
-def _nudged(
-    T_world_cam: Float[np.ndarray, "4 4"], offset_m: list[float], rotation_rad: list[float]
-) -> Float[np.ndarray, "4 4"]:
-    turn = np.eye(3)
-    for axis, angle_rad in zip("xyz", rotation_rad, strict=True):
-        turn = turn @ axis_rotation(axis, angle_rad)
-    return rigid(T_world_cam[:3, :3] @ turn, T_world_cam[:3, 3] + offset_m)
 
 
 def _carried(lamp: Lamp, T: Float[np.ndarray, "4 4"]) -> Lamp:
@@ -149,7 +143,7 @@ def _times(radiance: Vector, factor: float) -> Vector:
 def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
     varied = with_rig_and_bin(domain, scene, record)
     if "lamps" in record:
-        lamps = tuple(lamp_of(drawn, varied) for drawn in record["lamps"])
+        lamps = tuple(lamp_of(values, varied) for values in record["lamps"])
         varied = replace(varied, lamps=lamps)
     if "environment" in record:
         environment = _environment(domain, record["environment"])
@@ -158,7 +152,7 @@ def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
         look = record["table"]
         varied = replace(
             varied,
-            table=drawn_material(look, _texture(domain.table_textures, look)),
+            table=material_of(look, _texture(domain.table_textures, look)),
             table_texture_m=look["texture_size_m"],
         )
     parts = (*scene.parts, *domain.distractors)
@@ -189,17 +183,17 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
     return varied
 
 
-def moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
+def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
     """The rig about the point that it looks at: tilt and azimuth add to those of `rig.place`."""
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig
     rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]
     target = _aim_point(T_world_rig, scene)
-    about_baseline = rotation @ axis_rotation("x", drawn["tilt_rad"]) @ rotation.T
-    turn = axis_rotation("z", drawn["azimuth_rad"]) @ about_baseline
+    about_baseline = rotation @ axis_rotation("x", values["tilt_rad"]) @ rotation.T
+    turn = axis_rotation("z", values["azimuth_rad"]) @ about_baseline
     moved = rigid(
-        turn @ rotation @ axis_rotation("z", drawn["roll_rad"]),
-        target + drawn["shift_m"] + drawn["distance_factor"] * (turn @ (middle - target)),
+        turn @ rotation @ axis_rotation("z", values["roll_rad"]),
+        target + values["shift_m"] + values["distance_factor"] * (turn @ (middle - target)),
     )
     return moved @ inverse(T_cam_rig)
 
@@ -218,68 +212,68 @@ def _aim_point(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.
     return middle + distance_m * axis
 
 
-def _changed_bin(box: Bin, drawn: Record, texture: np.ndarray | None) -> Bin:
-    factor, mesh = drawn["size_factor"], box.mesh
+def _changed_bin(box: Bin, values: Record, texture: np.ndarray | None) -> Bin:
+    factor, mesh = values["size_factor"], box.mesh
     x, y, z = (factor * size for size in box.inner_m)
     return replace(
         box,
         inner_m=(x, y, z),
         mesh=None if mesh is None else replace(mesh, vertices_m=factor * mesh.vertices_m),
         own_texture=False,
-        material=drawn_material(drawn, texture),
+        material=material_of(values, texture),
         floor=None,
-        texture_size_m=drawn["texture_size_m"],
+        texture_size_m=values["texture_size_m"],
     )
 
 
-def lamp_of(drawn: Record, scene: Scene) -> Lamp:
+def lamp_of(values: Record, scene: Scene) -> Lamp:
     """A lamp from its place as seen from the bin, and the irradiance that it gives there.
 
     The radiance is that of a small lamp: L = E d^2 / a^2. A lamp with an edge of half its distance
     gives 8 % less than stated.
     """
     target = (0.0, 0.0, bin_of(scene).inner_m[2] / 3)
-    around, up = drawn["azimuth_rad"], drawn["elevation_rad"]
+    around, up = values["azimuth_rad"], values["elevation_rad"]
     away = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    x, y, z = (target + drawn["distance_m"] * away).tolist()
-    level = drawn["irradiance"] * (drawn["distance_m"] / drawn["size_m"]) ** 2
+    x, y, z = (target + values["distance_m"] * away).tolist()
+    level = values["irradiance"] * (values["distance_m"] / values["size_m"]) ** 2
     return Lamp(
         center_m=(x, y, z),
         target_m=target,
-        size_m=drawn["size_m"],
-        radiance=_times(light_of(drawn["color_temperature_k"]), level),
+        size_m=values["size_m"],
+        radiance=_times(light_of(values["color_temperature_k"]), level),
     )
 
 
-def _environment(domain: Domain, drawn: Record) -> Environment:
-    level = drawn["radiance"]
-    if "map" not in drawn:
-        return Environment(radiance=_times(light_of(drawn["color_temperature_k"]), level))
+def _environment(domain: Domain, values: Record) -> Environment:
+    level = values["radiance"]
+    if "map" not in values:
+        return Environment(radiance=_times(light_of(values["color_temperature_k"]), level))
     return Environment(
         radiance=(level, level, level),
-        map_file=_file(domain.maps, drawn["map"]),
-        rotation_rad=drawn["rotation_rad"],
+        map_file=_file(domain.maps, values["map"]),
+        rotation_rad=values["rotation_rad"],
         levelled=True,
     )
 
 
-def _retouched_part(part: Part, drawn: Record) -> Part:
-    change = dict(drawn)
+def _retouched_part(part: Part, values: Record) -> Part:
+    change = dict(values)
     color, material = change.pop("color"), part.material
     if color is not None:
         material = replace(
-            material, base_color=drawn_color(color), texture=None, projector_reflectance=None
+            material, base_color=color_of(color), texture=None, projector_reflectance=None
         )
         change |= {"brightness": 1.0, "tint": (1.0, 1.0, 1.0)}
     return replace(part, material=retouched(material, **change))
 
 
-def _texture(files: tuple[Path, ...], drawn: Record) -> np.ndarray | None:
-    return None if drawn["texture"] is None else read_texture(_file(files, drawn["texture"]))
+def _texture(files: tuple[Path, ...], values: Record) -> np.ndarray | None:
+    return None if values["texture"] is None else read_texture(_file(files, values["texture"]))
 
 
 def _file(files: tuple[Path, ...], name: str) -> Path:
-    found = [file for file in files if file.name == name]
-    if not found:
+    matches = [file for file in files if file.name == name]
+    if not matches:
         raise ConfigError(f"the domain has no file {name}: put it back into its folder")
-    return found[0]
+    return matches[0]

@@ -1,9 +1,8 @@
 """Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
-from .job import Job, TaskResult, TaskRunner, keep_to_threads
+from .job import Job, TaskResult, WorkerRenderer, keep_to_threads
 from .maker import SceneMaker, SceneTask
-from .pool import TRIES, Failed, Pool, make_all, make_each
-from .worker_renderer import KeptRenderer
+from .pool import TRIES, Failed, Pool, make_all
 from .workers import ALONE, Workers, make_missing, open_pool
 
 __all__ = [
@@ -11,16 +10,14 @@ __all__ = [
     "TRIES",
     "Failed",
     "Job",
-    "KeptRenderer",
     "Pool",
     "SceneMaker",
     "SceneTask",
     "TaskResult",
-    "TaskRunner",
+    "WorkerRenderer",
     "Workers",
     "keep_to_threads",
     "make_all",
-    "make_each",
     "make_missing",
     "open_pool",
 ]

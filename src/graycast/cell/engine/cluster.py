@@ -6,6 +6,7 @@ import os
 import socket
 import uuid
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from ... import __version__
@@ -37,7 +38,8 @@ class RayPool:
                 "'ray start --head', or check --address"
             ) from error
         if task.device == "auto":
-            task = task.on("cuda" if ray.cluster_resources().get("GPU") else "cpu")
+            device = "cuda" if ray.cluster_resources().get("GPU") else "cpu"
+            task = replace(task, device=device)
         self._gpus = 0.0
         if task.device in GPU_DEVICES:
             self._gpus = gpu_share(ray.cluster_resources(), threads)

@@ -1,18 +1,20 @@
-"""The tasks of workers, and their results."""
+"""The tasks of workers, their results, and the renderer that a worker has from scene to scene."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol, TypeVar, runtime_checkable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numba
 
 from ... import __version__
 from ...base.errors import DeviceError, GraycastError, WorkerDied
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...rendering import Renderer
 from ...world.parts import Part
+from ..config import RenderSection
+from ..resolve import open_configured
 from ..simulate import Shot
-
-J = TypeVar("J", bound="Job")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,39 @@ def is_the_scenes_own(error: BaseException) -> bool:
     return foreseen and not isinstance(error, (DeviceError, WorkerDied))
 
 
+@final
+class WorkerRenderer:
+    """The renderer of a worker: opened when it is first used, and never kept after a surprise."""
+
+    def __init__(self, *, device: str, threads: int | None, progress: ProgressMeter) -> None:
+        self._device, self._threads, self._progress = device, threads, progress
+        self._open: Renderer | None = None
+
+    @contextmanager
+    def of(self, render: RenderSection) -> Iterator[Renderer]:
+        """While something is made with it. A worker is given the same section each time.
+
+        After an error that is not the scene's own it is closed, since it may hold a lost device or
+        the half of a scene, and the next scene opens another.
+        """
+        try:
+            if self._open is None:
+                keep_to_threads(self._threads)
+                self._open = open_configured(
+                    render, device=self._device, threads=self._threads, progress=self._progress
+                )
+            yield self._open
+        except BaseException as error:
+            if not is_the_scenes_own(error):
+                self.close()
+            raise
+
+    def close(self) -> None:
+        renderer, self._open = self._open, None
+        if renderer is not None:
+            renderer.close()
+
+
 @runtime_checkable
 class TaskRunner(Protocol):
     """Makes one scene after the other, or one bin; close it after use."""
@@ -76,10 +111,6 @@ class Job:
     def parts(self) -> Sequence[Part]:
         """The kinds of parts that fall."""
         return ()
-
-    def on(self: J, device: str) -> J:
-        """The same job on another device."""
-        return replace(self, device=device)
 
     def open(
         self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED

@@ -3,20 +3,18 @@
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 from ...base.errors import DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...camera.decode import mean_shares
-from ...dataset import scene_files
+from ...dataset.bop import scene_files
 from ...dataset.sample import LEAST_DECODED, Sample
 from ...world.parts import Part
 from ..resolve import Cell
 from ..simulate import Shot, make_images
-from .job import Job, TaskResult
-from .worker_renderer import KeptRenderer
+from .job import Job, TaskResult, WorkerRenderer
 
 GPU_DEVICES = ("cuda", "optix")
 
@@ -33,7 +31,7 @@ class SceneMaker:
     ) -> None:
         self.task = task
         self._progress = progress
-        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._renderer = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
         """One scene.
@@ -45,15 +43,15 @@ class SceneMaker:
         start = time.perf_counter()
         task = self.task
         manifests: list[Mapping[str, Any]] = []
-        kept: tuple[Shot, ...] = ()
+        images: tuple[Shot, ...] = ()
         files: tuple[tuple[str, bytes], ...] = ()
-        with self._kept.of(task.cell.config.render) as renderer:
+        with self._renderer.of(task.cell.config.render) as renderer:
             shots = make_images(
                 task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )
             if task.keep_shots:
-                kept = tuple(shots)
-                manifests = [shot.sample.manifest for shot in kept]
+                images = tuple(shots)
+                manifests = [shot.sample.manifest for shot in images]
             else:
                 files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
         return TaskResult(
@@ -63,22 +61,11 @@ class SceneMaker:
             reasons=mean_shares([manifest["reasons"] for manifest in manifests]),
             part_reasons=mean_shares([manifest["part_reasons"] for manifest in manifests]),
             rss_bytes=rss_bytes(),
-            shots=kept,
+            shots=images,
         )
 
     def close(self) -> None:
-        self._kept.close()
-
-    def __enter__(self) -> "SceneMaker":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+        self._renderer.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,32 +87,25 @@ class SceneTask(Job):
 
 
 def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:
-    """The sample of each image, its manifest kept in `manifests`.
+    """The sample of each image, its manifest put into `manifests`.
 
     Raises:
-        DecodeError: as of `_refuse_undecoded`.
+        DecodeError: hardly a pixel of an image has a scanner depth, which `validate` would report;
+            says why most have none, and what helps.
     """
     for shot in shots:
         sample = shot.sample
-        image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
-        _refuse_undecoded(sample.manifest["reasons"], image)
+        reasons = sample.manifest["reasons"]
+        if reasons["decoded"] < LEAST_DECODED:
+            image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
+            most = max(reasons, key=lambda name: reasons[name])
+            raise DecodeError(
+                f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, "
+                f"so in none: {reasons[most]:.0%} are {most}: "
+                f"{_REMEDIES.get(most, 'see graycast preview')}"
+            )
         manifests.append(sample.manifest)
         yield sample
-
-
-def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
-    """Refuse an image without scanner depth, which `validate` would report.
-
-    Raises:
-        DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
-    """
-    if reasons["decoded"] >= LEAST_DECODED:
-        return
-    most = max(reasons, key=lambda name: reasons[name])
-    raise DecodeError(
-        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in "
-        f"none: {reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
-    )
 
 
 _LIGHT = "give a longer exposure.exposure_s, or remove that key, or a nearer view.distance_m"

@@ -1,14 +1,13 @@
 """Many scenes on a pool of workers; failed scenes are retried and finally set aside."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Generator, Iterable
-from contextlib import closing
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from ...base.errors import ConfigError, DeviceError, GraycastError, one_line
+from ...base.errors import GraycastError, one_line
 from ...base.progress import ProgressMeter
-from .job import TaskResult, is_the_scenes_own
+from .job import Job, TaskResult, is_the_scenes_own
 
 TRIES = 3
 # A machine that loses this many scenes one after another, besides those at work, is not well.
@@ -50,6 +49,32 @@ class Pool(Protocol):
         ...
 
 
+class Here:
+    """A pool with only this process: a submitted scene is made when it is gathered."""
+
+    def __init__(self, task: Job, *, threads: int | None, progress: ProgressMeter) -> None:
+        self._maker = task.open(threads=threads, progress=progress)
+        self._next: int | None = None
+
+    @property
+    def free(self) -> int:
+        return int(self._next is None)
+
+    def submit(self, scene_id: int) -> None:
+        self._next = scene_id
+
+    def gather(self) -> TaskResult | Failed:
+        scene_id, self._next = self._next, None
+        assert scene_id is not None, "nothing was submitted"
+        try:
+            return self._maker.make(scene_id)
+        except Exception as error:
+            return Failed(scene_id=scene_id, error=error)
+
+    def close(self) -> None:
+        self._maker.close()
+
+
 def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Failed, None, None]:
     """Yield every finished scene. A failed one is retried later, up to `TRIES` times.
 
@@ -85,47 +110,3 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Fai
                 f"{len(lost)} scenes in a row were lost, the last because {why}: repair the "
                 "machine and run the same command again; the finished scenes are kept"
             ) from error
-
-
-def make_each(
-    pool: Pool,
-    scene_ids: Collection[int],
-    *,
-    what: str,
-    total: int,
-    progress: ProgressMeter,
-    on_result: Callable[[TaskResult], None],
-    on_failed: Callable[[Failed], None],
-) -> tuple[int, ...]:
-    """Hand over every scene as it ends, and close the pool.
-
-    Args:
-        what: of which kind the scenes are, for `progress`.
-        total: how many there are with those that were there before.
-        on_result, on_failed: take the results, which are written and shown.
-
-    Returns:
-        The scenes that were given up.
-
-    Raises:
-        ConfigError, DeviceError: what serves no scene.
-        Exception: that of the last scene, where all were given up.
-        GraycastError: as of `make_all`.
-    """
-    lost: list[int] = []
-    done = total - len(scene_ids)
-    with closing(pool):
-        for outcome in make_all(pool, scene_ids):
-            if isinstance(outcome, TaskResult):
-                on_result(outcome)
-                done += 1
-                progress.count(what, done, total)
-                continue
-            if isinstance(outcome.error, (ConfigError, DeviceError)):
-                raise outcome.error
-            on_failed(outcome)
-            if outcome.final:
-                lost.append(outcome.scene_id)
-                if len(lost) == len(scene_ids):
-                    raise outcome.error
-    return tuple(lost)

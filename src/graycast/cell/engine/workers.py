@@ -1,13 +1,15 @@
 """Who makes the scenes, and their pool: this process, others of this machine, or a cluster."""
 
 from collections.abc import Callable, Collection
+from contextlib import closing
 from dataclasses import dataclass
 
+from ...base.errors import ConfigError, DeviceError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...rendering import choose_device
 from ...world.drop import prepare
 from .job import Job, TaskResult
-from .pool import Failed, Pool, make_each
+from .pool import Failed, Here, Pool, make_all
 
 MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the process.
 
@@ -61,8 +63,6 @@ def open_pool(
     count, threads = min(workers.count, scenes), workers.threads
     match workers.engine:
         case "local" if count == 1:
-            from .here import Here
-
             return Here(task, threads=threads, progress=progress)
         case "local":
             from .local import LocalPool
@@ -86,23 +86,41 @@ def make_missing(
     on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
 ) -> tuple[int, ...]:
-    """Make the scenes that are missing, and hand over each; it raises what `make_each` raises.
+    """Make the scenes that are missing, and hand over each as it ends.
 
     The collision hulls of the job's parts are made first, once and not by every worker.
 
+    Args:
+        what: of which kind the scenes are, for `progress`.
+        total: how many there are with those that were there before.
+        on_result, on_failed: take the results, which are written and shown.
+
     Returns:
         The scenes that were given up.
+
+    Raises:
+        ConfigError, DeviceError: what serves no scene.
+        Exception: that of the last scene, where all were given up.
+        GraycastError: as of `make_all`.
     """
-    progress.count(what, total - len(missing), total)
+    done = total - len(missing)
+    progress.count(what, done, total)
     if not missing:
         return ()
     prepare(task.parts, progress=progress)
-    return make_each(
-        open_pool(task, workers, scenes=len(missing), progress=progress),
-        missing,
-        what=what,
-        total=total,
-        progress=progress,
-        on_result=on_result,
-        on_failed=on_failed,
-    )
+    lost: list[int] = []
+    with closing(open_pool(task, workers, scenes=len(missing), progress=progress)) as pool:
+        for outcome in make_all(pool, missing):
+            if isinstance(outcome, TaskResult):
+                on_result(outcome)
+                done += 1
+                progress.count(what, done, total)
+                continue
+            if isinstance(outcome.error, (ConfigError, DeviceError)):
+                raise outcome.error
+            on_failed(outcome)
+            if outcome.final:
+                lost.append(outcome.scene_id)
+                if len(lost) == len(missing):
+                    raise outcome.error
+    return tuple(lost)

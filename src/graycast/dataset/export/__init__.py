@@ -2,12 +2,11 @@
 
 from .formats import export
 from .options import FORMATS, Options
-from .record import ExportRecord, read_record
+from .record import read_record
 from .split import Split, parse_shares
 
 __all__ = [
     "FORMATS",
-    "ExportRecord",
     "Options",
     "Split",
     "export",

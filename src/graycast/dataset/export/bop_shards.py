@@ -25,8 +25,7 @@ from ..json_text import json_bytes
 from ..places import camera_file
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
-from .placing import bop_key, place
-from .shards import write_shards
+from .placing import bop_key, place, write_shards
 
 
 def write_imagewise(
@@ -78,18 +77,18 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | 
     if options.image == "rgb":
         yield "rgb.png", scene.png("rgb")
     elif options.image == "gray":
-        yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
+        yield "gray.tiff", cv2.imencode(".tiff", scene.picture("gray_sl"))[1].tobytes()
     for depth in options.depths:
         yield "depth.png", scene.png(depth)
-    camera = scene.json_record("scene_camera")
+    camera = scene.of_image("scene_camera", object)
     for k in (2, 5):
         camera["cam_K"][k] += options.shift_px
     yield "camera.json", json.dumps(camera).encode()
     if "masks" not in scene.holds:
         return
     scanner = options.depths == ("depth_sl",) and not scene.real
-    yield "gt.json", json.dumps(scene.json_record("scene_gt")).encode()
-    info = scene.json_record("scene_gt_info_sl" if scanner else "scene_gt_info")
+    yield "gt.json", json.dumps(scene.of_image("scene_gt", object)).encode()
+    info = scene.of_image("scene_gt_info_sl" if scanner else "scene_gt_info", object)
     yield "gt_info.json", json.dumps(info).encode()
     if "amodal" in scene.holds:
         yield "mask.json", _masks(scene, "mask")

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from ...base.ply import cloud_bytes
 from ...rig.optics import optics_of, points
@@ -32,9 +32,10 @@ def write_split(
             camera = optics_of(view.cam_K, scene.size_px, view.distortion)
             point_m = points(camera, depth_m)
             name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
-            kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
+            keep = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
+            own_color = None if color is None else color[keep]
             width_px = depth_m.shape[1] if options.organised else None
-            content = form(*_kept(point_m, color, kept), width_px=width_px)
+            content = form(point_m[keep], own_color, width_px=width_px)
             (folder / split / name).write_bytes(content)
 
 
@@ -73,18 +74,10 @@ def pcd_bytes(
     return ("\n".join(head) + "\n").encode("ascii") + body
 
 
-def _kept(
-    point_m: Float[np.ndarray, "h w 3"],
-    color: UInt8[np.ndarray, "h w 3"] | None,
-    kept: Bool[np.ndarray, "h w"],
-) -> tuple[np.ndarray, np.ndarray | None]:
-    return point_m[kept], None if color is None else color[kept]
-
-
 def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] | None:
     match options.image:
         case "rgb":
             return scene.rgb()
         case "gray":
-            return np.repeat(scene.gray()[..., None], 3, axis=-1)
+            return np.repeat(scene.picture("gray_sl")[..., None], 3, axis=-1)
     return None

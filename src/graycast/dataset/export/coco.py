@@ -7,6 +7,7 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
+from ..coco import coco_categories
 from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
@@ -30,7 +31,8 @@ def write_split(
     with open(target, "w", encoding="utf-8") as file:
         info = json.dumps({"description": f"Graycast, {split}"})
         file.write(f'{{"info": {info},\n"licenses": [],\n')
-        file.write(f'"categories": {json.dumps(_categories(stored))},\n"annotations": [')
+        categories = coco_categories(stored.categories.items())
+        file.write(f'"categories": {json.dumps(categories)},\n"annotations": [')
         for scene in scenes:
             images.append(_image(folder, split, scene, options))
             for label in scene.labels(min_visibility=settled(options.min_visibility)):
@@ -41,13 +43,6 @@ def write_split(
                 separator = ",\n"
         lines = ",\n".join(json.dumps(image, allow_nan=False) for image in images)
         file.write(f'],\n"images": [\n{lines}]}}\n')
-
-
-def _categories(stored: StoredDataset) -> list[dict[str, Any]]:
-    return [
-        {"id": obj_id, "name": name, "supercategory": "graycast"}
-        for obj_id, name in stored.categories.items()
-    ]
 
 
 def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> dict[str, Any]:

@@ -3,17 +3,28 @@
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Literal
 
-from ...base.errors import GraycastError
+from ...base.errors import DatasetError, GraycastError
 from ...base.folder import new_folder
 from ...base.progress import UNWATCHED, ProgressMeter
+from ..records import Record
+from ..safe_reading import Unreadable, read_json
 from ..stored import StoredDataset, StoredScene, open_dataset
 from .options import FORMATS, Options
 from .record import ExportRecord, write_record
-from .selection import chosen_pictures
 
 WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
-WriteRest = Callable[[Path, Iterable[str], StoredDataset, Options], None]
+_SOME = 3  # An error names so many keys.
+
+
+class Selection(Record):
+    """A file of scenes (`train-000003`), with tags, that somebody saved on the report's page."""
+
+    kind: Literal["graycast-scenes"]
+    dataset: str
+    fingerprint: str
+    scenes: dict[str, list[str]]
 
 
 def export(
@@ -40,13 +51,15 @@ def export(
         GraycastError: `out` is in use or cannot be written, the dataset lacks what was asked for,
             is damaged, `selection` is not of its scenes, or a set of the split would be empty.
     """
-    write_split, write_rest = _writers(options.format)
+    module_name, _, function = FORMATS[options.format].writer.partition(".")
+    writer = import_module(f".{module_name}", __package__)
+    write_split: WriteSplit = getattr(writer, function)
     stored = open_dataset(dataset)
     image_ids = stored.image_ids(stored.scene_ids["train"])
     if selection is not None:
-        image_ids = chosen_pictures(selection, stored)
-    chosen = options.resolved(stored)
-    splits = chosen.split.assign(image_ids, images=len(stored.images))
+        image_ids = selected_pictures(selection, stored)
+    settings = options.resolved(stored)
+    splits = settings.split.assign(image_ids, images=len(stored.images))
     if out.absolute().is_relative_to(dataset.absolute()):
         raise GraycastError(f"{out}: is inside the dataset: choose a folder outside of it")
     total, done = len(image_ids), 0
@@ -59,17 +72,41 @@ def export(
             progress.count("pictures", done, total)
 
     with new_folder(out) as folder:
-        for split, chosen_ids in splits.items():
-            write_split(folder, split, counted(chosen_ids), stored, chosen)
-        write_rest(folder, splits, stored, chosen)
-        return write_record(folder, stored, chosen, splits)
+        for split, own_ids in splits.items():
+            write_split(folder, split, counted(own_ids), stored, settings)
+        if hasattr(writer, "write_rest"):
+            writer.write_rest(folder, splits, stored, settings)
+        return write_record(folder, stored, settings, splits)
 
 
-def _writers(name: str) -> tuple[WriteSplit, WriteRest]:
-    module_name, _, function = FORMATS[name].writer.partition(".")
-    module = import_module(f".{module_name}", __package__)
-    return getattr(module, function), getattr(module, "write_rest", _nothing)
+def selected_pictures(path: Path, stored: StoredDataset) -> list[int]:
+    """The numbers of a file's pictures, all of them pictures that an export can take.
 
-
-def _nothing(folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options) -> None:
-    """Formats that have nothing beside their splits."""
+    Raises:
+        GraycastError: the file cannot be read, names no scene, is of another dataset, or names
+            scenes that are not in the dataset's `train`.
+    """
+    try:
+        selection = read_json(path, Selection)
+    except Unreadable as error:
+        raise GraycastError(
+            f"{path} is not a selection of scenes ({error}): save one on the page of graycast "
+            "report"
+        ) from error
+    if not selection.scenes:
+        raise GraycastError(f"{path} names no scene: select some on the page of graycast report")
+    if selection.fingerprint != stored.claim.get("fingerprint", ""):
+        raise DatasetError(
+            f"{path} names scenes of another dataset ({selection.dataset}), not of "
+            f"{stored.folder}: give the dataset of that page"
+        )
+    images = stored.image_ids(stored.scene_ids["train"])
+    known = {stored.picture(image_id).key: image_id for image_id in images}
+    foreign = sorted(set(selection.scenes) - set(known))
+    if foreign:
+        more = f" and {len(foreign) - _SOME} more" if len(foreign) > _SOME else ""
+        raise DatasetError(
+            f"{path} names {', '.join(foreign[:_SOME])}{more}, which {stored.folder}/train lacks: "
+            "make the page again and save the selection again"
+        )
+    return sorted(known[key] for key in selection.scenes)

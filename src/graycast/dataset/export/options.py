@@ -149,27 +149,27 @@ class Options:
         Raises:
             GraycastError: the dataset lacks what was said.
         """
-        chosen = dict(FORMATS[self.format].options) | {
+        settings = dict(FORMATS[self.format].options) | {
             name: getattr(self, name) for name in self.own_names()
         }
         holds = stored.holds
-        if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
-            self._refuse("image", chosen["image"], stored)
-            chosen["image"] = "gray" if "gray_sl" in holds else None
-        if not set(_DEPTHS[chosen.get("depth", "none")]) <= holds:
-            self._refuse("depth", chosen["depth"], stored)
+        if "image" in settings and _PICTURE[settings["image"]] not in holds:
+            self._refuse("image", settings["image"], stored)
+            settings["image"] = "gray" if "gray_sl" in holds else None
+        if not set(_DEPTHS[settings.get("depth", "none")]) <= holds:
+            self._refuse("depth", settings["depth"], stored)
             known = {"depth": "perfect", "depth_sl": "scanner"}
-            chosen["depth"] = next((known[n] for n in known if n in holds), "none")
+            settings["depth"] = next((known[n] for n in known if n in holds), "none")
         if self.format in ("coco", "yolo"):
             if "masks" not in holds:
                 raise GraycastError(
                     f"{stored.folder}: has no masks, which the format {self.format} needs"
                 )
-            if chosen["image"] is None:
+            if settings["image"] is None:
                 raise GraycastError(
                     f"{stored.folder}: has no pictures, which the format {self.format} needs"
                 )
-        return replace(self, **chosen)
+        return replace(self, **settings)
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
         if getattr(self, name) is not None:

@@ -29,7 +29,7 @@ def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
     start, direction, following = _edges(mask)
     turns = direction != direction[following]
     after, following = following, following.tolist()
-    visited, found = [False] * len(start), []
+    visited, corners = [False] * len(start), []
     for first in range(len(start)):
         ring, edge = [], first
         while not visited[edge]:
@@ -37,12 +37,12 @@ def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
             ring.append(edge)
             edge = following[edge]
         if ring:
-            kept = np.array(ring)
-            corner = kept[turns[kept]]
+            edges = np.array(ring)
+            corner = edges[turns[edges]]
             first_side, second = direction[corner], direction[after[corner]]
             inward = _INWARD[first_side] + _INWARD[second]
-            found.append(start[corner] + _ALONG[first_side] + INSET_PX * inward)
-    return found
+            corners.append(start[corner] + _ALONG[first_side] + INSET_PX * inward)
+    return corners
 
 
 def _edges(
@@ -92,8 +92,8 @@ def path(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "_ 2"]:
 def polygons(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
     """A path for each connected piece of a mask."""
     pieces, _ = ndimage.label(mask)
-    found = []
+    paths = []
     for i, (rows, columns) in enumerate(ndimage.find_objects(pieces), start=1):
         offset = np.array([columns.start, rows.start])
-        found.append(path(pieces[rows, columns] == i) + offset)
-    return found
+        paths.append(path(pieces[rows, columns] == i) + offset)
+    return paths

@@ -7,13 +7,13 @@ Source: huggingface.co/docs/datasets, "Image" and "Features".
 
 import json
 from collections.abc import Iterable
-from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 from ...base.errors import GraycastError
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
+from .placing import groups
 
 try:
     import pyarrow as pa
@@ -56,14 +56,12 @@ def write_split(
 ) -> None:
     """`SPLIT/part-000000.parquet` ...; a row group for every few scenes, so memory stays flat."""
     (folder / split).mkdir()
-    left, part = iter(scenes), 0
-    while (first := next(left, None)) is not None:
+    for part, of_file in enumerate(groups(scenes, settled(options.shard_scenes))):
         target = folder / split / f"part-{part:06d}.parquet"
         with pq.ParquetWriter(target, schema()) as writer:
-            of_shard = chain([first], islice(left, settled(options.shard_scenes) - 1))
-            while group := [_table_row(scene, options) for scene in islice(of_shard, _GROUP)]:
-                writer.write_table(pa.Table.from_pylist(group, schema=schema()))
-        part += 1
+            for group in groups(of_file, _GROUP):
+                rows = [_table_row(scene, options) for scene in group]
+                writer.write_table(pa.Table.from_pylist(rows, schema=schema()))
 
 
 def _table_row(scene: StoredScene, options: Options) -> dict[str, Any]:

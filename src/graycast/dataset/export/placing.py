@@ -1,10 +1,17 @@
-"""Files of a dataset put into an export."""
+"""Files of a dataset put into an export: copied, linked, or packed into tar files."""
 
+import io
 import os
 import shutil
+import tarfile
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
+from typing import TypeVar
 
 from ...base.errors import GraycastError
+
+T = TypeVar("T")
 
 
 def place(source: Path, target: Path, *, link: bool) -> None:
@@ -27,3 +34,34 @@ def place(source: Path, target: Path, *, link: bool) -> None:
 def bop_key(scene_id: int, place: int) -> str:
     """BOP's name of a picture: its scene's number, and its own among those of all scanners."""
     return f"{scene_id:06d}_{place:06d}"
+
+
+def groups(items: Iterable[T], most: int) -> Iterator[Iterator[T]]:
+    """At most so many items at a time, each asked for when it is its turn: memory stays flat."""
+    left = iter(items)
+    for first in left:
+        yield chain([first], islice(left, most - 1))
+
+
+def write_shards(
+    folder: Path, samples: Iterable[tuple[str, Iterable[tuple[str, bytes]]]], *, most: int
+) -> dict[str, int]:
+    """Write `shard-000000.tar` ... with at most so many samples each.
+
+    A sample is KEY.name, all of a key together, as WebDataset has them. Equal samples give equal
+    bytes: no times, owners or names of the machine.
+
+    Returns:
+        The number of the shard that holds each key.
+    """
+    shard_of: dict[str, int] = {}
+    for number, group in enumerate(groups(samples, most)):
+        name = folder / f"shard-{number:06d}.tar"
+        with tarfile.open(name, "w", format=tarfile.USTAR_FORMAT) as shard:
+            for key, files in group:
+                for ending, content in files:
+                    entry = tarfile.TarInfo(f"{key}.{ending}")
+                    entry.size = len(content)
+                    shard.addfile(entry, io.BytesIO(content))
+                shard_of[key] = number
+    return shard_of

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
-from .shards import write_shards
+from .placing import write_shards
 
 
 def write_split(
@@ -32,7 +32,7 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
     if options.picture is not None:
         yield f"{options.image}.png", scene.png(options.picture).read_bytes()
     for depth in options.depths:
-        yield f"{depth}.npy", _npy(scene.depth_steps(depth))
+        yield f"{depth}.npy", _npy(scene.picture(depth))
     view = scene.view()
     info = {
         "scene_id": scene.image_id,

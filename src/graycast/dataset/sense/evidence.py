@@ -1,22 +1,21 @@
-"""What the checks of sense look at: one scene's pictures and records, and what its dataset says."""
+"""What the checks of sense look at: one image of a scene, and what its dataset says."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8, UInt16
+from jaxtyping import Bool, Float, Int
 
-from ...base.frames import inverse, rigid
 from ...camera.decode import DecodeSpec
 from ...camera.scanner import ExposureSpec
 from ...camera.sensor import SensorSpec
-from ...rig.optics import Optics, picture_rays
+from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from .. import records
 from ..claim import read_scanning, rig_of
+from ..plain_scene import Plain
 from ..safe_reading import Unreadable, record_as
 
 _ENOUGH_PX = 200_000  # So many pixels are enough for what holds for the picture as a whole.
@@ -28,31 +27,24 @@ class Evidence:
 
     Attributes:
         claim: what `graycast.json` says.
-        taker: the scanner's place in the claim.
-        number: of the image among the scanner's own.
-        manifest: what the scene's manifest says of this image.
-        lens: the camera as the scene has it.
+        plain: the image's pictures and records; its manifest is that of this image.
         instance: number of the visible instance, -1 for none.
         parts_mm: of each instance the vertices of its model, in the camera frame.
     """
 
-    scene_id: int
     claim: records.Claim
-    taker: int
-    number: int
-    manifest: Mapping[str, Any]
-    lens: Optics
-    view: records.View
-    poses: list[records.Pose]
-    scanner: records.ScannerRecord
-    rgb: UInt8[np.ndarray, "h w 3"]
-    gray: UInt8[np.ndarray, "h w"]
-    depth: UInt16[np.ndarray, "h w"]
-    depth_sl: UInt16[np.ndarray, "h w"]
-    reason: UInt8[np.ndarray, "h w"]
-    modulation_step: UInt16[np.ndarray, "h w"]
+    plain: Plain
     instance: Int[np.ndarray, "h w"]
     parts_mm: tuple[Float[np.ndarray, "_ 3"], ...]
+
+    @property
+    def image(self) -> Mapping[str, np.ndarray]:
+        return self.plain.image
+
+    @property
+    def taker(self) -> int:
+        """The scanner's place in the claim."""
+        return [taker.name for taker in self.claim.takers].index(self.plain.files.sensor)
 
     @cached_property
     def manifest_record(self) -> records.SceneManifest:
@@ -61,7 +53,7 @@ class Evidence:
         Raises:
             Unreadable: one is missing or of another form.
         """
-        return record_as(self.manifest, records.SceneManifest, "manifest.json")
+        return record_as(self.plain.manifest, records.SceneManifest, "manifest.json")
 
     @cached_property
     def scanning(self) -> tuple[SensorSpec, DecodeSpec, ExposureSpec] | None:
@@ -92,25 +84,19 @@ class Evidence:
 
     @cached_property
     def modulation(self) -> Float[np.ndarray, "h w"]:
-        return self.modulation_step * self.scanner.modulation_scale
+        return self.image["modulation_sl"] * self.plain.scanner.modulation_scale
 
     @cached_property
     def ray(self) -> Float[np.ndarray, "h w 3"]:
-        return picture_rays(self.lens)
-
-    @cached_property
-    def T_world_cam(self) -> Float[np.ndarray, "4 4"]:
-        """In millimetres."""
-        R = np.array(self.view.cam_R_w2c, dtype=float).reshape(3, 3)
-        return inverse(rigid(R, np.array(self.view.cam_t_w2c, dtype=float)))
+        return picture_rays(self.plain.lens)
 
     @cached_property
     def sampled(self) -> Bool[np.ndarray, "h w"]:
         """Every pixel of a small picture, of a large one some in each row and column taken."""
-        stride = max(1, math.ceil(math.sqrt(self.depth.size / _ENOUGH_PX)))
-        chosen = np.zeros(self.depth.shape, dtype=bool)
-        chosen[::stride, ::stride] = True
-        return chosen
+        stride = max(1, math.ceil(math.sqrt(self.instance.size / _ENOUGH_PX)))
+        sampled = np.zeros(self.instance.shape, dtype=bool)
+        sampled[::stride, ::stride] = True
+        return sampled
 
     @cached_property
     def on_part(self) -> Bool[np.ndarray, "h w"]:

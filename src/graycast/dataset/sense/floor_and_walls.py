@@ -26,14 +26,15 @@ def world_problems(scene: Evidence) -> Iterator[str]:
         return  # parts beside the bin lie on the table
     yield from _sunk(scene)
     if box.get("mesh") is None:
-        drawn = (scene.manifest.get("domain") or {}).get("bin") or {}
-        size_mm = 1e3 * drawn.get("size_factor", 1.0) * np.array(inner_m, dtype=float)
+        varied = (scene.plain.manifest.get("domain") or {}).get("bin") or {}
+        size_mm = 1e3 * varied.get("size_factor", 1.0) * np.array(inner_m, dtype=float)
         yield from _floor_problems(scene, size_mm, 1e3 * float(box.get("wall_m", np.inf)))
 
 
 def _sunk(scene: Evidence) -> Iterator[str]:
+    T_world_cam = scene.plain.T_world_cam
     for i, part_mm in enumerate(scene.parts_mm):
-        z_mm = transform_points(scene.T_world_cam, part_mm)[:, 2]
+        z_mm = transform_points(T_world_cam, part_mm)[:, 2]
         allowed_mm = SUNK_MM + SUNK_SHARE * float(np.linalg.norm(np.ptp(part_mm, axis=0)))
         if z_mm.min() < -allowed_mm:
             yield (
@@ -46,10 +47,11 @@ def _floor_problems(
     scene: Evidence, size_mm: Float[np.ndarray, "3"], wall_mm: float
 ) -> Iterator[str]:
     """What is no part, and in sight: nothing under the floor, the floor within the walls."""
-    rest = ~scene.on_part & (scene.depth > 0) & scene.sampled
-    ray, z_mm = scene.ray[rest], scene.depth[rest] * scene.view.depth_scale
-    point_mm = transform_points(scene.T_world_cam, ray * z_mm[:, None])
-    near_mm = min(FLOOR_MM, wall_mm / 3) + scene.view.depth_scale  # the table is a wall deeper
+    depth, step_mm = scene.image["depth"], scene.plain.view.depth_scale
+    rest = ~scene.on_part & (depth > 0) & scene.sampled
+    ray, z_mm = scene.ray[rest], depth[rest] * step_mm
+    point_mm = transform_points(scene.plain.T_world_cam, ray * z_mm[:, None])
+    near_mm = min(FLOOR_MM, wall_mm / 3) + step_mm  # the table is a wall deeper
     over = (np.abs(point_mm[:, :2]) < size_mm[:2] / 2 - FLOOR_MM).all(axis=1)
     under = int((over & (point_mm[:, 2] < -near_mm)).sum())
     if under > OUTSIDE_SHARE * over.sum() + FLOOR_LEAST_PX / 10:
@@ -72,9 +74,10 @@ def _unsupported(scene: Evidence, floor_px: int) -> Iterator[str]:
     """Parts that hang in the air, in a bin whose floor is nowhere to be seen."""
     if floor_px >= FLOOR_LEAST_PX or not scene.parts_mm:
         return
-    low = [transform_points(scene.T_world_cam, part)[:, 2].min() for part in scene.parts_mm]
+    T_world_cam = scene.plain.T_world_cam
+    low = [transform_points(T_world_cam, part)[:, 2].min() for part in scene.parts_mm]
     size = [float(np.linalg.norm(np.ptp(part, axis=0))) for part in scene.parts_mm]
-    if min(low) > SUNK_MM + SUNK_SHARE * max(size) and "domain" not in scene.manifest:
+    if min(low) > SUNK_MM + SUNK_SHARE * max(size) and "domain" not in scene.plain.manifest:
         yield (
             f"no part is nearer than {min(low):.1f} mm to the bin's floor: nothing supports the "
             "parts"

@@ -29,7 +29,7 @@ DIM_SIGMAS = 8.0  # The decoder's own limit for shadow is 6.
 
 def light_problems(scene: Evidence) -> Iterator[str]:
     """All that the decoder cannot have seen."""
-    decoded = float((scene.reason == Reason.DECODED).mean())
+    decoded = float((scene.image["reason_sl"] == Reason.DECODED).mean())
     if decoded < LEAST_DECODED:
         yield (
             f"{decoded:.2%} of the pixels have a scanner depth, so no pixel has one: the scene "
@@ -46,7 +46,7 @@ def light_problems(scene: Evidence) -> Iterator[str]:
 
 def _scale_problems(scene: Evidence) -> Iterator[str]:
     """The writer's scale is the finest power of two that holds the strongest modulation."""
-    strongest, scale = int(scene.modulation_step.max()), scene.scanner.modulation_scale
+    strongest, scale = int(scene.image["modulation_sl"].max()), scene.plain.scanner.modulation_scale
     whole = np.log2(scale) % 1 == 0
     if not whole or (strongest <= STEP_MAX // 2 and scale > 2.0**-32):
         yield (
@@ -58,8 +58,8 @@ def _scale_problems(scene: Evidence) -> Iterator[str]:
 def _rules(
     scene: Evidence, sensor: SensorSpec, spec: DecodeSpec, exposure: ExposureSpec
 ) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
-    reason, modulation, levels = scene.reason, scene.modulation, levels_of(sensor)
-    least, half = spec.min_contrast, scene.scanner.modulation_scale / 2
+    reason, modulation, levels = scene.image["reason_sl"], scene.modulation, levels_of(sensor)
+    least, half = spec.min_contrast, scene.plain.scanner.modulation_scale / 2
     unlit = np.isin(reason, (Reason.SHADOW, Reason.LOW_MODULATION, Reason.OUTSIDE_PROJECTOR))
     rated = ~unlit & (reason != Reason.SATURATED)
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
@@ -68,7 +68,7 @@ def _rules(
     factors = exposure.factors if len(exposure.factors) > 1 else (1.0,)
     longest, shortest = max(factors), min(factors)
     full_dn, half_step = sensor.saturation_dn - levels.offset_dn, 0.5 * (longest > 1)
-    white_dn = np.minimum((scene.gray + half_step) / 255 * longest, 1) * full_dn
+    white_dn = np.minimum((scene.image["gray_sl"] + half_step) / 255 * longest, 1) * full_dn
     noise_dn = np.sqrt(levels.floor_dn2 + levels.slope_dn * white_dn)
     contrast_dn = modulation * levels.range_dn
     # The decoder takes the noise of the darkest frame, which is not kept: white has more.
@@ -78,14 +78,14 @@ def _rules(
     yield strong, (reason == Reason.LOW_MODULATION) & enough
     lit = "modulation_sl is over the noise where reason_sl says shadow"
     yield lit, (reason == Reason.SHADOW) & (contrast_dn > DIM_SIGMAS * noise_dn + _step_dn(levels))
-    if scene.manifest.get("backend") == "cycles":
+    if scene.plain.manifest.get("backend") == "cycles":
         return  # every frame is rendered by itself: a pattern's noise may outshine the white frame
     bright_dn = STRIPES_SHOW * white_dn + NOISE_SIGMAS * noise_dn + _step_dn(levels)
     outshone = "modulation_sl is more than all the light that gray_sl shows"
-    yield outshone, (contrast_dn > bright_dn) & (scene.gray < 255)
+    yield outshone, (contrast_dn > bright_dn) & (scene.image["gray_sl"] < 255)
     dark = "gray_sl is dark where reason_sl says saturated"
     top = TOP * 255 / max(shortest, 1)
-    yield dark, (reason == Reason.SATURATED) & (scene.gray < top)
+    yield dark, (reason == Reason.SATURATED) & (scene.image["gray_sl"] < top)
 
 
 def _step_dn(levels: Levels) -> float:

@@ -16,10 +16,11 @@ def manifest_problems(scene: Evidence) -> Iterator[str]:
     facts, claim = scene.manifest_record, scene.claim
     if facts.dataset_seed != claim.seed:
         yield f"manifest.json: dataset_seed is {facts.dataset_seed}, graycast.json has {claim.seed}"
+    scene_id, number = int(scene.plain.files.path.name), scene.plain.number
     must = scene_seeds(
-        claim.seed, scene.scene_id, domain="domain" in facts.seeds, views="views" in facts.seeds
+        claim.seed, scene_id, domain="domain" in facts.seeds, views="views" in facts.seeds
     )
-    must |= image_seeds(claim.seed, scene.scene_id, station=scene.taker, image=scene.number)
+    must |= image_seeds(claim.seed, scene_id, station=scene.taker, image=number)
     if facts.seeds != must:
         wrong = sorted(k for k in {*facts.seeds, *must} if facts.seeds.get(k) != must.get(k))
         yield f"manifest.json: seeds of {', '.join(wrong)} do not follow from dataset_seed"
@@ -28,11 +29,12 @@ def manifest_problems(scene: Evidence) -> Iterator[str]:
         wrong = sorted(k for k in {*facts.config, *config} if facts.config.get(k) != config.get(k))
         yield f"manifest.json: config differs from graycast.json's in {', '.join(wrong)}"
     names = {part.obj_id: part.name for part in claim.parts}
-    lying = Counter(names.get(pose.obj_id, "") for pose in scene.poses)
+    lying = Counter(names.get(pose.obj_id, "") for pose in scene.plain.poses)
     if dict(lying) != facts.counts:
         yield f"manifest.json: counts are {facts.counts}, scene_gt.json has {dict(lying)}"
-    shares = reason_shares(scene.reason)
+    reason = scene.image["reason_sl"]
+    shares = reason_shares(reason)
     for name in sorted({*shares, *facts.reasons}):
         is_, was = shares.get(name, np.nan), facts.reasons.get(name, np.nan)
-        if not abs(is_ - was) < 0.5 / scene.reason.size:
+        if not abs(is_ - was) < 0.5 / reason.size:
             yield f"manifest.json: the share of {name} is {was}, that of reason_sl {is_}"

@@ -36,10 +36,10 @@ def picture_problems(scene: Evidence) -> Iterator[str]:
     """Pictures that do not show this scene."""
     outline = _outline(scene)
     geometry = _blurred((outline | _creases(scene)).astype(np.float32), _LINE_PX)
-    color = _edges(scene.rgb)
+    color = _edges(scene.image["rgb"])
     yield from _placed("rgb/000000.png", color, geometry, "the edges of depth and masks")
     light = _blurred(np.minimum(scene.modulation, 1.0).astype(np.float32), _SMOOTH_PX)
-    gray = _edges(scene.gray)
+    gray = _edges(scene.image["gray_sl"])
     yield from _placed("gray_sl/000000.png", gray, _gradient(light), "the edges of modulation_sl")
     yield from _outlined(color, outline)
 
@@ -51,12 +51,12 @@ def _outlined(color: Float[np.ndarray, "h w"], outline: Bool[np.ndarray, "h w"])
     if near.sum() < NEAR_LEAST_PX:
         return
     edges = _sharp(color)[near]
-    drawn = _sharp(_blurred(outline.astype(np.float32), _LINE_PX))
-    found = max(_correlation(np.roll(drawn, shift, (0, 1))[near], edges) for shift in _SHIFTS)
-    if found < OUTLINE_CORRELATION:
+    ends = _sharp(_blurred(outline.astype(np.float32), _LINE_PX))
+    correlation = max(_correlation(np.roll(ends, shift, (0, 1))[near], edges) for shift in _SHIFTS)
+    if correlation < OUTLINE_CORRELATION:
         yield (
-            f"rgb/000000.png has no edges where parts end (correlation {found:.2f}): the picture "
-            "may be of another scene"
+            f"rgb/000000.png has no edges where parts end (correlation {correlation:.2f}): the "
+            "picture may be of another scene"
         )
 
 
@@ -111,20 +111,21 @@ def _blurred(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarr
 
 def _outline(scene: Evidence) -> Bool[np.ndarray, "h w"]:
     """Pixels on either side of a border of a part."""
-    found = np.zeros(scene.instance.shape, dtype=bool)
+    border = np.zeros(scene.instance.shape, dtype=bool)
     for axis in (0, 1):
         turn = np.diff(scene.instance, axis=axis) != 0
         first, second = [slice(None)] * 2, [slice(None)] * 2
         first[axis], second[axis] = slice(0, -1), slice(1, None)
-        found[tuple(first)] |= turn
-        found[tuple(second)] |= turn
-    return found
+        border[tuple(first)] |= turn
+        border[tuple(second)] |= turn
+    return border
 
 
 def _creases(scene: Evidence) -> Bool[np.ndarray, "h w"]:
     """Where depth has a step or a bend: inverse depth of a plane is linear in the picture."""
-    known = scene.depth > 0
-    inverse = np.divide(1.0, scene.depth, out=np.zeros(scene.depth.shape), where=known)
+    depth = scene.image["depth"]
+    known = depth > 0
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=known)
     if not known.any():
         return known
     bend = np.maximum(

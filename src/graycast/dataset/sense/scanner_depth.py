@@ -29,7 +29,8 @@ _NUDGE = 1e-4
 
 def scanner_problems(scene: Evidence) -> Iterator[str]:
     """Scanner depth that lies to one side of the perfect depth."""
-    both = (scene.depth > 0) & (scene.depth_sl > 0) & (scene.sampled | scene.on_part)
+    there = (scene.image["depth"] > 0) & (scene.image["depth_sl"] > 0)
+    both = there & (scene.sampled | scene.on_part)
     error_px, mm_per_px = _errors(scene, both)
     known = np.isfinite(error_px) & np.isfinite(mm_per_px)
     over_all = known & scene.sampled[both]
@@ -45,7 +46,7 @@ def scanner_problems(scene: Evidence) -> Iterator[str]:
             f"{middle:+.2f} projector pixels; {PICTURE_PX} are allowed"
         )
     instance = scene.instance[both]
-    for i in range(len(scene.poses)):
+    for i in range(len(scene.plain.poses)):
         own = error_px[known & (instance == i)]
         if len(own) < max(PART_LEAST, PART_SHARE * (scene.instance == i).sum()):
             continue
@@ -61,8 +62,8 @@ def _errors(
     scene: Evidence, both: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Of each pixel: error along its epipolar line [projector px], and how deep one px is [mm]."""
-    scale_m = scene.view.depth_scale / 1e3
-    z_m, measured_m = scene.depth[both] * scale_m, scene.depth_sl[both] * scale_m
+    scale_m = scene.plain.view.depth_scale / 1e3
+    z_m, measured_m = (scene.image[name][both] * scale_m for name in ("depth", "depth_sl"))
     T_proj_cam, ray = scene.rig.T_proj_cam, scene.ray[both]
 
     def place_at(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:

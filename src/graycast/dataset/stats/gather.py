@@ -1,10 +1,11 @@
 """From scenes to a dataset: histograms that add up, so memory does not grow with the scenes."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,12 +13,16 @@ from jaxtyping import Float, Int
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.spawn import SPAWN
 from ..coco import IGNORED_BELOW
+from ..scene_content import scene_content
 from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
 
 VISIBILITY_BINS = 20
 SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # They are quarter octaves from 1 to 4096 px.
 SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # They bound COCO's classes of object area.
+_SIDES = len(SIDE_EDGES_PX) - 1
+_CLASS_BINS = {"visib_fract": VISIBILITY_BINS, "side_px": _SIDES, "box_px": _SIDES}
+_HISTOGRAMS = ("instances", "depth_bin", "error_step", "part_error_step", "gray", "luma")
 _QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
 
@@ -88,33 +93,23 @@ class Statistics:
     @property
     def depth_quantiles_mm(self) -> dict[str, float]:
         """Of perfect depth, to within a bin of 10 mm."""
-        found = _quantiles(self.depth_bin, _QUANTILES)
+        quantiles = _quantiles(self.depth_bin, _QUANTILES)
         names = [f"p{round(100 * q):02d}" for q in _QUANTILES]
-        return {n: (v + 0.5) * DEPTH_BIN_MM for n, v in zip(names, found, strict=True)}
+        return {n: (v + 0.5) * DEPTH_BIN_MM for n, v in zip(names, quantiles, strict=True)}
 
 
 @dataclass(slots=True)
 class _Sums:
-    """What is added up; lives inside one call of `tally`."""
+    """What is added up, by the names of `Statistics`; lives inside one call of `tally`."""
 
-    scenes: Counter = field(default_factory=Counter)
+    counts: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
+    of_picture: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
+    of_class: dict[int, dict[str, Any]] = field(default_factory=dict)
+    decoded_share: np.ndarray = field(default_factory=lambda: np.zeros(50, dtype=np.int64))
     pictures: int = 0
-    last: tuple[str, int] | None = None  # the scene of the last picture
-    named: dict[str, list[int]] = field(default_factory=dict)
-    sizes: Counter = field(default_factory=Counter)
-    areas: Counter = field(default_factory=Counter)
-    instances: Counter = field(default_factory=Counter)
-    depth: Counter = field(default_factory=Counter)
-    reason: Counter = field(default_factory=Counter)
-    part_reason: Counter = field(default_factory=Counter)
-    error: Counter = field(default_factory=Counter)
-    part_error: Counter = field(default_factory=Counter)
-    gray: Counter = field(default_factory=Counter)
-    luma: Counter = field(default_factory=Counter)
-    decoded: np.ndarray = field(default_factory=lambda: np.zeros(50, dtype=np.int64))
-    per_class: dict[int, list] = field(default_factory=dict)
     pixels: int = 0
     scale_mm: float = 0.0
+    last: tuple[str, int] | None = None  # the scene of the last picture
 
 
 def dataset_statistics(
@@ -147,28 +142,26 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
     sums = _Sums()
     for figures in scenes:
         _add(sums, figures)
-    part_pixels = sum(sums.part_reason.values())
+    counts, part_pixels = sums.counts, sums.counts["part_reason"].total()
     return Statistics(
-        scenes=dict(sums.scenes),
+        scenes=dict(counts["scenes"]),
         pictures=sums.pictures,
-        of_picture={name: _picture(counted) for name, counted in sums.named.items()},
+        of_picture={name: _shares(of_name) for name, of_name in sums.of_picture.items()},
         pixels=sums.pixels,
         part_pixels=part_pixels,
-        sizes_px=dict(sums.sizes),
+        sizes_px=dict(counts["sizes_px"]),
         depth_scale_mm=sums.scale_mm,
-        classes=tuple(_class(k, categories[k], row) for k, row in sorted(sums.per_class.items())),
-        areas={name: sums.areas[name] for name in ("small", "medium", "large")},
-        instances=dict(sorted(sums.instances.items())),
-        depth_bin=dict(sorted(sums.depth.items())),
-        reason={name: count / max(sums.pixels, 1) for name, count in sums.reason.items()},
-        part_reason={n: count / max(part_pixels, 1) for n, count in sums.part_reason.items()},
-        decoded_share=sums.decoded,
-        error_step=dict(sorted(sums.error.items())),
-        part_error_step=dict(sorted(sums.part_error.items())),
-        error=error_figures(sums.error, sums.scale_mm),
-        part_error=error_figures(sums.part_error, sums.scale_mm),
-        gray=dict(sorted(sums.gray.items())),
-        luma=dict(sorted(sums.luma.items())),
+        classes=tuple(
+            ClassFigures(obj_id=obj_id, name=categories[obj_id], **of_class)
+            for obj_id, of_class in sorted(sums.of_class.items())
+        ),
+        areas={name: counts["areas"][name] for name in ("small", "medium", "large")},
+        reason={name: count / max(sums.pixels, 1) for name, count in counts["reason"].items()},
+        part_reason={n: count / max(part_pixels, 1) for n, count in counts["part_reason"].items()},
+        decoded_share=sums.decoded_share,
+        error=error_figures(counts["error_step"], sums.scale_mm),
+        part_error=error_figures(counts["part_error_step"], sums.scale_mm),
+        **{name: dict(sorted(counts[name].items())) for name in _HISTOGRAMS},
     )
 
 
@@ -221,94 +214,73 @@ def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]
 
 
 def _read(scene: StoredScene) -> SceneFigures:
-    return scene_figures(scene.content())
+    return scene_figures(scene_content(scene))
 
 
 def _add(sums: _Sums, figures: SceneFigures) -> None:
-    here = (figures.split, figures.scene_id)
-    sums.scenes[figures.split] += here != sums.last  # a scene's pictures come in a row
+    counts, here = sums.counts, (figures.split, figures.scene_id)
+    counts["scenes"][figures.split] += here != sums.last  # a scene's pictures come in a row
     sums.last = here
     sums.pictures += 1
-    _add_picture(sums, figures)
-    sums.sizes[figures.width_px, figures.height_px] += 1
-    sums.instances[len(figures.obj_id)] += 1
     sums.pixels += figures.pixels
-    sums.depth.update(figures.depth_bin)
-    sums.reason.update(figures.reason_px)
-    sums.part_reason.update(figures.part_reason_px)
-    sums.gray.update(figures.gray)
-    sums.luma.update(figures.luma)
-    sums.decoded[min(int(figures.decoded_share * 50), 49)] += 1
+    sums.of_picture[figures.picture].update(
+        pictures=1,
+        pixels=figures.pixels,
+        decoded=figures.reason_px.get("decoded", 0),
+        part_pixels=sum(figures.part_reason_px.values()),
+        part_decoded=figures.part_reason_px.get("decoded", 0),
+    )
+    counts["sizes_px"][figures.width_px, figures.height_px] += 1
+    counts["instances"][len(figures.obj_id)] += 1
+    counts["depth_bin"].update(figures.depth_bin)
+    counts["reason"].update(figures.reason_px)
+    counts["part_reason"].update(figures.part_reason_px)
+    counts["gray"].update(figures.gray)
+    counts["luma"].update(figures.luma)
+    sums.decoded_share[min(int(figures.decoded_share * 50), 49)] += 1
     sums.scale_mm = sums.scale_mm or figures.depth_scale_mm
-    for total, own in (
-        (sums.error, figures.error_step),
-        (sums.part_error, figures.part_error_step),
-    ):
+    for name in ("error_step", "part_error_step"):
+        own = getattr(figures, name)
         if figures.depth_scale_mm == sums.scale_mm:
-            total.update(own)
+            counts[name].update(own)
         else:  # scenes of real pictures may come in other steps
             ratio = figures.depth_scale_mm / sums.scale_mm
             for step, count in own.items():
-                total[round(step * ratio)] += count
+                counts[name][round(step * ratio)] += count
     _add_instances(sums, figures)
 
 
-def _add_picture(sums: _Sums, figures: SceneFigures) -> None:
-    counted = [
-        1,
-        figures.pixels,
-        figures.reason_px.get("decoded", 0),
-        sum(figures.part_reason_px.values()),
-        figures.part_reason_px.get("decoded", 0),
-    ]
-    counts = sums.named.setdefault(figures.picture, [0] * len(counted))
-    sums.named[figures.picture] = [a + b for a, b in zip(counts, counted, strict=True)]
-
-
-def _picture(counted: list[int]) -> PictureFigures:
-    pictures, pixels, decoded, part_pixels, part_decoded = counted
+def _shares(counts: Counter) -> PictureFigures:
     return PictureFigures(
-        pictures=pictures,
-        decoded=decoded / max(pixels, 1),
-        part_decoded=part_decoded / max(part_pixels, 1),
+        pictures=counts["pictures"],
+        decoded=counts["decoded"] / max(counts["pixels"], 1),
+        part_decoded=counts["part_decoded"] / max(counts["part_pixels"], 1),
     )
 
 
 def _add_instances(sums: _Sums, figures: SceneFigures) -> None:
     for obj_id in set(figures.obj_id):
-        blank = [0, 0, 0, *(np.zeros(n, dtype=np.int64) for n in _CLASS_BINS)]
-        sums.per_class.setdefault(obj_id, blank)[0] += 1
+        of_class = sums.of_class.setdefault(
+            obj_id,
+            {"scenes": 0, "instances": 0, "visible": 0}
+            | {name: np.zeros(bins, dtype=np.int64) for name, bins in _CLASS_BINS.items()},
+        )
+        of_class["scenes"] += 1
     each = zip(figures.obj_id, figures.visib_fract, figures.area_px, figures.box_px, strict=True)
     for obj_id, share, area_px, box_px in each:
-        sum_of_class = sums.per_class[obj_id]
-        sum_of_class[1] += 1
-        sum_of_class[2] += share is None or share >= IGNORED_BELOW
+        of_class = sums.of_class[obj_id]
+        of_class["instances"] += 1
+        of_class["visible"] += share is None or share >= IGNORED_BELOW
         if share is not None:
-            sum_of_class[3][min(int(share * VISIBILITY_BINS), VISIBILITY_BINS - 1)] += 1
+            k = min(int(share * VISIBILITY_BINS), VISIBILITY_BINS - 1)
+            of_class["visib_fract"][k] += 1
         if area_px:
-            sum_of_class[4][_side_bin(area_px**0.5)] += 1
-            sum_of_class[5][_side_bin(float(max(box_px)))] += 1
+            of_class["side_px"][_side_bin(area_px**0.5)] += 1
+            of_class["box_px"][_side_bin(float(max(box_px)))] += 1
             size = "small" if area_px < SMALL_PX2 else "large" if area_px > LARGE_PX2 else "medium"
-            sums.areas[size] += 1
-
-
-_CLASS_BINS = (VISIBILITY_BINS, len(SIDE_EDGES_PX) - 1, len(SIDE_EDGES_PX) - 1)
+            sums.counts["areas"][size] += 1
 
 
 def _side_bin(side_px: float) -> int:
     k = int(np.searchsorted(SIDE_EDGES_PX, side_px, side="right")) - 1
-    return min(max(k, 0), len(SIDE_EDGES_PX) - 2)
-
-
-def _class(obj_id: int, name: str, sums: list) -> ClassFigures:
-    scenes, instances, visible, visib_fract, side_px, box_px = sums
-    return ClassFigures(
-        obj_id=obj_id,
-        name=name,
-        scenes=scenes,
-        instances=instances,
-        visible=int(visible),
-        visib_fract=visib_fract,
-        side_px=side_px,
-        box_px=box_px,
-    )
+    return min(max(k, 0), _SIDES - 1)

@@ -1,12 +1,13 @@
 """The figures of one scene: small, whatever the size of its pictures, and fit for JSON."""
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt8
+from jaxtyping import Bool
 from pydantic import BaseModel, ConfigDict
 
-from ..stored import SceneContent
+from ..scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
+_LUMA = np.array([0.2126, 0.7152, 0.0722])
 ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: it is two metres in steps of 0.1 mm.
 
 
@@ -78,12 +79,8 @@ def scene_figures(scene: SceneContent) -> SceneFigures:
         error_step=_error_counts(scene, everywhere),
         part_error_step=_error_counts(scene, on_part),
         gray={} if scene.gray is None else _counts(scene.gray.ravel()),
-        luma={} if scene.rgb is None else _counts(_luma(scene.rgb)),
+        luma={} if scene.rgb is None else _counts(np.rint(scene.rgb @ _LUMA).ravel()),
     )
-
-
-def _luma(rgb: UInt8[np.ndarray, "h w 3"]) -> Int[np.ndarray, " n"]:
-    return np.rint(rgb @ np.array([0.2126, 0.7152, 0.0722])).astype(np.int64).ravel()
 
 
 def _counts(value: np.ndarray) -> dict[int, int]:

@@ -74,8 +74,8 @@ def _depth(ax: Axes, s: Statistics) -> None:
     share = np.array(list(s.depth_bin.values()), dtype=float) / max(s.pixels, 1)
     ax.bar(at, 100 * share, width=DEPTH_BIN_MM, color=ACCENT)
     if s.depth_bin:
-        found = s.depth_quantiles_mm
-        ax.set_xlim(found["p01"] - 3 * DEPTH_BIN_MM, found["p99"] + 3 * DEPTH_BIN_MM)
+        quantiles = s.depth_quantiles_mm
+        ax.set_xlim(quantiles["p01"] - 3 * DEPTH_BIN_MM, quantiles["p99"] + 3 * DEPTH_BIN_MM)
     caption(ax, "Perfect depth", "z [mm]", "pixels [%]")
 
 

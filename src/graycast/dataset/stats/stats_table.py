@@ -1,6 +1,7 @@
 """A dataset's statistics as JSON and as a table in the terminal."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from rich.table import Table
 
 from ...base.folder import whole_folder
 from ..json_text import plain
-from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, PictureFigures, Statistics
+from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, Statistics
 from .scene_statistics import DEPTH_BIN_MM
 from .stats_plots import draw_statistics
 
@@ -20,11 +21,11 @@ def statistics_json(statistics: Statistics) -> dict[str, Any]:
         {
             "scenes": s.scenes,
             "pictures": s.pictures,
-            "of_picture": {name: _picture_json(one) for name, one in s.of_picture.items()},
+            "of_picture": {name: asdict(one) for name, one in s.of_picture.items()},
             "image_sizes_px": [[*size, count] for size, count in s.sizes_px.items()],
             "pixels": s.pixels,
             "part_pixels": s.part_pixels,
-            "classes": [_class_json(one) for one in s.classes],
+            "classes": [asdict(one) for one in s.classes],
             "visib_fract_edges": [k / VISIBILITY_BINS for k in range(VISIBILITY_BINS + 1)],
             "side_edges_px": SIDE_EDGES_PX,
             "areas_coco": s.areas,
@@ -38,8 +39,8 @@ def statistics_json(statistics: Statistics) -> dict[str, Any]:
             "error_step_mm": s.depth_scale_mm,
             "error_counts": s.error_step,
             "part_error_counts": s.part_error_step,
-            "error": _error_json(s.error),
-            "part_error": _error_json(s.part_error),
+            "error": asdict(s.error),
+            "part_error": asdict(s.part_error),
             "white_frame_counts": s.gray,
             "luma_counts": s.luma,
         }
@@ -109,15 +110,3 @@ def _brightness_line(counts: dict[int, int]) -> str:
     total = sum(counts.values())
     mean = sum(level * count for level, count in counts.items()) / total
     return f"mean {mean:.0f} of 255, {counts.get(255, 0) / total:.2%} at the top"
-
-
-def _error_json(error: ErrorFigures) -> dict[str, Any]:
-    return {name: getattr(error, name) for name in error.__dataclass_fields__}
-
-
-def _picture_json(one: PictureFigures) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in one.__dataclass_fields__}
-
-
-def _class_json(one: Any) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in one.__dataclass_fields__}

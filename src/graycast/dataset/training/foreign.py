@@ -6,17 +6,16 @@ which picture each is.
 
 import glob
 import json
-import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import cv2
 import numpy as np
-from pycocotools import mask as coco_mask
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs, parse_json
@@ -25,7 +24,7 @@ from ..records import Images, Positive
 from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
 from ..safe_reading import Unreadable
 from ..scene_folder import SCANNER, AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
-from .from_bytes import boxes, masks, picture
+from .from_bytes import boxes, compressed, masks, picture
 
 
 @final
@@ -66,48 +65,49 @@ def open_foreign(path: Path) -> Foreign:
 # --- COCO ---------------------------------------------------------------------------------------
 
 
-_Fits = Callable[[Any], bool]
-_Wanted = Mapping[str, tuple[_Fits, str]]
+class _Entry(BaseModel):
+    """An entry of a list; the description of a key says what it must be."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and bool(value)
+_Text = Annotated[str, Field(min_length=1)]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+class _Image(_Entry):
+    id: int | _Text = Field(description="a number")
+    file_name: _Text = Field(description="the name of a file")
 
 
-def _is_id(value: Any) -> bool:
-    return _is_number(value) or _is_text(value)
+class _Category(_Entry):
+    id: int = Field(description="a whole number")
+    name: _Text = Field(description="a word")
 
 
-def _is_box(value: Any) -> bool:
-    if not isinstance(value, list) or len(value) != 4:
-        return False
-    return all(isinstance(edge, int | float) and math.isfinite(edge) for edge in value)
+class _Annotation(_Entry):
+    image_id: int | _Text = Field(description="the id of an image")
+    category_id: int = Field(description="a whole number, the id of a category")
+    bbox: list[float] = Field(
+        min_length=4, max_length=4, description="four numbers [x, y, width, height] in pixels"
+    )
 
 
-_COCO: Mapping[str, _Wanted] = {
-    "images": {"id": (_is_id, "a number"), "file_name": (_is_text, "the name of a file")},
-    "categories": {"id": (_is_number, "a whole number"), "name": (_is_text, "a word")},
-    "annotations": {
-        "image_id": (_is_id, "the id of an image"),
-        "category_id": (_is_number, "a whole number, the id of a category"),
-        "bbox": (_is_box, "four numbers [x, y, width, height] in pixels"),
-    },
+_COCO: Mapping[str, type[_Entry]] = {
+    "images": _Image,
+    "categories": _Category,
+    "annotations": _Annotation,
 }
 
 
 def _open_coco(path: Path) -> Foreign:
     content = _json(path)
-    for name, wanted in _COCO.items():
+    for name, form in _COCO.items():
         if not isinstance(content, dict) or not isinstance(content.get(name), list):
             raise DatasetError(f"{path}: holds no COCO annotations (a list of {name} is missing)")
         for number, entry in enumerate(content[name]):
-            _check(entry, wanted, f"{path}: {name}[{number}]")
+            _check(entry, form, f"{path}: {name}[{number}]")
     # Numbers before words, where somebody mixed them.
-    images = sorted(content["images"], key=lambda image: (_is_text(image["id"]), image["id"]))
+    images = sorted(content["images"], key=lambda one: (isinstance(one["id"], str), one["id"]))
     if not images:
         raise DatasetError(f"{path}: has no images")
     categories = {entry["id"]: entry["name"] for entry in content["categories"]}
@@ -126,17 +126,24 @@ def _open_coco(path: Path) -> Foreign:
     )
 
 
-def _check(entry: Any, wanted: _Wanted, place: str) -> None:
+def _check(entry: Any, form: type[_Entry], place: str) -> None:
     """What was written by others has the keys that are read, and they hold what they should."""
-    if not isinstance(entry, dict):
-        raise DatasetError(
-            f"{place} is {_short(entry)}: it must be an object with {', '.join(wanted)}"
-        )
-    for key, (fits, remedy) in wanted.items():
-        if key not in entry:
-            raise DatasetError(f"{place} has no {key}: add it ({remedy}), or remove the entry")
-        if not fits(entry[key]):
-            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {remedy}")
+    try:
+        form.model_validate(entry)
+    except ValidationError as error:
+        first = error.errors()[0]
+        if not first["loc"]:
+            raise DatasetError(
+                f"{place} is {_short(entry)}: it must be an object with "
+                f"{', '.join(form.model_fields)}"
+            ) from error
+        key = str(first["loc"][0])
+        remedy = form.model_fields[key].description
+        if first["type"] == "missing":
+            why = f"has no {key}: add it ({remedy}), or remove the entry"
+        else:
+            why = f"has {key} {_short(entry[key])}: it must be {remedy}"
+        raise DatasetError(f"{place} {why}") from error
 
 
 def _short(value: Any) -> str:
@@ -153,10 +160,10 @@ def _coco_example(
     size = rgb.shape[:2]
     labels = entries.get(image["id"], [])
     name = f"{path}: image {image['id']}"
-    drawn = [entry.get("segmentation") or [] for entry in labels]
+    shapes = [entry.get("segmentation") or [] for entry in labels]
     mask = None
-    if all(drawn):
-        mask = masks([_run(each, size, name) for each in drawn], size, name)
+    if all(shapes):
+        mask = masks([_run(each, size, name) for each in shapes], size, name)
     return Example(
         scene_id=number,
         rgb=rgb,
@@ -167,15 +174,12 @@ def _coco_example(
     )
 
 
-def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
+def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
     """Polygons or run lengths as compressed run lengths."""
     try:
-        if isinstance(drawn, list):
-            return coco_mask.merge(coco_mask.frPyObjects(drawn, *size))
-        check_runs(drawn, f"{name}: a segmentation", DatasetError)
-        if isinstance(drawn["counts"], list):
-            return coco_mask.frPyObjects(drawn, *size)
-        return {"size": list(drawn["size"]), "counts": drawn["counts"]}
+        if not isinstance(shape, list):
+            check_runs(shape, f"{name}: a segmentation", DatasetError)
+        return compressed(shape, size)
     except KeyError as error:
         raise DatasetError(f"{name}: a segmentation is damaged ({error} is missing)") from error
     except (TypeError, ValueError) as error:
@@ -221,7 +225,7 @@ def _open_bop(path: Path) -> Foreign:
         alike = rescan is not None and rescan.config["camera"] == "image"
         perfect = SceneFolder(folder, rescan.config["sensor"]) if rescan and alike else None
         try:
-            annotations = scene.record("scene_gt", Images[list[AnyPose]]).root
+            annotations = scene.record("scene_gt", Images[list[AnyPose]])
         except Unreadable as error:
             raise DatasetError(
                 f"{folder}/{error}: each key must be the number of an image, and hold the list of "

@@ -11,6 +11,8 @@ from ...base.errors import DatasetError
 from ..example import metres
 from ..safe_reading import Unreadable, pixels
 
+DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}  # of `Example`
+
 
 def picture(data: bytes, name: str) -> np.ndarray:
     """An encoded picture as stored, colour in OpenCV's order.
@@ -54,10 +56,17 @@ def masks(
     for i, run in enumerate(runs):
         if list(run["size"]) != list(size_px):
             raise DatasetError(f"{name}: mask {i} is {run['size']}, the picture {list(size_px)}")
-        if isinstance(run["counts"], list):
-            run = coco_mask.frPyObjects(run, *size_px)
-        mask[i] = coco_mask.decode(run)
+        mask[i] = coco_mask.decode(compressed(run, size_px))
     return mask
+
+
+def compressed(segmentation: Any, size_px: tuple[int, int]) -> dict[str, Any]:
+    """Polygons or run lengths of COCO as compressed run lengths."""
+    if isinstance(segmentation, list):
+        return coco_mask.merge(coco_mask.frPyObjects(segmentation, *size_px))
+    if isinstance(segmentation["counts"], list):
+        return coco_mask.frPyObjects(segmentation, *size_px)
+    return segmentation
 
 
 def boxes(mask: Bool[np.ndarray, "n h w"]) -> Float32[np.ndarray, "n 4"]:

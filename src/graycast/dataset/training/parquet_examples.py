@@ -11,14 +11,13 @@ from ...base.errors import DatasetError
 from ..example import Example
 from ..export.parquet import schema  # says what to install where pyarrow is missing
 from ..export.record import ExportRecord
-from .from_bytes import depth_m, image_fields, masks
+from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks
 
 # Where it is missing, `export.parquet` has raised before this.
 # isort: split
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
 _LABELS = {
     "gt_id": ("instance", np.int64, (-1,)),
     "obj_id": ("obj_id", np.int64, (-1,)),
@@ -61,7 +60,7 @@ def _example(
     for kind in ("rgb", "gray"):
         if line[kind] is not None:
             fields |= image_fields(kind, line[kind]["bytes"], name)
-    for column, field in _DEPTH_FIELDS.items():
+    for column, field in DEPTH_FIELDS.items():
         if line[column] is not None:
             fields[field] = depth_m(line[column]["bytes"], line["depth_scale"], name)
     for column, (field, dtype, shape) in _LABELS.items():

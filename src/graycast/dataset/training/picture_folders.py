@@ -14,9 +14,7 @@ from ...base.file_limits import parse_json
 from ..example import Example, pose_m
 from ..export.record import ExportRecord
 from ..safe_reading import Unreadable, read_png
-from .from_bytes import boxes, depth_m, image_fields, masks
-
-_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
+from .from_bytes import DEPTH_FIELDS, boxes, compressed, depth_m, image_fields, masks
 
 
 def open_coco(
@@ -47,7 +45,7 @@ def _coco_example(
 ) -> Example:
     image, labels = images[scene_id], entries.get(scene_id, [])
     size, name = (image["height"], image["width"]), f"{folder}: image {scene_id}"
-    runs = [coco_mask.merge(_runs(entry["segmentation"], size)) for entry in labels]
+    runs = [compressed(entry["segmentation"], size) for entry in labels]
     fields = _pictures(folder, f"{split}/{image['file_name']}", record, image["depth_scale"])
     posed = all("cam_R_m2c" in entry for entry in labels) and "poses" in record.holds
     pose = [pose_m(e["cam_R_m2c"], e["cam_t_m2c"]) for e in labels] if posed else []
@@ -64,13 +62,6 @@ def _coco_example(
         visib_fract=np.array([entry["visib_fract"] for entry in labels], float) if rated else None,
         **fields,
     )
-
-
-def _runs(segmentation: Any, size: tuple[int, int]) -> list[dict[str, Any]]:
-    """Run lengths of polygons, or what already is one."""
-    if isinstance(segmentation, list):
-        return coco_mask.frPyObjects(segmentation, *size)
-    return [segmentation]
 
 
 def open_yolo(
@@ -112,13 +103,13 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
     """The picture and the depths that an export holds."""
-    chosen = {"both": ("depth", "depth_sl"), "perfect": ("depth",), "scanner": ("depth_sl",)}
+    depths = {"both": ("depth", "depth_sl"), "perfect": ("depth",), "scanner": ("depth_sl",)}
     fields: dict[str, Any] = {}
     image = folder / "images" / name
     fields |= image_fields(record.options["image"], _bytes(image), str(image))
-    for depth in chosen.get(record.options.get("depth", "none"), ()):
+    for depth in depths.get(record.options.get("depth", "none"), ()):
         path = folder / depth / name
-        fields[_DEPTH_FIELDS[depth]] = depth_m(_bytes(path), scale_mm, str(path))
+        fields[DEPTH_FIELDS[depth]] = depth_m(_bytes(path), scale_mm, str(path))
     return fields
 
 

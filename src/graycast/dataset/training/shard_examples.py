@@ -14,54 +14,49 @@ from ...base.file_limits import parse_json
 from ..example import Example, metres, pose_m
 from ..export.placing import bop_key
 from ..export.record import ExportRecord
-from .from_bytes import boxes, depth_m, image_fields, masks
+from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks
 
 Files = Mapping[str, bytes]
 Place = tuple[Path, int, int]  # They are file, offset and length of a member.
-_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
 
 
 def open_bop_imagewise(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    return partial(_bop_from_folder, folder / split, record)
+    return partial(_bop_from, partial(_beside, folder / split), record, f"{folder / split}: ")
 
 
 def open_bop_shards(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    return partial(_bop_from_shard, _index(folder / split), record)
+    return partial(_bop_from, partial(_members, _index(folder / split)), record, "")
 
 
 def open_webdataset(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    return partial(_own_from_shard, _index(folder / split), record)
+    return partial(_own_from, partial(_members, _index(folder / split)), record)
 
 
-def _bop_from_folder(folder: Path, record: ExportRecord, scene_id: int) -> Example:
+def _bop_from(
+    files_of: Callable[[str], Files], record: ExportRecord, where: str, scene_id: int
+) -> Example:
     key = bop_key(*record.place(scene_id))
+    return _checked(_bop_example, files_of(key), record, scene_id, f"{where}{key}")
+
+
+def _own_from(files_of: Callable[[str], Files], record: ExportRecord, scene_id: int) -> Example:
+    key = f"{scene_id:06d}"
+    return _checked(_own_example, files_of(key), record, scene_id, key)
+
+
+def _beside(folder: Path, key: str) -> Files:
     try:
-        files = {
+        return {
             path.name.removeprefix(f"{key}."): path.read_bytes() for path in folder.glob(f"{key}.*")
         }
     except OSError as error:
         raise DatasetError(f"{folder}: {key} cannot be read ({error.strerror})") from error
-    return _checked(_bop_example, files, record, scene_id, f"{folder}: {key}")
-
-
-def _bop_from_shard(
-    index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
-) -> Example:
-    key = bop_key(*record.place(scene_id))
-    return _checked(_bop_example, _members(index, key), record, scene_id, key)
-
-
-def _own_from_shard(
-    index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
-) -> Example:
-    key = f"{scene_id:06d}"
-    return _checked(_own_example, _members(index, key), record, scene_id, key)
 
 
 def _checked(
@@ -81,7 +76,7 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
         if ending in files:
             fields |= image_fields(kind, files[ending], name)
     if "depth.png" in files:
-        field = _DEPTH_FIELDS["depth_sl" if record.options["depth"] == "scanner" else "depth"]
+        field = DEPTH_FIELDS["depth_sl" if record.options["depth"] == "scanner" else "depth"]
         fields[field] = depth_m(files["depth.png"], camera["depth_scale"], name)
     K = np.array(camera["cam_K"], float).reshape(3, 3)
     if record.options.get("pixel_origin") == "corner":
@@ -118,7 +113,7 @@ def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
     for kind in ("rgb", "gray"):
         if f"{kind}.png" in files:
             fields |= image_fields(kind, files[f"{kind}.png"], name)
-    for ending, field in _DEPTH_FIELDS.items():
+    for ending, field in DEPTH_FIELDS.items():
         if f"{ending}.npy" in files:
             fields[field] = metres(_npy(files[f"{ending}.npy"]), info["depth_scale"])
     arrays = {"obj_id": "obj_id", "boxes": "box_px", "poses": "T_cam_part"}

@@ -59,10 +59,9 @@ class Examples(Sequence):
             DatasetError: a file of it is missing or damaged.
             IndexError: there are not so many.
         """
-        chosen = self.scene_ids[index]
-        if isinstance(chosen, tuple):
-            return [self.read(scene_id) for scene_id in chosen]
-        return self.read(chosen)
+        if isinstance(index, slice):
+            return [self.read(scene_id) for scene_id in self.scene_ids[index]]
+        return self.read(self.scene_ids[index])
 
 
 def open_examples(

@@ -176,7 +176,7 @@ def _read_scene(scene: Path) -> list[BinView]:
     """
     files, views = SceneFolder(scene), []
     try:
-        cameras = files.record("scene_camera_sl", Images[AnyView]).root
+        cameras = files.record("scene_camera_sl", Images[AnyView])
     except Unreadable as error:
         raise DatasetError(
             f"{scene}/{error}: the key of an image must be its number, and it needs cam_K (9 "

@@ -19,7 +19,7 @@ from ...base.file_limits import parse_json
 from ...base.folder import new_folder
 from ...base.mask_box import mask_box
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
+from ...dataset.coco import coco_categories, run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
 from ...dataset.records import FORMAT_VERSION, split_annotation
@@ -233,10 +233,7 @@ class _Writer:
         content = {
             "info": {"description": "Graycast, real pictures"},
             "licenses": [],
-            "categories": [
-                {"id": i, "name": name, "supercategory": "graycast"}
-                for i, name in enumerate(self.names, start=1)
-            ],
+            "categories": coco_categories(enumerate(self.names, start=1)),
             "images": [
                 {"id": i, "file_name": f"train/{i:06d}/{picture}/000000.png"} | size
                 for i in range(scenes)

@@ -126,7 +126,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
     views = _views(files, suffix)
     told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
     with _of_the_scene(scene):
-        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root if told else {}
+        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]) if told else {}
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
@@ -153,7 +153,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
 
 def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
     with _of_the_scene(files.path):
-        return files.record(f"scene_camera{suffix}", Images[AnyView]).root
+        return files.record(f"scene_camera{suffix}", Images[AnyView])
 
 
 @contextmanager

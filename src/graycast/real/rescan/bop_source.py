@@ -178,7 +178,7 @@ def _sensor(folder: Path, folders: list[Path], request: str) -> str:
 def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
     """What a file says by image; a number that stands in it twice is refused."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
-    entries = scene.record(name, form).root
+    entries = scene.record(name, form)
     # JSON's readers take the last of two; no other key in these files is a number.
     numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
     if twice := [number for number, count in numbers.items() if count > 1]:

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, RootModel
 from ...base.errors import ConfigError, DatasetError
 from ...base.frames import UNITS_M
 from ...base.settings import check_settings, parse_yaml, read_text
-from ...dataset.models_read import symmetry_m
+from ...dataset.models import symmetry_m
 from ...dataset.places import CLAIM
 from ...dataset.real import read_claim
 from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive

@@ -20,17 +20,16 @@ from ...camera.decode import mean_shares, reason_shares
 from ...camera.picture import gray_picture
 from ...camera.scanner import Scanner, measure, take
 from ...cell.config import RenderSection, quality_of
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
 from ...cell.generate import described_scanner
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part, with_field
-from ...dataset import Sample, depth_scale_mm, described_values
 from ...dataset.bop import scanner_files
-from ...dataset.claim import fingerprint, part_digest
+from ...dataset.claim import described_values, fingerprint, part_digest
 from ...dataset.json_text import plain
-from ...dataset.picture_bytes import DEPTH_MAX
+from ...dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
 from ...dataset.records import FORMAT_VERSION, MM_PER_M
-from ...dataset.sample import LEAST_DECODED
+from ...dataset.sample import LEAST_DECODED, Sample
 from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
 from .staging import Staged, stage, with_camera
@@ -74,7 +73,7 @@ class ImageScanner:
 
     def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
         """One image, by its place among the images of the source.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
 from ...world.parts import Part
 from .episode import empty_bin
 from .pick_files import episode_files, open_picks
@@ -20,7 +20,7 @@ class BinEmptier:
 
     def __init__(self, task: "PickTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
         self._ready: Ready | None = None
 
     def make(self, scene_id: int) -> TaskResult:

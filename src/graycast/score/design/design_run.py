@@ -12,7 +12,7 @@ from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
 from ...rendering import Rendering
 from ...world.parts import Part
 from .fate_picture import picture_png
@@ -28,7 +28,7 @@ class Comparer:
 
     def __init__(self, task: "DesignTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> TaskResult:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...dataset.scene_content import SceneContent
 from ...dataset.stats.gather import ErrorFigures, error_figures
-from ...dataset.stored import SceneContent
 from ...rig.optics import undistort
 
 ANGLE_EDGES_DEG = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90)

@@ -14,7 +14,8 @@ from ...base.errors import GraycastError
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.json_text import plain
-from ...dataset.stored import SceneContent, open_dataset
+from ...dataset.scene_content import SceneContent, scene_content
+from ...dataset.stored import open_dataset
 from .depth import ANGLE_EDGES_DEG, EDGE, DepthRow, depth_rows
 
 DEPTH = "depth.json"
@@ -44,7 +45,7 @@ def evaluate_depth(
     def read(pass_: int) -> Iterable[SceneContent]:
         pictures = stored.pictures
         for done, picture in enumerate(pictures, start=1):
-            yield picture.content()
+            yield scene_content(picture)
             progress.count("scenes", pass_ * len(pictures) + done, 2 * len(pictures))
 
     return {"all": depth_rows(read(0)), "parts": depth_rows(read(1), parts_only=True)}

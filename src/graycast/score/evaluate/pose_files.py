@@ -15,7 +15,7 @@ from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.example import Example
 from ...dataset.export.split import Split
 from ...dataset.json_text import plain
-from ...dataset.models_read import read_models
+from ...dataset.models import read_models
 from ...dataset.pose_results import PoseEstimate, read_pose_results
 from ...dataset.training import Examples, open_examples
 from .intervals import Interval, draw_scenes, interval_of

@@ -9,7 +9,7 @@ from ...base.folder import new_folder
 from ...base.ply import WORLD_FRAME, cloud_bytes
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.json_text import json_bytes
-from ...dataset.models_read import read_models
+from ...dataset.models import read_models
 from ...dataset.places import CLAIM
 from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from .fuse import FusedCloud, fuse

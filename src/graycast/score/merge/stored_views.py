@@ -11,10 +11,11 @@ from ...base.frames import inverse
 from ...camera.decode import triangulation_axis
 from ...dataset.claim import rig_of
 from ...dataset.example import pose_m
-from ...dataset.models_read import StoredModel
+from ...dataset.models import StoredModel
 from ...dataset.raw import read_code_maps
 from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable
+from ...dataset.scene_content import scene_content
 from ...dataset.stored import StoredDataset, StoredScene
 from ...rig.optics import optics_of
 from .adding import SurfacePoints, ViewTruth, surface_of
@@ -46,7 +47,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
             f"{stored.folder}: holds real pictures, of which nobody knows where the camera stood: "
             "give a dataset of graycast generate"
         )
-    content = shot.content()
+    content = scene_content(shot)
     assert content.rgb is not None  # what is simulated has a colour picture
     step_m = content.depth_scale_mm / MM_PER_M
     depth_m = _metres(content.scanner, step_m)
@@ -102,7 +103,7 @@ def _sigma_m(
     if sigma_px is not None:
         noise_px, source = sigma_px.astype(np.float64), "code maps"
     else:
-        light = shot.depth_steps("modulation_sl")
+        light = shot.picture("modulation_sl")
         noise_px, source = measured_noise_px(depth_m, slope_m, light, rig), "neighbours"
     sigma_m = np.hypot(slope_m * noise_px, step_m / 12**0.5)
     return np.where(np.isfinite(depth_m), sigma_m, np.nan), source

@@ -26,7 +26,7 @@ from ...base.plotting import save_png
 from ...camera.decode import Reason, triangulation_axis
 from ...camera.picture import srgb_frame
 from ...cell.simulate import Shot
-from ...dataset import labelled
+from ...dataset.sample import labelled
 from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
 from ...rig.pair import depth_per_line_m

@@ -13,8 +13,9 @@ from jaxtyping import Float32
 
 from ....base.errors import DatasetError
 from ....camera.picture import srgb_frame
-from ....dataset import Raw, read_capture, read_code_maps
+from ....dataset.raw import read_capture, read_code_maps
 from ....dataset.safe_reading import Unreadable
+from ....dataset.sample import Raw
 from ....dataset.stored import StoredScene
 from .packing import jpeg_url, pack_words, shrunk
 

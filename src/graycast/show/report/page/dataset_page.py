@@ -7,6 +7,7 @@ from pathlib import Path
 from ....base.folder import write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....dataset.raw import frames_folder
+from ....dataset.scene_content import scene_content
 from ....dataset.scene_folder import of_sensor, picture_name
 from ....dataset.stats import SceneFigures, scene_figures
 from ....dataset.stored import StoredDataset, StoredScene, open_dataset
@@ -58,7 +59,7 @@ class _ScenePiece:
         return stamp_of(f"{_FORM} {self.width_px}", self.scene.folder, _stamped(self.scene))
 
     def files(self) -> Iterator[tuple[str, bytes]]:
-        content = self.scene.content()
+        content = scene_content(self.scene)
         yield from scene_page_files(content, scene_figures(content), width_px=self.width_px)
         if self.scene.place == 0 and self.scene.of > 1 and not self.scene.real:
             yield FUSED, fused_script(self.stored, self.scene)

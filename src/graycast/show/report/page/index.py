@@ -9,10 +9,11 @@ import numpy as np
 
 from .... import __version__
 from ....camera.decode import Reason
+from ....dataset.scene_content import NO_REASON
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures
 from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
-from ....dataset.stored import NO_REASON, StoredDataset
+from ....dataset.stored import StoredDataset
 from ....rig.pattern import Code, CodeSpec
 from .packing import color_table
 from .scene_files import MISSING_COLOR

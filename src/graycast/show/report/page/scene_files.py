@@ -10,8 +10,8 @@ from jaxtyping import UInt8, UInt16
 
 from ....base.color import srgb_of_bytes
 from ....camera.decode import REASON_COLOR
+from ....dataset.scene_content import NO_REASON, SceneContent
 from ....dataset.stats import SceneFigures
-from ....dataset.stored import NO_REASON, SceneContent
 from .capture_pieces import Kept, columns_script, frames_script, read_kept
 from .packing import (
     jpeg,

@@ -9,7 +9,7 @@ Leaves out: colour; what needs more than one map.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,21 +80,13 @@ class Squares:
 
     def at(self, place: str) -> "Squares":
         """Those at a place: smooth, or floor."""
-        kept = {"smooth": self.is_smooth, "floor": self.is_floor}[place]
-        return self.only(kept)
+        return self.only({"smooth": self.is_smooth, "floor": self.is_floor}[place])
 
     def of_scans(self, number: Sequence[int]) -> "Squares":
         return self.only(np.isin(self.scan, np.array(number)))
 
-    def only(self, kept: Bool[np.ndarray, " n"]) -> "Squares":
-        return replace(
-            self,
-            feature=self.feature[kept],
-            scan=self.scan[kept],
-            corner_px=self.corner_px[kept],
-            is_smooth=self.is_smooth[kept],
-            is_floor=self.is_floor[kept],
-        )
+    def only(self, keep: Bool[np.ndarray, " n"]) -> "Squares":
+        return Squares(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
     def group(self, name: str) -> Float[np.ndarray, "n some"]:
         """The columns of one group of features."""
@@ -111,13 +103,8 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
     depths = [_rounded(scan.depth_m, step_m) for scan in scans]
     floor = find_floor(depths)
     parts = [_squares_of(depth_m, number, floor) for number, depth_m in enumerate(depths)]
-    return Squares(
-        feature=np.concatenate([p.feature for p in parts]),
-        scan=np.concatenate([p.scan for p in parts]),
-        corner_px=np.concatenate([p.corner_px for p in parts]),
-        is_smooth=np.concatenate([p.is_smooth for p in parts]),
-        is_floor=np.concatenate([p.is_floor for p in parts]),
-    )
+    names = [f.name for f in fields(Squares)]
+    return Squares(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
 def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
@@ -128,8 +115,8 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
     near it.
     """
     rng = np.random.default_rng(0)  # it chooses samples, not results: any seed finds the same floor
-    picked = [_some_pixels(one, rng) for one in depth_m]
-    pixel, z_m = (np.concatenate(column) for column in zip(*picked, strict=True))
+    samples = [_some_pixels(one, rng) for one in depth_m]
+    pixel, z_m = (np.concatenate(column) for column in zip(*samples, strict=True))
     if len(z_m) < 3:
         return None
     corners = rng.integers(0, len(z_m), size=(_DRAWS, 3))
@@ -173,10 +160,10 @@ def correlation(
     limit = 4 * (sigma + _TINY_M)[:, None, None]
     a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair that is not known adds nothing
     product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
-    found = np.full(enough.shape, np.nan)
+    coefficient = np.full(enough.shape, np.nan)
     power = np.sqrt(a2 * b2)
-    found[enough] = np.divide(product, power, out=np.zeros_like(power), where=power > 0)
-    return found
+    coefficient[enough] = np.divide(product, power, out=np.zeros_like(power), where=power > 0)
+    return coefficient
 
 
 # --- one square ----------------------------------------------------------------------------------

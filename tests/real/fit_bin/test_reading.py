@@ -10,7 +10,8 @@ from dataset.prisms import make_rig
 from simulated_dataset import write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.real.fit_bin import FileOptions, Frames, read_frames, read_views
+from graycast.real.depth_file import FileOptions
+from graycast.real.fit_bin import Frames, read_frames, read_views
 from graycast.real.fit_bin.look import light_scale
 from graycast.rig.optics import Optics
 

@@ -2,8 +2,7 @@
 
 from ..fitted_config import fitted_text, refuse_existing
 from .bending import BentBin, bend_bin, bent_bin
-from .bin_views import BinView, FileOptions, read_views
-from .composite import empty_view
+from .bin_views import BinView, empty_view, read_views
 from .fitting import (
     BinFit,
     azimuth_of,
@@ -29,7 +28,6 @@ __all__ = [
     "BinShape",
     "BinView",
     "FaceFit",
-    "FileOptions",
     "Frames",
     "PoseFit",
     "azimuth_of",

@@ -35,9 +35,8 @@ from ...base.frames import inverse, rigid, rotation_from_quaternion
 from ...dataset.records import Count, Positive, Vector
 from ...dataset.safe_reading import Unreadable, record_as
 from .model_files import NO_MODELS, ModelFile, read_models
-from .source import SourceImage
-from .source_files import REPAIR, FileSource, pose_of, record_of, source_image, stored_steps
-from .source_options import SourceOptions
+from .source import Source, SourceImage, SourceOptions
+from .source_files import REPAIR, pose_of, record_of, source_image, stored_steps
 
 SILEANE, IPA = "camera_params.txt", "parameter.json"
 _IPA_DEPTH = "_depth_uint16.png"
@@ -94,7 +93,7 @@ class _Camera:
     poses: Callable[[Path], list[np.ndarray]]
 
 
-def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
+def open_sileane(folder: Path, options: SourceOptions) -> Source:
     """The images of one of Siléane's objects; image i is the i-th of the sorted names.
 
     Raises:
@@ -136,7 +135,7 @@ def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
     return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
 
 
-def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
+def open_ipa(folder: Path, options: SourceOptions) -> Source:
     """The images of a folder of the IPA dataset; a cycle is a scene.
 
     Raises:
@@ -203,7 +202,7 @@ def _rows(path: Path) -> list[np.ndarray]:
 
 def _source(
     folder: Path, files: Mapping[tuple[int, int], Path], camera: _Camera, options: SourceOptions
-) -> FileSource:
+) -> Source:
     if not files:
         raise DatasetError(f"{folder}: has no depth pictures: download it again")
     models = NO_MODELS
@@ -216,7 +215,7 @@ def _source(
             )
         model = ModelFile(path=mesh, name=folder.name, unit="m")
         models = read_models({1: model}, {1}, options.materials)
-    return FileSource(
+    return Source(
         folder=folder,
         split=folder.name,
         images=tuple(files),

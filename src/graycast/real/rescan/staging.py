@@ -106,10 +106,10 @@ def stage(
     _refuse_contradiction(image.depth_m, nearest_m, own)
     reflectance = None if image.rgb is None else reflectance_of(image.rgb)
     if reflectance is not None:
-        looks = _looks(reflectance, np.where(own, which, -1), image.obj_id)
+        colors = _mean_colors(reflectance, np.where(own, which, -1), image.obj_id)
         parts = {
-            obj_id: _with_color(part, looks[obj_id])
-            if obj_id in unknown_look and obj_id in looks
+            obj_id: replace(part, material=replace(part.material, base_color=colors[obj_id]))
+            if obj_id in unknown_look and obj_id in colors
             else part
             for obj_id, part in parts.items()
         }
@@ -292,19 +292,15 @@ def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"
     return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)
 
 
-def _looks(
+def _mean_colors(
     reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
 ) -> dict[int, tuple[float, float, float]]:
     """The mean reflectance that the picture has of each object in it."""
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]
-    looks: dict[int, tuple[float, float, float]] = {}
+    means: dict[int, tuple[float, float, float]] = {}
     for i in np.unique(of):
         red, green, blue = color[of == i].mean(axis=0).tolist()
-        looks[int(i)] = red, green, blue
-    return looks
-
-
-def _with_color(part: Part, color: tuple[float, float, float]) -> Part:
-    return replace(part, material=replace(part.material, base_color=color))
+        means[int(i)] = red, green, blue
+    return means

@@ -23,9 +23,9 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import Cell, open_cell_renderer, resolve_cell
 from graycast.real.depth_file import FileOptions
 from graycast.real.picture_pairs import read_rgb
-from graycast.real.realism import DepthScan, read_scans, sensor_auc
+from graycast.real.realism import DepthScan, read_scans
 from graycast.real.realism.patches import Squares, cut_squares, find_floor
-from graycast.real.realism.two_sample import PLACES, depth_step_m
+from graycast.real.realism.two_sample import PLACES, depth_step_m, sensor_auc
 from graycast.real.twin.making import COATS, fitted_parameters
 from graycast.real.twin.parameters import Parameter, candidate_codes, with_values
 from graycast.real.twin.restaging import restage

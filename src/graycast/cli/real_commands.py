@@ -284,7 +284,7 @@ def _twin(options: argparse.Namespace) -> int:
     scans = list(read_scans(options.scans, options=files))
     if not scans:
         raise GraycastError("no scans are given: name depth files or a folder of them")
-    check_scans(scans, cell, kept=options.kept_aside)
+    check_scans(scans, cell, aside=options.kept_aside)
     pictures = [read_rgb(path) for path in options.rgb or ()]
     if not pictures:
         print("note: no colour pictures are given (--rgb), so all parts are taken to be grey")
@@ -293,7 +293,7 @@ def _twin(options: argparse.Namespace) -> int:
             scans,
             cell,
             pictures=pictures,
-            kept=options.kept_aside,
+            aside=options.kept_aside,
             trials=options.trials,
             seed=options.seed,
             device=options.device,
@@ -314,13 +314,13 @@ def _fit_bin(options: argparse.Namespace) -> int:
         fit_pose,
         read_frames,
         read_views,
-        refuse_existing,
         shape_of,
         summary,
         with_bend,
         with_look,
         write_fit,
     )
+    from ..real.fitted_config import refuse_existing
     from ..world.scene import bin_of
 
     refuse_existing(options.out, options.config)

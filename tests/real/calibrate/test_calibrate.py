@@ -16,17 +16,11 @@ from stage import in_camera
 
 from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
 from graycast.camera.decode import DecodeSpec, Levels, decode
-from graycast.real.calibrate import (
-    Board,
-    BoardView,
-    CalibrationError,
-    Corners,
-    calibrate_rig,
-    find_corners,
-    parse_board,
-    projector_corners,
-)
-from graycast.real.calibrate.corners import px_per_square_of, refine_corners
+from graycast.real.calibrate import calibrate_rig, parse_board
+from graycast.real.calibrate.board import Board, CalibrationError
+from graycast.real.calibrate.corners import Corners, find_corners, px_per_square_of, refine_corners
+from graycast.real.calibrate.observing import BoardView
+from graycast.real.calibrate.projector_corners import projector_corners
 from graycast.rendering import Quality
 from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pair import Rig

@@ -5,7 +5,8 @@ import pytest
 from backends import slow
 from scipy import ndimage
 
-from graycast.real.realism import measure_scan, pool
+from graycast.real.realism import pool
+from graycast.real.realism.measure import measure_scan
 from graycast.real.realism.noise import LAGS, autocorrelation, measure_noise
 
 from .synthetic import WIDTH_PX, plane, rays, scan

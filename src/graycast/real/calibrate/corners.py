@@ -50,10 +50,10 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
     """
     grey = _to_range(image)
     byte = np.rint(255 * grey).astype(np.uint8)
-    found = _find_chessboard(byte, board) if board.marker_m is None else _find_charuco(byte, board)
-    if found is None:
-        raise CalibrationError(_not_found(byte, board))
-    id_, start_px = found
+    start = _find_chessboard(byte, board) if board.marker_m is None else _find_charuco(byte, board)
+    if start is None:
+        raise CalibrationError(_no_board(byte, board))
+    id_, start_px = start
     px_per_square = px_per_square_of(board, id_, start_px)
     reach = REFINE_REACH
     if board.marker_m is not None:  # stay clear of the markers
@@ -131,8 +131,8 @@ def _to_range(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def _find_chessboard(byte, board):
     size = (board.squares_x - 1, board.squares_y - 1)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, position = cv2.findChessboardCornersSB(byte, size, flags=flags)
-    if not found:
+    is_there, position = cv2.findChessboardCornersSB(byte, size, flags=flags)
+    if not is_there:
         return None
     return np.arange(board.corner_count), position.reshape(-1, 2).astype(np.float64)
 
@@ -148,7 +148,7 @@ def _find_charuco(byte, board):
     return (id_, position) if np.linalg.matrix_rank(across) == 2 else None
 
 
-def _not_found(byte, board: Board) -> str:
+def _no_board(byte, board: Board) -> str:
     inner = f"{board.squares_x - 1} x {board.squares_y - 1}"
     squares = f"{board.squares_x} x {board.squares_y}"
     if board.marker_m is not None:

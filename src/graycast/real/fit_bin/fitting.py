@@ -284,19 +284,16 @@ def described(fit: BinFit) -> dict[str, Any]:
         "not_held": list(pose.loose),
         "views_apart": [{"m": m, "rad": rad} for m, rad in fit.apart],
         "faces": [asdict(face) for face in pose.faces if face.seen_px],
-        "bent": None if fit.bent is None else _bent_figures(fit.bent),
+        "bent": None
+        if fit.bent is None
+        else {
+            "T_world_cam": fit.bent.T_world_cam.tolist(),
+            "before_m": dict(zip(("median", "p90"), fit.bent.before_m, strict=True)),
+            "after_m": dict(zip(("median", "p90"), fit.bent.after_m, strict=True)),
+        },
         "look": None if look is None else asdict(look),
     }
     return _finite(content)
-
-
-def _bent_figures(bent: BentBin) -> dict[str, Any]:
-    named = ("median", "p90")
-    return {
-        "T_world_cam": bent.T_world_cam.tolist(),
-        "before_m": dict(zip(named, bent.before_m, strict=True)),
-        "after_m": dict(zip(named, bent.after_m, strict=True)),
-    }
 
 
 def _finite(value: Any) -> Any:

@@ -32,6 +32,7 @@ _LEVER_M = 0.2  # A turn is as large a step as a shift of a point so far away.
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
 _TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must cost as many pixels as the second.
+_AROUND_M = np.array([0.01, 0.01, 0.02])  # A bin's own space reaches so far about it.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
@@ -239,7 +240,8 @@ def judge(
             "check the size, the scale of the depth and the intrinsics, and that floor and walls "
             "are in view"
         )
-    space = _in_bin(shape, pairs.point)
+    low, high = shape.bounds_m
+    space = ((pairs.point > low - _AROUND_M) & (pairs.point < high + _AROUND_M)).all(axis=1)
     sigma = _deviations(equations(shape, pairs)[0])
     return PoseFit(
         T_world_cam=T_world_cam.copy(),
@@ -324,12 +326,6 @@ def _face_fit(shape: BinShape, k: int, matches: Sequence[_Match], pairs: FacePai
         rms_m=float(np.sqrt((size_m**2).mean())),
         p95_m=float(np.percentile(size_m, 95)),
     )
-
-
-def _in_bin(shape: BinShape, point: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    margin = np.array([0.01, 0.01, 0.02])
-    low, high = shape.bounds_m
-    return ((point > low - margin) & (point < high + margin)).all(axis=1)
 
 
 def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:

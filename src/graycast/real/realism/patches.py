@@ -100,7 +100,9 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
         step_m: depth is rounded to this step first, where it is above 0, so that two sets that are
             compared are equally fine.
     """
-    depths = [_rounded(scan.depth_m, step_m) for scan in scans]
+    depths = [scan.depth_m for scan in scans]
+    if step_m > 0:
+        depths = [np.round(depth_m / step_m) * step_m for depth_m in depths]
     floor = find_floor(depths)
     parts = [_squares_of(depth_m, number, floor) for number, depth_m in enumerate(depths)]
     names = [f.name for f in fields(Squares)]
@@ -169,10 +171,6 @@ def correlation(
 # --- one square ----------------------------------------------------------------------------------
 
 
-def _rounded(depth_m: Float[np.ndarray, "h w"], step_m: float) -> Float[np.ndarray, "h w"]:
-    return np.round(depth_m / step_m) * step_m if step_m > 0 else depth_m
-
-
 def _some_pixels(
     depth_m: Float[np.ndarray, "h w"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
@@ -210,7 +208,7 @@ def _squares_of(
             is_smooth = share >= _LEAST_VALID["smooth"] and _holds(fit, z_m, valid, _SMOOTH_M)
             is_floor = floor is not None and _holds(_plane_m(floor, y, x), z_m, valid, _FLOOR_M)
             if is_smooth or is_floor:
-                rows.append(_features(z_m, valid, fit))
+                rows.append([*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)])
                 smooth.append(is_smooth)
                 on_floor.append(is_floor)
                 corners.append((y, x))
@@ -257,12 +255,6 @@ def _paraboloid(
         off = np.abs(fit - np.where(valid, z_m, np.inf))
         used = valid & (off <= 3 * robust_sigma(off[valid]) + _TINY_M)
     return fit
-
-
-def _features(
-    z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"], fit: Float[np.ndarray, "s s"]
-) -> list[float]:
-    return [*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)]
 
 
 def _noise(z_m: Float[np.ndarray, "s s"]) -> list[float]:

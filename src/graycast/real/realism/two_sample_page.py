@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ...base.plotting import save_png
 from .patches import GROUPS, SQUARE_PX, Squares
 from .scan import DepthScan
-from .two_sample import PLACES, Auc, TwoSample
+from .two_sample import PLACES, TwoSample
 
 CLASSIFIER = "classifier.md"
 _COLUMNS = 8  # A row of the picture has so many squares of one set.
@@ -33,7 +33,8 @@ def two_sample_table(test: TwoSample) -> str:
             "|---" * (len(GROUPS) + 2) + "|",
         ]
         for name, places in test.row.items():
-            cells = [_auc_text(places[place][group]) for group in GROUPS]
+            aucs = [places[place][group] for group in GROUPS]
+            cells = ["-" if a.mean is None else f"{a.mean:.2f} ± {a.spread:.2f}" for a in aucs]
             first, second = places[place]["sensor"].squares
             lines.append(f"| {name} | " + " | ".join(cells) + f" | {first}, {second} |")
         lines.append("")
@@ -63,12 +64,6 @@ def write_two_sample(
     for place in PLACES:
         if not np.isnan(test.score[place][0]).all() and not np.isnan(test.score[place][1]).all():
             _draw(test, place, first, second, folder / f"gave-away-{place}.png")
-
-
-def _auc_text(auc: Auc) -> str:
-    if auc.mean is None:
-        return "-"
-    return f"{auc.mean:.2f} ± {auc.spread:.2f}"
 
 
 def _draw(

@@ -73,7 +73,7 @@ class ImageScanner:
 
     def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._renderer = KeptRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
         """One image, by its place among the images of the source.
@@ -128,7 +128,7 @@ class ImageScanner:
         """The sample of a staged image, and what its record says of it."""
         task = self._task
         render = task.spec.render
-        with self._kept.of(render) as renderer:
+        with self._renderer.of(render) as renderer:
             self._progress.stage(f"{renderer.name} renders")
             rendering = renderer.render(
                 staged.scene,
@@ -171,7 +171,7 @@ class ImageScanner:
         return sample, facts
 
     def close(self) -> None:
-        self._kept.close()
+        self._renderer.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,7 +30,7 @@ from .searching import Fit, scans_of, search
 from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
-LEAST_KEPT = 2  # The classifier learns from these scans, which the search does not see.
+LEAST_ASIDE = 2  # The classifier learns from these scans, which the search does not see.
 _SMOOTHEST = 0.1  # A coat of less roughness shows the lamp in single pixels.
 _LEAST_JUMPS = 20  # Fewer jumps per map do not show which side is in shadow.
 _MOST_SHARE = 0.25  # A side is in shadow if its jumps are at most this share of the other side's.
@@ -56,7 +56,7 @@ def make_twin(
     cell: Cell,
     *,
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
-    kept: int = 0,
+    aside: int = 0,
     trials: int,
     seed: int,
     device: str = "auto",
@@ -66,15 +66,15 @@ def make_twin(
 
     Args:
         pictures: in colour, one for each scan, or none; see `restage`.
-        kept: so many of the last scans the search does not see; the classifier judges them apart.
+        aside: so many of the last scans the search does not see; the classifier judges them apart.
 
     Raises:
         GraycastError: there are too few scans, of another camera than the rig's, or of no
             structured light; pictures do not fit; scikit-learn is not installed.
     """
     require_sklearn()
-    check_scans(real, cell, kept=kept)
-    fitted = len(real) - kept
+    check_scans(real, cell, aside=aside)
+    fitted = len(real) - aside
     codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
     progress.stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
@@ -92,7 +92,7 @@ def make_twin(
                 progress=progress,
             )
 
-    own, aside = slice(0, fitted), slice(fitted, len(real))
+    own, rest = slice(0, fitted), slice(fitted, len(real))
     lit = light(own, codes)
     progress.stage("measuring the real scans")
     floor = find_floor([scan.depth_m for scan in real[own]])
@@ -109,13 +109,13 @@ def make_twin(
     )
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
-    if kept:
-        lit += light(aside, (fit.scanner.code,))
+    if aside:
+        lit += light(rest, (fit.scanner.code,))
     after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     sets = {"before": (own, before, ()), "after": (own, after, perfect[own])}
-    if kept:
-        sets["kept aside"] = (aside, after, perfect[aside])
+    if aside:
+        sets["kept aside"] = (rest, after, perfect[rest])
     classified = {}
     for name, (some, simulated, truth) in sets.items():
         progress.stage(f"classifying the scans, {name}")
@@ -130,21 +130,21 @@ def make_twin(
     return Twin(fit=fit, scans=fitted, examples=examples, classified=classified)
 
 
-def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None:
+def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> None:
     """Whether a twin can be made of these scans, so many of which are kept aside.
 
     Raises:
         GraycastError: it cannot; the text says why, and what to give.
     """
-    if len(real) - kept < LEAST_SCANS:
+    if len(real) - aside < LEAST_SCANS:
         raise GraycastError(
-            f"{len(real)} scans are given, {kept} of them to keep aside: give at least "
+            f"{len(real)} scans are given, {aside} of them to keep aside: give at least "
             f"{LEAST_SCANS} to fit, so that their spread is known"
         )
-    if 0 < kept < LEAST_KEPT:
+    if 0 < aside < LEAST_ASIDE:
         raise GraycastError(
-            f"{kept} scan is kept aside: keep at least {LEAST_KEPT}, because the classifier leaves "
-            "out each scan once, or none"
+            f"{aside} scan is kept aside: keep at least {LEAST_ASIDE}, because the classifier "
+            "leaves out each scan once, or none"
         )
     camera = cell.scanner.rig.camera
     for scan in real:

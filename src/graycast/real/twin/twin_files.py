@@ -80,7 +80,10 @@ def report_text(twin: Twin) -> str:
         "",
         "| key | twin | from | to |",
         "|---|---|---|---|",
-        *_estimates(fit),
+        *(
+            f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
+            for one in fit.estimates
+        ),
         "",
         "| period of the code [px] | least misfit |",
         "|---|---|",
@@ -156,13 +159,6 @@ def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
             f"{verdict} |"
         )
     return lines
-
-
-def _estimates(fit: Fit) -> list[str]:
-    return [
-        f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
-        for one in fit.estimates
-    ]
 
 
 def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:

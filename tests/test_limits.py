@@ -43,7 +43,6 @@ MANY_ARGUMENTS = {
     "camera/decode/settling.py _chosen": 10,
     "camera/sensor.py _expose": 14,
     "cell/generate.py generate": 9,
-    "real/fit_bin/box.py _evidence": 9,
     "rendering/cycles/job.py write_job": 10,
     "robot/grasp/unknown.py suction_in_depth": 11,
     "robot/grasp_labels/label_run.py label_dataset": 9,

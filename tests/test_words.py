@@ -18,13 +18,11 @@ REMAINING = {
     "GIVEN_UP": 1,
     "NOT_HELD": 1,
     "_held_until": 1,
-    "_seen": 1,
     "held": 2,
     "held_until_s": 1,
     "lines_seen": 1,
-    "made": 1,
     "seen": 2,
-    "seen_px": 2,
+    "seen_px": 1,
     "shown": 6,
 }
 

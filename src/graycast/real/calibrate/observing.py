@@ -12,8 +12,7 @@ from jaxtyping import Float, Shaped
 from ...camera.stack import decode_stack, mirror_symptom
 from .adjust import NO_FIT, Observations, joined, poses_between, rms_alone_px
 from .board import Board, CalibrationError
-from .corners import MIN_CORNERS, find_corners
-from .projector_corners import projector_corners
+from .corners import MIN_CORNERS, find_corners, projector_corners
 
 MIN_VIEWS = 3  # Fewer directions of a plane do not determine the intrinsics.
 GOOD_VIEWS = 8
@@ -186,21 +185,21 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
     if mirrored is not None:
         raise CalibrationError(mirrored)
     corners = find_corners(view.white, board)
-    lit = projector_corners(
+    lit_px, per_camera_px = projector_corners(
         corners,
         view.column,
         view.row,
         sigma_column=view.sigma_column,
         sigma_row=view.sigma_row,
     )
-    decoded = np.isfinite(lit.position_px).all(axis=1)
+    decoded = np.isfinite(lit_px).all(axis=1)
     if decoded.sum() < MIN_CORNERS:
         raise CalibrationError(
             f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around "
             f"them, {MIN_CORNERS} are needed: light the board with the projector, and code both "
             f"axes{''.join(f' ({symptom})' for symptom in view.symptoms)}"
         )
-    position_px = lit.position_px[decoded]
+    position_px = lit_px[decoded]
     # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
     if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
         span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
@@ -213,7 +212,7 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
         point_m=board.corners_m[corners.id[decoded]],
         camera_px=corners.position_px[decoded],
         projector_px=position_px,
-        per_camera_px=lit.per_camera_px[decoded],
+        per_camera_px=per_camera_px[decoded],
     )
     return ViewCorners(name=view.name, corners=part, undecoded=int((~decoded).sum()))
 

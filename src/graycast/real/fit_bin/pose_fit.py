@@ -140,7 +140,7 @@ def _best_first(
 ) -> list[Float[np.ndarray, "4 4"]]:
     """Ordered by evidence times what agrees: beside a bin stands much table, but no wall."""
     score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
-    score *= [_agreeing(shape, [_match(shape, T, grid) for grid in grids]) for T in poses]
+    score *= [_agreeing(shape, _match(shape, T, grids)) for T in poses]
     return [poses[i] for i in np.argsort(-score, kind="stable")]
 
 
@@ -230,9 +230,8 @@ def judge(
     pairs = pairs_of(shape, T_world_cam, cloud, LAST_M, trust)
     inlier = pairs.weight > 0
     residual_m = pairs.height_m[inlier]
-    grids = [view.grid(512) for view in views]
-    matches = [_match(shape, T_world_cam, grid) for grid in grids]
-    agreeing = _agreeing(shape, matches)
+    match = _match(shape, T_world_cam, [view.grid(_ACROSS_PX) for view in views])
+    agreeing = _agreeing(shape, match)
     if agreeing < _LEAST_AGREEING:
         size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
         raise GraycastError(
@@ -245,7 +244,7 @@ def judge(
     sigma = _deviations(equations(shape, pairs)[0])
     return PoseFit(
         T_world_cam=T_world_cam.copy(),
-        faces=tuple(_face_fit(shape, k, matches, pairs) for k in range(len(shape.names))),
+        faces=tuple(_face_fit(shape, k, match, pairs) for k in range(len(shape.names))),
         rms_m=float(np.sqrt((residual_m**2).mean())),
         median_m=float(np.median(np.abs(residual_m))),
         p95_m=float(np.percentile(np.abs(residual_m), 95)),
@@ -280,15 +279,16 @@ def _turned(
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """Of a view's pixels: the surface that each should show, and what was measured there."""
+    """Of all views' pixels: the surface that each should show, and what was measured there."""
 
     surface: Int[np.ndarray, " n"]
     measured: Bool[np.ndarray, " n"]
     agrees: Bool[np.ndarray, " n"]
 
 
-def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Match:
-    face, point_m = shape.cast(T_world_cam, grid)[0].ravel(), grid.point_m.reshape(-1, 3)
+def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grids: Sequence[Grid]) -> _Match:
+    face = np.concatenate([shape.cast(T_world_cam, grid)[0].ravel() for grid in grids])
+    point_m = np.concatenate([grid.point_m.reshape(-1, 3) for grid in grids])
     measured = np.isfinite(point_m[:, 2]) & (face != NO_FACE)
     agrees = np.zeros(len(face), dtype=bool)
     point = transform_points(T_world_cam, point_m[measured])
@@ -297,31 +297,28 @@ def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -
     return _Match(surface, measured, agrees)
 
 
-def _agreeing(shape: BinShape, matches: Sequence[_Match]) -> float:
+def _agreeing(shape: BinShape, match: _Match) -> float:
     """The lower share of two, of what is measured where the floor should be, and where the walls.
 
     A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
     """
     shares, is_of_floor = [], np.array(shape.names) == "floor"
     for floor in (True, False):
-        mine = [s.measured & (is_of_floor[s.surface] == floor) for s in matches]
-        agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
-        shares.append(_share(agrees, sum(m.sum() for m in mine)))
+        mine = match.measured & (is_of_floor[match.surface] == floor)
+        shares.append(_share((match.agrees & mine).sum(), mine.sum()))
     return min(shares)
 
 
-def _face_fit(shape: BinShape, k: int, matches: Sequence[_Match], pairs: FacePairs) -> FaceFit:
-    mine = [s.surface == k for s in matches]
-    seen_px = int(sum(m.sum() for m in mine))
-    measured = sum((s.measured & m).sum() for s, m in zip(matches, mine, strict=True))
-    agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
+def _face_fit(shape: BinShape, k: int, match: _Match, pairs: FacePairs) -> FaceFit:
+    mine = match.surface == k
+    pixels = mine.sum()
     height_m = pairs.height_m[(shape.surface[pairs.face] == k) & (pairs.weight > 0)]
     size_m = np.abs(height_m) if len(height_m) else np.array([np.nan])
     return FaceFit(
         name=shape.names[k],
-        seen_px=seen_px,
-        measured=_share(measured, seen_px),
-        inliers=_share(agrees, seen_px),
+        seen_px=int(pixels),
+        measured=_share((match.measured & mine).sum(), pixels),
+        inliers=_share((match.agrees & mine).sum(), pixels),
         median_m=float(np.median(height_m)) if len(height_m) else np.nan,
         rms_m=float(np.sqrt((size_m**2).mean())),
         p95_m=float(np.percentile(size_m, 95)),

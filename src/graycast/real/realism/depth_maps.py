@@ -1,13 +1,13 @@
 """Depth maps one after another, from files and from the scene folders of BOP datasets."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
+from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...dataset.records import Images
@@ -27,6 +27,8 @@ from ..depth_file import (
 from .scan import DepthScan
 
 _M_PER_MM = 1e-3
+
+R = TypeVar("R", bound=BaseModel)
 
 
 def read_scans(
@@ -100,7 +102,8 @@ def read_perfect(path: Path) -> Iterator[DepthScan]:
     for scene in _scenes(path):
         files = SceneFolder(scene)
         if all((scene / f"scene_camera{suffix}.json").is_file() for suffix in ("", SCANNER)):
-            perfect, scanner = _views(files, ""), _views(files, SCANNER)
+            perfect = _record(files, "scene_camera", AnyView)
+            scanner = _record(files, f"scene_camera{SCANNER}", AnyView)
             for number in sorted(perfect.keys() & scanner.keys()):
                 file, view = files.png_path("depth", number), perfect[number]
                 if view.cam_K == scanner[number].cam_K and file.is_file():
@@ -121,11 +124,10 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
-    views = _views(files, suffix)
+    views = _record(files, f"scene_camera{suffix}", AnyView)
     scanner: Mapping[int, AnyScanner] = {}
     if suffix and (scene / f"scene{SCANNER}.json").is_file():
-        with _of_the_scene(scene):
-            scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root
+        scanner = _record(files, f"scene{SCANNER}", AnyScanner)
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
@@ -150,19 +152,13 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         )
 
 
-def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
-    with _of_the_scene(files.path):
-        return files.record(f"scene_camera{suffix}", Images[AnyView]).root
-
-
-@contextmanager
-def _of_the_scene(path: Path) -> Iterator[None]:
-    """What cannot be read is told with its scene."""
+def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
+    """What a file of the scene says by image."""
     try:
-        yield
+        return files.record(name, Images[form]).root  # type: ignore[valid-type]
     except Unreadable as error:
         raise DatasetError(
-            f"{path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
+            f"{files.path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
         ) from error
 
 

@@ -65,6 +65,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
     **FEATURES,
     "all": tuple(name for names in FEATURES.values() for name in names),
 }
+_SIDE = np.linspace(-1, 1, SQUARE_PX)
+_X, _Y = np.meshgrid(_SIDE, _SIDE)
+# The terms of a paraboloid at each pixel of a square.
+PARABOLOID = np.stack([_X**0, _X, _Y, _X * _X, _X * _Y, _Y * _Y], axis=-1)
 _COLUMN = {name: i for i, name in enumerate(GROUPS["all"])}
 
 
@@ -139,6 +143,15 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
     return plane
 
 
+def depth_of_floor(
+    floor: Float[np.ndarray, "3"], rows: slice, columns: slice
+) -> Float[np.ndarray, "h w"]:
+    """Depth of the plane of `find_floor` in a rectangle; NaN where it is behind the camera."""
+    row, column = np.mgrid[rows, columns]
+    inverse = floor[0] * column + floor[1] * row + floor[2]
+    return 1.0 / np.where(inverse > 0, inverse, np.nan)
+
+
 def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
     """`[1 -2 1] x [1 -2 1]` over 6: white noise keeps its standard deviation."""
     along = z_m[..., :-2] - 2 * z_m[..., 1:-1] + z_m[..., 2:]
@@ -199,14 +212,17 @@ def _squares_of(
     height, width = depth_m.shape
     for y in range(0, height - SQUARE_PX + 1, STRIDE_PX):
         for x in range(0, width - SQUARE_PX + 1, STRIDE_PX):
-            z_m = depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
+            place = slice(y, y + SQUARE_PX), slice(x, x + SQUARE_PX)
+            z_m = depth_m[place]
             valid = ~np.isnan(z_m)
             share = valid.mean()
             if share < min(_LEAST_VALID.values()):
                 continue
             fit = _paraboloid(z_m, valid)
             is_smooth = share >= _LEAST_VALID["smooth"] and _holds(fit, z_m, valid, _SMOOTH_M)
-            is_floor = floor is not None and _holds(_plane_m(floor, y, x), z_m, valid, _FLOOR_M)
+            is_floor = floor is not None and _holds(
+                depth_of_floor(floor, *place), z_m, valid, _FLOOR_M
+            )
             if is_smooth or is_floor:
                 rows.append([*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)])
                 smooth.append(is_smooth)
@@ -219,13 +235,6 @@ def _squares_of(
         is_smooth=np.array(smooth, dtype=bool),
         is_floor=np.array(on_floor, dtype=bool),
     )
-
-
-def _plane_m(floor: Float[np.ndarray, "3"], y: int, x: int) -> Float[np.ndarray, "s s"]:
-    """Depth of the floor in a square; NaN where its plane is behind the camera."""
-    row, column = np.mgrid[y : y + SQUARE_PX, x : x + SQUARE_PX]
-    inverse = floor[0] * column + floor[1] * row + floor[2]
-    return np.where(inverse > 0, 1.0 / np.where(inverse > 0, inverse, 1.0), np.nan)
 
 
 def _holds(
@@ -243,15 +252,12 @@ def _paraboloid(
     z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"]
 ) -> Float[np.ndarray, "s s"]:
     """Least squares over what lies near, in three rounds."""
-    t = np.linspace(-1, 1, SQUARE_PX)
-    x, y = np.meshgrid(t, t)
-    basis = np.stack([x**0, x, y, x * x, x * y, y * y], axis=-1)
     used, fit = valid, np.full(z_m.shape, np.nan)
     for _ in range(3):
         if used.sum() < 30:
             break
-        A, b = basis[used], z_m[used]
-        fit = basis @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
+        A, b = PARABOLOID[used], z_m[used]
+        fit = PARABOLOID @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
         off = np.abs(fit - np.where(valid, z_m, np.inf))
         used = valid & (off <= 3 * robust_sigma(off[valid]) + _TINY_M)
     return fit

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
-from .patches import GROUPS, SQUARE_PX, Squares
+from .patches import GROUPS, PARABOLOID, SQUARE_PX, Squares
 from .scan import DepthScan
 from .two_sample import PLACES, TwoSample
 
@@ -100,13 +100,10 @@ def _best(score: Float[np.ndarray, " n"]) -> list[int]:
 def _relief(squares: Squares, k: int, scans: Sequence[DepthScan]) -> Float[np.ndarray, "s s 3"]:
     y, x = squares.corner_px[k]
     z_m = scans[int(squares.scan[k])].depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
-    t = np.linspace(-1, 1, SQUARE_PX)
-    u, v = np.meshgrid(t, t)
-    basis = np.stack([u**0, u, v, u * u, u * v, v * v], axis=-1)
     known = ~np.isnan(z_m)
     rest_m = np.where(known, z_m, 0.0)
-    fit = np.linalg.lstsq(basis[known], rest_m[known], rcond=None)[0]
-    rest_m = rest_m - basis @ fit
+    fit = np.linalg.lstsq(PARABOLOID[known], rest_m[known], rcond=None)[0]
+    rest_m = rest_m - PARABOLOID @ fit
     rest_m -= np.median(rest_m[known])
     grey = np.clip(0.5 + 1e3 * rest_m / _RELIEF_MM, 0, 1)
     return np.where(known[..., None], grey[..., None], np.array([0.8, 0.1, 0.1]))

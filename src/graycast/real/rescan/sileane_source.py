@@ -181,11 +181,6 @@ def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
     path = _beside("gt", ".csv", depth)
     if int(path.stem) == 0 and not path.exists():  # the empty bin that a cycle begins with
         return []
-    return [_FROM_IPA @ T for T in _rows(path)]
-
-
-def _rows(path: Path) -> list[np.ndarray]:
-    """The poses of a table of IPA, in its frame of the camera."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]
         rows = [[float(word) for word in line.split(",")] for line in lines if line.strip()]
@@ -194,7 +189,7 @@ def _rows(path: Path) -> list[np.ndarray]:
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
     return [
-        pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
+        _FROM_IPA @ pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
         for row in rows
         if row[0] > 0
     ]

@@ -265,24 +265,10 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
     """Values of the free blocks, each the mean of its neighbours; the border is mirrored."""
-    number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    n = int(free.sum())
-    diagonal, right_side = np.zeros(n), np.zeros(n)
-    rows, columns = [], []
-    own = number[free]
-    around = np.pad(np.dstack([number, value]), ((1, 1), (1, 1), (0, 0)), constant_values=-2)
-    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        beside = around[1 + down : 1 + down + free.shape[0], 1 + right : 1 + right + free.shape[1]][
-            free
-        ]
-        other = beside[:, 0].astype(np.int64)
-        diagonal += other > -2
-        right_side += np.where(other == -1, beside[:, 1], 0.0)
-        rows.append(own[other >= 0])
-        columns.append(other[other >= 0])
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    A = sparse.csc_matrix((-np.ones(len(i)), (i, j)), shape=(n, n)) + sparse.diags(diagonal)
-    return spsolve(A.tocsc(), right_side)
+    rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in free.shape)
+    laplacian = sparse.kronsum(columns.T @ columns, rows.T @ rows).tocsr()[free.ravel()]
+    right_side = -laplacian[:, ~free.ravel()] @ value[~free]
+    return spsolve(laplacian[:, free.ravel()].tocsc(), right_side)
 
 
 def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

@@ -14,7 +14,13 @@ from ...base.robust import robust_sigma
 from ..realism import DepthScan
 from ..realism.fine import measure_fine, median_over_mean
 from ..realism.missing import SIZES_PX, count_missing, missing_among
-from ..realism.patches import SQUARE_PX, correlation, second_difference, third_difference
+from ..realism.patches import (
+    SQUARE_PX,
+    correlation,
+    depth_of_floor,
+    second_difference,
+    third_difference,
+)
 from ..realism.scan import tiles
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # Missing depth is counted there, by `PLACES`.
@@ -175,9 +181,7 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
     """Of the bare floor: fine noise [mm], and the share of holes [%]."""
     if floor is None:
         return [float("nan")] * 2
-    row, column = np.mgrid[: scan.depth_m.shape[0], : scan.depth_m.shape[1]]
-    inverse = floor[0] * column + floor[1] * row + floor[2]
-    plane_m = 1.0 / np.where(inverse > 0, inverse, np.nan)
+    plane_m = depth_of_floor(floor, *map(slice, scan.depth_m.shape))
     on_floor = np.abs(scan.depth_m - plane_m) < 4e-3
     mixed = second_difference(np.where(on_floor, scan.depth_m, np.nan))
     known = mixed[~np.isnan(mixed)]

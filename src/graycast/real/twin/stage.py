@@ -190,15 +190,10 @@ def scan_lit(
             )
             for name in ("pattern", "white", "ambient")
         }
-        radiance = replace(
-            radiance,
-            pattern=light["pattern"],
-            white=light["white"],
-            ambient=light["ambient"],
-            albedo=np.where(
-                lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
-            ),
+        albedo = np.where(
+            lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
         )
+        radiance = replace(radiance, **light, albedo=albedo)
     falloff = scanner.rig.projector.falloff or 0.0
     if falloff != lit.falloff:
         left = (1 - falloff * lit.corner_share) / (1 - lit.falloff * lit.corner_share)

@@ -217,7 +217,8 @@ def _compare(options: argparse.Namespace) -> int:
         with whole_folder(options.out) as folder:
             _write_table(records, folder)
             if two_sample is not None:
-                write_two_sample(*two_sample, folder)
+                test, first, second = two_sample
+                write_two_sample(test, first, second, folder)
         print(options.out)
     return 0
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -140,7 +141,7 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
         return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
     weight = np.array([p.pixels for p in pairs], dtype=np.float64)
 
-    def mean(values: Sequence[float | tuple[float, ...]]) -> np.ndarray:
+    def mean(values: Sequence[float | tuple[float, ...]]) -> Any:
         return np.average(np.array(values), axis=0, weights=weight)
 
     return Pairs(

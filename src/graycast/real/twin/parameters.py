@@ -4,6 +4,7 @@ A new parameter is one line of `PARAMETERS`: its key, its bounds and how its ran
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -116,8 +117,8 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     value: Any = scanner
     for name in _path(parameter.key):
-        if isinstance(name, int):
-            value = value[name] if name < len(value) else None
+        if name.isdigit():
+            value = value[int(name)] if int(name) < len(value) else None
         else:
             value = getattr(value, name)
         if value is None:
@@ -134,22 +135,16 @@ def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) 
     return {p.key: p.value(float(s)) for p, s in zip(parameters, shares, strict=True)}
 
 
-def _path(key: str) -> list[str | int]:
+def _path(key: str) -> list[str]:
     """Keys of a rig file stand at its top where they are the rig's own."""
-    path: list[str | int] = []
-    for word in key.split("."):
-        name, _, index = word.partition("[")
-        path.append(name)
-        if index:
-            path.append(int(index.rstrip("]")))
-    return path if hasattr(Scanner, str(path[0])) else ["rig", *path]
+    path = re.findall(r"\w+", key)
+    return path if hasattr(Scanner, path[0]) else ["rig", *path]
 
 
-def _replaced(owner: Any, path: Sequence[str | int], value: Any) -> Any:
-    name, rest = path[0], path[1:]
-    if isinstance(name, int):
-        items = list(owner) + [0.0] * (name + 1 - len(owner))
-        items[name] = _replaced(items[name], rest, value) if rest else value
+def _replaced(owner: Any, path: Sequence[str], value: Any) -> Any:
+    name, *rest = path
+    if name.isdigit():
+        items = [*owner, *[0.0] * (int(name) + 1 - len(owner))]
+        items[int(name)] = value
         return tuple(items)
-    inner = _replaced(getattr(owner, name), rest, value) if rest else value
-    return replace(owner, **{name: inner})
+    return replace(owner, **{name: _replaced(getattr(owner, name), rest, value) if rest else value})

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -180,11 +181,11 @@ def scan_lit(
     """
     radiance = lit.radiance[scanner.code]
     if look != BinLook():
-        coats = {more: light[scanner.code] for more, light in lit.coats.items()}
-        light = {
+        coats = {more: coat[scanner.code] for more, coat in lit.coats.items()}
+        light: dict[str, Any] = {
             name: _with_look(
                 getattr(radiance, name),
-                {more: getattr(light, name) for more, light in coats.items()},
+                {more: getattr(coat, name) for more, coat in coats.items()},
                 lit.is_bin,
                 look,
             )

@@ -26,7 +26,7 @@ from graycast.real.realism import DepthScan
 from graycast.real.realism.measure import measure_all, pool
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
-from graycast.real.rescan.source_options import SourceOptions
+from graycast.real.rescan.source import SourceOptions
 
 from .figures import Figures, Show
 

@@ -32,9 +32,9 @@ from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.camera.rig_file import save_scanner
 from graycast.camera.scanner import Scanner, preset
 from graycast.cell.config import BinSection, resolve_bin
+from graycast.real.depth_file import FileOptions
 from graycast.real.fit_bin.bending import bent_bin, mesh_bytes
-from graycast.real.fit_bin.bin_views import BinView
-from graycast.real.fit_bin.composite import empty_view
+from graycast.real.fit_bin.bin_views import BinView, empty_view
 from graycast.real.import_real import import_real
 from graycast.rig.optics import Optics
 
@@ -260,7 +260,7 @@ def write_real(out: Path) -> None:
         entry["area"] = int(small.sum())
     (source / "annotations" / "draft.json").write_text(json.dumps(drafts), encoding="utf-8")
     K = np.array([[FX_PX, 0, CX_PX], [0, FX_PX, CY_PX], [0, 0, 1]])
-    import_real(source, out / "real", K=K)
+    import_real(source, out / "real", files=FileOptions(K=K))
 
 
 STUDY = {

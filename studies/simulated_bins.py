@@ -17,7 +17,8 @@ from graycast.base.frames import inverse
 from graycast.cell.config import Config
 from graycast.cell.resolve import Cell, resolve_cell
 from graycast.cell.simulate import make_scene
-from graycast.real.fit_bin import BinView, fit_pose, shape_of
+from graycast.real.fit_bin import fit_pose, shape_of
+from graycast.real.fit_bin.bin_views import BinView
 from graycast.rendering import Quality, open_renderer
 from graycast.world.scene import EMPTY_LAYOUT, bin_of
 

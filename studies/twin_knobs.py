@@ -20,16 +20,17 @@ import numpy as np
 from benchmarks.figures import table
 from graycast.base.progress import UNWATCHED
 from graycast.camera.scanner import Scanner
-from graycast.cell.config import load_config, resolve_quality
+from graycast.cell.config import load_config
 from graycast.cell.resolve import Cell, open_cell_renderer, resolve_cell
+from graycast.real.depth_file import FileOptions
 from graycast.real.picture_pairs import read_rgb
-from graycast.real.realism import DepthScan, read_scans, sensor_auc
+from graycast.real.realism import DepthScan, read_scans
 from graycast.real.realism.patches import Squares, cut_squares, find_floor
-from graycast.real.realism.two_sample import PLACES, depth_step_m
+from graycast.real.realism.two_sample import PLACES, depth_step_m, sensor_auc
 from graycast.real.twin.making import COATS, fitted_parameters
 from graycast.real.twin.parameters import Parameter, candidate_codes, with_values
 from graycast.real.twin.restaging import restage
-from graycast.real.twin.rows import Figures, Places, figures_of
+from graycast.real.twin.rows import Figures, figures_of
 from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import LitScene, light_scenes, missing_places
 
@@ -56,7 +57,6 @@ class Bench:
     parameters: tuple[Parameter, ...]
     lit: tuple[LitScene, ...]
     real: Figures
-    places: Places
     squares: Mapping[str, Squares]
     step_m: float
 
@@ -64,7 +64,7 @@ class Bench:
 def open_bench(cell: Cell) -> Bench:
     """Stage the scenes of five scans, render them for one code, and measure the real scans."""
     files = [REAL / f"depth_{i}.npy" for i in (*FITTED, *ASIDE)]
-    scans = list(read_scans(files, K=cell.scanner.rig.camera.K))
+    scans = list(read_scans(files, options=FileOptions(K=cell.scanner.rig.camera.K)))
     pictures = [read_rgb(REAL / f"color_{i}.png") for i in (*FITTED, *ASIDE)]
     code = candidate_codes(cell.scanner.code)[-1]
     with open_cell_renderer(cell) as renderer:
@@ -74,7 +74,6 @@ def open_bench(cell: Cell) -> Bench:
             (code,),
             seed=0,
             renderer=renderer,
-            quality=resolve_quality(cell.config),
             rougher=COATS,
             names=[scan.name for scan in scans],
             progress=UNWATCHED,
@@ -92,7 +91,6 @@ def bench_of(cell: Cell, scans: list[DepthScan], lit: tuple[LitScene, ...]) -> B
         parameters=fitted_parameters(cell),
         lit=lit,
         real=figures_of(own, find_floor([scan.depth_m for scan in own]), places),
-        places=places,
         squares={
             name: cut_squares(some, step_m=step_m)
             for name, some in (("fitted", own), ("aside", aside))
@@ -112,7 +110,6 @@ def search_without(
         (bench.start.code,),
         [p for p in bench.parameters if p.key not in off],
         bench.real,
-        places=bench.places,
         trials=trials,
         seed=0,
     )

@@ -18,10 +18,10 @@ import numpy as np
 from graycast.camera.scanner import Scanner, preset
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
-from graycast.real.twin import PARAMETERS
 from graycast.real.twin.parameters import (
     BIN_GLOSS,
     BIN_ROUGHNESS,
+    PARAMETERS,
     candidate_codes,
     values_at,
     with_values,

@@ -17,18 +17,13 @@ REMAINING = {
     "COLLISION_UNSEEN": 1,
     "GIVEN_UP": 1,
     "NOT_HELD": 1,
-    "_SHOWN": 1,
     "_held_until": 1,
-    "_seen": 1,
     "held": 2,
     "held_until_s": 1,
     "lines_seen": 1,
-    "made": 2,
-    "seen": 4,
-    "seen_m": 1,
-    "seen_px": 2,
+    "seen": 2,
+    "seen_px": 1,
     "shown": 6,
-    "told": 4,
 }
 
 

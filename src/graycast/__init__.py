@@ -91,7 +91,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .real.rescan.open_source import open_source as open_source
     from .real.rescan.rescanning import RescanSpec as RescanSpec
     from .real.rescan.rescanning import rescan as rescan
-    from .real.rescan.source_options import SourceOptions as SourceOptions
+    from .real.rescan.source import SourceOptions as SourceOptions
     from .rendering import GroundTruth as GroundTruth
     from .rendering import Quality as Quality
     from .rendering import Radiance as Radiance
@@ -162,7 +162,7 @@ _MODULE = {
         "score.evaluate": "Protocol Task evaluate",
         "real.rescan.open_source": "open_source",
         "real.rescan.rescanning": "RescanSpec rescan",
-        "real.rescan.source_options": "SourceOptions",
+        "real.rescan.source": "SourceOptions",
         "learn.detect": "TrainSpec detect load_detector pictures_of train",
         "robot.pick": "load_pick_config pick resolve_pick_cell",
         "robot.pose": "find_pose find_poses pose_model",

@@ -27,7 +27,7 @@ from graycast.camera.stack.stack_pictures import read_pictures
 from graycast.cell.config import EnvironmentSection, resolve_environment
 from graycast.cli import main
 from graycast.dataset.safe_reading import Unreadable, read_png
-from graycast.real.depth_file import read_image, read_intrinsics
+from graycast.real.depth_file import FileOptions, read_image, read_intrinsics
 from graycast.real.picture_pairs import RealPicture, read_shot
 from graycast.world.parts.part_sections import read_texture
 
@@ -197,7 +197,7 @@ def no_decoder(monkeypatch):
         (
             lambda path: read_shot(
                 RealPicture(stem="a", rgb=None, gray=None, depth=path),
-                K=np.eye(3), scale_m=1e-3, size_px=None,
+                FileOptions(K=np.eye(3), scale_m=1e-3),
             ),
             DatasetError,
         ),

@@ -6,9 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from jaxtyping import Float
-
 from ..base.errors import GraycastError
 from ..base.frames import UNITS_M
 from ..rig.pair import PRESETS, RESOLUTIONS
@@ -16,6 +13,7 @@ from .bars import open_stages
 
 if TYPE_CHECKING:
     from ..cell.engine import Workers
+    from ..real.depth_file import FileOptions
 
 Run = Callable[[argparse.Namespace], int | None]
 Kind = Callable[[str], Any] | tuple[str, ...] | None
@@ -358,11 +356,16 @@ def resolve_config(config, name: Path, folder: Path):
     return cell
 
 
-def intrinsics_of(options: argparse.Namespace) -> Float[np.ndarray, "3 3"] | None:
-    """The camera matrix of `--intrinsics`; None without that option."""
-    from ..real.depth_file import read_intrinsics
+def file_options(options: argparse.Namespace) -> "FileOptions":
+    """What `--intrinsics`, `--scale`, `--size` and, where there is one, `--distortion` state."""
+    from ..real.depth_file import FileOptions, read_intrinsics
 
-    return None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    return FileOptions(
+        K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
+        distortion=getattr(options, "distortion", None),
+        scale_m=options.scale,
+        size_px=options.size,
+    )
 
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:

@@ -3,6 +3,7 @@
 import argparse
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from ..base.errors import GraycastError
@@ -15,7 +16,7 @@ from .arguments import (
     add_option,
     add_out,
     add_shared,
-    intrinsics_of,
+    file_options,
     numbers,
     positive,
     reader,
@@ -168,16 +169,14 @@ def _measure(options: argparse.Namespace) -> int:
     from ..real.realism import RECORD_FILE, measure_all, pool, read_scans, table, write_record
 
     refuse_foreign(options.out, TABLE)
-    K = intrinsics_of(options)
+    files = file_options(options)
     with whole_folder(options.out) as folder:
         scans = read_scans(
             options.depth,
-            K=K,
+            options=files,
             gray=options.gray or (),
             reason=options.reason or (),
             reason_names={reason.value: reason.name for reason in Reason},
-            scale_m=options.scale,
-            size_px=options.size,
         )
         name = options.out.name or str(options.out)
         notes: list[str] = []
@@ -211,16 +210,16 @@ def _compare(options: argparse.Namespace) -> int:
                 f"{options.out}: is itself one of the measured sets: give another folder with --out"
             )
         refuse_foreign(options.out, TABLE)
-    found = _two_sample(options) if options.classifier else None
+    two_sample = _two_sample(options) if options.classifier else None
     records = [_record(path, options) for path in (options.first, options.second)]
     print(table(*records))
-    if found is not None:
-        print("\n" + two_sample_table(found[0]))
+    if two_sample is not None:
+        print("\n" + two_sample_table(two_sample[0]))
     if options.out is not None:
         with whole_folder(options.out) as folder:
             _write_table(records, folder)
-            if found is not None:
-                test, first, second = found
+            if two_sample is not None:
+                test, first, second = two_sample
                 write_two_sample(test, first, second, folder)
         print(options.out)
     return 0
@@ -267,7 +266,7 @@ def _scans(path: Path, options: argparse.Namespace) -> Iterator:
     """The depth maps of one of two sets."""
     from ..real.realism import read_scans
 
-    return read_scans([path], K=intrinsics_of(options), scale_m=options.scale, size_px=options.size)
+    return read_scans([path], options=file_options(options))
 
 
 def _twin(options: argparse.Namespace) -> int:
@@ -282,12 +281,13 @@ def _twin(options: argparse.Namespace) -> int:
     refuse_there(*files_of(options.out))
     cell = resolve_config(load_config(options.config), options.config, options.config.parent)
     refuse_several(cell, "graycast real twin")
-    intrinsics = intrinsics_of(options)
-    K = cell.scanner.rig.camera.K if intrinsics is None else intrinsics
-    scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))
+    files = file_options(options)
+    if files.K is None:
+        files = replace(files, K=cell.scanner.rig.camera.K)
+    scans = list(read_scans(options.scans, options=files))
     if not scans:
         raise GraycastError("no scans are given: name depth files or a folder of them")
-    check_scans(scans, cell, kept=options.kept_aside)
+    check_scans(scans, cell, aside=options.kept_aside)
     pictures = [read_rgb(path) for path in options.rgb or ()]
     if not pictures:
         print("note: no colour pictures are given (--rgb), so all parts are taken to be grey")
@@ -296,7 +296,7 @@ def _twin(options: argparse.Namespace) -> int:
             scans,
             cell,
             pictures=pictures,
-            kept=options.kept_aside,
+            aside=options.kept_aside,
             trials=options.trials,
             seed=options.seed,
             device=options.device,
@@ -312,19 +312,18 @@ def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell.config import load_config
     from ..cell.resolve import refuse_several, resolve_cell
     from ..real.fit_bin import (
-        FileOptions,
         azimuth_of,
         empty_view,
         fit_pose,
         read_frames,
         read_views,
-        refuse_existing,
         shape_of,
         summary,
         with_bend,
         with_look,
         write_fit,
     )
+    from ..real.fitted_config import refuse_existing
     from ..world.scene import bin_of
 
     refuse_existing(options.out, options.config)
@@ -351,14 +350,11 @@ def _fit_bin(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"bin": config.bin.model_copy(update=size)})
     cell = resolve_cell(config, options.config.parent)
     refuse_several(cell, "graycast real fit-bin")
-    files = FileOptions(
-        K=intrinsics_of(options),
-        distortion=options.distortion,
-        scale_m=options.scale,
-        size_px=options.size,
-    )
     views = read_views(
-        options.views, rgb=options.rgb or [], options=files, own=cell.scene.rig.camera
+        options.views,
+        rgb=options.rgb or [],
+        options=file_options(options),
+        own=cell.scene.rig.camera,
     )
     if options.cluttered:
         views = (empty_view(views),)

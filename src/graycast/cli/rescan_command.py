@@ -89,7 +89,7 @@ def _rescan(options: argparse.Namespace) -> int:
     from ..cell.config import RenderSection
     from ..real.rescan.open_source import open_source
     from ..real.rescan.rescanning import RescanSpec, rescan
-    from ..real.rescan.source_options import SourceOptions
+    from ..real.rescan.source import SourceOptions
 
     workers, scanner = workers_of(options), resolve_rig_option(options)
     source = open_source(

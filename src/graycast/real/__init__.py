@@ -3,8 +3,8 @@
 Each folder imports only the files listed above it, except `twin`, which also imports `realism`.
 
 depth_file   depth maps, pictures and camera matrices from files of any scanner
-organised    organised point clouds
-pictures     colour, brightness and depth of one picture, paired by the names of their files
+depth_sense  whether depth can be what it is given for
+picture_pairs  colour, brightness and depth of one picture, paired by the names of their files
 depth_solid  a depth map as a solid for a scene: surface, edges, sides
 fitted_config  a configuration in which some keys are replaced by what was fitted
 

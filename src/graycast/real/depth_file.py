@@ -1,18 +1,58 @@
-"""Depth maps, pictures and camera matrices of any scanner, from files: NPY, PNG, TIFF, PLY."""
+"""Depth maps, pictures and camera matrices of any scanner, from files: NPY, PNG, TIFF, PLY.
 
+A PLY is an organised point cloud: a vertex per pixel, row by row, in the camera frame.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from ..base.errors import DatasetError
 from ..base.file_limits import load_array, parse_json, refuse_large_picture
-from .organised import camera_of, read_ply
+from ..base.ply import COLORS, read_vertices
 
+NO_CAMERA = "the file does not state its camera: give the intrinsics (--intrinsics fx,fy,cx,cy)"
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
 _FARTHEST_M = 100.0
+_SIZE = {"num_cols": "width", "width": "width", "num_rows": "height", "height": "height"}
+_FIT_PX = 0.5  # It is the largest RMS of a cloud about its own pinhole camera.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileOptions:
+    """What a user states where files leave it open.
+
+    Attributes:
+        K: intrinsics [px]; organised clouds bring their own where this is None.
+        distortion: k1, k2, p1, p2, k3 of OpenCV.
+        scale_m: metres per unit of depth; whole numbers need one, floats are metres.
+        size_px: width and height of clouds that do not say it.
+    """
+
+    K: Float[np.ndarray, "3 3"] | None = None
+    distortion: tuple[float, float, float, float, float] | None = None
+    scale_m: float | None = None
+    size_px: tuple[int, int] | None = None
+
+
+NO_OPTIONS = FileOptions()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthFile:
+    """Depth [m], NaN where there is none, its camera, and the look that a cloud has of its own.
+
+    `gray` is the mean of the colours as a share of their range.
+    """
+
+    depth_m: Float[np.ndarray, "h w"]
+    K: Float[np.ndarray, "3 3"]
+    gray: Float[np.ndarray, "h w"] | None = None
+    rgb: UInt8[np.ndarray, "h w 3"] | None = None
 
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
@@ -45,30 +85,17 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
     return K
 
 
-def read_depth(
-    path: Path,
-    scale_m: float | None,
-    size_px: tuple[int, int] | None,
-    K: Float[np.ndarray, "3 3"] | None,
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None, Float[np.ndarray, "3 3"]]:
-    """Depth [m], the brightness that the file itself has, and K."""
-    gray = None
+def read_depth(path: Path, options: FileOptions) -> DepthFile:
+    """A depth map from its file.
+
+    Raises:
+        DatasetError: it is missing, damaged or of another form, or something is not stated.
+    """
     if path.suffix.lower() == ".ply":
-        try:
-            cloud = read_ply(path, size_px)
-            K = camera_of(cloud.point) if K is None else K
-        except OSError as error:
-            raise DatasetError(f"{path}: cannot be read: {error.strerror}") from error
-        except ValueError as error:
-            raise DatasetError(f"{path}: {error}") from error
-        value, gray = cloud.point[..., 2], cloud.gray
-    else:
-        value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
-    if K is None:
-        raise DatasetError(
-            f"{path}: the file does not state its camera: give the intrinsics (--intrinsics "
-            "fx,fy,cx,cy)"
-        )
+        return _read_cloud(path, options)
+    value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
+    if options.K is None:
+        raise DatasetError(f"{path}: {NO_CAMERA}")
     if value.ndim == 3 and value.shape[2] == 1:  # one channel, as pictures of a batch are kept
         value = value[..., 0]
     if value.ndim != 2:
@@ -79,12 +106,84 @@ def read_depth(
         raise DatasetError(
             f"{path}: has {value.dtype} numbers: give integers of 16 bits or floating-point numbers"
         )
-    if value.dtype.kind in "ui" and scale_m is None:
+    if value.dtype.kind in "ui" and options.scale_m is None:
         raise DatasetError(
             f"{path}: has {value.dtype} numbers: give the scale in metres per unit (such as "
             "--scale 0.001)"
         )
-    return in_metres(value, 1.0 if scale_m is None else scale_m, str(path)), gray, K
+    scale_m = 1.0 if options.scale_m is None else options.scale_m
+    return DepthFile(depth_m=in_metres(value, scale_m, str(path)), K=options.K)
+
+
+def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
+    """An organised PLY, ASCII or binary; missing points are NaN or at the origin.
+
+    Its vertices are its first element; what follows is not read.
+    """
+    try:
+        header, table, count = read_vertices(path)
+        width_px, height_px = _size(path, header, count, options.size_px)
+        point = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+        point[~np.isfinite(point).all(axis=-1) | (point == 0).all(axis=-1)] = np.nan
+        point = point.reshape(height_px, width_px, 3)
+        K = _camera_of(point) if options.K is None else options.K
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise DatasetError(f"{path}: {error}") from error
+    gray = rgb = None
+    if all(name in table and table[name].dtype == np.uint8 for name in COLORS):
+        rgb = np.stack([table[name] for name in COLORS], axis=-1).reshape(height_px, width_px, 3)
+        gray = rgb.mean(axis=-1) / 255
+    scale_m = 1.0 if options.scale_m is None else options.scale_m
+    return DepthFile(depth_m=in_metres(point[..., 2], scale_m, str(path)), K=K, gray=gray, rgb=rgb)
+
+
+def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
+    """K of the pinhole camera that sees each point in its own pixel, by least squares.
+
+    Raises:
+        ValueError: too few points, or none such within half a pixel: a lens with distortion, or
+            points of another frame.
+    """
+    y, x = np.nonzero(~np.isnan(point[..., 2]))
+    if len(x) < 100:
+        raise ValueError(f"{len(x)} points are too few to find the camera: give the intrinsics")
+    across, down = (point[y, x, i] / point[y, x, 2] for i in (0, 1))
+    one = np.ones(len(x))
+    (fx, cx), _, rank_x, _ = np.linalg.lstsq(np.stack([across, one], 1), x, rcond=None)
+    (fy, cy), _, rank_y, _ = np.linalg.lstsq(np.stack([down, one], 1), y, rcond=None)
+    off = np.hypot(fx * across + cx - x, fy * down + cy - y)
+    rms_px = float(np.sqrt((off**2).mean()))
+    if min(rank_x, rank_y) < 2 or rms_px > _FIT_PX or min(fx, fy) <= 0:
+        raise ValueError(
+            f"the points are {rms_px:.2f} px RMS from the best pinhole camera, and {_FIT_PX} are "
+            "allowed: give the intrinsics, or export the cloud in the camera frame"
+        )
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _size(
+    path: Path, header: list[str], count: int, size_px: tuple[int, int] | None
+) -> tuple[int, int]:
+    """Width and height: those given, or those of the header."""
+    size_of = {}
+    for line in header:
+        words = line.split()
+        if len(words) == 3 and words[0] in ("obj_info", "comment") and words[1] in _SIZE:
+            size_of[_SIZE[words[1]]] = int(words[2])
+    if size_px is None and len(size_of) < 2:
+        raise DatasetError(
+            f"{path}: does not state how its {count} vertices form rows and columns: export an "
+            "organised cloud with 'obj_info num_cols' and 'obj_info num_rows', or give the size"
+        )
+    width_px, height_px = size_px or (size_of["width"], size_of["height"])
+    if width_px * height_px != count:
+        raise DatasetError(
+            f"{path}: has {count} vertices, {width_px} x {height_px} pixels need "
+            f"{width_px * height_px}: export every pixel, and the missing ones as 0 0 0 or nan"
+        )
+    return width_px, height_px
 
 
 def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
@@ -115,11 +214,11 @@ def depth_files(folder: Path) -> list[Path]:
     """`depth.npy` alone where `graycast rig decode` wrote it, else all that may be depth."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
-    found = sorted(f for f in folder.iterdir() if f.suffix.lower() in DEPTH_FILES)
-    if not found:
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in DEPTH_FILES)
+    if not files:
         kinds = ", ".join(DEPTH_FILES)
         raise DatasetError(f"{folder}: has neither depth files ({kinds}) nor a BOP dataset")
-    return found
+    return files
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -141,13 +240,20 @@ def load_npy(path: Path) -> np.ndarray:
         raise DatasetError(f"{path}: cannot be read as NPY ({error}): check the file") from error
 
 
-def load_json(path: Path) -> dict[str, Any]:
+def load_json(path: Path, remedy: str) -> dict[str, Any]:
+    """The keys of a JSON file.
+
+    Raises:
+        DatasetError: there is no such file, or it has none; the text ends with the remedy.
+    """
     try:
         content = parse_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: no such file: {remedy}") from error
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read as JSON ({error}): check the file") from error
     if not isinstance(content, dict):
-        raise DatasetError(f"{path}: holds no keys: give a file of intrinsics")
+        raise DatasetError(f"{path}: holds no keys: {remedy}")
     return content
 
 

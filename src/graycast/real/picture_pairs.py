@@ -16,12 +16,13 @@ from ..dataset.safe_reading import Unreadable, read_png
 from ..dataset.scene_folder import PICTURES
 from .depth_file import (
     DEPTH_FILES,
+    NO_CAMERA,
+    FileOptions,
     load_npy,
     read_depth,
     read_gray,
     read_image,
 )
-from .organised import read_ply
 
 FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
 _NEAREST_M = 0.01  # No scanner measures from nearer.
@@ -69,7 +70,7 @@ def find_shots(folder: Path) -> list[RealPicture]:
     Raises:
         DatasetError: there are none, or a picture is in one folder and not in another.
     """
-    found: dict[str, dict[str, Path]] = {}
+    files_of: dict[str, dict[str, Path]] = {}
     for name, endings in FOLDERS.items():
         inside = sorted((folder / name).iterdir()) if (folder / name).is_dir() else []
         files = [path for path in inside if path.suffix.lower() in endings]
@@ -80,34 +81,27 @@ def find_shots(folder: Path) -> list[RealPicture]:
         if inside and not files:
             raise DatasetError(f"{folder / name}: has none of {', '.join(endings)}")
         if files:
-            found[name] = by_stem
-    if not found:
+            files_of[name] = by_stem
+    if not files_of:
         raise DatasetError(
             f"{folder}: has no pictures: put them into the folders rgb, gray and depth in it, "
             "the files of one picture under one name"
         )
-    stems = sorted({stem for by_stem in found.values() for stem in by_stem})
-    for name, by_stem in found.items():
+    stems = sorted({stem for by_stem in files_of.values() for stem in by_stem})
+    for name, by_stem in files_of.items():
         if missing := [stem for stem in stems if stem not in by_stem]:
-            other = next(n for n in found if missing[0] in found[n])
+            other = next(n for n in files_of if missing[0] in files_of[n])
             raise DatasetError(
                 f"{folder}: {other} has a picture {missing[0]}, and {name} has none: add it, or "
                 "remove the other"
             )
-    by_name = {name: found.get(name, {}) for name in FOLDERS}
     return [
-        RealPicture(stem=stem, **{name: by_stem.get(stem) for name, by_stem in by_name.items()})
+        RealPicture(stem=stem, **{name: files_of.get(name, {}).get(stem) for name in FOLDERS})
         for stem in stems
     ]
 
 
-def read_shot(
-    shot: RealPicture,
-    *,
-    K: Float[np.ndarray, "3 3"] | None,
-    scale_m: float | None,
-    size_px: tuple[int, int] | None,
-) -> ShotData:
+def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
     """Read one picture.
 
     Raises:
@@ -117,17 +111,14 @@ def read_shot(
         refuse_damaged(path)
     rgb = None if shot.rgb is None else read_rgb(shot.rgb)
     gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
-    depth_m = None
+    depth_m, K = None, options.K
     if shot.depth is not None:
-        depth_m, _, K = read_depth(shot.depth, scale_m, size_px, K)
+        depth = read_depth(shot.depth, options)
+        depth_m, K = depth.depth_m, depth.K
         _refuse_impossible(depth_m, shot.depth)
-        if rgb is None and shot.depth.suffix.lower() == ".ply":
-            rgb = read_ply(shot.depth, size_px).rgb
-    elif K is None:
-        raise DatasetError(
-            f"{shot.stem}: the file does not state its camera: give the intrinsics (--intrinsics "
-            "fx,fy,cx,cy)"
-        )
+        rgb = depth.rgb if rgb is None else rgb
+    if K is None:
+        raise DatasetError(f"{shot.stem}: {NO_CAMERA}")
     _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
     return ShotData(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
+from graycast.real.depth_file import FileOptions
 from graycast.real.import_real import import_real
 
 K = np.array([[200.0, 0, 63.5], [0, 200.0, 47.5], [0, 0, 1]])
@@ -45,7 +46,7 @@ def write_drawn(folder: Path, count: int, *, seed: int = 0, size_px: tuple[int, 
     categories = [{"id": i + 1, "name": name} for i, name in enumerate(NAMES)]
     content = {"images": images, "annotations": annotations, "categories": categories}
     (source / "annotations" / "drawn.json").write_text(json.dumps(content))
-    import_real(source, folder / "dataset", K=K)
+    import_real(source, folder / "dataset", files=FileOptions(K=K))
     return folder / "dataset"
 
 

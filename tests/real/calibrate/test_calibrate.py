@@ -16,17 +16,16 @@ from stage import in_camera
 
 from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
 from graycast.camera.decode import DecodeSpec, Levels, decode
-from graycast.real.calibrate import (
-    Board,
-    BoardView,
-    CalibrationError,
+from graycast.real.calibrate import calibrate_rig, parse_board
+from graycast.real.calibrate.board import Board, CalibrationError
+from graycast.real.calibrate.corners import (
     Corners,
-    calibrate_rig,
     find_corners,
-    parse_board,
     projector_corners,
+    px_per_square_of,
+    refine_corners,
 )
-from graycast.real.calibrate.corners import px_per_square_of, refine_corners
+from graycast.real.calibrate.observing import BoardView
 from graycast.rendering import Quality
 from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pair import Rig
@@ -344,11 +343,11 @@ def test_projector_corners_lie_between_the_codes_steps(
     for T in truth_poses[:3]:
         code = code_of(camera_rays, T)
         code = (np.rint(code) if plain_gray else code).astype(np.float32)
-        found = projector_corners(true_corners(T), code[..., 0], code[..., 1])
+        found_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
         true = project(
             PROJECTOR, transform_points(inverse(RIG.T_cam_proj) @ T, CHESSBOARD.corners_m)
         )
-        assert np.abs(found.position_px - true).max() < allowed_px
+        assert np.abs(found_px - true).max() < allowed_px
 
 
 def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, truth_poses):
@@ -357,9 +356,9 @@ def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, 
     corners = true_corners(T)
     x, y = np.rint(corners.position_px[10]).astype(int)
     code[y - 25 : y + 25, x - 25 : x + 25] = np.nan
-    found = projector_corners(corners, code[..., 0], code[..., 1])
-    assert np.isnan(found.position_px[10]).all()
-    assert np.isfinite(found.position_px[0]).all()
+    found_px, _ = projector_corners(corners, code[..., 0], code[..., 1])
+    assert np.isnan(found_px[10]).all()
+    assert np.isfinite(found_px[0]).all()
 
 
 def test_a_third_of_the_pixels_may_be_grossly_wrong(camera_rays, truth_poses):
@@ -368,9 +367,9 @@ def test_a_third_of_the_pixels_may_be_grossly_wrong(camera_rays, truth_poses):
     code = code_of(camera_rays, T).astype(np.float32)
     wrong = np.random.default_rng(4).random(code.shape[:2]) < 0.33
     column = np.where(wrong, code[..., 0] + 256, code[..., 0]).astype(np.float32)
-    exact = projector_corners(true_corners(T), code[..., 0], code[..., 1])
-    found = projector_corners(true_corners(T), column, code[..., 1])
-    assert np.abs(found.position_px - exact.position_px).max() < 0.01
+    exact_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
+    found_px, _ = projector_corners(true_corners(T), column, code[..., 1])
+    assert np.abs(found_px - exact_px).max() < 0.01
 
 
 @pytest.mark.slow
@@ -398,13 +397,13 @@ def test_pixels_weigh_by_their_sigma(camera_rays, truth_poses):
     bad = rng.random(sigma.shape) < 0.4
     column = np.where(bad, code[..., 0] + 0.4, code[..., 0]).astype(np.float32)
     sigma[bad] = 5.0
-    exact = projector_corners(true_corners(T), code[..., 0], code[..., 1])
-    weighted = projector_corners(
+    exact_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
+    weighted_px, _ = projector_corners(
         true_corners(T), column, code[..., 1], sigma_column=sigma, sigma_row=sigma
     )
-    blind = projector_corners(true_corners(T), column, code[..., 1])
-    assert np.abs(weighted.position_px - exact.position_px).max() < 0.01
-    assert np.abs(blind.position_px - exact.position_px).max() > 0.05
+    blind_px, _ = projector_corners(true_corners(T), column, code[..., 1])
+    assert np.abs(weighted_px - exact_px).max() < 0.01
+    assert np.abs(blind_px - exact_px).max() > 0.05
 
 
 @pytest.mark.slow

@@ -108,7 +108,7 @@ def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
     lenses = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
     carried = np.array([[0.9, 0.1], [-0.15, 1.1]])
     words = {"depth_m": 0.6, "seed": 5, "per_camera_px": carried, "code_px": NOISE_PX / 100}
-    seen = seen_by(*lenses, **words).taken(np.arange(567) % 4 == 0)
+    seen = seen_by(*lenses, **words).only(np.arange(567) % 4 == 0)
     told, forgotten = (
         adjust(one, SIZE, SIZE, radial_terms=1, tangential=False)
         for one in (seen, replace(seen, per_camera_px=np.zeros_like(seen.per_camera_px)))
@@ -131,7 +131,7 @@ def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
     for seed in range(4):
         exact = seen_by(camera, projector, depth_m=0.6, seed=seed, noise_px=0.0, code_px=0.0)
         corner = (exact.view < 3) & np.isin(np.arange(567) % 81, np.arange(0, 81, 7))
-        few, rng = exact.taken(corner), np.random.default_rng(seed)
+        few, rng = exact.only(corner), np.random.default_rng(seed)
         many = joined([few] * 9)
         stated = [
             adjust(noisy(one, rng), SIZE, SIZE, radial_terms=1, tangential=False).deviation

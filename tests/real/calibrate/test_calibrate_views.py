@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.real.calibrate import BoardView, CalibrationError, parse_board
+from graycast.real.calibrate import parse_board
 from graycast.real.calibrate.adjust import adjust
+from graycast.real.calibrate.board import CalibrationError
 from graycast.real.calibrate.calibration import _impossible
 from graycast.real.calibrate.observing import (
+    BoardView,
     Observed,
     ViewCorners,
     _observe_one,
@@ -26,7 +28,7 @@ LENSES = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
 def observed():
     corners = seen_by(*LENSES, depth_m=0.6, seed=5)
     views = [
-        ViewCorners(name=f"v{k}", corners=corners.taken(corners.view == k), undecoded=0)
+        ViewCorners(name=f"v{k}", corners=corners.only(corners.view == k), undecoded=0)
         for k in range(5)
     ]
     return Observed(views=tuple(views), left_out={})

@@ -3,7 +3,7 @@
 import numpy as np
 
 from graycast.base.frames import axis_rotation, inverse, look_at, rigid, transform_points
-from graycast.real.fit_bin import BinView
+from graycast.real.fit_bin.bin_views import BinView
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics
 from graycast.world.scene import Bin, bin_mesh

@@ -18,7 +18,8 @@ from graycast.camera.scanner import Scanner
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.cli import main
-from graycast.real.fit_bin import bend_bin, fitting
+from graycast.real.fit_bin import fitting
+from graycast.real.fit_bin.bending import bend_bin
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics
 from graycast.rig.pair import preset_rig

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.real.fit_bin import BinView, empty_view
-from graycast.real.fit_bin.composite import farthest_shared
+from graycast.real.fit_bin import empty_view
+from graycast.real.fit_bin.bin_views import BinView, farthest_shared
 from graycast.rig.optics import Optics
 
 H, W = 60, 80

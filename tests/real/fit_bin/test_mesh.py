@@ -5,7 +5,9 @@ import pytest
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.real.fit_bin import fit_pose, register, settle, shape_of
+from graycast.real.fit_bin import fit_pose, shape_of
+from graycast.real.fit_bin.pose_fit import settle
+from graycast.real.fit_bin.registration import register
 from graycast.real.fit_bin.shape import NO_FACE, height_over
 from graycast.world.scene import Bin, bin_mesh
 from studies.crates import Crate

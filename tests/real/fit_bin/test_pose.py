@@ -5,9 +5,10 @@ import pytest
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.real.fit_bin import find_pose, fit_pose, judge, register, settle
+from graycast.real.fit_bin import fit_pose
 from graycast.real.fit_bin.box import open_box
-from graycast.real.fit_bin.edges import hold_by_edges
+from graycast.real.fit_bin.pose_fit import find_pose, hold_by_edges, judge, settle
+from graycast.real.fit_bin.registration import register
 from graycast.real.fit_bin.residual_picture import residual_map
 from graycast.real.fit_bin.shape import NO_FACE, height_over
 from graycast.real.fit_bin.start import planes

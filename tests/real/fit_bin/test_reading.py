@@ -10,8 +10,9 @@ from dataset.prisms import make_rig
 from simulated_dataset import write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.real.fit_bin import FileOptions, Frames, read_frames, read_views
-from graycast.real.fit_bin.look import light_scale
+from graycast.real.depth_file import FileOptions
+from graycast.real.fit_bin import read_frames, read_views
+from graycast.real.fit_bin.look import Frames, light_scale
 from graycast.rig.optics import Optics
 
 OWN = Optics(width_px=40, height_px=30, fx_px=50.0, fy_px=50.0, cx_px=19.5, cy_px=14.5)

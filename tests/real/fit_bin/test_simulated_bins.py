@@ -15,7 +15,9 @@ from graycast.camera.scanner import Scanner, measure, take
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.cli import main
-from graycast.real.fit_bin import BinView, fit_look, residual_picture, shape_of
+from graycast.real.fit_bin import residual_picture, shape_of
+from graycast.real.fit_bin.bin_views import BinView
+from graycast.real.fit_bin.look import fit_look
 from graycast.rendering import Quality
 from graycast.rig.pair import preset_rig
 from graycast.world.scene import EMPTY_LAYOUT

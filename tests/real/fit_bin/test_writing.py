@@ -11,17 +11,12 @@ from graycast.base.errors import ConfigError, GraycastError
 from graycast.base.frames import axis_rotation, rigid
 from graycast.cell.config import Config, load_config
 from graycast.cell.resolve import resolve_cell
-from graycast.real.fit_bin import (
-    BinFit,
-    fitted_text,
-    refuse_existing,
-    settle,
-    summary,
-    write_fit,
-)
+from graycast.real.fit_bin import summary, write_fit
 from graycast.real.fit_bin.box import open_box
-from graycast.real.fit_bin.fitting import sections
+from graycast.real.fit_bin.fitting import BinFit, sections
 from graycast.real.fit_bin.look import BinAppearance
+from graycast.real.fit_bin.pose_fit import settle
+from graycast.real.fitted_config import fitted_text, refuse_existing
 
 from .empty_bins import BOX, perfect_depth, pose, view, without
 

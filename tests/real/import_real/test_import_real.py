@@ -16,6 +16,7 @@ from graycast.dataset.checking import validate
 from graycast.dataset.export import FORMATS, Options, export
 from graycast.dataset.real import absent
 from graycast.dataset.training import open_examples
+from graycast.real.depth_file import FileOptions
 from graycast.real.import_real import import_real
 from graycast.real.realism import read_scans
 
@@ -61,8 +62,9 @@ def K_of(samples):
 
 def imported(real, samples, **said):
     out = real.parent / "out"
-    given = {"K": K_of(samples), "scale_m": SCALE_M} | said
-    return out, import_real(real, out, **given)
+    of_files = {"K": K_of(samples), "scale_m": SCALE_M}
+    of_files |= {key: said.pop(key) for key in FileOptions.__dataclass_fields__ if key in said}
+    return out, import_real(real, out, files=FileOptions(**of_files), **said)
 
 
 def refusal(real, samples, **said):

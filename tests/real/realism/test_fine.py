@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from graycast.real.realism import measure_all, measure_scan, pool
+from graycast.real.realism import measure_all, pool
 from graycast.real.realism.fine import measure_fine, measure_pair, median_over_mean
+from graycast.real.realism.measure import measure_scan
 
 from .synthetic import plane, rays, scan
 

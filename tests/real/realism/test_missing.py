@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from graycast.real.realism import DepthScan, measure_scan, pool
+from graycast.real.realism import DepthScan, pool
+from graycast.real.realism.measure import measure_scan
 
 from .synthetic import K, plane, scan
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.real.depth_file import read_intrinsics
+from graycast.real.depth_file import FileOptions, read_intrinsics
 from graycast.real.realism import read_scans
 
 from .synthetic import K, plane, rays
@@ -48,7 +48,7 @@ def ply(depth_m, form, *, info="obj_info num_cols 40\nobj_info num_rows 30\n", c
 
 
 def one(path, **given):
-    (scan,) = read_scans([path], **given)
+    (scan,) = read_scans([path], options=FileOptions(**given))
     return scan
 
 
@@ -88,7 +88,7 @@ def test_pictures_and_reasons_go_with_the_depth_files_in_their_order(tmp_path, d
     scans = list(
         read_scans(
             [tmp_path / "0.npy", tmp_path / "1.npy"],
-            K=K,
+            options=FileOptions(K=K),
             gray=[tmp_path / "g0.png", tmp_path / "g1.png"],
             reason=[tmp_path / "r0.png", tmp_path / "r1.png"],
             reason_names={1: "SHADOW"},
@@ -138,7 +138,11 @@ def test_a_foreign_bop_dataset_is_read_by_its_plain_names(tmp_path, depth_m):
 def test_a_folder_is_read_in_the_order_of_names(tmp_path, depth_m):
     for name in ("b", "a", "c"):
         np.save(tmp_path / f"{name}.npy", depth_m)
-    assert [s.name[-5:] for s in read_scans([tmp_path], K=K)] == ["a.npy", "b.npy", "c.npy"]
+    assert [s.name[-5:] for s in read_scans([tmp_path], options=FileOptions(K=K))] == [
+        "a.npy",
+        "b.npy",
+        "c.npy",
+    ]
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".txt", ".json", "text", "camera", "list"])
@@ -179,7 +183,7 @@ def test_a_list_that_is_no_camera_matrix_is_refused(text, tmp_path):
 
 def refusal(path, **given):
     with pytest.raises(DatasetError) as caught:
-        list(read_scans([path], **given))
+        list(read_scans([path], options=FileOptions(**given)))
     assert str(path.parent) in str(caught.value)
     return str(caught.value)
 
@@ -192,7 +196,8 @@ def test_what_is_not_given_is_asked_for(tmp_path, depth_m):
     assert "give the scale" in refusal(tmp_path / "i.npy", K=K)
     assert "give a scale of 0.001" in refusal(tmp_path / "mm.npy", K=K)
     with pytest.raises(DatasetError, match="1 gray images for 2 depth files"):
-        list(read_scans([tmp_path / "a.npy"] * 2, K=K, gray=[tmp_path / "g.png"]))
+        options = FileOptions(K=K)
+        list(read_scans([tmp_path / "a.npy"] * 2, options=options, gray=[tmp_path / "g.png"]))
 
 
 def test_a_ply_that_is_not_organised_is_refused_with_what_it_lacks(tmp_path, depth_m):
@@ -229,9 +234,10 @@ def test_a_picture_of_another_size_is_refused(tmp_path, depth_m):
     np.save(tmp_path / "g.npy", np.zeros((3, 3)))
     call = (
         "import sys; from pathlib import Path; from graycast.real.realism import read_scans\n"
-        "from graycast.real.depth_file import read_intrinsics\n"
+        "from graycast.real.depth_file import FileOptions, read_intrinsics\n"
         "a, g = map(Path, sys.argv[1:])\n"
-        "list(read_scans([a], K=read_intrinsics('1,1,0,0'), gray=[g]))"
+        "files = FileOptions(K=read_intrinsics('1,1,0,0'))\n"
+        "list(read_scans([a], options=files, gray=[g]))"
     )
     files = [str(tmp_path / name) for name in ("a.npy", "g.npy")]
     run = subprocess.run([sys.executable, "-c", call, *files], capture_output=True, text=True)

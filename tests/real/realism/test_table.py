@@ -6,15 +6,8 @@ import pytest
 from drawn import axes_of, drawn_by, heights_of, lines_of
 
 from graycast.base.errors import DatasetError, GraycastError
-from graycast.real.realism import (
-    depth_curves,
-    draw_realism,
-    measure_scan,
-    pool,
-    read_record,
-    table,
-    write_record,
-)
+from graycast.real.realism import depth_curves, draw_realism, pool, read_record, table, write_record
+from graycast.real.realism.measure import measure_scan
 from graycast.real.realism.realism_record import Jumps
 
 from .synthetic import plates, scan, scattered_plates

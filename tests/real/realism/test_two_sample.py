@@ -5,9 +5,9 @@ import pytest
 from backends import slow
 
 from graycast.base.errors import GraycastError
-from graycast.real.realism import patches, sensor_auc, two_sample, two_sample_test
+from graycast.real.realism import patches, two_sample, two_sample_test
 from graycast.real.realism.patches import GROUPS, cut_squares, find_floor
-from graycast.real.realism.two_sample import depth_step_m
+from graycast.real.realism.two_sample import depth_step_m, sensor_auc
 from graycast.real.realism.two_sample_page import two_sample_table, write_two_sample
 
 from .synthetic import K, plane, scan

@@ -12,7 +12,7 @@ from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, rigid
 from graycast.dataset.training.foreign import open_foreign
 from graycast.real.rescan.bop_source import open_bop
-from graycast.real.rescan.source_options import SourceOptions
+from graycast.real.rescan.source import SourceOptions
 
 from .scene_files import (
     CAMERA,

@@ -8,7 +8,7 @@ import pytest
 
 from graycast.base.errors import ConfigError, DatasetError
 from graycast.real.rescan.open_source import open_source
-from graycast.real.rescan.source_options import SourceOptions
+from graycast.real.rescan.source import SourceOptions
 from graycast.world.parts.material_presets import material_preset
 
 from .scene_files import CAMERA, png, true_depth_m, write_dataset, write_json

@@ -25,7 +25,7 @@ from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
-from graycast.real.rescan.source_options import SourceOptions
+from graycast.real.rescan.source import SourceOptions
 from graycast.show.report.rescan_page import write_rescan_page
 
 from .scene_files import CAMERA, POSE, gt_of, true_depth_m, write_dataset, write_json, write_scene

@@ -9,7 +9,7 @@ import pytest
 from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.real.rescan.open_source import open_source
-from graycast.real.rescan.source_options import SourceOptions
+from graycast.real.rescan.source import SourceOptions
 
 from .scene_files import CAMERA, POSE, SIDE_MM, cube_ply, png, true_depth_m, write_json
 

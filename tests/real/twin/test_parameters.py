@@ -7,7 +7,6 @@ from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.camera.scanner import preset
 from graycast.real.twin.parameters import (
     BIN_ROUGHNESS,
-    LASER_OVER_PLASTIC,
     OF_BIN,
     PARAMETERS,
     candidate_codes,
@@ -80,6 +79,5 @@ def test_finer_codes_are_tried_and_a_plain_one_is_left():
 
 
 def test_the_place_of_one_laser_scanner_has_a_value_within_the_range_of_each_parameter():
-    assert list(LASER_OVER_PLASTIC) == [p.key for p in PARAMETERS]
     for parameter in PARAMETERS:
-        assert parameter.low <= LASER_OVER_PLASTIC[parameter.key] <= parameter.high
+        assert parameter.low <= parameter.laser <= parameter.high

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import GraycastError
-from graycast.real.twin.refusing import refuse_without_shadow
+from graycast.real.twin.making import refuse_without_shadow
 
 from ..realism.synthetic import plane, plates, scan, scattered_plates
 

@@ -14,7 +14,6 @@ from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
 from graycast.real.twin.parameters import (
-    LASER_OVER_PLASTIC,
     PARAMETERS,
     shares_of,
     with_values,
@@ -196,7 +195,7 @@ def test_a_code_that_fits_in_a_valley_far_from_the_configured_scanner_is_found(s
     coarse = stage[0].code
     fine = replace(coarse, period_px=12.0)
     start = shares_of(stage[0], FITTED)
-    laser = np.array([p.share(LASER_OVER_PLASTIC[p.key]) for p in FITTED])
+    laser = np.array([p.share(p.laser) for p in FITTED])
     valley = np.array([0.2, 0.8])
 
     def off(code, x):
@@ -220,7 +219,7 @@ def test_slopes_are_those_of_the_rows(stage):
             return (Row(name="a", unit="", real=0.0, spread=1.0, twin=float(off)),)
 
     real = Figures(value={"a": np.zeros(3)})
-    run = Linear(stage[0], stage[1], FITTED, real, None, 1, 10, UNWATCHED)
+    run = Linear(stage[0], stage[1], FITTED, real, 1, 10, UNWATCHED)
     assert run.slopes(stage[0].code, np.array([0.5, 0.95])) == pytest.approx(
         np.array([[0.2, -0.1]]), rel=0.01
     )

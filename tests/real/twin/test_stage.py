@@ -11,7 +11,6 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
 from graycast.real.twin.stage import BinLook, LitScene, light_scenes, missing_places, scan_lit
-from graycast.rendering import Quality
 
 from ..realism.synthetic import K, plane, scan
 
@@ -21,7 +20,11 @@ DARK = {"base_color": [0.05, 0.05, 0.05], "roughness": 0.5, "specular": 0.5}
 def lit_bin(folder, renderer, **material):
     """A box in a bin of that material, and in the same bin without colour."""
     folder.mkdir()
-    path = write_cell(folder, bin={"inner_m": [0.25, 0.2, 0.1], "material": DARK | material})
+    path = write_cell(
+        folder,
+        bin={"inner_m": [0.25, 0.2, 0.1], "material": DARK | material},
+        render={"samples": 256, "depth": 4},
+    )
     cell = resolve_cell(load_config(path), folder)
     (box,) = cell.scene.parts
     lifted = replace(box.mesh, vertices_m=box.mesh.vertices_m + np.array([0.02, 0.01, 0.015]))
@@ -31,7 +34,6 @@ def lit_bin(folder, renderer, **material):
         [cell.scanner.code],
         seed=3,
         renderer=renderer,
-        quality=Quality(samples=256, depth=4),
         rougher=(-0.15, 0.0, 0.15),
         names=["a scan"],
         progress=UNWATCHED,

@@ -24,6 +24,7 @@ from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
 from ...dataset.training import Examples, open_examples
 from ...dataset.training.foreign import is_foreign
+from ...real.depth_file import FileOptions
 from ...real.depth_sense import filled_holes
 from ...real.picture_pairs import RealPicture, find_shots, read_shot
 from .detector import About, Detector
@@ -141,7 +142,7 @@ def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[E
     """
     for i, shot in enumerate(shots):
         # The detector works in pixels and along the axis: it asks for no intrinsics.
-        images = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
+        images = read_shot(shot, FileOptions(K=np.eye(3), scale_m=scale_m))
         depth_m = None if images.depth_m is None else images.depth_m.astype(np.float32)
         yield Example(scene_id=i, rgb=images.rgb, gray=images.gray, scanner_depth_m=depth_m)
 

@@ -1,25 +1,7 @@
 """A rig from pictures of a board in several poses, the projector as an inverse camera."""
 
-from .board import Board, CalibrationError, parse_board
-from .board_stacks import describe_calibration, read_view
-from .calibration import Calibration, ViewResidual, calibrate_rig, epipolar_distance_px
-from .corners import Corners, find_corners
-from .observing import BoardView
-from .projector_corners import ProjectorCorners, projector_corners
+from .board import parse_board
+from .calibration import calibrate_rig, describe_calibration
+from .observing import read_view
 
-__all__ = [
-    "Board",
-    "BoardView",
-    "Calibration",
-    "CalibrationError",
-    "Corners",
-    "ProjectorCorners",
-    "ViewResidual",
-    "calibrate_rig",
-    "describe_calibration",
-    "epipolar_distance_px",
-    "find_corners",
-    "parse_board",
-    "projector_corners",
-    "read_view",
-]
+__all__ = ["calibrate_rig", "describe_calibration", "parse_board", "read_view"]

@@ -37,19 +37,13 @@ class Observations:
     projector_px: Float[np.ndarray, "n 2"]
     per_camera_px: Float[np.ndarray, "n 2 2"]  # step in the projector for a step in the camera
 
-    def taken(self, keep: Bool[np.ndarray, " n"]) -> "Observations":
-        return Observations(
-            view=self.view[keep],
-            point_m=self.point_m[keep],
-            camera_px=self.camera_px[keep],
-            projector_px=self.projector_px[keep],
-            per_camera_px=self.per_camera_px[keep],
-        )
+    def only(self, keep: Bool[np.ndarray, " n"]) -> "Observations":
+        return Observations(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
 
 def joined(parts: Sequence[Observations]) -> Observations:
     """The observations of all parts, one after another."""
-    names = [field.name for field in fields(Observations)]
+    names = [f.name for f in fields(Observations)]
     return Observations(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
@@ -57,7 +51,7 @@ def joined(parts: Sequence[Observations]) -> Observations:
 class Adjustment:
     """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
 
-    `kept` says which observations the fit rests on. `deviation` is the standard deviation of each
+    `inlier` says which observations the fit rests on. `deviation` is the standard deviation of each
     fitted number: "camera.fx_px", "projector.k1", "T_proj_cam.x_m", "baseline_m". `undetermined`
     has the radial terms that are 0 because the corners do not tell them from it: what the fit said
     of each before, and its standard deviation.
@@ -69,7 +63,7 @@ class Adjustment:
     T_cam_board: Float[np.ndarray, "views 4 4"]
     camera_residual_px: Float[np.ndarray, "n 2"]
     projector_residual_px: Float[np.ndarray, "n 2"]
-    kept: Bool[np.ndarray, " n"]
+    inlier: Bool[np.ndarray, " n"]
     deviation: dict[str, float]
     undetermined: dict[str, tuple[float, float]]
 
@@ -99,14 +93,14 @@ def adjust(
     start = np.where(free, _start(obs, camera_size_px, projector_size_px), 0.0)
     fitted, _ = _fit(start, free, obs)
     size = np.linalg.norm(_independent(_residuals(fitted, obs), obs), axis=2)
-    kept = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    fitted, jacobian = _fit(fitted, free, obs.taken(kept))
+    inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
+    fitted, jacobian = _fit(fitted, free, obs.only(inlier))
     undetermined: dict[str, tuple[float, float]] = {}
     while loose := _loose_terms(fitted, free, jacobian):
         undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
         free = free.copy()
         free[[place for place, *_ in loose.values()]] = False
-        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, obs.taken(kept))
+        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, obs.only(inlier))
     residual = _residuals(fitted, obs)
     camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
     return Adjustment(
@@ -116,7 +110,7 @@ def adjust(
         T_cam_board=T_cam_board,
         camera_residual_px=residual[:, 0],
         projector_residual_px=residual[:, 1],
-        kept=kept,
+        inlier=inlier,
         deviation=_deviations(fitted, free, jacobian),
         undetermined=undetermined,
     )
@@ -125,7 +119,7 @@ def adjust(
 def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
     """Index, value and deviation of each device's last radial term that is not significant."""
     deviation = _deviations(fitted, free, jacobian)
-    found = {}
+    loose = {}
     for first, device in ((0, "camera"), (len(DEVICE), "projector")):
         places = [first + DEVICE.index(term) for term in RADIAL]
         last = max((place for place in places if free[place]), default=None, key=places.index)
@@ -134,8 +128,8 @@ def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
         name = f"{device}.{DEVICE[last - first]}"
         value, sigma = float(fitted[last]), deviation[name]
         if abs(value) < DETERMINED * sigma:
-            found[name] = last, value, sigma
-    return found
+            loose[name] = last, value, sigma
+    return loose
 
 
 # The vector of unknowns: camera (9), projector (9), T_proj_cam (6), then T_cam_board (6) per view.

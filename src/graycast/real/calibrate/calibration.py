@@ -130,15 +130,15 @@ def calibrate_rig(
         far_m=farthest_m if far_m is None else far_m,
     )
     coverage = (
-        _coverage(corners.camera_px[fit.kept], camera_size_px),
-        _coverage(corners.projector_px[fit.kept], projector_size_px),
+        _coverage(corners.camera_px[fit.inlier], camera_size_px),
+        _coverage(corners.projector_px[fit.inlier], projector_size_px),
     )
     return Calibration(
         rig=rig,
         views=each,
-        camera_rms_px=_rms(fit.camera_residual_px[fit.kept]),
-        projector_rms_px=_rms(fit.projector_residual_px[fit.kept]),
-        epipolar_rms_px=_rms(epipolar_px[fit.kept, None]),
+        camera_rms_px=_rms(fit.camera_residual_px[fit.inlier]),
+        projector_rms_px=_rms(fit.projector_residual_px[fit.inlier]),
+        epipolar_rms_px=_rms(epipolar_px[fit.inlier, None]),
         deviation=fit.deviation,
         undetermined=fit.undetermined,
         coverage=coverage,
@@ -173,7 +173,7 @@ def _without_spoiling(
 def _range_m(observations: Observations, fit: Adjustment) -> tuple[float, float]:
     """The depths of the nearest and of the farthest corner, with a margin."""
     T = fit.T_cam_board[observations.view]
-    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], observations.point_m) + T[:, 2, 3])[fit.kept]
+    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], observations.point_m) + T[:, 2, 3])[fit.inlier]
     return float(depth_m.min() * (1 - RANGE_MARGIN)), float(depth_m.max() * (1 + RANGE_MARGIN))
 
 
@@ -198,23 +198,23 @@ def epipolar_distance_px(
 def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
     """The view that fits worst, if it fits far worse than the others, and by how much."""
     index = range(len(observed.views))
-    lost = [1 - fit.kept[observed.corners.view == k].mean() for k in index]
+    lost = [1 - fit.inlier[observed.corners.view == k].mean() for k in index]
     if max(lost) > MOST_LOST:
         worst = int(np.argmax(lost))
         share = f"{100 * lost[worst]:.0f} % of its corners disagree with the other views"
         return {observed.views[worst].name: f"{share}: its code may be wrong"}
-    found = {}
+    spoiling = {}
     for device in ("camera", "projector"):
         size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
         rms_px = [float(np.median(size_px[observed.corners.view == k])) for k in index]
         worst = int(np.argmax(rms_px))
         others_px = float(np.median(np.delete(rms_px, worst)))
         if rms_px[worst] > max(SPOILING * others_px, SPOILING_FLOOR_PX):
-            found[rms_px[worst] / max(others_px, OUTLYING_FLOOR_PX)] = {
+            spoiling[rms_px[worst] / max(others_px, OUTLYING_FLOOR_PX)] = {
                 observed.views[worst].name: f"its {device} residual is {rms_px[worst]:.2f} px, "
                 f"others have {others_px:.2f} px (medians): the board or a device may have moved"
             }
-    return found[max(found)] if found else {}
+    return spoiling[max(spoiling)] if spoiling else {}
 
 
 def _refuse_impossible(fit: Adjustment) -> None:
@@ -223,7 +223,7 @@ def _refuse_impossible(fit: Adjustment) -> None:
         ("camera", fit.camera, fit.camera_residual_px),
         ("projector", fit.projector, fit.projector_residual_px),
     ):
-        for wrong in _impossible(optics, _rms(residual_px[fit.kept])):
+        for wrong in _impossible(optics, _rms(residual_px[fit.inlier])):
             raise CalibrationError(f"the {device} has {wrong}, which is not possible: {NO_FIT}")
         _check_fold(device, optics)
     T_m = float(np.linalg.norm(fit.T_cam_proj[:3, 3]))
@@ -260,10 +260,7 @@ def _impossible(optics: Optics, rms_px: float):
 
 def _check_fold(device: str, optics: Optics) -> None:
     """Refuse a fit that could not be used: rays must exist over the whole picture."""
-    x, y = (
-        np.linspace(-0.5, optics.width_px - 0.5, 33),
-        np.linspace(-0.5, optics.height_px - 0.5, 33),
-    )
+    x, y = (np.linspace(-0.5, size_px - 0.5, 33) for size_px in (optics.width_px, optics.height_px))
     try:
         rays(optics, np.stack(np.meshgrid(x, y), axis=-1))
     except ValueError:
@@ -278,12 +275,12 @@ def _view_residual(
     index: int, name: str, obs: Observations, fit: Adjustment, epipolar_px, undecoded: int
 ) -> ViewResidual:
     mine = obs.view == index
-    used = mine & fit.kept
+    used = mine & fit.inlier
     normal = fit.T_cam_board[index][:3, 2]
     return ViewResidual(
         name=name,
         corners=int(used.sum()),
-        left_out=int((mine & ~fit.kept).sum()),
+        left_out=int((mine & ~fit.inlier).sum()),
         undecoded=undecoded,
         camera_rms_px=_rms(fit.camera_residual_px[used]),
         projector_rms_px=_rms(fit.projector_residual_px[used]),
@@ -363,3 +360,37 @@ def _loose(rig: Rig, deviation: dict[str, float]):
     share = deviation["baseline_m"] / rig.baseline_m
     if not share < GOOD_DEVIATION:
         yield f"the baseline is uncertain by {100 * share:.2f} %: add views"
+
+
+def describe_calibration(calibration: Calibration) -> str:
+    """Residuals of each view, then the rig with the standard deviation of each number."""
+    lines = ["view: corners, left out, undecoded; RMS camera, projector, epipolar [px]; tilt [deg]"]
+    for view in calibration.views:
+        lines.append(
+            f"  {view.name}: {view.corners}, {view.left_out}, {view.undecoded}; "
+            f"{view.camera_rms_px:.3f}, {view.projector_rms_px:.3f}, {view.epipolar_rms_px:.3f}; "
+            f"{np.degrees(view.tilt_rad):.0f}"
+        )
+    lines.append(
+        f"all: RMS camera {calibration.camera_rms_px:.3f} px, projector "
+        f"{calibration.projector_rms_px:.3f} px, epipolar {calibration.epipolar_rms_px:.3f} px"
+    )
+    camera, projector = calibration.coverage
+    lines.append(f"corners cover {camera:.0%} of the camera's picture, {projector:.0%} of the "
+                 "projector's")  # fmt: skip
+    rig = calibration.rig
+    lines.append(f"baseline {rig.baseline_m * 1e3:.3f} mm")
+    for name, optics in (("camera", rig.camera), ("projector", rig.projector)):
+        distortion = ", ".join(f"{value:.5f}" for value in optics.distortion)
+        lines.append(
+            f"{name}: fx {optics.fx_px:.2f}, fy {optics.fy_px:.2f}, cx {optics.cx_px:.2f}, "
+            f"cy {optics.cy_px:.2f} px; distortion {distortion}"
+        )
+    lines += ["standard deviations:"]
+    lines += [f"  {name:24} {value:.3g}" for name, value in calibration.deviation.items()]
+    lines += [
+        f"set to 0, because the corners do not distinguish it from 0: {name} ({value:.3g} +- "
+        f"{sigma:.2g})"
+        for name, (value, sigma) in calibration.undetermined.items()
+    ]
+    return "\n".join(lines)

@@ -1,18 +1,18 @@
-"""The corners that both devices see in each view, and the views that no rig can be fitted to."""
+"""Views of a board, the corners that both devices see in each, and the views that fit no rig."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from ...camera.stack import mirror_symptom
+from ...camera.stack import decode_stack, mirror_symptom
 from .adjust import NO_FIT, Observations, joined, poses_between, rms_alone_px
 from .board import Board, CalibrationError
-from .corners import MIN_CORNERS, find_corners
-from .projector_corners import projector_corners
+from .corners import MIN_CORNERS, find_corners, projector_corners
 
 MIN_VIEWS = 3  # Fewer directions of a plane do not determine the intrinsics.
 GOOD_VIEWS = 8
@@ -39,6 +39,28 @@ class BoardView:
     sigma_column: Float[np.ndarray, "h w"] | None = None
     sigma_row: Float[np.ndarray, "h w"] | None = None
     symptoms: tuple[str, ...] = ()
+
+
+def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
+    """One pose of the board from the stack that a YAML file describes; and the projector's size.
+
+    The board is looked for in the white frame, or in the brighter of a bit and its inverse.
+
+    Raises:
+        ConfigError, DecodeError: the stack cannot be used; see `decode_stack`.
+    """
+    result = decode_stack(path)
+    codes = result.codes
+    view = BoardView(
+        name=str(path),
+        white=result.picture.mean(axis=2).astype(np.uint8),
+        column=codes.column,
+        row=codes.row,
+        sigma_column=codes.sigma_column,
+        sigma_row=codes.sigma_row,
+        symptoms=result.warnings,
+    )
+    return view, (result.code.width_px, result.code.height_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,17 +141,17 @@ def observe(
     Raises:
         CalibrationError: too few such views.
     """
-    found: list[ViewCorners] = []
+    good: list[ViewCorners] = []
     faults = {}
     for view in views:
         try:
             one = _observe_one(view, board, projector_size_px)
-            _refuse_same_pose(one, found)
+            _refuse_same_pose(one, good)
         except CalibrationError as error:  # tell of every bad view at once
             faults[view.name] = str(error)
         else:
-            found.append(one)
-    observed = Observed(views=tuple(found), left_out={}).less(faults)
+            good.append(one)
+    observed = Observed(views=tuple(good), left_out={}).less(faults)
     return agreeing(observed, camera_size_px, projector_size_px)
 
 
@@ -163,21 +185,21 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
     if mirrored is not None:
         raise CalibrationError(mirrored)
     corners = find_corners(view.white, board)
-    lit = projector_corners(
+    lit_px, per_camera_px = projector_corners(
         corners,
         view.column,
         view.row,
         sigma_column=view.sigma_column,
         sigma_row=view.sigma_row,
     )
-    decoded = np.isfinite(lit.position_px).all(axis=1)
+    decoded = np.isfinite(lit_px).all(axis=1)
     if decoded.sum() < MIN_CORNERS:
         raise CalibrationError(
             f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around "
             f"them, {MIN_CORNERS} are needed: light the board with the projector, and code both "
             f"axes{''.join(f' ({symptom})' for symptom in view.symptoms)}"
         )
-    position_px = lit.position_px[decoded]
+    position_px = lit_px[decoded]
     # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
     if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
         span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
@@ -190,7 +212,7 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
         point_m=board.corners_m[corners.id[decoded]],
         camera_px=corners.position_px[decoded],
         projector_px=position_px,
-        per_camera_px=lit.per_camera_px[decoded],
+        per_camera_px=per_camera_px[decoded],
     )
     return ViewCorners(name=view.name, corners=part, undecoded=int((~decoded).sum()))
 
@@ -220,7 +242,7 @@ def _less_gross(corners: Observations) -> Observations:
             at = np.column_stack([camera_px, np.ones(len(camera_px))]) @ H.T
             off_px = np.linalg.norm(at[:, :2] / at[:, 2:] - projector_px, axis=1)
             keep[mine] = off_px <= max(GROSS * float(np.median(off_px)), GROSS_PX)
-    return corners.taken(keep)
+    return corners.only(keep)
 
 
 def _misfit(
@@ -228,18 +250,14 @@ def _misfit(
 ) -> dict[str, str]:
     """The view without which the others' corners fit one lens far better, and by how much."""
     corners = _less_gross(observed.corners)
-    for device, position_px, size_px in (
-        ("camera", corners.camera_px, camera_size_px),
-        ("projector", corners.projector_px, projector_size_px),
-    ):
-        whole_px = rms_alone_px(corners, position_px, size_px)
+    for device, size_px in (("camera", camera_size_px), ("projector", projector_size_px)):
+        whole_px = rms_alone_px(corners, getattr(corners, f"{device}_px"), size_px)
         if whole_px < GOOD_RMS_PX:
             continue
         without_px = []
         for view in observed.views:
             rest = _less_gross(_joined([v for v in observed.views if v is not view]))
-            kept_px = rest.camera_px if device == "camera" else rest.projector_px
-            without_px.append(rms_alone_px(rest, kept_px, size_px))
+            without_px.append(rms_alone_px(rest, getattr(rest, f"{device}_px"), size_px))
         worst = int(np.argmin(without_px))
         if len(observed.views) > MIN_VIEWS and without_px[worst] < whole_px / SPOILING:
             return {
@@ -256,10 +274,10 @@ def _misfit(
 
 
 def _elsewhere(
-    found: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+    observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
     """Views whose boards put the projector elsewhere before the camera than the others' do."""
-    T = poses_between(_less_gross(found.corners), camera_size_px, projector_size_px)
+    T = poses_between(_less_gross(observed.corners), camera_size_px, projector_size_px)
     between = np.einsum("aji,bjk->abik", T[:, :3, :3], T[:, :3, :3])
     cosine = (np.trace(between, axis1=2, axis2=3) - 1) / 2
     turn_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
@@ -268,11 +286,12 @@ def _elsewhere(
     least_m = SHIFT * np.linalg.norm(T[usual, :3, 3])
     away = turn_deg[usual] > _far(np.delete(turn_deg[usual], usual), TURN_DEG)
     away |= shift_m > _far(np.delete(shift_m, usual), float(least_m))
+    there = observed.views[usual].name
     return {
         view.name: f"its board puts the projector {1e3 * shift_m[k]:.0f} mm and "
-        f"{turn_deg[usual, k]:.1f} degrees from where view {found.views[usual].name} has it: its "
-        "pictures may be turned, or a device may have moved"
-        for k, view in enumerate(found.views)
+        f"{turn_deg[usual, k]:.1f} degrees from where view {there} has it: its pictures may be "
+        "turned, or a device may have moved"
+        for k, view in enumerate(observed.views)
         if away[k]
     }
 

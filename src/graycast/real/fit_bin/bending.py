@@ -124,13 +124,13 @@ def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[Bi
     camera, depth_m = views[0].camera, _median_depth(views)
     mesh = bin_mesh(box)
     bent = bend_bin(mesh, T_world_cam, camera, depth_m)
-    drawn_m = _cast(mesh, T_world_cam, camera)
-    taken = _taken(drawn_m, depth_m)
+    mesh_m = _cast(mesh, T_world_cam, camera)
+    taken = _taken(mesh_m, depth_m)
     origin_m, _ = inside_of(bent)
     return BentBin(
         mesh=replace(bent, vertices_m=bent.vertices_m - origin_m),
         T_world_cam=rigid(np.eye(3), -origin_m) @ T_world_cam,
-        before_m=_spread(depth_m, drawn_m, taken),
+        before_m=_spread(depth_m, mesh_m, taken),
         after_m=_spread(depth_m, _cast(bent, T_world_cam, camera), taken),
     )
 

@@ -1,34 +1,26 @@
-"""Real views of the empty bin: depth or organised clouds, and the colour pictures beside them."""
+"""Real views of the bin, empty or not: depth or organised clouds, and the colour pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ...base.errors import DatasetError
 from ...dataset.records import Images
 from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import AnyView, SceneFolder
 from ...rig.optics import Optics, optics_of, picture_rays, points
-from ..depth_file import DEPTH_FILES
+from ..depth_file import DEPTH_FILES, FileOptions
 from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 
+SHARED_M = 2e-3  # Two depths nearer to each other than this are of one surface.
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
 _NORMALS_ACROSS = 400  # Normals come from pixels a two-hundredth of the picture apart, or 2.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FileOptions:
-    """Options for the files: `K` [px], distortion, metres per unit of depth, size of clouds."""
-
-    K: Float[np.ndarray, "3 3"] | None = None
-    distortion: tuple[float, float, float, float, float] | None = None
-    scale_m: float | None = None
-    size_px: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,8 +149,7 @@ def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     brings_own = shot.depth.suffix.lower() == ".ply"
     by_rig = options.K is None and not brings_own
-    K = own.K if by_rig else options.K
-    images = read_shot(shot, K=K, scale_m=options.scale_m, size_px=options.size_px)
+    images = read_shot(shot, replace(options, K=own.K) if by_rig else options)
     if by_rig and images.size_px != (own.height_px, own.width_px):
         raise DatasetError(
             f"{shot.depth}: is {images.size_px[1]} x {images.size_px[0]} pixels, the rig's camera "
@@ -188,9 +179,7 @@ def _read_scene(scene: Path) -> list[BinView]:
             RealPicture(
                 stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth
             ),
-            K=np.reshape(camera.cam_K, (3, 3)),
-            scale_m=camera.depth_scale * 1e-3,
-            size_px=None,
+            FileOptions(K=np.reshape(camera.cam_K, (3, 3)), scale_m=camera.depth_scale * 1e-3),
         )
         views.append(_view(str(depth), images, camera.distortion))
     return views
@@ -204,3 +193,58 @@ def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
     if images.depth_m is None:
         raise DatasetError(f"{name}: has no depth")
     return BinView(name=name, camera=camera, depth_m=images.depth_m, rgb=images.rgb)
+
+
+# --- the empty bin from views of a full one ------------------------------------------------------
+
+
+def empty_view(views: Sequence[BinView]) -> BinView:
+    """One view of the bin as it would be without what lies in it.
+
+    Parts lie before the bin, never behind it. Where at least two of the views see past all parts
+    they agree, and what is farther than that, a stray, is in one view alone. Leaves out: parts that
+    lie at the same place in two views while all others are covered there too.
+
+    Its colours are the mean of the views that see the bin there; without pictures it has none.
+
+    Raises:
+        DatasetError: there are fewer than two views, or they share too little.
+    """
+    if len(views) < 2:
+        raise DatasetError(
+            f"{len(views)} view is given: give at least two views, because the empty bin is "
+            "composed of depth on which two views agree"
+        )
+    depth_m = np.stack([view.depth_m for view in views])
+    shared_m = farthest_shared(depth_m)
+    sees = np.abs(depth_m - shared_m) < SHARED_M
+    pictures = [view.rgb for view in views if view.rgb is not None]
+    return BinView(
+        name=f"what {len(views)} views share",
+        camera=views[0].camera,
+        depth_m=shared_m,
+        rgb=_mean_color(pictures, sees) if len(pictures) == len(views) else None,
+    )
+
+
+def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h w"]:
+    """The mean of the farthest two depths that agree; NaN where no two do.
+
+    In order of depth, two that agree have no third between them.
+    """
+    ordered = np.sort(np.where(np.isnan(depth_m), -np.inf, depth_m), axis=0)[::-1]
+    shared = np.full(depth_m.shape[1:], np.nan)
+    for farther, nearer in pairwise(ordered):
+        with np.errstate(invalid="ignore"):  # infinity less infinity, where neither has depth
+            agree = np.isnan(shared) & (farther - nearer < SHARED_M)
+        shared[agree] = (0.5 * (farther + nearer))[agree]
+    return shared
+
+
+def _mean_color(
+    pictures: Sequence[UInt8[np.ndarray, "h w 3"]], sees: Bool[np.ndarray, "n h w"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Of the views that see the bin; of all where none does."""
+    weight = np.where(sees.any(axis=0), sees, True)[..., None].astype(np.float64)
+    mean = (np.stack(pictures) * weight).sum(axis=0) / weight.sum(axis=0)
+    return np.round(mean).astype(np.uint8)

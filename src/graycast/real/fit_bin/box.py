@@ -22,12 +22,10 @@ _RAISED_M, _AROUND_M = 0.015, 0.025
 class OpenBox:
     """Rectangles from corner `low_m` to corner `high_m`; `axis` is the one that they lie across.
 
-    `side` is the sign of the normal along it, towards where the face can be seen from. `wall_m` is
-    None where rim and outside are not known.
+    `side` is the sign of the normal along it, towards where the face can be seen from.
     """
 
     inner_m: tuple[float, float, float]
-    wall_m: float | None
     names: tuple[str, ...]
     low_m: Float[np.ndarray, "f 3"]
     high_m: Float[np.ndarray, "f 3"]
@@ -109,7 +107,7 @@ class OpenBox:
                 box.
         """
         each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
-        faces = self.low_m, self.high_m, self.axis, each_m
+        faces = np.stack([self.low_m, self.high_m]), self.axis, each_m
         inner_m = np.array(self.inner_m)
         # The kernel is compiled for each layout of arrays, and parts of a grid have another one.
         views = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
@@ -134,7 +132,6 @@ def open_box(inner_m: tuple[float, float, float], wall_m: float | None = None) -
     corners = np.stack([np.array(low), np.array(high)])
     return OpenBox(
         inner_m=inner_m,
-        wall_m=wall_m,
         names=names,
         low_m=corners.min(axis=0),
         high_m=corners.max(axis=0),
@@ -175,7 +172,8 @@ def _nearest(point, normal, low_m, high_m, axis, side, facing):
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _evidence(T_world_cam, ray, depth_m, low_m, high_m, axis, tolerance_m, inner_m, content):
+def _evidence(T_world_cam, ray, depth_m, corner_m, axis, tolerance_m, inner_m, content):
+    low_m, high_m = corner_m[0], corner_m[1]
     score = np.zeros(len(T_world_cam))
     way = np.zeros(3)
     for p in range(len(T_world_cam)):

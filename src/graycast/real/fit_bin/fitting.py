@@ -15,6 +15,7 @@ from ...base.folder import whole_folder
 from ...base.settings import read_text
 from ...cell.config import Config
 from ...cell.resolve import Cell, open_cell_renderer
+from ...dataset.json_text import plain
 from ...world.parts import Material
 from ...world.parts.part_sections import MaterialSection, material_words
 from ...world.scene import Bin, bin_of
@@ -273,42 +274,30 @@ def described(fit: BinFit) -> dict[str, Any]:
     """The fit as JSON: SI units, None for what is not known."""
     pose, look = fit.pose, fit.look
     content = {
-        "views": list(fit.views),
-        "bin": {"inner_m": list(fit.shape.inner_m), "bounds_m": fit.shape.bounds_m.tolist()},
-        "T_world_cam": pose.T_world_cam.tolist(),
+        "views": fit.views,
+        "bin": {"inner_m": fit.shape.inner_m, "bounds_m": fit.shape.bounds_m},
+        "T_world_cam": pose.T_world_cam,
         "residuals_m": {"rms": pose.rms_m, "median": pose.median_m, "p95": pose.p95_m},
         "inlier_share": pose.inlier_share,
         "agreeing_share": pose.agreeing,
-        "standard_deviation": dict(zip(FREEDOMS, pose.sigma.tolist(), strict=True)),
-        "held_by_edges_alone": list(pose.by_edges),
-        "not_held": list(pose.loose),
+        "standard_deviation": {
+            name: value if math.isfinite(value) else None
+            for name, value in zip(FREEDOMS, pose.sigma.tolist(), strict=True)
+        },
+        "held_by_edges_alone": pose.by_edges,
+        "not_held": pose.loose,
         "views_apart": [{"m": m, "rad": rad} for m, rad in fit.apart],
         "faces": [asdict(face) for face in pose.faces if face.seen_px],
-        "bent": None if fit.bent is None else _bent_figures(fit.bent),
+        "bent": None
+        if fit.bent is None
+        else {
+            "T_world_cam": fit.bent.T_world_cam,
+            "before_m": dict(zip(("median", "p90"), fit.bent.before_m, strict=True)),
+            "after_m": dict(zip(("median", "p90"), fit.bent.after_m, strict=True)),
+        },
         "look": None if look is None else asdict(look),
     }
-    return _finite(content)
-
-
-def _bent_figures(bent: BentBin) -> dict[str, Any]:
-    named = ("median", "p90")
-    return {
-        "T_world_cam": bent.T_world_cam.tolist(),
-        "before_m": dict(zip(named, bent.before_m, strict=True)),
-        "after_m": dict(zip(named, bent.after_m, strict=True)),
-    }
-
-
-def _finite(value: Any) -> Any:
-    """JSON has neither NaN nor infinity."""
-    match value:
-        case dict():
-            return {key: _finite(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_finite(item) for item in value]
-        case float() if not math.isfinite(value):
-            return None
-    return value
+    return plain(content)
 
 
 def summary(fit: BinFit) -> list[str]:

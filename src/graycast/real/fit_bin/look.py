@@ -227,15 +227,15 @@ def _ratios(
 
     Each view has an exposure of its own, which is taken out by its floor.
     """
-    found: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    relative: dict[str, list[np.ndarray]] = {name: [] for name in names}
     floors = []
     for view, mask in zip(views, masks, strict=True):
         real = linear(_rgb(view)[::step, ::step])
         ratio = {n: np.median(real[mask[n]] / np.maximum(rgb[mask[n]], 1e-12), 0) for n in names}
         floors.append(float(ratio["floor"].mean()))
         for name in names:
-            found[name].append(ratio[name] / floors[-1])
-    return {name: np.mean(floors) * np.mean(values, axis=0) for name, values in found.items()}
+            relative[name].append(ratio[name] / floors[-1])
+    return {name: np.mean(floors) * np.mean(values, axis=0) for name, values in relative.items()}
 
 
 def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:

@@ -15,7 +15,6 @@ from ...base.errors import GraycastError
 from ...base.frames import axis_rotation, inverse, rigid, transform_points
 from .bin_views import BinView, Grid
 from .box import OpenBox, stand_in
-from .edges import hold_by_edges
 from .registration import LAST_M, FacePairs, equations, pairs_of, register
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
@@ -27,6 +26,13 @@ _SEARCH_PX = 64
 _NEARLY_SQUARE = 0.8  # Coarse steps may take a bin of a larger width over length crosswise.
 _STARTS, _FINALISTS = 10, 4  # So many poses begin on each plane, and so many go on to the end.
 _LEAST_AGREEING = 0.35  # This share of what is measured where the bin should be must agree.
+SEARCHED = ("x", "y", "about z")
+_FIRST_M, _LAST_M = 4e-3, 0.05e-3
+_LEVER_M = 0.2  # A turn is as large a step as a shift of a point so far away.
+_ACROSS_PX = 512
+_LEAST_TOLERANCE_M = 0.003
+_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must cost as many pixels as the second.
+_AROUND_M = np.array([0.01, 0.01, 0.02])  # A bin's own space reaches so far about it.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
@@ -134,7 +140,7 @@ def _best_first(
 ) -> list[Float[np.ndarray, "4 4"]]:
     """Ordered by evidence times what agrees: beside a bin stands much table, but no wall."""
     score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
-    score *= [_agreeing(shape, [_match(shape, T, grid) for grid in grids]) for T in poses]
+    score *= [_agreeing(shape, _match(shape, T, grids)) for T in poses]
     return [poses[i] for i in np.argsort(-score, kind="stable")]
 
 
@@ -157,6 +163,57 @@ def settle(
     return replace(judge(views, shape, T, trust=trust), by_edges=by_edges, loose=loose)
 
 
+def hold_by_edges(
+    views: Sequence[BinView],
+    shape: BinShape,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    loose: Sequence[str],
+    noise_m: float,
+) -> tuple[Float[np.ndarray, "4 4"], tuple[str, ...]]:
+    """The pose moved along some of `SEARCHED` to the most evidence, and those it is held in.
+
+    Walls that are lost, in shadow or hardly seen leave the place along an axis, or the turn about
+    z, free. Edges of the rim and the floor hold them still, to a part of a pixel: a pose that is
+    shifted predicts the rim where depth saw past it, and past the rim where depth saw it. It is a
+    pattern search: evidence counts pixels, so it has no derivative.
+
+    Args:
+        loose: the degrees of freedom to find; others than `SEARCHED` are left alone.
+        noise_m: RMS of the residuals.
+    """
+    free = [name for name in SEARCHED if name in loose]
+    if not free:
+        return T_world_cam, ()
+    grids = [view.grid(_ACROSS_PX) for view in views]
+    tolerance_m = max(_LEAST_TOLERANCE_M, 4 * noise_m)
+
+    def votes(poses: list[np.ndarray]) -> Float[np.ndarray, " p"]:
+        each = (shape.votes(np.stack(poses), grid, tolerance_m) for grid in grids)
+        return sum(each, start=np.zeros(len(poses)))
+
+    best, step_m = T_world_cam, _FIRST_M
+    most = votes([best])[0]
+    while step_m > _LAST_M:
+        tried = [_beside(best, name, s * step_m) for name in free for s in (1, -1)]
+        score = votes(tried)
+        if score.max() > most:
+            best, most = tried[int(score.argmax())], score.max()
+        else:
+            step_m /= 2
+    beside = votes([_beside(best, name, s * _TRY_M) for name in free for s in (1, -1)])
+    cost = most - beside.reshape(len(free), 2).max(axis=1)
+    determined = tuple(name for name, lost in zip(free, cost, strict=True) if lost >= _LEAST_VOTES)
+    return best, determined
+
+
+def _beside(
+    T_world_cam: Float[np.ndarray, "4 4"], name: str, step_m: float
+) -> Float[np.ndarray, "4 4"]:
+    if name == "about z":
+        return rigid(axis_rotation("z", step_m / _LEVER_M), np.zeros(3)) @ T_world_cam
+    return rigid(np.eye(3), step_m * np.eye(3)["xy".index(name)]) @ T_world_cam
+
+
 def judge(
     views: Sequence[BinView],
     shape: BinShape,
@@ -173,9 +230,8 @@ def judge(
     pairs = pairs_of(shape, T_world_cam, cloud, LAST_M, trust)
     inlier = pairs.weight > 0
     residual_m = pairs.height_m[inlier]
-    grids = [view.grid(512) for view in views]
-    matches = [_match(shape, T_world_cam, grid) for grid in grids]
-    agreeing = _agreeing(shape, matches)
+    match = _match(shape, T_world_cam, [view.grid(_ACROSS_PX) for view in views])
+    agreeing = _agreeing(shape, match)
     if agreeing < _LEAST_AGREEING:
         size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
         raise GraycastError(
@@ -183,11 +239,12 @@ def judge(
             "check the size, the scale of the depth and the intrinsics, and that floor and walls "
             "are in view"
         )
-    space = _in_bin(shape, pairs.point)
+    low, high = shape.bounds_m
+    space = ((pairs.point > low - _AROUND_M) & (pairs.point < high + _AROUND_M)).all(axis=1)
     sigma = _deviations(equations(shape, pairs)[0])
     return PoseFit(
         T_world_cam=T_world_cam.copy(),
-        faces=tuple(_face_fit(shape, k, matches, pairs) for k in range(len(shape.names))),
+        faces=tuple(_face_fit(shape, k, match, pairs) for k in range(len(shape.names))),
         rms_m=float(np.sqrt((residual_m**2).mean())),
         median_m=float(np.median(np.abs(residual_m))),
         p95_m=float(np.percentile(np.abs(residual_m), 95)),
@@ -222,15 +279,16 @@ def _turned(
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """Of a view's pixels: the surface that each should show, and what was measured there."""
+    """Of all views' pixels: the surface that each should show, and what was measured there."""
 
     surface: Int[np.ndarray, " n"]
     measured: Bool[np.ndarray, " n"]
     agrees: Bool[np.ndarray, " n"]
 
 
-def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Match:
-    face, point_m = shape.cast(T_world_cam, grid)[0].ravel(), grid.point_m.reshape(-1, 3)
+def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grids: Sequence[Grid]) -> _Match:
+    face = np.concatenate([shape.cast(T_world_cam, grid)[0].ravel() for grid in grids])
+    point_m = np.concatenate([grid.point_m.reshape(-1, 3) for grid in grids])
     measured = np.isfinite(point_m[:, 2]) & (face != NO_FACE)
     agrees = np.zeros(len(face), dtype=bool)
     point = transform_points(T_world_cam, point_m[measured])
@@ -239,41 +297,32 @@ def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -
     return _Match(surface, measured, agrees)
 
 
-def _agreeing(shape: BinShape, matches: Sequence[_Match]) -> float:
+def _agreeing(shape: BinShape, match: _Match) -> float:
     """The lower share of two, of what is measured where the floor should be, and where the walls.
 
     A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
     """
     shares, is_of_floor = [], np.array(shape.names) == "floor"
     for floor in (True, False):
-        mine = [s.measured & (is_of_floor[s.surface] == floor) for s in matches]
-        agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
-        shares.append(_share(agrees, sum(m.sum() for m in mine)))
+        mine = match.measured & (is_of_floor[match.surface] == floor)
+        shares.append(_share((match.agrees & mine).sum(), mine.sum()))
     return min(shares)
 
 
-def _face_fit(shape: BinShape, k: int, matches: Sequence[_Match], pairs: FacePairs) -> FaceFit:
-    mine = [s.surface == k for s in matches]
-    seen_px = int(sum(m.sum() for m in mine))
-    measured = sum((s.measured & m).sum() for s, m in zip(matches, mine, strict=True))
-    agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
+def _face_fit(shape: BinShape, k: int, match: _Match, pairs: FacePairs) -> FaceFit:
+    mine = match.surface == k
+    pixels = mine.sum()
     height_m = pairs.height_m[(shape.surface[pairs.face] == k) & (pairs.weight > 0)]
     size_m = np.abs(height_m) if len(height_m) else np.array([np.nan])
     return FaceFit(
         name=shape.names[k],
-        seen_px=seen_px,
-        measured=_share(measured, seen_px),
-        inliers=_share(agrees, seen_px),
+        seen_px=int(pixels),
+        measured=_share((match.measured & mine).sum(), pixels),
+        inliers=_share((match.agrees & mine).sum(), pixels),
         median_m=float(np.median(height_m)) if len(height_m) else np.nan,
         rms_m=float(np.sqrt((size_m**2).mean())),
         p95_m=float(np.percentile(size_m, 95)),
     )
-
-
-def _in_bin(shape: BinShape, point: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    margin = np.array([0.01, 0.01, 0.02])
-    low, high = shape.bounds_m
-    return ((point > low - margin) & (point < high + margin)).all(axis=1)
 
 
 def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:

@@ -45,7 +45,7 @@ def register(
     for _ in range(iterations):
         pairs = pairs_of(shape, T, cloud, reach_m, trust)
         step = _solved(*equations(shape, pairs))
-        T = _moved(T, step)
+        T = rigid(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3]) @ T
         settled = np.abs(step[:3]).max() < 1e-6 and np.abs(step[3:]).max() < 1e-6
         if reach_m == LAST_M and settled:
             break
@@ -108,7 +108,3 @@ def _solved(A: Float[np.ndarray, "6 6"], b: Float[np.ndarray, "6"]) -> Float[np.
     """The motion, damped so little that only what nothing holds stays where it is."""
     damping = 1e-6 * max(float(np.diag(A).max()), 1.0)
     return np.linalg.solve(A + damping * np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]), b)
-
-
-def _moved(T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
-    return rigid(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3]) @ T

@@ -45,12 +45,15 @@ def start_poses(
     known = np.isfinite(grid.depth_m)
     ray, depth_m = grid.ray[known], grid.depth_m[known]
     inside = open_box(box.inner_m)  # coarse steps do not resolve a wall's thickness
+    coarse_m = max(
+        0.005, min(box.inner_m[:2]) / 2 / _STEPS
+    )  # A place between the grid's is so off.
 
     def score(
         T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
     ) -> Float[np.ndarray, " p"]:
         # A plane is known better than the place on it.
-        tolerance_m = np.where(is_floor(inside), floor_m, _coarse_m(box))
+        tolerance_m = np.where(is_floor(inside), floor_m, coarse_m)
         some, z = ray[::step], depth_m[::step]
         return inside.evidence(T_world_cam, some, z, tolerance_m, content=_CONTENT)
 
@@ -108,8 +111,8 @@ def planes(
     rest = point[np.isfinite(point[..., 2])]
     least = _LEAST_SHARE * len(rest)
     candidate = _local_planes(point, rng)
-    found: list[tuple[np.ndarray, float]] = []
-    while len(found) < PLANES and len(candidate):
+    largest: list[tuple[np.ndarray, float]] = []
+    while len(largest) < PLANES and len(candidate):
         near = np.abs(rest @ candidate[:, :3].T - candidate[:, 3]) < _PLANE_M
         support = near.sum(axis=0)
         if support.max() < max(least, 10):
@@ -121,10 +124,10 @@ def planes(
         if mine.sum() < max(least, 10):
             break
         sign = 1.0 if offset_m < 0 else -1.0  # the camera, at 0, is on the side of the normal
-        found.append((sign * normal, sign * offset_m))
+        largest.append((sign * normal, sign * offset_m))
         rest = rest[~mine]
         candidate = candidate[support > 0]
-    return found
+    return largest
 
 
 def _local_planes(
@@ -148,11 +151,6 @@ def _fitted(point: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
     middle = point.mean(axis=0)
     normal = np.linalg.svd(point - middle, full_matrices=False)[2][2]
     return normal, float(normal @ middle)
-
-
-def _coarse_m(box: OpenBox) -> float:
-    """What a place between the grid's may be off."""
-    return max(0.005, min(box.inner_m[:2]) / 2 / _STEPS)
 
 
 def _poses_on(
@@ -189,16 +187,16 @@ def _distinct(
     """The first poses that are not nearly one of those before."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
-    kept: list[Float[np.ndarray, "4 4"]] = []
+    distinct: list[Float[np.ndarray, "4 4"]] = []
     places_of_others: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
         places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
         if all(_shift_m(places, other) > apart_m for other in places_of_others):
-            kept.append(T)
+            distinct.append(T)
             places_of_others.append(places)
-        if len(kept) == count:
+        if len(distinct) == count:
             break
-    return kept
+    return distinct
 
 
 def _shift_m(corners: np.ndarray, other: np.ndarray) -> float:

@@ -14,8 +14,10 @@ from jaxtyping import Bool, Float
 from pycocotools import mask as coco_mask
 
 from ...base.errors import DatasetError
-from ...base.file_limits import check_runs, parse_json
+from ...base.file_limits import check_runs
+from ..depth_file import load_json
 
+_REMEDY = "give a COCO file or LabelMe files"
 _RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # Its corners pick of (x0, x1) and of (y0, y1).
 
 
@@ -48,28 +50,28 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annota
     if path.is_dir():
         files = sorted(path.glob("*.json"))
         if not files:
-            raise DatasetError(f"{path}: has no .json: give a COCO file or LabelMe files")
-        contents = {file: _load(file) for file in files}
+            raise DatasetError(f"{path}: has no .json: {_REMEDY}")
+        contents = {file: load_json(file, _REMEDY) for file in files}
         whole = [file for file, content in contents.items() if "images" in content]
         if whole and len(files) > 1:
             raise DatasetError(f"{path}: has {whole[0].name} and other files: give the COCO file")
         path = whole[0] if whole else path
     if path.is_dir():
-        drawn = {file.stem: _labelme(file, content) for file, content in contents.items()}
-        names = sorted({name for each in drawn.values() for name in each.names})
+        labels = {file.stem: _labelme(file, content) for file, content in contents.items()}
+        names = sorted({name for each in labels.values() for name in each.names})
     else:
-        drawn, names = _coco(path)
-    if missing := [stem for stem in stems if stem not in drawn]:
+        labels, names = _coco(path)
+    if missing := [stem for stem in stems if stem not in labels]:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise DatasetError(
             f"{path}: has no annotation of the picture {missing[0]}{more}: annotate every picture "
             "(one without parts has an empty list), or remove it"
         )
-    return {stem: drawn[stem] for stem in stems}, names
+    return {stem: labels[stem] for stem in stems}, names
 
 
 def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
-    content = _load(path)
+    content = load_json(path, _REMEDY)
     try:
         names = {entry["id"]: str(entry["name"]) for entry in content["categories"]}
         images = {entry["id"]: entry for entry in content["images"]}
@@ -85,14 +87,14 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
         if len(set(stems)) < len(stems):
             twice = next(stem for stem in stems if stems.count(stem) > 1)
             raise DatasetError(f"{path}: two pictures are named {twice}: rename one")
-        drawn = {
+        labels = {
             Path(image["file_name"]).stem: _coco_image(path, image, entries[image_id], names)
             for image_id, image in images.items()
         }
     except (KeyError, TypeError, ValueError) as error:
         why = f"{type(error).__name__} {error}"
         raise DatasetError(f"{path}: is not a COCO file of instances ({why})") from error
-    return drawn, [names[category_id] for category_id in sorted(names)]
+    return labels, [names[category_id] for category_id in sorted(names)]
 
 
 def _coco_image(
@@ -189,15 +191,3 @@ def _not_empty(runs: dict[str, Any], name: str) -> dict[str, Any]:
     if coco_mask.area(runs) == 0:
         raise DatasetError(f"{name}: covers no pixel: draw it again, or remove it")
     return runs
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        content = parse_json(path.read_bytes())
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path}: no such file: give a COCO file or LabelMe files") from error
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot be read as JSON ({error}): check the file") from error
-    if not isinstance(content, dict):
-        raise DatasetError(f"{path}: holds no keys: give a COCO file or LabelMe files")
-    return content

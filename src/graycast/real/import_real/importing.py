@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float
 
 from ... import __version__
 from ...base.errors import DatasetError
@@ -25,11 +24,10 @@ from ...dataset.places import CLAIM
 from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
 from ...rendering.radiance import Silhouette
+from ..depth_file import NO_OPTIONS, FileOptions
 from ..depth_sense import filled_holes, refuse_beyond
 from ..picture_pairs import RealPicture, ShotData, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Annotation, read_annotations
-
-NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,26 +42,11 @@ class Import:
     notes: tuple[str, ...]  # what looks wrong in the depth, one sentence for a picture
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Camera:
-    """What was said about the camera, as the readers take it."""
-
-    K: Float[np.ndarray, "3 3"] | None
-    scale_m: float | None
-    size_px: tuple[int, int] | None
-
-    def read(self, shot: RealPicture) -> ShotData:
-        return read_shot(shot, K=self.K, scale_m=self.scale_m, size_px=self.size_px)
-
-
 def import_real(
     folder: Path,
     out: Path,
     *,
-    K: Float[np.ndarray, "3 3"] | None = None,
-    distortion: tuple[float, float, float, float, float] = NO_DISTORTION,
-    scale_m: float | None = None,
-    size_px: tuple[int, int] | None = None,
+    files: FileOptions = NO_OPTIONS,
     annotations: Path | None = None,
     labelled: bool = True,
     names: Sequence[str] | None = None,
@@ -75,10 +58,7 @@ def import_real(
     Args:
         folder: has the folders `rgb`, `gray` and `depth`, or some of them.
         out: a folder that does not exist or is empty.
-        K: intrinsics [px]; organised clouds bring their own where this is None.
-        distortion: k1, k2, p1, p2, k3 of OpenCV: of the pictures, which stay as they are.
-        scale_m: metres per unit of the depth files; integers need one, floats are metres.
-        size_px: width and height of clouds that do not say it.
+        files: what they do not say; the distortion is that of pictures, which stay as they are.
         annotations: a COCO file or a folder of LabelMe's; `folder/annotations` where it is None.
         labelled: False takes pictures without annotations; the dataset then has no masks.
         names: of the objects in the order of their ids, such as those of a simulated dataset.
@@ -90,20 +70,19 @@ def import_real(
         GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
             used, or `out` cannot be written.
     """
-    shots, camera = find_shots(folder), _Camera(K=K, scale_m=scale_m, size_px=size_px)
-    drawn, found = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
-    known = _object_names(found, names)
-    first, deepest_m, notes = _survey(shots, camera, range_m)
-    step_mm = depth_step_mm(shots, deepest_m, scale_m)
+    shots = find_shots(folder)
+    labels, own_names = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
+    known = _object_names(own_names, names)
+    first, deepest_m, notes = _survey(shots, files, range_m)
+    step_mm = depth_step_mm(shots, deepest_m, files.scale_m)
     holds = (*first.holds, *(("masks",) if labelled else ()))
-    writer = _Writer(names=known, step_mm=step_mm, distortion=distortion, holds=holds)
+    writer = _Writer(names=known, step_mm=step_mm, distortion=files.distortion or (), holds=holds)
     with new_folder(out) as aside:
         (aside / CLAIM).write_bytes(json_bytes(writer.claim(folder)))
         (aside / "camera.json").write_bytes(json_bytes(writer.camera(first)))
         for scene_id, shot in enumerate(shots):
-            images = camera.read(shot)
-            labels = drawn[shot.stem] if labelled else None
-            writer.scene(aside / "train" / f"{scene_id:06d}", shot, images, labels)
+            place = aside / "train" / f"{scene_id:06d}"
+            writer.scene(place, shot, read_shot(shot, files), labels.get(shot.stem))
             progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px
@@ -111,7 +90,7 @@ def import_real(
     return Import(
         stems=tuple(shot.stem for shot in shots),
         categories=tuple(known),
-        instances=sum(len(each.names) for each in drawn.values()),
+        instances=sum(len(each.names) for each in labels.values()),
         holds=holds,
         depth_scale_mm=step_mm,
         notes=tuple(notes),
@@ -136,10 +115,10 @@ def _labels(
     return read_annotations(path, stems)
 
 
-def _object_names(found: Sequence[str], names: Sequence[str] | None) -> list[str]:
+def _object_names(own: Sequence[str], names: Sequence[str] | None) -> list[str]:
     if names is None:
-        return list(found)
-    if unknown := [name for name in found if name not in names]:
+        return list(own)
+    if unknown := [name for name in own if name not in names]:
         raise DatasetError(
             f"the annotations name {unknown[0]!r}, and the objects are {', '.join(names)}: rename "
             "it there, or remove --like"
@@ -148,10 +127,10 @@ def _object_names(found: Sequence[str], names: Sequence[str] | None) -> list[str
 
 
 def _survey(
-    shots: Sequence[RealPicture], camera: _Camera, range_m: tuple[float, float] | None
+    shots: Sequence[RealPicture], files: FileOptions, range_m: tuple[float, float] | None
 ) -> tuple[ShotData, float, list[str]]:
     """Reads all once, so that what cannot be used is told before anything is written."""
-    pictures = map(camera.read, shots)
+    pictures = (read_shot(shot, files) for shot in shots)
     first, deepest_m, notes = next(pictures), 0.0, []
     for shot, images in zip(shots, chain([first], pictures), strict=True):
         if images.size_px != first.size_px or images.holds != first.holds:
@@ -202,7 +181,7 @@ class _Writer:
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
     def scene(
-        self, place: Path, shot: RealPicture, images: ShotData, drawn: Annotation | None
+        self, place: Path, shot: RealPicture, images: ShotData, labels: Annotation | None
     ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
@@ -215,8 +194,8 @@ class _Writer:
             files["gray_sl/000000.png"] = _png(images.gray)
         if images.depth_m is not None:
             files["depth_sl/000000.png"] = _png(depth_steps(images.depth_m, self.step_mm))
-        if drawn is not None:
-            files |= self._label_files(shot, images, drawn, suffixes)
+        if labels is not None:
+            files |= self._label_files(shot, images, labels, suffixes)
         manifest = {"stem": shot.stem, "files": _digests(shot)}
         for name, content in sealed(files.items(), manifest):
             (place / name).parent.mkdir(parents=True, exist_ok=True)
@@ -246,18 +225,18 @@ class _Writer:
         return {"distortion": list(self.distortion)} if any(self.distortion) else {}
 
     def _label_files(
-        self, shot: RealPicture, images: ShotData, drawn: Annotation, suffixes: Sequence[str]
+        self, shot: RealPicture, images: ShotData, labels: Annotation, suffixes: Sequence[str]
     ) -> dict[str, bytes]:
         height_px, width_px = images.size_px
-        if drawn.size_px != images.size_px:
+        if labels.size_px != images.size_px:
             raise DatasetError(
-                f"{drawn.source}: is of a picture of {drawn.size_px[1]} x {drawn.size_px[0]} "
+                f"{labels.source}: is of a picture of {labels.size_px[1]} x {labels.size_px[0]} "
                 f"pixels, {shot.stem} has {width_px} x {height_px}: annotate the same picture"
             )
-        obj_ids = [self.names.index(name) + 1 for name in drawn.names]
+        obj_ids = [self.names.index(name) + 1 for name in labels.names]
         files, infos, entries = {}, [], []
         for i, obj_id in enumerate(obj_ids):
-            mask = drawn.mask(i)
+            mask = labels.mask(i)
             x, y, w, h = mask_box(mask)
             area_px = int(mask.sum())
             infos.append({"bbox_visib": [x, y, w - 1, h - 1], "px_count_visib": area_px})

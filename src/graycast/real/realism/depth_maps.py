@@ -1,19 +1,21 @@
 """Depth maps one after another, from files and from the scene folders of BOP datasets."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
+from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...dataset.records import Images
 from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
 from ..depth_file import (
+    NO_OPTIONS,
+    FileOptions,
     depth_files,
     in_metres,
     load_json,
@@ -26,29 +28,27 @@ from .scan import DepthScan
 
 _M_PER_MM = 1e-3
 
+R = TypeVar("R", bound=BaseModel)
+
 
 def read_scans(
     paths: Sequence[Path],
     *,
-    K: Float[np.ndarray, "3 3"] | None = None,
+    options: FileOptions = NO_OPTIONS,
     gray: Sequence[Path] = (),
     reason: Sequence[Path] = (),
     reason_names: Mapping[int, str] | None = None,
-    scale_m: float | None = None,
-    size_px: tuple[int, int] | None = None,
 ) -> Iterator[DepthScan]:
     """Depth maps one after another, each read when it is asked for.
 
     Args:
         paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
             scene folders, which bring their own intrinsics, scale, pictures and reasons.
-        K: intrinsics of all depth files [px]; an organised PLY has its own where this is None.
+        options: what depth files do not say.
         gray: a picture per depth file in the same order, or none, or folders of them. 8- and 16-bit
             ones are taken as shares of their type's range, colours are averaged.
         reason: an 8-bit image per depth file in the same order, or none, or folders of them.
         reason_names: what its numbers mean.
-        scale_m: metres per unit of the depth files; integers need one, floats are metres.
-        size_px: width and height of PLYs that do not say it.
 
     Raises:
         DatasetError: a file is missing, damaged or of another form, or something is not given.
@@ -68,12 +68,12 @@ def read_scans(
             counts = f"{len(pictures)} {name} images for {len(files)} depth files"
             raise DatasetError(f"{counts}: give one for each depth file in the same order, or none")
     for file, gray_file, reason_file in zip_longest(files, gray, reason):
-        depth_m, own_gray, own_K = read_depth(file, scale_m, size_px, K)
+        depth = read_depth(file, options)
         yield _scan(
             name=str(file),
-            depth_m=depth_m,
-            K=own_K,
-            gray=own_gray if gray_file is None else read_gray(gray_file),
+            depth_m=depth.depth_m,
+            K=depth.K,
+            gray=depth.gray if gray_file is None else read_gray(gray_file),
             reason=None if reason_file is None else _read_reason(reason_file),
             reason_names=reason_names or {},
         )
@@ -102,7 +102,8 @@ def read_perfect(path: Path) -> Iterator[DepthScan]:
     for scene in _scenes(path):
         files = SceneFolder(scene)
         if all((scene / f"scene_camera{suffix}.json").is_file() for suffix in ("", SCANNER)):
-            perfect, scanner = _views(files, ""), _views(files, SCANNER)
+            perfect = _record(files, "scene_camera", AnyView)
+            scanner = _record(files, f"scene_camera{SCANNER}", AnyView)
             for number in sorted(perfect.keys() & scanner.keys()):
                 file, view = files.png_path("depth", number), perfect[number]
                 if view.cam_K == scanner[number].cam_K and file.is_file():
@@ -114,8 +115,8 @@ def read_perfect(path: Path) -> Iterator[DepthScan]:
 def _scenes(path: Path) -> list[Path]:
     """Scene folders at, in, or two levels below a folder."""
     for pattern in (".", "*", "*/*"):
-        if found := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
-            return found
+        if scenes := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
+            return scenes
     return []
 
 
@@ -123,10 +124,10 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
-    views = _views(files, suffix)
-    told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
-    with _of_the_scene(scene):
-        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]) if told else {}
+    views = _record(files, f"scene_camera{suffix}", AnyView)
+    scanner: Mapping[int, AnyScanner] = {}
+    if suffix and (scene / f"scene{SCANNER}.json").is_file():
+        scanner = _record(files, f"scene{SCANNER}", AnyScanner)
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
@@ -136,8 +137,8 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         gray = None if picture is None else read_gray(picture)
         colour = files.find_picture("rgb", number)
         if gray is None and colour is not None:
-            seen = read_gray(colour)  # of a colour camera beside the scanner it says nothing here
-            gray = seen if seen.shape == depth_m.shape else None
+            beside = read_gray(colour)  # that of a camera beside the scanner says nothing here
+            gray = beside if beside.shape == depth_m.shape else None
         why = files.png_path(f"reason{suffix}", number)
         reasons = scanner[number].reasons if number in scanner else {}
         yield _scan(
@@ -151,19 +152,13 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         )
 
 
-def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
-    with _of_the_scene(files.path):
-        return files.record(f"scene_camera{suffix}", Images[AnyView])
-
-
-@contextmanager
-def _of_the_scene(path: Path) -> Iterator[None]:
-    """What cannot be read is told with its scene."""
+def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
+    """What a file of the scene says by image."""
     try:
-        yield
+        return files.record(name, Images[form])  # type: ignore[valid-type]
     except Unreadable as error:
         raise DatasetError(
-            f"{path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
+            f"{files.path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
         ) from error
 
 
@@ -172,7 +167,7 @@ def _baseline_m(scene: Path) -> float | None:
     claim = scene.parent.parent / "graycast.json"
     if not claim.is_file():
         return None
-    T_cam_proj = load_json(claim).get("rig", {}).get("T_cam_proj")
+    T_cam_proj = load_json(claim, "give a file of intrinsics").get("rig", {}).get("T_cam_proj")
     if np.shape(T_cam_proj) != (4, 4):
         return None
     return float(np.linalg.norm(np.array(T_cam_proj)[:3, 3]))

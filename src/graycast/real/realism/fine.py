@@ -14,15 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.stats import binom, chi2
 
 from ...base.robust import robust_sigma
 from .patches import second_difference
 from .realism_record import BinRecord, Fine, Pairs
-from .scan import DepthScan, incidence_rad
+from .scan import DepthScan, tiles
 
 TILE_PX = 8
 LEAST_TILES = 20  # A bin needs so many tiles to be compared with another.
@@ -49,35 +50,37 @@ class FineNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairNoise:
-    """Sums over the places that two maps share."""
+    """Of the places that two maps share."""
 
     pixels: int
-    sigma_m: float | None = None
-    along_rows: tuple[float, ...] | None = None
-    along_columns: tuple[float, ...] | None = None
+    sigma_m: float
+    along_rows: tuple[float, ...]
+    along_columns: tuple[float, ...]
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
     """The noise of every tile that is smooth, its incidence and brightness."""
-    depth_m = scan.depth_m.astype(np.float64)
-    tiles, corner = _tiles(depth_m)
-    mixed = second_difference(tiles).reshape(len(tiles), (TILE_PX - 2) ** 2)
+    z_m = tiles(scan.depth_m.astype(np.float64), TILE_PX)
+    mixed = second_difference(z_m).reshape(len(z_m), (TILE_PX - 2) ** 2)
     known = ~np.isnan(mixed)
-    enough = known.sum(axis=1) >= _LEAST_DIFFERENCES
-    tiles, corner, mixed, known = (a[enough] for a in (tiles, corner, mixed, known))
+    number = np.flatnonzero(known.sum(axis=1) >= _LEAST_DIFFERENCES)
+    mixed, known, count = mixed[number], known[number], len(number)
     size = np.where(known, np.abs(mixed), np.nan)
-    spread = robust_sigma(size, axis=1, keepdims=True) if len(size) else size[:, :1]
+    spread = robust_sigma(size, axis=1, keepdims=True) if count else size[:, :1]
     with np.errstate(invalid="ignore"):
         inner = known & (size <= _OUTLIER * spread)
     out = 1 - inner.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     smooth = (out <= _MOST_OUTLIERS) & (spread[:, 0] > 0)
-    inner, mixed, tiles, corner = (a[smooth] for a in (inner, mixed, tiles, corner))
+    number, inner, mixed = number[smooth], inner[smooth], mixed[smooth]
     variance = np.where(inner, mixed**2, 0.0).sum(axis=1) / np.maximum(inner.sum(axis=1), 1)
+    brightness = np.full(len(number), np.nan)
+    if scan.gray is not None:
+        brightness = tiles(scan.gray, TILE_PX).mean(axis=(1, 2), dtype=np.float64)[number]
     return FineNoise(
-        tiles=int(enough.sum()),
+        tiles=count,
         variance_m2=variance,
-        incidence_rad=_incidence(scan.K, tiles, corner),
-        brightness=_brightness(scan, corner),
+        incidence_rad=_incidence_rad(scan, z_m[number], number),
+        brightness=brightness,
     )
 
 
@@ -86,7 +89,7 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
     variance = np.concatenate([m.variance_m2 for m in maps])
     incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
     brightness = np.concatenate([m.brightness for m in maps])
-    tiles = sum(m.tiles for m in maps)
+    all_tiles = sum(m.tiles for m in maps)
     lit = (incidence_deg < _FACING_DEG) & ~np.isnan(brightness)
     by_brightness = _bins(brightness[lit], variance[lit], BRIGHTNESS_EDGES)
     by_incidence = _bins(incidence_deg, variance, INCIDENCE_EDGES_DEG)
@@ -97,7 +100,7 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
     return Fine(
         tile_px=TILE_PX,
         tiles=len(variance),
-        rough=1 - len(variance) / tiles if tiles else None,
+        rough=1 - len(variance) / all_tiles if all_tiles else None,
         percentiles_m=np.percentile(sigma_m, _PERCENTILES).tolist() if len(sigma_m) else None,
         by_brightness=by_brightness if lit.any() else [],
         by_incidence=by_incidence,
@@ -107,7 +110,7 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
 
 
 def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
-    """The noise between two maps where they show the same surface; None of different cameras.
+    """The noise between two maps where they show the same surface; None where they hardly do.
 
     The difference of both loses what is common to them, shape and the fixed part of the error
     alike; its standard deviation over the root of 2 is that of one map.
@@ -121,7 +124,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     rest = _without_drift(difference)
     known = rest[~np.isnan(rest)]
     if len(known) < 1000:
-        return PairNoise(pixels=len(known))
+        return None
     sigma_m = robust_sigma(known)
     rest = np.where(np.abs(rest) <= 4 * sigma_m, rest, np.nan)
     return PairNoise(
@@ -133,26 +136,20 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
 
 
 def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
-    """Means over the pairs that share enough, weighted by what they share."""
-    told = [p for p in pairs if p.sigma_m is not None]
-    weight = np.array([p.pixels for p in told], dtype=np.float64)
-    if not told:
-        return Pairs(
-            pairs=0,
-            pixels=0,
-            sigma_m=None,
-            along_rows=None,
-            along_columns=None,
-        )
-    variance = np.array([p.sigma_m**2 for p in told if p.sigma_m is not None])
-    rows = np.array([p.along_rows for p in told], dtype=np.float64)
-    columns = np.array([p.along_columns for p in told], dtype=np.float64)
+    """Means over the pairs, weighted by what they share."""
+    if not pairs:
+        return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
+    weight = np.array([p.pixels for p in pairs], dtype=np.float64)
+
+    def mean(values: Sequence[float | tuple[float, ...]]) -> Any:
+        return np.average(np.array(values), axis=0, weights=weight)
+
     return Pairs(
-        pairs=len(told),
+        pairs=len(pairs),
         pixels=int(weight.sum()),
-        sigma_m=float(np.sqrt(np.average(variance, weights=weight))),
-        along_rows=np.average(rows, axis=0, weights=weight).tolist(),
-        along_columns=np.average(columns, axis=0, weights=weight).tolist(),
+        sigma_m=float(np.sqrt(mean([p.sigma_m**2 for p in pairs]))),
+        along_rows=mean([p.along_rows for p in pairs]).tolist(),
+        along_columns=mean([p.along_columns for p in pairs]).tolist(),
     )
 
 
@@ -179,41 +176,29 @@ def median_over_mean() -> float:
 # --- tiles ---------------------------------------------------------------------------------------
 
 
-def _tiles(
-    image: Float[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, "n t t"], Float[np.ndarray, "n 2"]]:
-    """The image cut into tiles, without what is left over, and (x, y) of their corners."""
-    rows, columns = image.shape[0] // TILE_PX, image.shape[1] // TILE_PX
-    cut = image[: rows * TILE_PX, : columns * TILE_PX]
-    tiles = cut.reshape(rows, TILE_PX, columns, TILE_PX).swapaxes(1, 2)
-    y, x = np.divmod(np.arange(rows * columns), max(columns, 1))
-    corner = np.stack([x, y], axis=1).astype(np.float64) * TILE_PX
-    return tiles.reshape(-1, TILE_PX, TILE_PX).astype(np.float64), corner
-
-
-def _brightness(scan: DepthScan, corner: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    if scan.gray is None:
-        return np.full(len(corner), np.nan)
-    tiles, _ = _tiles(scan.gray)
-    column, row = (corner // TILE_PX).astype(int).T
-    return tiles.mean(axis=(1, 2))[row * (scan.gray.shape[1] // TILE_PX) + column]
-
-
-def _incidence(
-    K: Float[np.ndarray, "3 3"], tiles: Float[np.ndarray, "n t t"], corner: Float[np.ndarray, "n 2"]
+def _incidence_rad(
+    scan: DepthScan, z_m: Float[np.ndarray, "n t t"], number: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Between each tile's plane and the ray in its middle."""
+    """Between each tile's plane and the camera's ray in its middle; tiles count row by row.
+
+    With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
+    is K^-1 (x, y, 1).
+    """
     t = np.arange(TILE_PX) - (TILE_PX - 1) / 2
     x, y = (c.ravel() for c in np.meshgrid(t, t))
-    inverse = 1.0 / tiles.reshape(len(tiles), TILE_PX**2)
+    inverse = 1.0 / z_m.reshape(len(z_m), TILE_PX**2)
     used = ~np.isnan(inverse)
     basis = np.column_stack([x, y, np.ones(len(x))])
-    normal = np.einsum("np,pi,pj->nij", used, basis, basis) + 1e-9 * np.eye(3)
+    squares = np.einsum("np,pi,pj->nij", used, basis, basis) + 1e-9 * np.eye(3)
     right = np.einsum("np,pi->ni", np.where(used, inverse, 0.0), basis)
-    slope = np.linalg.solve(normal, right[..., None])[..., 0]
-    centre = corner + (TILE_PX - 1) / 2
+    slope = np.linalg.solve(squares, right[..., None])[..., 0]
+    row, column = np.divmod(number, max(scan.depth_m.shape[1] // TILE_PX, 1))
+    centre = np.column_stack([column, row]) * float(TILE_PX) + (TILE_PX - 1) / 2
     g = np.column_stack([slope[:, :2], slope[:, 2] - (slope[:, :2] * centre).sum(axis=1)])
-    return incidence_rad(K, g, centre)
+    normal = g @ scan.K
+    ray = np.column_stack([centre, np.ones(len(centre))]) @ np.linalg.inv(scan.K).T
+    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+    return np.arccos((np.abs((normal * ray).sum(axis=1)) / length).clip(max=1.0))
 
 
 # --- bins ----------------------------------------------------------------------------------------
@@ -223,19 +208,17 @@ def _bins(
     of: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
 ) -> list[BinRecord]:
     place = np.digitize(of, edges) - 1
-    found = []
-    for i, (low, high) in enumerate(pairwise(edges)):
-        group = variance[place == i]
-        found.append(
-            BinRecord(
-                low=low,
-                high=high,
-                count=len(group),
-                value=_median_m(group),
-                interval=_interval_m(group),
-            )
+    groups = [variance[place == i] for i in range(len(edges) - 1)]
+    return [
+        BinRecord(
+            low=low,
+            high=high,
+            count=len(group),
+            value=_median_m(group),
+            interval=_interval_m(group),
         )
-    return found
+        for (low, high), group in zip(pairwise(edges), groups, strict=True)
+    ]
 
 
 def _median_m(variance: Float[np.ndarray, " n"]) -> float | None:

@@ -62,7 +62,7 @@ class Gaps:
         """x'_n - x'_f for a projector at (across, 0, forward)."""
         return across_m * self.step - forward_m * (self.far / self.near_m - self.near / self.far_m)
 
-    def chosen(self, which: Bool[np.ndarray, " n"]) -> "Gaps":
+    def only(self, which: Bool[np.ndarray, " n"]) -> "Gaps":
         return Gaps(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
 
@@ -91,11 +91,11 @@ def estimate_baseline(
     alike to look at one point in the middle distance z, b^2 / 2z, with half of that for its
     standard deviation: a projector straight beside the camera, t = 0, is two of them away.
     """
-    found = [
-        _agreed(_joined(gaps), sides, known_m)
-        for gaps, sides in ((along_rows, ("left", "right")), (along_columns, ("above", "below")))
-    ]
-    sure = [f for f in found if f is not None]
+    both = (
+        _agreed(_joined(along_rows), ("left", "right"), known_m),
+        _agreed(_joined(along_columns), ("above", "below"), known_m),
+    )
+    sure = [baseline for baseline in both if baseline is not None]
     return max(sure, key=lambda f: f.edges * f.agreeing**2, default=None)
 
 
@@ -109,7 +109,7 @@ def _agreed(gaps: Gaps, sides: tuple[str, str], known_m: float | None) -> Baseli
         agreeing = gaps.weight[agree].sum()
         if agreeing < max(_LEAST_EDGES, _LEAST_AGREEING * edges):
             return None
-        across_m, forward_m, eaten_px, error_m = _solve(gaps.chosen(agree), mode_m)
+        across_m, forward_m, eaten_px, error_m = _solve(gaps.only(agree), mode_m)
         eaten = np.sign(mode_m) * eaten_px / gaps.focal_px
         shadow = gaps.shadow(across_m, forward_m) + eaten
         agree = np.abs((gaps.near - gaps.far) / shadow - 1) <= _AGREE
@@ -153,8 +153,8 @@ def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
     def misfit(p: Float[np.ndarray, "3"]) -> Float[np.ndarray, " m"]:
         b, t, eaten_px = p
         rest_px = gaps.focal_px * (gaps.near - gaps.far - gaps.shadow(b, t)) - side * eaten_px
-        held = [(t / usual_m - 1) / _FORWARD, eaten_px / _EATEN_PX]
-        return np.concatenate([_softened(share * rest_px), held])
+        prior = [(t / usual_m - 1) / _FORWARD, eaten_px / _EATEN_PX]
+        return np.concatenate([_softened(share * rest_px), prior])
 
     start = [start_m, usual_m, 0.0]
     solution = least_squares(misfit, start, x_scale=[0.1, 0.1, 1.0])
@@ -194,7 +194,7 @@ def _along_rows(
         focal_px=np.full(len(y), focal_px),
         weight=1.0 / rows,
     )
-    return gaps.chosen(rows >= _LEAST_ROWS)
+    return gaps.only(rows >= _LEAST_ROWS)
 
 
 def _rows_of_edges(

@@ -77,7 +77,9 @@ def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
         fine=summarise_fine([m.fine for m in maps]),
         pairs=summarise_pairs([m.pair for m in maps if m.pair is not None]),
         autocorrelation=_autocorrelation([m.noise for m in maps]),
-        jumps=_jumps([m.steps for m in maps]),
+        jumps=Jumps(
+            **{side: np.mean([getattr(m.steps, side) for m in maps]) for side in Jumps.model_fields}
+        ),
         steps=_steps([m.steps for m in maps]),
         baseline=estimate_baseline(
             [m.gaps[0] for m in maps],
@@ -113,15 +115,6 @@ def _autocorrelation(maps: Sequence[PatchNoise]) -> Autocorrelation:
         patches=whole,
         along_rows=[float(value[LAGS.index((k, 0))]) for k in (1, 2, 3)],
         along_columns=[float(value[LAGS.index((0, k))]) for k in (1, 2, 3)],
-    )
-
-
-def _jumps(maps: Sequence[StepCounts]) -> Jumps:
-    return Jumps(
-        right_farther=np.mean([m.right_farther for m in maps]),
-        left_farther=np.mean([m.left_farther for m in maps]),
-        below_farther=np.mean([m.below_farther for m in maps]),
-        above_farther=np.mean([m.above_farther for m in maps]),
     )
 
 

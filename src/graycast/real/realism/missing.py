@@ -60,12 +60,18 @@ def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     """
     label, count = ndimage.label(mask, structure=_NEIGHBOURS)
     size = np.bincount(label.ravel(), minlength=count + 1)
-    kept = size <= ISLAND_PX
-    kept[0] = False
+    small = size <= ISLAND_PX
+    small[0] = False
     for border in (label[0], label[-1], label[:, 0], label[:, -1]):
-        kept[border] = False
-    number = np.cumsum(kept) * kept
+        small[border] = False
+    number = np.cumsum(small) * small
     return number[label]
+
+
+def missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]) -> float:
+    """Of the pixels whose four neighbours are all among some, the share that has no depth."""
+    ring = among[1:-1, :-2] & among[1:-1, 2:] & among[:-2, 1:-1] & among[2:, 1:-1]
+    return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
 
 
 def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:

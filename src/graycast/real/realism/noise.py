@@ -1,4 +1,4 @@
-"""Noise of depth about planes in small patches: how much, on what, and how correlated.
+"""Noise of depth about planes in small patches: how much, and how correlated.
 
 The inverse depth of a plane is affine in the pixel, exactly, and the triangulation's noise is
 nearly even in it; so planes are fitted to 1/z by least squares, and a residual is carried to z by
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from ...base.robust import robust_sigma
-from .scan import DepthScan, incidence_rad
+from .scan import DepthScan, tiles
 
 PATCH_PX = 15
 REACH_PX = 4
@@ -42,9 +42,7 @@ class PatchNoise:
     outliers: int
     pixels: int  # of the flat patches
     sigma_m: Float[np.ndarray, " n"]
-    depth_m: Float[np.ndarray, " n"]
-    incidence_rad: Float[np.ndarray, " n"]
-    brightness: Float[np.ndarray, " n"]  # NaN without a picture
+    depth_m: Float[np.ndarray, " n"]  # in their middles
     whole: int  # flat patches without a hole
     products: Float[np.ndarray, " lags"]  # sums over them of the products of residuals
 
@@ -57,25 +55,21 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
     That autocorrelation is of what the full fit leaves, first in the half of the patches that bends
     least, then in the flat ones. So no patch is judged by how much noise it has.
     """
-    inverse = _tiles(1.0 / scan.depth_m)
-    candidate = (~np.isnan(inverse)).mean(axis=1) >= _LEAST_VALID
-    inverse, centre_px = inverse[candidate], _centres(scan.depth_m.shape)[candidate]
+    inverse = tiles(1.0 / scan.depth_m, PATCH_PX).reshape(-1, PATCH_PX**2).astype(np.float64)
+    inverse = inverse[(~np.isnan(inverse)).mean(axis=1) >= _LEAST_VALID]
     fit = _fit(inverse)
     flat, correlation = _flat(fit)
     clean = fit.used.all(axis=1) & flat
-    kept, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
+    count, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
     # Holes take from the noise as much as from the pixels; what the fit takes stays the same.
-    variance = fit.plane_power[flat] / (kept - loss)
-    incidence_rad, depth_m = _incidence(scan.K, fit.plane[flat], centre_px[flat])
-    gray = np.full(scan.depth_m.shape, np.nan) if scan.gray is None else scan.gray
+    variance = fit.plane_power[flat] / (count - loss)
+    depth_m = 1.0 / (fit.plane[flat, 0] / PATCH_PX)
     return PatchNoise(
         candidates=len(inverse),
         outliers=int(fit.outliers[flat].sum()),
-        pixels=int(kept.sum() + fit.outliers[flat].sum()),
+        pixels=int(count.sum() + fit.outliers[flat].sum()),
         sigma_m=np.sqrt(variance) * depth_m**2,
         depth_m=depth_m,
-        incidence_rad=incidence_rad,
-        brightness=_tiles(gray)[candidate][flat].mean(axis=1),
         whole=int(clean.sum()),
         products=_lag_products(fit.plane_rest[clean]),
     )
@@ -242,34 +236,3 @@ def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, " la
         b = r[:, dy:, max(0, dx) : PATCH_PX - max(0, -dx)]
         sums.append((a * b).sum() / (a.shape[1] * a.shape[2]))
     return np.array(sums)
-
-
-# --- patches -------------------------------------------------------------------------------------
-
-
-def _tiles(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
-    """The image cut into patches, without what is left over at the right and below."""
-    rows, columns = image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX
-    cut = image[: rows * PATCH_PX, : columns * PATCH_PX].astype(np.float64)
-    tiles = cut.reshape(rows, PATCH_PX, columns, PATCH_PX).swapaxes(1, 2)
-    return tiles.reshape(rows * columns, PATCH_PX**2)
-
-
-def _centres(shape: tuple[int, ...]) -> Float[np.ndarray, "n 2"]:
-    """(x, y) of the patches' centres."""
-    rows, columns = shape[0] // PATCH_PX, shape[1] // PATCH_PX
-    y, x = np.divmod(np.arange(rows * columns), max(columns, 1))
-    return np.stack([x, y], axis=1) * PATCH_PX + (PATCH_PX - 1) / 2
-
-
-def _incidence(
-    K: Float[np.ndarray, "3 3"],
-    plane: Float[np.ndarray, "n 3"],
-    centre_px: Float[np.ndarray, "n 2"],
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angle between each plane and the camera's ray, and depth, at the patches' centres."""
-    t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
-    slope = plane[:, 1:] / np.sqrt(PATCH_PX * (t @ t))
-    middle = plane[:, 0] / PATCH_PX
-    g = np.column_stack([slope, middle - (slope * centre_px).sum(axis=1)])
-    return incidence_rad(K, g, centre_px), 1.0 / middle

@@ -9,7 +9,7 @@ Leaves out: colour; what needs more than one map.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -65,6 +65,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
     **FEATURES,
     "all": tuple(name for names in FEATURES.values() for name in names),
 }
+_SIDE = np.linspace(-1, 1, SQUARE_PX)
+_X, _Y = np.meshgrid(_SIDE, _SIDE)
+# The terms of a paraboloid at each pixel of a square.
+PARABOLOID = np.stack([_X**0, _X, _Y, _X * _X, _X * _Y, _Y * _Y], axis=-1)
 _COLUMN = {name: i for i, name in enumerate(GROUPS["all"])}
 
 
@@ -80,21 +84,13 @@ class Squares:
 
     def at(self, place: str) -> "Squares":
         """Those at a place: smooth, or floor."""
-        kept = {"smooth": self.is_smooth, "floor": self.is_floor}[place]
-        return self.only(kept)
+        return self.only({"smooth": self.is_smooth, "floor": self.is_floor}[place])
 
     def of_scans(self, number: Sequence[int]) -> "Squares":
         return self.only(np.isin(self.scan, np.array(number)))
 
-    def only(self, kept: Bool[np.ndarray, " n"]) -> "Squares":
-        return replace(
-            self,
-            feature=self.feature[kept],
-            scan=self.scan[kept],
-            corner_px=self.corner_px[kept],
-            is_smooth=self.is_smooth[kept],
-            is_floor=self.is_floor[kept],
-        )
+    def only(self, keep: Bool[np.ndarray, " n"]) -> "Squares":
+        return Squares(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
     def group(self, name: str) -> Float[np.ndarray, "n some"]:
         """The columns of one group of features."""
@@ -108,16 +104,13 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
         step_m: depth is rounded to this step first, where it is above 0, so that two sets that are
             compared are equally fine.
     """
-    depths = [_rounded(scan.depth_m, step_m) for scan in scans]
+    depths = [scan.depth_m for scan in scans]
+    if step_m > 0:
+        depths = [np.round(depth_m / step_m) * step_m for depth_m in depths]
     floor = find_floor(depths)
     parts = [_squares_of(depth_m, number, floor) for number, depth_m in enumerate(depths)]
-    return Squares(
-        feature=np.concatenate([p.feature for p in parts]),
-        scan=np.concatenate([p.scan for p in parts]),
-        corner_px=np.concatenate([p.corner_px for p in parts]),
-        is_smooth=np.concatenate([p.is_smooth for p in parts]),
-        is_floor=np.concatenate([p.is_floor for p in parts]),
-    )
+    names = [f.name for f in fields(Squares)]
+    return Squares(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
 def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
@@ -128,8 +121,8 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
     near it.
     """
     rng = np.random.default_rng(0)  # it chooses samples, not results: any seed finds the same floor
-    picked = [_some_pixels(one, rng) for one in depth_m]
-    pixel, z_m = (np.concatenate(column) for column in zip(*picked, strict=True))
+    samples = [_some_pixels(one, rng) for one in depth_m]
+    pixel, z_m = (np.concatenate(column) for column in zip(*samples, strict=True))
     if len(z_m) < 3:
         return None
     corners = rng.integers(0, len(z_m), size=(_DRAWS, 3))
@@ -148,6 +141,15 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
         near = _near(pixel, z_m, plane)
         plane = np.linalg.lstsq(pixel[near], 1.0 / z_m[near], rcond=None)[0]
     return plane
+
+
+def depth_of_floor(
+    floor: Float[np.ndarray, "3"], rows: slice, columns: slice
+) -> Float[np.ndarray, "h w"]:
+    """Depth of the plane of `find_floor` in a rectangle; NaN where it is behind the camera."""
+    row, column = np.mgrid[rows, columns]
+    inverse = floor[0] * column + floor[1] * row + floor[2]
+    return 1.0 / np.where(inverse > 0, inverse, np.nan)
 
 
 def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
@@ -173,17 +175,13 @@ def correlation(
     limit = 4 * (sigma + _TINY_M)[:, None, None]
     a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair that is not known adds nothing
     product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
-    found = np.full(enough.shape, np.nan)
+    coefficient = np.full(enough.shape, np.nan)
     power = np.sqrt(a2 * b2)
-    found[enough] = np.divide(product, power, out=np.zeros_like(power), where=power > 0)
-    return found
+    coefficient[enough] = np.divide(product, power, out=np.zeros_like(power), where=power > 0)
+    return coefficient
 
 
 # --- one square ----------------------------------------------------------------------------------
-
-
-def _rounded(depth_m: Float[np.ndarray, "h w"], step_m: float) -> Float[np.ndarray, "h w"]:
-    return np.round(depth_m / step_m) * step_m if step_m > 0 else depth_m
 
 
 def _some_pixels(
@@ -214,16 +212,19 @@ def _squares_of(
     height, width = depth_m.shape
     for y in range(0, height - SQUARE_PX + 1, STRIDE_PX):
         for x in range(0, width - SQUARE_PX + 1, STRIDE_PX):
-            z_m = depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
+            place = slice(y, y + SQUARE_PX), slice(x, x + SQUARE_PX)
+            z_m = depth_m[place]
             valid = ~np.isnan(z_m)
             share = valid.mean()
             if share < min(_LEAST_VALID.values()):
                 continue
             fit = _paraboloid(z_m, valid)
             is_smooth = share >= _LEAST_VALID["smooth"] and _holds(fit, z_m, valid, _SMOOTH_M)
-            is_floor = floor is not None and _holds(_plane_m(floor, y, x), z_m, valid, _FLOOR_M)
+            is_floor = floor is not None and _holds(
+                depth_of_floor(floor, *place), z_m, valid, _FLOOR_M
+            )
             if is_smooth or is_floor:
-                rows.append(_features(z_m, valid, fit))
+                rows.append([*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)])
                 smooth.append(is_smooth)
                 on_floor.append(is_floor)
                 corners.append((y, x))
@@ -234,13 +235,6 @@ def _squares_of(
         is_smooth=np.array(smooth, dtype=bool),
         is_floor=np.array(on_floor, dtype=bool),
     )
-
-
-def _plane_m(floor: Float[np.ndarray, "3"], y: int, x: int) -> Float[np.ndarray, "s s"]:
-    """Depth of the floor in a square; NaN where its plane is behind the camera."""
-    row, column = np.mgrid[y : y + SQUARE_PX, x : x + SQUARE_PX]
-    inverse = floor[0] * column + floor[1] * row + floor[2]
-    return np.where(inverse > 0, 1.0 / np.where(inverse > 0, inverse, 1.0), np.nan)
 
 
 def _holds(
@@ -258,24 +252,15 @@ def _paraboloid(
     z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"]
 ) -> Float[np.ndarray, "s s"]:
     """Least squares over what lies near, in three rounds."""
-    t = np.linspace(-1, 1, SQUARE_PX)
-    x, y = np.meshgrid(t, t)
-    basis = np.stack([x**0, x, y, x * x, x * y, y * y], axis=-1)
     used, fit = valid, np.full(z_m.shape, np.nan)
     for _ in range(3):
         if used.sum() < 30:
             break
-        A, b = basis[used], z_m[used]
-        fit = basis @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
+        A, b = PARABOLOID[used], z_m[used]
+        fit = PARABOLOID @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
         off = np.abs(fit - np.where(valid, z_m, np.inf))
         used = valid & (off <= 3 * robust_sigma(off[valid]) + _TINY_M)
     return fit
-
-
-def _features(
-    z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"], fit: Float[np.ndarray, "s s"]
-) -> list[float]:
-    return [*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)]
 
 
 def _noise(z_m: Float[np.ndarray, "s s"]) -> list[float]:

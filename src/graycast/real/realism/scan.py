@@ -67,15 +67,9 @@ class DepthScan:
         return float(JUMP_FOOTPRINTS / np.sqrt(self.K[0, 0] * self.K[1, 1]))
 
 
-def incidence_rad(
-    K: Float[np.ndarray, "3 3"], plane: Float[np.ndarray, "n 3"], at_px: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, " n"]:
-    """The angle between the normal of a plane and the camera's ray, at one pixel of each plane.
-
-    With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
-    is K^-1 (x, y, 1).
-    """
-    normal = plane @ K
-    ray = np.column_stack([at_px, np.ones(len(at_px))]) @ np.linalg.inv(K).T
-    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
-    return np.arccos((np.abs((normal * ray).sum(axis=1)) / length).clip(max=1.0))
+def tiles(image: Float[np.ndarray, "h w"], side_px: int) -> Float[np.ndarray, "n s s"]:
+    """An image cut into squares, row by row, without what is left over at the right and below."""
+    rows, columns = (length // side_px for length in image.shape)
+    cut = image[: rows * side_px, : columns * side_px]
+    squares = cut.reshape(rows, side_px, columns, side_px).swapaxes(1, 2)
+    return squares.reshape(-1, side_px, side_px)

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.robust import robust_sigma
+from .missing import missing_among
 from .patches import GROUPS, Squares, cut_squares, second_difference
 from .scan import DepthScan
 
@@ -97,21 +98,21 @@ def two_sample_test(
     for name, scans in _naive(first, perfect, seed).items():
         progress.stage(f"cutting squares of {name}")
         others[name] = cut_squares(scans, step_m=step_m)
-    row, score = {}, {}
-    progress.stage(f"learning {names[0]} against {names[1]}")
-    versus = f"{names[0]} against {names[1]}"
-    row[versus] = {place: _aucs(a.at(place), b.at(place), seed) for place in PLACES}
-    progress.stage(f"learning {names[0]} against itself")
-    row[f"{names[0]} against itself"] = {p: _against_itself(a.at(p), seed) for p in PLACES}
-    for name, squares in others.items():
+    row = {}
+    for name, squares in {names[1]: b, "itself": None, **others}.items():
         progress.stage(f"learning {names[0]} against {name}")
         row[f"{names[0]} against {name}"] = {
-            place: _aucs(a.at(place), squares.at(place), seed) for place in PLACES
+            place: _against_itself(a.at(place), seed)
+            if squares is None
+            else {group: _auc(a.at(place), squares.at(place), group, seed) for group in GROUPS}
+            for place in PLACES
         }
-    telling = {place: _telling(a.at(place), b.at(place)) for place in PLACES}
-    for place in PLACES:
-        score[place] = _scores(a.at(place), b.at(place), "sensor", seed)[1]
-    return TwoSample(row=row, telling=telling, squares=(a, b), score=score)
+    return TwoSample(
+        row=row,
+        telling={place: _telling(a.at(place), b.at(place)) for place in PLACES},
+        squares=(a, b),
+        score={place: _scores(a.at(place), b.at(place), "sensor", seed)[1] for place in PLACES},
+    )
 
 
 def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
@@ -152,7 +153,7 @@ def _naive(
     if len(perfect) < 2:
         return {}
     sigma_m = float(np.median([_sigma_m(scan.depth_m) for scan in real]))
-    missing = float(np.mean([_missing_inside(scan) for scan in real]))
+    missing = float(np.mean([missing_among(scan.valid, scan.valid) for scan in real]))
     rng = np.random.default_rng(seed)
     return {
         "perfect depth": tuple(perfect),
@@ -167,13 +168,6 @@ def _sigma_m(depth_m: Float[np.ndarray, "h w"]) -> float:
     return robust_sigma(mixed[~np.isnan(mixed)])
 
 
-def _missing_inside(scan: DepthScan) -> float:
-    """The share of pixels missing among neighbours that are there: what drop-outs are."""
-    valid = scan.valid
-    ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
-    return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
-
-
 def _noisy(scan: DepthScan, sigma_m: float, missing: float, rng: np.random.Generator) -> DepthScan:
     depth_m = scan.depth_m + rng.normal(0.0, sigma_m, scan.depth_m.shape)
     depth_m[rng.random(depth_m.shape) < missing] = np.nan
@@ -181,10 +175,6 @@ def _noisy(scan: DepthScan, sigma_m: float, missing: float, rng: np.random.Gener
 
 
 # --- learning ------------------------------------------------------------------------------------
-
-
-def _aucs(a: Squares, b: Squares, seed: int) -> dict[str, Auc]:
-    return {group: _auc(a, b, group, seed) for group in GROUPS}
 
 
 def _auc(a: Squares, b: Squares, group: str, seed: int) -> Auc:
@@ -198,19 +188,18 @@ def _auc(a: Squares, b: Squares, group: str, seed: int) -> Auc:
 def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
     """One half of the maps against the other, over several ways to halve them."""
     scans = sorted(set(squares.scan.tolist()))
-    ways = [way for way in combinations(scans, len(scans) // 2)]
+    ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
         ways = ways[: len(ways) // 2]  # the rest are the same halves, named the other way round
-    chosen = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
-    found: dict[str, list[Auc]] = {group: [] for group in GROUPS}
-    for k in chosen:
-        half = squares.of_scans(ways[k])
-        rest = squares.of_scans([s for s in scans if s not in ways[k]])
-        for group, values in found.items():
-            values.append(_auc(half, rest, group, seed))
+    order = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
+    halves = [
+        (squares.of_scans(ways[k]), squares.of_scans([s for s in scans if s not in ways[k]]))
+        for k in order
+    ]
     result = {}
-    for group, values in found.items():
-        means = [auc.mean for auc in values if auc.mean is not None]
+    for group in GROUPS:
+        aucs = [_auc(half, rest, group, seed).mean for half, rest in halves]
+        means = [mean for mean in aucs if mean is not None]
         result[group] = Auc(
             mean=float(np.mean(means)) if means else None,
             spread=float(np.std(means)) if means else None,
@@ -231,8 +220,8 @@ def _scores(
     fold = np.concatenate([_folds(a), _folds(b)])
     score, values = np.full(len(y), np.nan), []
     for k in range(int(fold.max(initial=-1)) + 1):
-        seen, left = fold != k, fold == k
-        if min(len(set(y[seen])), len(set(y[left]))) < 2:
+        rest, left = fold != k, fold == k
+        if min(len(set(y[rest])), len(set(y[left]))) < 2:
             continue
         forest = ExtraTreesClassifier(
             n_estimators=_TREES,
@@ -240,7 +229,7 @@ def _scores(
             class_weight="balanced",
             random_state=seed,
         )
-        score[left] = forest.fit(x[seen], y[seen]).predict_proba(x[left])[:, 1]
+        score[left] = forest.fit(x[rest], y[rest]).predict_proba(x[left])[:, 1]
         values.append(float(roc_auc_score(y[left], score[left])))
     return values, (score[: len(a.scan)], score[len(a.scan) :])
 
@@ -256,7 +245,7 @@ def _telling(a: Squares, b: Squares) -> tuple[Telling, ...]:
     """Each sensor feature's AUC alone: the share of pairs that it orders right, ties half."""
     from scipy.stats import rankdata
 
-    found = []
+    telling = []
     for k, name in enumerate(GROUPS["sensor"]):
         first, second = (s.group("sensor")[:, k] for s in (a, b))
         first, second = first[~np.isnan(first)], second[~np.isnan(second)]
@@ -266,5 +255,5 @@ def _telling(a: Squares, b: Squares) -> tuple[Telling, ...]:
         wins = rank - len(second) * (len(second) + 1) / 2
         auc = float(wins / (len(first) * len(second)))
         median = float(np.median(first)), float(np.median(second))
-        found.append(Telling(feature=name, auc=max(auc, 1 - auc), median=median))
-    return tuple(sorted(found, key=lambda one: -one.auc))
+        telling.append(Telling(feature=name, auc=max(auc, 1 - auc), median=median))
+    return tuple(sorted(telling, key=lambda one: -one.auc))

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
-from .patches import GROUPS, SQUARE_PX, Squares
+from .patches import GROUPS, PARABOLOID, SQUARE_PX, Squares
 from .scan import DepthScan
-from .two_sample import PLACES, Auc, TwoSample
+from .two_sample import PLACES, TwoSample
 
 CLASSIFIER = "classifier.md"
-_SHOWN = 8  # A row of the picture has so many squares of one set.
+_COLUMNS = 8  # A row of the picture has so many squares of one set.
 _RELIEF_MM = 0.8  # It goes from black to white.
 _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
@@ -32,17 +33,17 @@ def two_sample_table(test: TwoSample) -> str:
             "|---" * (len(GROUPS) + 2) + "|",
         ]
         for name, places in test.row.items():
-            cells = [_auc_text(places[place][group]) for group in GROUPS]
+            aucs = [places[place][group] for group in GROUPS]
+            cells = ["-" if a.mean is None else f"{a.mean:.2f} ± {a.spread:.2f}" for a in aucs]
             first, second = places[place]["sensor"].squares
             lines.append(f"| {name} | " + " | ".join(cells) + f" | {first}, {second} |")
         lines.append("")
-        told = test.telling[place][:5]
-        if told:
+        if telling := test.telling[place][:5]:
             lines += [f"What tells them apart on {_PLACE[place]}, each feature alone:", ""]
             lines += [
                 f"- {one.feature}: AUC {one.auc:.2f}, median {one.median[0]:.3g} of the first "
                 f"set, {one.median[1]:.3g} of the second"
-                for one in told
+                for one in telling
             ]
             lines.append("")
     return "\n".join(lines)
@@ -57,29 +58,12 @@ def write_two_sample(
         GraycastError: a file cannot be written.
     """
     (folder / CLASSIFIER).write_text(two_sample_table(test), encoding="utf-8")
-    content = {
-        name: {p: {g: _auc_json(auc) for g, auc in groups.items()} for p, groups in places.items()}
-        for name, places in test.row.items()
-    }
-    told = {
-        place: [{"feature": t.feature, "auc": t.auc, "median": t.median} for t in telling]
-        for place, telling in test.telling.items()
-    }
-    text = json.dumps({"auc": content, "telling": told}, indent=1) + "\n"
+    content = {"auc": test.row, "telling": test.telling}
+    text = json.dumps(content, indent=1, default=asdict) + "\n"
     (folder / "classifier.json").write_text(text, encoding="utf-8")
     for place in PLACES:
         if not np.isnan(test.score[place][0]).all() and not np.isnan(test.score[place][1]).all():
             _draw(test, place, first, second, folder / f"gave-away-{place}.png")
-
-
-def _auc_text(auc: Auc) -> str:
-    if auc.mean is None:
-        return "-"
-    return f"{auc.mean:.2f} ± {auc.spread:.2f}"
-
-
-def _auc_json(auc: Auc) -> dict[str, float | list[int] | None]:
-    return {"mean": auc.mean, "spread": auc.spread, "squares": list(auc.squares)}
 
 
 def _draw(
@@ -94,9 +78,9 @@ def _draw(
         ("second set, most certain", b, second, _best(of_second)),
         ("second set, classified as the first", b, second, _best(-of_second)),
     )
-    figure = Figure(figsize=(1.6 * _SHOWN, 5.6), layout="constrained")
+    figure = Figure(figsize=(1.6 * _COLUMNS, 5.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(rows), _SHOWN, squeeze=False)
+    axes = figure.subplots(len(rows), _COLUMNS, squeeze=False)
     for line, (name, squares, scans, order) in zip(axes, rows, strict=True):
         for ax in line:
             ax.set_axis_off()
@@ -110,19 +94,16 @@ def _draw(
 def _best(score: Float[np.ndarray, " n"]) -> list[int]:
     """Places of the highest scores; NaN is none."""
     order = np.argsort(np.where(np.isnan(score), -np.inf, score))[::-1]
-    return [int(k) for k in order[:_SHOWN] if not np.isnan(score[k])]
+    return [int(k) for k in order[:_COLUMNS] if not np.isnan(score[k])]
 
 
 def _relief(squares: Squares, k: int, scans: Sequence[DepthScan]) -> Float[np.ndarray, "s s 3"]:
     y, x = squares.corner_px[k]
     z_m = scans[int(squares.scan[k])].depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
-    t = np.linspace(-1, 1, SQUARE_PX)
-    u, v = np.meshgrid(t, t)
-    basis = np.stack([u**0, u, v, u * u, u * v, v * v], axis=-1)
     known = ~np.isnan(z_m)
     rest_m = np.where(known, z_m, 0.0)
-    fit = np.linalg.lstsq(basis[known], rest_m[known], rcond=None)[0]
-    rest_m = rest_m - basis @ fit
+    fit = np.linalg.lstsq(PARABOLOID[known], rest_m[known], rcond=None)[0]
+    rest_m = rest_m - PARABOLOID @ fit
     rest_m -= np.median(rest_m[known])
     grey = np.clip(0.5 + 1e3 * rest_m / _RELIEF_MM, 0, 1)
     return np.where(known[..., None], grey[..., None], np.array([0.8, 0.1, 0.1]))

@@ -1,7 +1,6 @@
 """A structured-light scan of scenes that others made: perfect depth in, scanner depth out.
 
-source            what every layout gives: images with depth, colours, poses and models
-source_options    what a user says where the files of others leave something open
+source            what every layout gives, and what a user says where its files leave it open
 source_files      depth, colours, cameras and poses of others, refused where they cannot be
 model_files       models of others as parts, with their look
 bop_source        datasets in BOP's form

@@ -36,9 +36,8 @@ from ...dataset.scene_folder import (
     scene_folders,
 )
 from .model_files import NO_MODELS, bop_models, read_models
-from .source import SourceImage
-from .source_files import REPAIR, FileSource, pose_of, source_image, stored_depth
-from .source_options import SourceOptions
+from .source import Source, SourceImage, SourceOptions
+from .source_files import REPAIR, pose_of, source_image, stored_depth
 
 CAMERAS = "scene_camera*.json"
 _NEAR = 0.02  # The farthest object lies no nearer than this share of the middle depth.
@@ -50,7 +49,7 @@ class _View(AnyCamera):
     depth_scale: Positive | None = None
 
 
-def open_bop(folder: Path, options: SourceOptions) -> FileSource:
+def open_bop(folder: Path, options: SourceOptions) -> Source:
     """Read what a split has, and its models; pictures when they are asked for.
 
     Raises:
@@ -91,7 +90,7 @@ def open_bop(folder: Path, options: SourceOptions) -> FileSource:
     if not options.depth_only:
         files = bop_models(folder.parent, options.models)
         models = read_models(files, obj_ids, options.materials)
-    return FileSource(
+    return Source(
         folder=folder,
         split=folder.name,
         images=tuple(images),

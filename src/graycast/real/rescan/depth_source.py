@@ -8,19 +8,17 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from ...base.errors import DatasetError
 from ...dataset.records import MM_PER_M
-from ..depth_file import read_intrinsics
+from ..depth_file import FileOptions, read_intrinsics
 from ..picture_pairs import RealPicture, find_shots, is_whole, read_shot
 from .model_files import read_models
-from .source import SourceImage
-from .source_files import FileSource, camera_of
-from .source_options import SourceOptions
+from .source import Source, SourceImage, SourceOptions
+from .source_files import camera_of
 
 
-def open_depth(folder: Path, options: SourceOptions) -> FileSource:
+def open_depth(folder: Path, options: SourceOptions) -> Source:
     """The pictures of a folder; each is read when it is asked for.
 
     Raises:
@@ -31,48 +29,44 @@ def open_depth(folder: Path, options: SourceOptions) -> FileSource:
             f"{folder}: depth alone does not state its camera: give --intrinsics K.json, or "
             "fx,fy,cx,cy"
         )
-    K = read_intrinsics(options.intrinsics)
     read_models({}, (), options.materials)  # which refuses names of objects
     if any(path.suffix.lower() == ".exr" for path in (folder / "depth").iterdir()):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)
     scale_m = None if options.depth_scale_mm is None else options.depth_scale_mm / MM_PER_M
-    return FileSource(
+    files = FileOptions(K=read_intrinsics(options.intrinsics), scale_m=scale_m)
+    return Source(
         folder=folder,
         split="depth",
         images=tuple((0, i) for i in range(len(shots))),
         parts={},
         plain=frozenset(),
-        image_of=partial(_image, tuple(shots), K, scale_m),
+        image_of=partial(_image, tuple(shots), files),
     )
 
 
 def _image(
-    shots: tuple[RealPicture, ...],
-    K: Float[np.ndarray, "3 3"],
-    scale_m: float | None,
-    scene_id: int,
-    image_id: int,
+    shots: tuple[RealPicture, ...], files: FileOptions, scene_id: int, image_id: int
 ) -> SourceImage:
     shot = shots[image_id]
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     whole = is_whole(shot.depth)
-    if scale_m is None and whole:
+    if files.scale_m is None and whole:
         raise DatasetError(
             f"{shot.depth}: has whole numbers: give the millimetres of one step, such as "
             "--depth-scale 0.1"
         )
-    data = read_shot(shot, K=K, scale_m=scale_m, size_px=None)
+    data = read_shot(shot, files)
     assert data.depth_m is not None  # as the file is there
     rgb = data.rgb
     if rgb is None and data.gray is not None:
         rgb = np.repeat(data.gray[..., None], 3, axis=2)
     return SourceImage(
-        camera=camera_of(K, "intrinsics", data.size_px),
+        camera=camera_of(data.K, "intrinsics", data.size_px),
         depth_m=data.depth_m,
         rgb=rgb,
         obj_id=np.zeros(0, np.int64),
         T_cam_part=np.zeros((0, 4, 4)),
-        step_m=(scale_m or 0.0) if whole else 0.0,
+        step_m=(files.scale_m or 0.0) if whole else 0.0,
     )

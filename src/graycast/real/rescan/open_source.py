@@ -11,11 +11,9 @@ from .bop_source import CAMERAS, open_bop
 from .depth_source import open_depth
 from .model_files import read_background
 from .sileane_source import IPA, SILEANE, open_ipa, open_sileane
-from .source import Source
-from .source_files import FileSource
-from .source_options import SourceOptions
+from .source import Source, SourceOptions
 
-_Opener = Callable[[Path, SourceOptions], FileSource]
+_Opener = Callable[[Path, SourceOptions], Source]
 _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
     "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm"}),
     "Siléane": (open_sileane, {"models", "materials"}),

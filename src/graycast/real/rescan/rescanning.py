@@ -34,7 +34,6 @@ from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
 from .staging import Staged, stage, with_camera
 
-Whose = Literal["image", "rig"]
 _LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
 _HOPELESS = 3  # If so many images are given up before any comes out, the rest would be, too.
 
@@ -48,7 +47,7 @@ class RescanSpec:
     of them. `copies` are made of the original files in place of links.
     """
 
-    camera: Whose = "image"
+    camera: Literal["image", "rig"] = "image"
     seed: int = 0
     render: RenderSection = field(default_factory=RenderSection)
     images: int | None = None
@@ -73,7 +72,7 @@ class ImageScanner:
 
     def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
+        self._renderer = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
         """One image, by its place among the images of the source.
@@ -85,8 +84,10 @@ class ImageScanner:
         task = self._task
         scene, number = task.source.images[scene_id]
         image = task.source.read(scene, number)
-        refuse_out_of_range(image, task.scanner)
-        scanner = scanner_for(task.scanner, image, task.spec.camera)
+        _refuse_out_of_range(image, task.scanner)
+        scanner = task.scanner
+        if task.spec.camera == "image":
+            scanner = with_camera(scanner, image.camera)
         self._progress.stage("staging the image")
         staged = stage(
             image,
@@ -126,7 +127,7 @@ class ImageScanner:
         """The sample of a staged image, and what its record says of it."""
         task = self._task
         render = task.spec.render
-        with self._kept.of(render) as renderer:
+        with self._renderer.of(render) as renderer:
             self._progress.stage(f"{renderer.name} renders")
             rendering = renderer.render(
                 staged.scene,
@@ -169,7 +170,7 @@ class ImageScanner:
         return sample, facts
 
     def close(self) -> None:
-        self._kept.close()
+        self._renderer.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,12 +264,7 @@ def rescan(
     )
 
 
-def scanner_for(scanner: Scanner, image: SourceImage, camera: Whose) -> Scanner:
-    """The scanner that looks at an image's scene."""
-    return with_camera(scanner, image.camera) if camera == "image" else scanner
-
-
-def refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
+def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
     """Refuse an image of which the rig can measure nothing.
 
     Raises:
@@ -295,7 +291,7 @@ def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: 
     errors = []
     for scene_id, image_id in first:
         try:
-            refuse_out_of_range(source.read(scene_id, image_id), scanner)
+            _refuse_out_of_range(source.read(scene_id, image_id), scanner)
             return
         except DecodeError as error:
             errors.append(f"scene {scene_id}, image {image_id}: {error}")

@@ -35,9 +35,8 @@ from ...base.frames import inverse, rigid, rotation_from_quaternion
 from ...dataset.records import Count, Positive, Vector
 from ...dataset.safe_reading import Unreadable, record_as
 from .model_files import NO_MODELS, ModelFile, read_models
-from .source import SourceImage
-from .source_files import REPAIR, FileSource, pose_of, record_of, source_image, stored_steps
-from .source_options import SourceOptions
+from .source import Source, SourceImage, SourceOptions
+from .source_files import REPAIR, pose_of, record_of, source_image, stored_steps
 
 SILEANE, IPA = "camera_params.txt", "parameter.json"
 _IPA_DEPTH = "_depth_uint16.png"
@@ -94,7 +93,7 @@ class _Camera:
     poses: Callable[[Path], list[np.ndarray]]
 
 
-def open_sileane(folder: Path, options: SourceOptions) -> FileSource:
+def open_sileane(folder: Path, options: SourceOptions) -> Source:
     """The images of one of Siléane's objects; image i is the i-th of the sorted names.
 
     Raises:
@@ -136,7 +135,7 @@ def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
     return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
 
 
-def open_ipa(folder: Path, options: SourceOptions) -> FileSource:
+def open_ipa(folder: Path, options: SourceOptions) -> Source:
     """The images of a folder of the IPA dataset; a cycle is a scene.
 
     Raises:
@@ -182,11 +181,6 @@ def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
     path = _beside("gt", ".csv", depth)
     if int(path.stem) == 0 and not path.exists():  # the empty bin that a cycle begins with
         return []
-    return [_FROM_IPA @ T for T in _rows(path)]
-
-
-def _rows(path: Path) -> list[np.ndarray]:
-    """The poses of a table of IPA, in its frame of the camera."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]
         rows = [[float(word) for word in line.split(",")] for line in lines if line.strip()]
@@ -195,7 +189,7 @@ def _rows(path: Path) -> list[np.ndarray]:
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}): {REPAIR}") from error
     return [
-        pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
+        _FROM_IPA @ pose_of(np.reshape(row[5:14], (3, 3)).T, row[2:5], f"{path}, id {row[0]:g}")
         for row in rows
         if row[0] > 0
     ]
@@ -203,7 +197,7 @@ def _rows(path: Path) -> list[np.ndarray]:
 
 def _source(
     folder: Path, files: Mapping[tuple[int, int], Path], camera: _Camera, options: SourceOptions
-) -> FileSource:
+) -> Source:
     if not files:
         raise DatasetError(f"{folder}: has no depth pictures: download it again")
     models = NO_MODELS
@@ -216,7 +210,7 @@ def _source(
             )
         model = ModelFile(path=mesh, name=folder.name, unit="m")
         models = read_models({1: model}, {1}, options.materials)
-    return FileSource(
+    return Source(
         folder=folder,
         split=folder.name,
         images=tuple(files),

@@ -1,19 +1,49 @@
-"""Images of a dataset that others made, whatever its layout.
+"""Images of a dataset that others made, whatever its layout, and what its own files leave open.
 
 Frames: `T_cam_part` takes a model's coordinates [m] to OpenCV's camera frame (x right, y down, z
 forward). Depth is z of that frame in metres.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from ...base.errors import DatasetError
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceOptions:
+    """What the files of a dataset do not say, or what is to be read of them.
+
+    Attributes:
+        sensor: the camera, where a dataset has several.
+        models: the folder of models, or the mesh of the only object; None looks beside the images.
+        materials: a YAML file with a material for each object and for what is none; see
+            `model_files.read_models` and `read_background`.
+        depth_scale_mm: millimetres of one step of stored depth; it goes before what files say.
+        intrinsics: a file or `fx,fy,cx,cy`, where a dataset is depth alone.
+        depth_only: whether objects are left out: no models are needed, and no poses are read.
+    """
+
+    sensor: str = ""
+    models: Path | None = None
+    materials: Path | None = None
+    depth_scale_mm: float | None = None
+    intrinsics: str | None = None
+    depth_only: bool = False
+
+    def __post_init__(self) -> None:
+        if self.depth_scale_mm is not None and not 0 < self.depth_scale_mm < float("inf"):
+            raise DatasetError(
+                f"--depth-scale is {self.depth_scale_mm}: give the millimetres of one step of "
+                "depth, greater than 0"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,39 +63,34 @@ class SourceImage:
     step_m: float = 0.0
 
 
-@runtime_checkable
-class Source(Protocol):
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
     """A dataset of others, or one of its splits; images are read when they are asked for.
 
     Attributes:
         folder: of the split in BOP's form, or of the whole dataset in another layout.
         split: its name in the result, such as `train_pbr`.
+        images: scene and image numbers, in order.
+        parts: the objects by their ids, in metres and with their look; empty without models.
+        plain: the ids of parts whose look nothing states: they are grey.
+        image_of: reads an image of a scene. It can be pickled, so that workers read.
         sensor: the camera that is read, "" where the dataset has only one; its files end in
             `_sensor`.
         scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
             link; empty in another layout.
-        images: scene and image numbers, in order.
-        parts: the objects by their ids, in metres and with their look; empty without models.
-        plain: the ids of parts whose look nothing states: they are grey.
         background: the material of what is no object; with None, it looks as the pictures do.
     """
 
-    @property
-    def folder(self) -> Path: ...
-    @property
-    def split(self) -> str: ...
-    @property
-    def sensor(self) -> str: ...
-    @property
-    def scenes(self) -> Mapping[int, Path]: ...
-    @property
-    def images(self) -> tuple[tuple[int, int], ...]: ...
-    @property
-    def parts(self) -> Mapping[int, Part]: ...
-    @property
-    def plain(self) -> frozenset[int]: ...
-    @property
-    def background(self) -> Material | None: ...
+    folder: Path
+    split: str
+    images: tuple[tuple[int, int], ...]
+    parts: Mapping[int, Part]
+    plain: frozenset[int]
+    image_of: Callable[[int, int], SourceImage]
+    sensor: str = ""
+    scenes: Mapping[int, Path] = field(default_factory=dict)
+    background: Material | None = None
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.
@@ -73,4 +98,6 @@ class Source(Protocol):
         Raises:
             DatasetError: a file is missing, damaged or contradicts another; the text names it.
         """
-        ...
+        if (scene_id, image_id) not in self.images:
+            raise DatasetError(f"{self.folder}: has no image {image_id} of scene {scene_id}")
+        return self.image_of(scene_id, image_id)

@@ -1,9 +1,8 @@
 """Depth, colours, cameras and poses of others: read without trust, and refused in one line."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -13,7 +12,6 @@ from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
 from ...dataset.safe_reading import Unreadable, read_json
 from ...rig.optics import Optics, optics_of
-from ...world.parts import Material, Part
 from ..depth_file import in_metres, read_image
 from ..picture_pairs import refuse_damaged
 from .source import SourceImage
@@ -22,30 +20,6 @@ REPAIR = "repair the file, or download it again"
 _ROUNDED = 2e-3  # Files with three digits have rotations that are off by half of it.
 
 R = TypeVar("R", bound=BaseModel)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FileSource:
-    """A `Source` whose images are read by a function of their scene and number.
-
-    The function can be pickled, so that workers read.
-    """
-
-    folder: Path
-    split: str
-    images: tuple[tuple[int, int], ...]
-    parts: Mapping[int, Part]
-    plain: frozenset[int]
-    image_of: Callable[[int, int], SourceImage]
-    sensor: str = ""
-    scenes: Mapping[int, Path] = field(default_factory=dict)
-    background: Material | None = None
-
-    def read(self, scene_id: int, image_id: int) -> SourceImage:
-        if (scene_id, image_id) not in self.images:
-            raise DatasetError(f"{self.folder}: has no image {image_id} of scene {scene_id}")
-        return self.image_of(scene_id, image_id)
 
 
 def record_of(path: Path, form: type[R]) -> R:

@@ -106,10 +106,10 @@ def stage(
     _refuse_contradiction(image.depth_m, nearest_m, own)
     reflectance = None if image.rgb is None else reflectance_of(image.rgb)
     if reflectance is not None:
-        looks = _looks(reflectance, np.where(own, which, -1), image.obj_id)
+        colors = _mean_colors(reflectance, np.where(own, which, -1), image.obj_id)
         parts = {
-            obj_id: _with_color(part, looks[obj_id])
-            if obj_id in unknown_look and obj_id in looks
+            obj_id: replace(part, material=replace(part.material, base_color=colors[obj_id]))
+            if obj_id in unknown_look and obj_id in colors
             else part
             for obj_id, part in parts.items()
         }
@@ -265,24 +265,10 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
     """Values of the free blocks, each the mean of its neighbours; the border is mirrored."""
-    number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    n = int(free.sum())
-    diagonal, right_side = np.zeros(n), np.zeros(n)
-    rows, columns = [], []
-    own = number[free]
-    around = np.pad(np.dstack([number, value]), ((1, 1), (1, 1), (0, 0)), constant_values=-2)
-    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        beside = around[1 + down : 1 + down + free.shape[0], 1 + right : 1 + right + free.shape[1]][
-            free
-        ]
-        other = beside[:, 0].astype(np.int64)
-        diagonal += other > -2
-        right_side += np.where(other == -1, beside[:, 1], 0.0)
-        rows.append(own[other >= 0])
-        columns.append(other[other >= 0])
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    A = sparse.csc_matrix((-np.ones(len(i)), (i, j)), shape=(n, n)) + sparse.diags(diagonal)
-    return spsolve(A.tocsc(), right_side)
+    rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in free.shape)
+    laplacian = sparse.kronsum(columns.T @ columns, rows.T @ rows).tocsr()[free.ravel()]
+    right_side = -laplacian[:, ~free.ravel()] @ value[~free]
+    return spsolve(laplacian[:, free.ravel()].tocsc(), right_side)
 
 
 def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
@@ -292,19 +278,15 @@ def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"
     return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)
 
 
-def _looks(
+def _mean_colors(
     reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
 ) -> dict[int, tuple[float, float, float]]:
     """The mean reflectance that the picture has of each object in it."""
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]
-    looks: dict[int, tuple[float, float, float]] = {}
+    means: dict[int, tuple[float, float, float]] = {}
     for i in np.unique(of):
         red, green, blue = color[of == i].mean(axis=0).tolist()
-        looks[int(i)] = red, green, blue
-    return looks
-
-
-def _with_color(part: Part, color: tuple[float, float, float]) -> Part:
-    return replace(part, material=replace(part.material, base_color=color))
+        means[int(i)] = red, green, blue
+    return means

@@ -8,12 +8,11 @@ from jaxtyping import UInt8
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...cell.config import resolve_quality
 from ...cell.resolve import Cell, open_cell_renderer
 from ...rig.pattern import CodeSpec
-from ...world.parts import Material
 from ...world.scene import bin_of
 from ..realism import DepthScan, TwoSample, two_sample_test
+from ..realism.depth_steps import count_steps
 from ..realism.patches import find_floor
 from ..realism.two_sample import require_sklearn
 from .parameters import (
@@ -25,16 +24,16 @@ from .parameters import (
     Parameter,
     candidate_codes,
 )
-from .refusing import refuse_without_shadow
 from .restaging import restage
 from .rows import figures_of
 from .searching import Fit, scans_of, search
 from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
-LEAST_KEPT = 2  # The classifier learns from these scans, which the search does not see.
-_BRIGHTEST = 0.9
+LEAST_ASIDE = 2  # The classifier learns from these scans, which the search does not see.
 _SMOOTHEST = 0.1  # A coat of less roughness shows the lamp in single pixels.
+_LEAST_JUMPS = 20  # Fewer jumps per map do not show which side is in shadow.
+_MOST_SHARE = 0.25  # A side is in shadow if its jumps are at most this share of the other side's.
 COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats.
 
 
@@ -57,7 +56,7 @@ def make_twin(
     cell: Cell,
     *,
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
-    kept: int = 0,
+    aside: int = 0,
     trials: int,
     seed: int,
     device: str = "auto",
@@ -67,64 +66,62 @@ def make_twin(
 
     Args:
         pictures: in colour, one for each scan, or none; see `restage`.
-        kept: so many of the last scans the search does not see; the classifier judges them apart.
+        aside: so many of the last scans the search does not see; the classifier judges them apart.
 
     Raises:
         GraycastError: there are too few scans, of another camera than the rig's, or of no
             structured light; pictures do not fit; scikit-learn is not installed.
     """
     require_sklearn()
-    check_scans(real, cell, kept=kept)
-    fitted = len(real) - kept
+    check_scans(real, cell, aside=aside)
+    fitted = len(real) - aside
     codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
     progress.stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
 
-    def light(chosen: slice, codes: Sequence[CodeSpec]) -> tuple[LitScene, ...]:
+    def light(some: slice, codes: Sequence[CodeSpec]) -> tuple[LitScene, ...]:
         with open_cell_renderer(cell, device=device) as renderer:
             return light_scenes(
                 cell,
-                staged[chosen],
+                staged[some],
                 codes,
-                seed=seed + chosen.start,
+                seed=seed + some.start,
                 renderer=renderer,
-                quality=resolve_quality(cell.config),
                 rougher=COATS if BIN_GLOSS in {p.key for p in parameters} else (),
-                names=[scan.name for scan in real[chosen]],
+                names=[scan.name for scan in real[some]],
                 progress=progress,
             )
 
-    own, aside = slice(0, fitted), slice(fitted, len(real))
+    own, rest = slice(0, fitted), slice(fitted, len(real))
     lit = light(own, codes)
     progress.stage("measuring the real scans")
-    places = missing_places(lit, real[own])
-    figures = figures_of(real[own], find_floor([scan.depth_m for scan in real[own]]), places)
+    floor = find_floor([scan.depth_m for scan in real[own]])
+    figures = figures_of(real[own], floor, missing_places(lit, real[own]))
     fit = search(
         cell.scanner,
         lit,
         codes,
         parameters,
         figures,
-        places=places,
         trials=trials,
         seed=seed,
         progress=progress,
     )
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
-    if kept:
-        lit += light(aside, (fit.scanner.code,))
+    if aside:
+        lit += light(rest, (fit.scanner.code,))
     after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     sets = {"before": (own, before, ()), "after": (own, after, perfect[own])}
-    if kept:
-        sets["kept aside"] = (aside, after, perfect[aside])
+    if aside:
+        sets["kept aside"] = (rest, after, perfect[rest])
     classified = {}
-    for name, (chosen, made, truth) in sets.items():
+    for name, (some, simulated, truth) in sets.items():
         progress.stage(f"classifying the scans, {name}")
         classified[name] = two_sample_test(
-            real[chosen],
-            made[chosen],
+            real[some],
+            simulated[some],
             perfect=truth,
             names=("real", "as configured" if name == "before" else "twin"),
             seed=seed,
@@ -133,21 +130,21 @@ def make_twin(
     return Twin(fit=fit, scans=fitted, examples=examples, classified=classified)
 
 
-def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None:
+def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> None:
     """Whether a twin can be made of these scans, so many of which are kept aside.
 
     Raises:
         GraycastError: it cannot; the text says why, and what to give.
     """
-    if len(real) - kept < LEAST_SCANS:
+    if len(real) - aside < LEAST_SCANS:
         raise GraycastError(
-            f"{len(real)} scans are given, {kept} of them to keep aside: give at least "
+            f"{len(real)} scans are given, {aside} of them to keep aside: give at least "
             f"{LEAST_SCANS} to fit, so that their spread is known"
         )
-    if 0 < kept < LEAST_KEPT:
+    if 0 < aside < LEAST_ASIDE:
         raise GraycastError(
-            f"{kept} scan is kept aside: keep at least {LEAST_KEPT}, because the classifier leaves "
-            "out each scan once, or none"
+            f"{aside} scan is kept aside: keep at least {LEAST_ASIDE}, because the classifier "
+            "leaves out each scan once, or none"
         )
     camera = cell.scanner.rig.camera
     for scan in real:
@@ -163,6 +160,41 @@ def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None
                 f"{camera.fx_px:.1f} px: give the rig the intrinsics of the scans"
             )
     refuse_without_shadow(real)
+
+
+def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
+    """See that depth has a shadow side, as one camera and one projector make it.
+
+    Where a near surface hides a far one from the projector the far one has no depth, so between
+    valid neighbours depth never falls off on the side away from the projector. Two cameras that
+    match, and a camera beside its light, have jumps on both sides alike.
+
+    Raises:
+        GraycastError: there is no such side, or too little in the scans to tell.
+    """
+    counts = [count_steps(scan) for scan in scans]
+    right, left, below, above = (
+        sum(getattr(c, f"{side}_farther") for c in counts) / len(counts)
+        for side in ("right", "left", "below", "above")
+    )
+    pairs = {"right and left": (right, left), "below and above": (below, above)}
+    shares = {
+        name: min(pair) / max(pair) for name, pair in pairs.items() if max(pair) >= _LEAST_JUMPS
+    }
+    if not shares:
+        raise GraycastError(
+            f"the scans have {max(right, left, below, above):.0f} depth steps per map, which are "
+            f"too few to identify the kind of scanner (at least {_LEAST_JUMPS} are needed): give "
+            "scans with parts that stand out"
+        )
+    if min(shares.values()) > _MOST_SHARE:
+        raise GraycastError(
+            "the scans have no shadow side: of the depth steps between valid neighbours "
+            f"{right:.0f} a map fall to the right, {left:.0f} to the left, {below:.0f} downwards "
+            f"and {above:.0f} upwards. Such scans are typical of active stereo and time of "
+            "flight. A twin needs structured light, where one direction has almost no such "
+            "steps: give raw scans of a structured-light scanner, or use another simulator"
+        )
 
 
 def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
@@ -184,13 +216,3 @@ def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
         gloss = fitted[BIN_GLOSS]
         fitted[BIN_GLOSS] = replace(gloss, high=min(gloss.high, 1 / specular))
     return tuple(fitted.values())
-
-
-def scaled_color(material: Material, factor: float) -> list[float]:
-    """A material's colour, so many times as bright, up to what a surface can reflect."""
-    return [scaled_reflectance(band, factor) for band in material.base_color]
-
-
-def scaled_reflectance(reflectance: float, factor: float) -> float:
-    """So many times the reflectance, up to what a surface can reflect."""
-    return round(min(reflectance * factor, _BRIGHTEST), 4)

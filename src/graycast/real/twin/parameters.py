@@ -4,6 +4,7 @@ A new parameter is one line of `PARAMETERS`: its key, its bounds and how its ran
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -31,12 +32,15 @@ class Parameter:
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
     the value under which a filter or fault is switched off, and `off_above` the one over which a
-    limit is lifted.
+    limit is lifted. `laser` is what a search found of one laser scanner (a PhoXi) over one bin of
+    plastic. It is a place to begin at for scanners of that kind, whose noise is the surface's and
+    hardly the light's: see docs/measurements/twin.md.
     """
 
     key: str
     low: float
     high: float
+    laser: float
     walk: Literal["linear", "log"] = "linear"
     off_below: float | None = None
     off_above: float | None = None
@@ -59,47 +63,26 @@ class Parameter:
 
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(key="exposure.target", low=0.1, high=1.0, walk="log"),
-    Parameter(key="exposure.factors[1]", low=1.5, high=60.0, walk="log"),
-    Parameter(key=FULL_WELL, low=5e3, high=2e5, walk="log"),
-    Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, walk="log"),
-    Parameter(key="projector.falloff", low=0.0, high=0.9, off_below=0.01),
-    Parameter(key="speckle_contrast", low=0.0, high=1.0),
-    Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
-    Parameter(key="speckle_unevenness", low=0.0, high=0.8),
-    Parameter(key="line_noise", low=0.0, high=0.05),
-    Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
-    Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
-    Parameter(key="faults.raster_px", low=0.0, high=0.6, off_below=0.02),
-    Parameter(key="faults.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
-    Parameter(key="faults.raster_line_unevenness", low=0.0, high=0.8, off_below=0.01),
-    Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
-    Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
-    Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
+    Parameter(key="exposure.target", low=0.1, high=1.0, laser=0.9, walk="log"),
+    Parameter(key="exposure.factors[1]", low=1.5, high=60.0, laser=15.0, walk="log"),
+    Parameter(key=FULL_WELL, low=5e3, high=2e5, laser=7.4e4, walk="log"),
+    Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, laser=23.0, walk="log"),
+    Parameter(key="projector.falloff", low=0.0, high=0.9, laser=0.51, off_below=0.01),
+    Parameter(key="speckle_contrast", low=0.0, high=1.0, laser=0.36),
+    Parameter(key="speckle_volume", low=0.2, high=50.0, laser=3.6, walk="log"),
+    Parameter(key="speckle_unevenness", low=0.0, high=0.8, laser=0.66),
+    Parameter(key="line_noise", low=0.0, high=0.05, laser=0.005),
+    Parameter(key="decode.min_sigmas", low=3.0, high=150.0, laser=135.0, walk="log"),
+    Parameter(key="filters.smoothing_px", low=0.0, high=0.7, laser=0.0, off_below=0.25),
+    Parameter(key="faults.raster_px", low=0.0, high=0.6, laser=0.52, off_below=0.02),
+    Parameter(
+        key="faults.raster_limit_m", low=5e-5, high=2e-3, laser=2.7e-4, walk="log", off_above=1e-3
+    ),
+    Parameter(key="faults.raster_line_unevenness", low=0.0, high=0.8, laser=0.31, off_below=0.01),
+    Parameter(key=BIN_COLOR, low=0.1, high=3.0, laser=0.78, walk="log"),
+    Parameter(key=BIN_GLOSS, low=0.25, high=2.0, laser=0.4, walk="log"),
+    Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER, laser=0.14),
 )
-
-# A search found this of one laser scanner (a PhoXi) over one bin of plastic. It is a place to begin
-# at for scanners of that kind, whose noise is the surface's and hardly the light's: see
-# docs/measurements/twin.md.
-LASER_OVER_PLASTIC: Mapping[str, float] = {
-    "exposure.target": 0.9,
-    "exposure.factors[1]": 15.0,
-    FULL_WELL: 7.4e4,
-    "sensor.read_noise_e": 23.0,
-    "projector.falloff": 0.51,
-    "speckle_contrast": 0.36,
-    "speckle_volume": 3.6,
-    "speckle_unevenness": 0.66,
-    "line_noise": 0.005,
-    "decode.min_sigmas": 135.0,
-    "filters.smoothing_px": 0.0,
-    "faults.raster_px": 0.52,
-    "faults.raster_limit_m": 2.7e-4,
-    "faults.raster_line_unevenness": 0.31,
-    BIN_COLOR: 0.78,
-    BIN_GLOSS: 0.4,
-    BIN_ROUGHNESS: 0.14,
-}
 
 
 def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
@@ -118,9 +101,8 @@ def with_values(
     for parameter in parameters:
         if parameter.key not in OF_BIN:
             value: Any = values[parameter.key]
-            if parameter.off_below is not None and value < parameter.off_below:
-                value = None
-            elif parameter.off_above is not None and value > parameter.off_above:
+            below, above = parameter.off_below, parameter.off_above
+            if (below is not None and value < below) or (above is not None and value > above):
                 value = None
             if parameter.key == FULL_WELL:
                 gain = scanner.sensor.gain_dn_per_e * scanner.sensor.full_well_e / value
@@ -135,8 +117,8 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     value: Any = scanner
     for name in _path(parameter.key):
-        if isinstance(name, int):
-            value = value[name] if name < len(value) else None
+        if name.isdigit():
+            value = value[int(name)] if int(name) < len(value) else None
         else:
             value = getattr(value, name)
         if value is None:
@@ -153,22 +135,16 @@ def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) 
     return {p.key: p.value(float(s)) for p, s in zip(parameters, shares, strict=True)}
 
 
-def _path(key: str) -> list[str | int]:
+def _path(key: str) -> list[str]:
     """Keys of a rig file stand at its top where they are the rig's own."""
-    path: list[str | int] = []
-    for word in key.split("."):
-        name, _, index = word.partition("[")
-        path.append(name)
-        if index:
-            path.append(int(index.rstrip("]")))
-    return path if hasattr(Scanner, str(path[0])) else ["rig", *path]
+    path = re.findall(r"\w+", key)
+    return path if hasattr(Scanner, path[0]) else ["rig", *path]
 
 
-def _replaced(owner: Any, path: Sequence[str | int], value: Any) -> Any:
-    name, rest = path[0], path[1:]
-    if isinstance(name, int):
-        items = list(owner) + [0.0] * (name + 1 - len(owner))
-        items[name] = _replaced(items[name], rest, value) if rest else value
+def _replaced(owner: Any, path: Sequence[str], value: Any) -> Any:
+    name, *rest = path
+    if name.isdigit():
+        items = [*owner, *[0.0] * (int(name) + 1 - len(owner))]
+        items[int(name)] = value
         return tuple(items)
-    inner = _replaced(getattr(owner, name), rest, value) if rest else value
-    return replace(owner, **{name: inner})
+    return replace(owner, **{name: _replaced(getattr(owner, name), rest, value) if rest else value})

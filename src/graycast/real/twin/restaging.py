@@ -71,9 +71,9 @@ def restage(
             planes = _without_gaps(planes, known)
             known = known | np.isfinite(planes[..., 0])
             covered = _covered(known, _brightness(texture, scene, known.shape))
-            made = solid_of(planes, bin_m, camera, covered=covered)
-            world_m = transform_points(scene.T_world_cam, made.vertices_m)
-            parts = (_part(scan.name, replace(made, vertices_m=world_m), texture),)
+            solid_mesh = solid_of(planes, bin_m, camera, covered=covered)
+            world_m = transform_points(scene.T_world_cam, solid_mesh.vertices_m)
+            parts = (_part(scan.name, replace(solid_mesh, vertices_m=world_m), texture),)
         staged.append(replace(scene, parts=parts))
     return tuple(staged)
 
@@ -189,8 +189,7 @@ def _covered(
 
 def _shifted(image: np.ndarray, axis: int, step: int) -> np.ndarray:
     """What lies so many pixels further along an axis; at the border the last one."""
-    place = np.clip(np.arange(image.shape[axis]) + step, 0, image.shape[axis] - 1)
-    return np.take(image, place, axis=axis)
+    return np.take(image, np.arange(image.shape[axis]) + step, axis=axis, mode="clip")
 
 
 def _brightness(
@@ -233,21 +232,17 @@ def _textures(
                 f"depth map {width} x {height}: give a picture of the same view that has the same "
                 "shape and as many pixels or more"
             )
-        value = _seen(linear(picture), picture)
+        value = linear(picture)
+        # A picture that was mapped onto the depth is black where it has no colour: the nearest.
+        black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
+        if not black.all():
+            value = from_nearest(value, black)
         light.append(value)
         bright.append(_at_depth(value, own.shape)[own].max(axis=-1))
     every = np.concatenate(bright)
     white = float(np.quantile(every, _WHITE_SHARE)) if len(every) else 1.0
     factor = _BRIGHTEST / max(white, 1e-6)
     return tuple(srgb(np.clip(factor * value, _DARKEST, 0.9)) for value in light)
-
-
-def _seen(
-    value: Float[np.ndarray, "_ _ 3"], picture: UInt8[np.ndarray, "_ _ 3"]
-) -> Float[np.ndarray, "_ _ 3"]:
-    """With the nearest colour where a picture that was mapped onto the depth has none (black)."""
-    black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
-    return value if black.all() else from_nearest(value, black)
 
 
 def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -5,7 +5,7 @@ The twin scans the scenes of the real scans, so all of them are the sensor's doi
 
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,13 +13,15 @@ from jaxtyping import Bool, Float
 from ...base.robust import robust_sigma
 from ..realism import DepthScan
 from ..realism.fine import measure_fine, median_over_mean
-from ..realism.missing import SIZES_PX, count_missing
+from ..realism.missing import SIZES_PX, count_missing, missing_among
 from ..realism.patches import (
     SQUARE_PX,
     correlation,
+    depth_of_floor,
     second_difference,
     third_difference,
 )
+from ..realism.scan import tiles
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # Missing depth is counted there, by `PLACES`.
 _SIGMAS = 2.0  # A row is met within so many standard deviations of the real scans' mean.
@@ -54,9 +56,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """A set's rows, a number per scan; NaN where a scan cannot tell."""
+    """A set's rows, a number per scan; NaN where a scan cannot tell.
+
+    `places` are where missing depth was counted; without them it was in the whole frame.
+    """
 
     value: Mapping[str, Float[np.ndarray, " scans"]]
+    places: Places = field(default_factory=dict)
 
     @property
     def scans(self) -> int:
@@ -73,11 +79,12 @@ def figures_of(
 
     Args:
         floor: the plane of `find_floor`, None where none was found.
-        places: of `missing_places`; without them, missing depth is counted in the whole frame.
+        places: of `missing_places`, or none.
     """
     with ThreadPoolExecutor(max_workers=1) as pool:
         each = list(pool.map(lambda scan: _one(scan, floor, places or {}), scans))
-    return Figures(value={name: np.array([one[name] for one in each]) for name in ROWS})
+    value = {name: np.array([one[name] for one in each]) for name in ROWS}
+    return Figures(value=value, places=places or {})
 
 
 def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
@@ -153,7 +160,7 @@ def _one(
     gaps, fine = count_missing(scan), measure_fine(scan)
     at = [places.get(name, np.full(valid.shape, name == "visible")) for name in PLACES]
     missing = [float((~valid[one]).mean()) if one.any() else np.nan for one in at]
-    values = [100 * v for v in (*missing, _missing_among(valid, valid))]
+    values = [100 * v for v in (*missing, missing_among(valid, valid))]
     for sizes in (gaps.hole_sizes_px, gaps.speck_sizes_px):
         values += [float(((sizes >= a) & (sizes <= b)).sum()) for a, b in SIZES_PX]
     sigma_mm = 1e3 * np.sqrt(fine.variance_m2 / median_over_mean())
@@ -170,25 +177,17 @@ def _percentile(sigma_mm: Float[np.ndarray, " n"], share: int) -> float:
     return float(np.percentile(sigma_mm, share)) if len(sigma_mm) >= _LEAST_TILES else np.nan
 
 
-def _missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]) -> float:
-    """Of the pixels whose four neighbours are all among some, the share that has no depth."""
-    ring = among[1:-1, :-2] & among[1:-1, 2:] & among[:-2, 1:-1] & among[2:, 1:-1]
-    return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
-
-
 def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
     """Of the bare floor: fine noise [mm], and the share of holes [%]."""
     if floor is None:
         return [float("nan")] * 2
-    row, column = np.mgrid[: scan.depth_m.shape[0], : scan.depth_m.shape[1]]
-    inverse = floor[0] * column + floor[1] * row + floor[2]
-    plane_m = 1.0 / np.where(inverse > 0, inverse, np.nan)
+    plane_m = depth_of_floor(floor, *map(slice, scan.depth_m.shape))
     on_floor = np.abs(scan.depth_m - plane_m) < 4e-3
     mixed = second_difference(np.where(on_floor, scan.depth_m, np.nan))
     known = mixed[~np.isnan(mixed)]
     if len(known) < _LEAST_ON_FLOOR:
         return [float("nan")] * 2
-    return [1e3 * robust_sigma(known), 100 * _missing_among(scan.valid, on_floor)]
+    return [1e3 * robust_sigma(known), 100 * missing_among(scan.valid, on_floor)]
 
 
 def _texture(scan: DepthScan) -> list[float]:
@@ -196,7 +195,7 @@ def _texture(scan: DepthScan) -> list[float]:
 
     They are medians over squares of smooth surfaces, as a classifier judges squares.
     """
-    z_m = _squares(scan.depth_m)
+    z_m = tiles(scan.depth_m, SQUARE_PX)
     mixed = second_difference(z_m)
     known = (~np.isnan(mixed)).mean(axis=(1, 2)) >= _LEAST_KNOWN
     z_m, fine_m = z_m[known], robust_sigma(mixed[known], axis=(1, 2))
@@ -208,11 +207,3 @@ def _texture(scan: DepthScan) -> list[float]:
     above = [100 * (robust_sigma(along, axis=(1, 2)) / fine_m - 1) for along in alongs]
     common = [correlation(along[:, :-1], along[:, 1:]) for along in alongs]
     return [float(np.nanmedian(one)) for one in (*above, *common)]
-
-
-def _squares(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n s s"]:
-    """Squares beside each other; what is left at the right and lower borders is cut off."""
-    side = SQUARE_PX
-    rows, columns = (n // side * side for n in values.shape)
-    cut = values[:rows, :columns].reshape(rows // side, side, -1, side)
-    return cut.swapaxes(1, 2).reshape(-1, side, side)

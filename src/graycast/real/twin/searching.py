@@ -28,13 +28,12 @@ from .parameters import (
     BIN_COLOR,
     BIN_GLOSS,
     BIN_ROUGHNESS,
-    LASER_OVER_PLASTIC,
     Parameter,
     shares_of,
     values_at,
     with_values,
 )
-from .rows import Figures, Places, Row, compare, figures_of, loss_of, pulls_of
+from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, LitScene, scan_lit
 
 _DARK_LOSS = 1e3  # It is the loss of a scanner that sees nothing.
@@ -85,23 +84,19 @@ def search(
     parameters: Sequence[Parameter],
     real: Figures,
     *,
-    places: Places | None = None,
     trials: int,
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> Fit:
     """The best of about so many trials.
 
-    The places of the first look are the start, `LASER_OVER_PLASTIC`, and those of a Sobol sequence
-    over all ranges.
-
-    Args:
-        places: where missing depth is counted; those with which `real` was made.
+    The places of the first look are the start, the one laser scanner of `PARAMETERS`, and those of
+    a Sobol sequence over all ranges.
     """
-    run = _Trials(start, lit, parameters, real, places, seed, trials, progress)
+    run = _Trials(start, lit, parameters, real, seed, trials, progress)
     x0 = shares_of(start, parameters)
     _, before = run.judge(start.code, x0)
-    laser = np.array([p.share(LASER_OVER_PLASTIC[p.key]) for p in parameters])
+    laser = np.array([p.share(p.laser) for p in parameters])
     spread = qmc.Sobol(len(x0), seed=np.random.default_rng(seed)).random(_STARTS)
     each = trials // (len(codes) + 1)  # of the trials
     for number, code in enumerate(codes, start=1):
@@ -160,25 +155,22 @@ def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
     return 2 * np.sqrt(np.diag(np.linalg.inv(precision)))
 
 
+@dataclass
 class _Trials:
     """Makes trials, counts them, and tells of each."""
 
-    def __init__(
-        self,
-        start: Scanner,
-        lit: Sequence[LitScene],
-        parameters: Sequence[Parameter],
-        real: Figures,
-        places: Places | None,
-        seed: int,
-        total: int,
-        progress: ProgressMeter,
-    ) -> None:
-        self.start, self.lit, self.parameters, self.real = start, lit, parameters, real
-        self.places, self.seed, self.total, self.progress = places, seed, total, progress
+    start: Scanner
+    lit: Sequence[LitScene]
+    parameters: Sequence[Parameter]
+    real: Figures
+    seed: int
+    total: int
+    progress: ProgressMeter
+
+    def __post_init__(self) -> None:
         # Of the noise that all share: a place that is asked for again costs no trial.
         self.tried: dict[CodeSpec, dict[bytes, tuple[float, tuple[Row, ...]]]] = {}
-        self.floor = find_floor([one.truth.depth_m for one in lit])
+        self.floor = find_floor([one.truth.depth_m for one in self.lit])
 
     @property
     def done(self) -> int:
@@ -190,7 +182,7 @@ class _Trials:
         values = values_at(x, self.parameters)
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         scans = scans_of(self.lit, scanner, values, seed=self.seed, name="twin")
-        figures = figures_of(scans, self.floor, self.places)
+        figures = figures_of(scans, self.floor, self.real.places)
         return compare(self.real, figures) if figures.scans else ()
 
     def judge(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[float, tuple[Row, ...]]:

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,8 +12,9 @@ from ...base.frames import inverse, transform_points
 from ...base.progress import ProgressMeter
 from ...camera.scanner import Scanner
 from ...camera.scanner import scan as shoot
+from ...cell.config import quality_of
 from ...cell.resolve import Cell
-from ...rendering import GroundTruth, Quality, Radiance, Renderer
+from ...rendering import GroundTruth, Radiance, Renderer
 from ...rig.optics import corner_share, points, project
 from ...rig.pair import Rig, grey_levels
 from ...rig.pattern import CodeSpec
@@ -56,7 +58,6 @@ def light_scenes(
     *,
     seed: int,
     renderer: Renderer,
-    quality: Quality,
     rougher: Sequence[float],
     names: Sequence[str],
     progress: ProgressMeter,
@@ -79,7 +80,7 @@ def light_scenes(
                 one,
                 layout_of(scene),
                 np.concatenate(stack),
-                quality=quality,
+                quality=quality_of(cell.config.render),
                 seed=seed + number,
             )
             for one in (scene, *(with_black_bin(scene, more) for more in rougher))
@@ -180,25 +181,20 @@ def scan_lit(
     """
     radiance = lit.radiance[scanner.code]
     if look != BinLook():
-        coats = {more: light[scanner.code] for more, light in lit.coats.items()}
-        light = {
+        coats = {more: coat[scanner.code] for more, coat in lit.coats.items()}
+        light: dict[str, Any] = {
             name: _with_look(
                 getattr(radiance, name),
-                {more: getattr(light, name) for more, light in coats.items()},
+                {more: getattr(coat, name) for more, coat in coats.items()},
                 lit.is_bin,
                 look,
             )
             for name in ("pattern", "white", "ambient")
         }
-        radiance = replace(
-            radiance,
-            pattern=light["pattern"],
-            white=light["white"],
-            ambient=light["ambient"],
-            albedo=np.where(
-                lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
-            ),
+        albedo = np.where(
+            lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
         )
+        radiance = replace(radiance, **light, albedo=albedo)
     falloff = scanner.rig.projector.falloff or 0.0
     if falloff != lit.falloff:
         left = (1 - falloff * lit.corner_share) / (1 - lit.falloff * lit.corner_share)
@@ -240,8 +236,8 @@ def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
     """What is no part and lies over the table, within the bin's outline."""
-    seen_m = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
-    point = transform_points(scene.T_world_cam, seen_m)
+    point_cam = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
+    point = transform_points(scene.T_world_cam, point_cam)
     box = bin_of(scene)
     reach = np.array(box.inner_m[:2]) / 2 + 0.03
     with np.errstate(invalid="ignore"):

@@ -18,10 +18,12 @@ from ...world.scene import bin_of
 from ..fitted_config import fitted_text, refuse_there
 from ..realism import TwoSample, two_sample_table
 from ..realism.two_sample import PLACES
-from .making import Twin, scaled_color, scaled_reflectance
+from .making import Twin
 from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from .rows import Row
 from .searching import Fit
+
+_BRIGHTEST = 0.9
 
 
 def files_of(out: Path) -> tuple[Path, Path, Path]:
@@ -78,7 +80,10 @@ def report_text(twin: Twin) -> str:
         "",
         "| key | twin | from | to |",
         "|---|---|---|---|",
-        *_estimates(fit),
+        *(
+            f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
+            for one in fit.estimates
+        ),
         "",
         "| period of the code [px] | least misfit |",
         "|---|---|",
@@ -156,13 +161,6 @@ def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _estimates(fit: Fit) -> list[str]:
-    return [
-        f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
-        for one in fit.estimates
-    ]
-
-
 def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
     auc = test.row[row or next(iter(test.row))][place]["sensor"]
     return "-" if auc.mean is None else f"{auc.mean:.2f}"
@@ -178,12 +176,15 @@ def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
     for key, material in (("material", box.material), ("floor", box.floor)):
         if material is not None:
             own = section.setdefault(key, {})
-            own["base_color"] = scaled_color(material, color)
+            own["base_color"] = [_scaled(band, color) for band in material.base_color]
             if material.projector_reflectance is not None:  # it is what the camera sees
-                own["projector_reflectance"] = scaled_reflectance(
-                    material.projector_reflectance, color
-                )
+                own["projector_reflectance"] = _scaled(material.projector_reflectance, color)
             if gloss is not None:
                 own["specular"] = round(min(material.specular * gloss, 1.0), 4)
                 own["roughness"] = round(material.roughness + fit.values[BIN_ROUGHNESS], 4)
     return {"bin": section}
+
+
+def _scaled(reflectance: float, factor: float) -> float:
+    """So many times the reflectance, up to what a surface can reflect."""
+    return round(min(reflectance * factor, _BRIGHTEST), 4)

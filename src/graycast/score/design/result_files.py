@@ -75,19 +75,10 @@ class DesignFolder:
             earlier = parse_json(path.read_bytes())
         except ValueError as error:
             raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
-        record = plain(described)
-        where = next(
-            (
-                found
-                for key in sorted({*earlier, *record})
-                if (found := difference(earlier.get(key), record.get(key), key)) is not None
-            ),
-            None,
-        )
-        if where is not None:
+        if where := difference(earlier, plain(described), ""):
             raise DatasetError(
-                f"{folder} was measured with other values, which differ in {where}: choose another "
-                "folder, or remove this one"
+                f"{folder} was measured with other values, which differ in "
+                f"{where.removeprefix('.')}: choose another folder, or remove this one"
             )
 
 
@@ -109,11 +100,11 @@ def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | 
     Raises:
         GraycastError: a file is damaged.
     """
-    found: list[dict[str, Any] | None] = []
+    heaps: list[dict[str, Any] | None] = []
     for layout in range(spec.layouts):
         path = out / SETTINGS / name / heap_file(layout)
         try:
-            found.append(parse_json(path.read_bytes()) if path.exists() else None)
+            heaps.append(parse_json(path.read_bytes()) if path.exists() else None)
         except ValueError as error:
             raise GraycastError(f"{path}: cannot be read ({error}): remove this file") from error
-    return found
+    return heaps

@@ -254,7 +254,7 @@ def _report(options: argparse.Namespace) -> int:
             width_px=options.width,
             progress=bars,
         )
-    print(f"{summary.built} bins made, {summary.kept} were there; open {summary.page.resolve()}")
+    print(f"{summary.built} bins made, {summary.current} were there; open {summary.page.resolve()}")
     return 0
 
 

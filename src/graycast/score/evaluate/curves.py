@@ -41,7 +41,7 @@ def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
     return np.concatenate([[0], 1 + np.flatnonzero(new), [len(new) + 1]])
 
 
-def drawn_figures(
+def class_figures(
     matches: ClassMatches, times: Int[np.ndarray, "draws scenes"]
 ) -> tuple[Float[np.ndarray, "draws t"], Float[np.ndarray, "draws t"]]:
     """Average precision and recall of a class at each threshold.

@@ -7,7 +7,6 @@ and a mistake counts there alone, as COCO has it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
@@ -17,7 +16,7 @@ from pycocotools import mask as coco_mask
 
 from ...dataset.detections import Detections
 from .labels import Labels
-from .matching import Kind, Outside
+from .matching import Group, Kind
 
 VISIBILITY_EDGES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 AREA_EDGES = (
@@ -31,40 +30,22 @@ AREA_EDGES = (
 MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """One group: from `low` to `high`, without `high` except in the last group."""
-
-    by: str
-    low: float
-    high: float
-    outside: Outside
-
-    @property
-    def name(self) -> str:
-        return f"{100 * self.low:g} to {100 * self.high:g} %"
-
-
 def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
     """The groups that the labels allow; an unknown share makes no groups."""
     if all(one.visib_fract is not None for one in labels):
         above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
-        for low, high in _bins([min_visibility, *above]):
+        for low, high in pairwise([min_visibility, *above]):
             yield _group("visibility", low, high, lambda one: one.visib_fract)
     sizes = {one.size_px for one in labels}
     if None not in sizes:
         area = partial(_label_area, kind=kind)
         pixels = {one.scene_id: one.size_px[0] * one.size_px[1] for one in labels if one.size_px}
-        found = partial(_detection_area, kind=kind, pixels=pixels)
-        for low, high in _bins(AREA_EDGES):
-            yield _group("size", low, high, area, found)
+        detection_area = partial(_detection_area, kind=kind, pixels=pixels)
+        for low, high in pairwise(AREA_EDGES):
+            yield _group("size", low, high, area, detection_area)
     if all(one.missing is not None for one in labels):
-        for low, high in _bins(MISSING_EDGES):
+        for low, high in pairwise(MISSING_EDGES):
             yield _group("missing depth", low, high, lambda one: one.missing)
-
-
-def _bins(edges: Sequence[float]) -> list[tuple[float, float]]:
-    return list(pairwise(edges))
 
 
 def _group(
@@ -72,7 +53,7 @@ def _group(
     low: float,
     high: float,
     label_share: Callable[[Labels], Float[np.ndarray, " n"] | None],
-    found_share: Callable[[Detections], Float[np.ndarray, " n"]] | None = None,
+    detection_share: Callable[[Detections], Float[np.ndarray, " n"]] | None = None,
 ) -> Group:
     def outside(share: Float[np.ndarray, " n"] | None) -> Bool[np.ndarray, " n"]:
         if share is None:
@@ -83,10 +64,10 @@ def _group(
         by=by,
         low=low,
         high=high,
-        outside=Outside(
-            instance=lambda one: outside(label_share(one)),
-            detection=None if found_share is None else lambda one: outside(found_share(one)),
-        ),
+        other_instances=lambda one: outside(label_share(one)),
+        other_detections=None
+        if detection_share is None
+        else lambda one: outside(detection_share(one)),
     )
 
 

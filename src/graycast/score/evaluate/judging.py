@@ -13,7 +13,7 @@ from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
 from .labels import MIN_VISIBILITY, Labels
 from .matching import Kind, Overlaps, match, overlaps
 from .mistakes import FalseAlarm, Miss, WorkingPoint, false_alarms, misses, working_point
-from .scores import MOST, Scores, scores_of
+from .scores import MOST, Scores, score, scores_of
 
 KINDS: tuple[Kind, ...] = ("box", "mask")
 
@@ -75,16 +75,16 @@ class Judgement:
     false_alarms: tuple[FalseAlarm, ...]
 
 
-def kinds_of(labels: Sequence[Labels], found: Sequence[Detections]) -> tuple[Kind, ...]:
+def kinds_of(labels: Sequence[Labels], detections: Sequence[Detections]) -> tuple[Kind, ...]:
     """What can be compared: boxes, and masks where both sides have them."""
-    drawn = all(one.mask is not None for one in labels)
-    drawn = drawn and all(one.mask is not None for one in found if len(one))
-    return KINDS if drawn and any(map(len, found)) else ("box",)
+    sides = (*labels, *(one for one in detections if len(one)))
+    has_masks = all(one.mask is not None for one in sides)
+    return KINDS if has_masks and any(map(len, detections)) else ("box",)
 
 
 def judge(
     labels: Sequence[Labels],
-    found: Sequence[Detections],
+    detections: Sequence[Detections],
     *,
     kind: Kind,
     categories: Mapping[int, str],
@@ -96,32 +96,26 @@ def judge(
     Raises:
         GraycastError: labels and detections do not fit together.
     """
-    known = overlaps(labels, found, kind=kind, most=protocol.most)
+    known = overlaps(labels, detections, kind=kind, most=protocol.most)
     scene_of = [one.scene for one in known.labels]
     times = draw_scenes(scene_of, seed=protocol.seed, draws=protocol.draws)
-    scores = _scores(known)
-    other = None
+    scores = scores_of(match(known), known)
+    gap = None
     if against is not None:
-        other = _scores(overlaps(labels, against, kind=kind, most=protocol.most))
+        other = score(labels, against, kind=kind, most=protocol.most)
+        gap = differences(scores, other, times)
     point = working_point(scores.matches)
+    least = float("inf") if np.isnan(point.score) else point.score
     return Judgement(
         kind=kind,
         known=known,
         scores=scores,
         rows=tuple(_rows(known, scores, times, categories, protocol)),
-        against=None if other is None else differences(scores, other, times),
+        against=gap,
         point=point,
-        misses=tuple(misses(known, scores.matches, _least(point))),
-        false_alarms=tuple(false_alarms(known, scores.matches, _least(point))),
+        misses=tuple(misses(known, scores.matches, least)),
+        false_alarms=tuple(false_alarms(known, scores.matches, least)),
     )
-
-
-def _least(point: WorkingPoint) -> float:
-    return float("inf") if np.isnan(point.score) else point.score
-
-
-def _scores(known: Overlaps) -> Scores:
-    return scores_of(match(known), known)
 
 
 def _rows(
@@ -137,7 +131,7 @@ def _rows(
             alone = scores_of({obj_id: one}, known)
             yield _group_scores("class", categories.get(obj_id, str(obj_id)), alone, times)
     for group in groups(known.labels, kind=known.kind, min_visibility=protocol.min_visibility):
-        inside = scores_of(match(known, group.outside), known)
+        inside = scores_of(match(known, group), known)
         yield _group_scores(group.by, group.name, inside, times)
 
 

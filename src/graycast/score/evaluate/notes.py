@@ -16,8 +16,7 @@ TELLING = 0.005  # A note is worth it if the order of equal scores moves AP by t
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
     """Sentences about one file of results."""
-    found = judgements[0].known.found
-    if doubled := sum(map(_doubled, found)):
+    if doubled := sum(map(_doubled, judgements[0].known.detections)):
         yield (
             f"{doubled} detections repeat another one (same picture, class and outline), and each "
             "counts as a false alarm: remove them from the results."
@@ -59,8 +58,14 @@ def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
     )
 
 
-def _doubled(found: Detections) -> int:
+def _doubled(detections: Detections) -> int:
     """How many detections of a picture have the class, box and mask of an earlier one."""
-    masks = [None] * len(found) if found.mask is None else [str(m["counts"]) for m in found.mask]
-    outlines = zip(found.obj_id.tolist(), map(tuple, found.box_px.tolist()), masks, strict=True)
+    masks = (
+        [None] * len(detections)
+        if detections.mask is None
+        else [str(m["counts"]) for m in detections.mask]
+    )
+    outlines = zip(
+        detections.obj_id.tolist(), map(tuple, detections.box_px.tolist()), masks, strict=True
+    )
     return sum(count - 1 for count in Counter(outlines).values())

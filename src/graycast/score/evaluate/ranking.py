@@ -30,8 +30,8 @@ def roc_auc_of_scenes(
 ) -> Interval:
     """The same with its interval by resampling of scenes."""
     ids, place = np.unique(scene, return_inverse=True)
-    drawn = []
+    draws = []
     for times in draw_scenes(ids.tolist(), seed=seed) if len(ids) > 1 else ():
-        chosen = np.repeat(np.arange(len(score)), times[place])
-        drawn.append(roc_auc(score[chosen], success[chosen]))
-    return interval_of(roc_auc(score, success), np.array(drawn), len(ids))
+        index = np.repeat(np.arange(len(score)), times[place])
+        draws.append(roc_auc(score[index], success[index]))
+    return interval_of(roc_auc(score, success), np.array(draws), len(ids))

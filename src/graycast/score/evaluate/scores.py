@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...dataset.detections import Detections
-from .curves import drawn_figures
+from .curves import class_figures
 from .labels import Labels
 from .matching import THRESHOLDS, ClassMatches, Kind, Overlaps, match, overlaps
 
@@ -23,19 +23,15 @@ class Scores:
         ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.
         ap50: at a threshold of 0.50; `ap75` at 0.75.
         ar: share of the instances that are found, the mean over the same.
-        ap_of_class: `ap` of each object id that the labels or the detections have.
         scene_ids: of the pictures, in the order that `matches` has them.
         scene_of: the scene that each of them is of; several views of a scene share one.
         matches: of each class, what intervals and pictures of mistakes need.
     """
 
-    kind: Kind
-    most: int
     ap: float
     ap50: float
     ap75: float
     ar: float
-    ap_of_class: Mapping[int, float]
     scene_ids: tuple[int, ...]
     scene_of: tuple[int, ...]
     matches: Mapping[int, ClassMatches]
@@ -51,13 +47,13 @@ class Scores:
 
 
 def score(
-    labels: Sequence[Labels], found: Sequence[Detections], *, kind: Kind, most: int = MOST
+    labels: Sequence[Labels], detections: Sequence[Detections], *, kind: Kind, most: int = MOST
 ) -> Scores:
     """Judge the detections of some scenes by their labels.
 
     Args:
         labels: of each scene once, in any order.
-        found: of the same scenes, also where nothing was found.
+        detections: of the same scenes, also where nothing was found.
         kind: whether boxes or masks are compared.
         most: how many detections of a scene and a class count, best first.
 
@@ -65,7 +61,7 @@ def score(
         GraycastError: labels and detections are of different scenes or of pictures of different
             sizes, or one of them has no masks to compare.
     """
-    known = overlaps(labels, found, kind=kind, most=most)
+    known = overlaps(labels, detections, kind=kind, most=most)
     return scores_of(match(known), known)
 
 
@@ -73,13 +69,7 @@ def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
     """The figures of matched detections."""
     once = np.ones((1, len(known.labels)), dtype=np.int64)
     figures = {name: float(value[0]) for name, value in figures_of_draws(matches, once).items()}
-    of_class = {
-        obj_id: float(drawn_figures(one, once)[0].mean()) for obj_id, one in matches.items()
-    }
     return Scores(
-        kind=known.kind,
-        most=known.most,
-        ap_of_class=of_class,
         scene_ids=tuple(one.scene_id for one in known.labels),
         scene_of=tuple(one.scene for one in known.labels),
         matches=matches,
@@ -93,7 +83,7 @@ def figures_of_draws(
     """`FIGURES` of each draw of scenes: means over the classes that it has to find."""
     if not matches:
         return {name: np.full(len(times), np.nan) for name in FIGURES}
-    both = [drawn_figures(one, times) for one in matches.values()]
+    both = [class_figures(one, times) for one in matches.values()]
     precision = _mean_of_known(np.array([one[0] for one in both]))
     recall = _mean_of_known(np.array([one[1] for one in both]))
     at = {round(float(value), 2): t for t, value in enumerate(THRESHOLDS)}

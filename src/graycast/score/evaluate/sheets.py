@@ -17,7 +17,7 @@ from .judging import Judgement
 from .mistakes import NEAR, FalseAlarm, Miss
 
 MOST_CROPS = 20
-TRUTH_COLOR, FOUND_COLOR = "#3ddc84", "#ff4d4d"
+TRUTH_COLOR, DETECTION_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
 _MARGIN = 0.6  # On each side it is a share of the longer side of what is shown.
 _LEAST_PX = 48
@@ -88,20 +88,26 @@ def _draw(
     ax: Axes, judgement: Judgement, mistake: Miss | FalseAlarm, picture: Picture, title: str
 ) -> None:
     known = judgement.known
-    labels, found = known.labels[mistake.scene], known.found[mistake.scene]
+    labels, detections = known.labels[mistake.scene], known.detections[mistake.scene]
     image = picture(labels.scene_id)
     if isinstance(mistake, Miss):
         center = labels.box_px[mistake.instance]
     else:
-        center = found.box_px[mistake.detection]
+        center = detections.box_px[mistake.detection]
     left, top, right, bottom = _window(center.astype(float), image.shape[:2])
     ax.imshow(image[top:bottom, left:right], extent=(left, right, bottom, top))
     least = judgement.point.score
-    above = np.flatnonzero(~(found.score < least)) if not np.isnan(least) else np.arange(0)
+    above = np.flatnonzero(~(detections.score < least)) if not np.isnan(least) else np.arange(0)
     for i in above.tolist():
         own = isinstance(mistake, FalseAlarm) and i == mistake.detection
         if own or isinstance(mistake, Miss):
-            _outline(ax, found.box_px[i], _mask_of(found.mask, i, judgement), FOUND_COLOR, own)
+            _outline(
+                ax,
+                detections.box_px[i],
+                _mask_of(detections.mask, i, judgement),
+                DETECTION_COLOR,
+                own,
+            )
     for i in range(len(labels)):
         own = isinstance(mistake, Miss) and i == mistake.instance
         if own or isinstance(mistake, FalseAlarm):
@@ -144,8 +150,8 @@ def _outline(
             )
         )
         return
-    drawn: Bool[np.ndarray, "h w"] = coco_mask.decode(dict(mask)).astype(bool)
-    if drawn.any():
-        height_px, width_px = drawn.shape
+    inside: Bool[np.ndarray, "h w"] = coco_mask.decode(dict(mask)).astype(bool)
+    if inside.any():
+        height_px, width_px = inside.shape
         x, y = np.arange(width_px) + 0.5, np.arange(height_px) + 0.5
-        ax.contour(x, y, drawn, levels=[0.5], colors=color, linewidths=width)
+        ax.contour(x, y, inside, levels=[0.5], colors=color, linewidths=width)

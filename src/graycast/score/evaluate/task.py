@@ -21,7 +21,7 @@ from .judging import Protocol, judge, kinds_of
 from .labels import Labels, labels_of
 from .matching import Kind
 from .notes import notes
-from .results import DetectionRun, open_run, read_found
+from .results import DetectionRun, open_run, read_detections
 from .sheets import Picture
 
 _Either = TypeVar("_Either", Labels, Detections)
@@ -60,18 +60,19 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
     of_scene = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
     categories = dict(sets[0].categories)
     scene_ids = _scene_ids(task, run, of_scene)
-    found = read_found(run, scene_ids, categories)
-    other = None if against is None else read_found(against, scene_ids, categories)
+    detections = read_detections(run, scene_ids, categories)
+    other = None if against is None else read_detections(against, scene_ids, categories)
     labels = list(_labels(task, of_scene, scene_ids, progress))
     if task.one_class:
-        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
+        labels = [as_one_class(one) for one in labels]
+        detections = [as_one_class(one) for one in detections]
         other = None if other is None else [as_one_class(one) for one in other]
         categories = {_ONE_CLASS: "any part"}
-    kinds = kinds_of(labels, [*found, *(other or [])]) if task.kind is None else (task.kind,)
+    kinds = kinds_of(labels, [*detections, *(other or [])]) if task.kind is None else (task.kind,)
     judgements = tuple(
         judge(
             labels,
-            found,
+            detections,
             kind=kind,
             categories=categories,
             protocol=task.protocol,

@@ -12,6 +12,7 @@ import struct
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
@@ -21,7 +22,7 @@ from typing import Any, ClassVar
 
 from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
-from .page import about
+from ..report.page.packing import color_table, reason_records, report_script
 from .session import LatestAnswer, Message, Session
 
 HOST = "127.0.0.1"
@@ -31,6 +32,7 @@ _BEAT_S = 0.25  # A page's stream looks this often whether the page is still the
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
+_COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray", "magma")
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'"
 
@@ -192,7 +194,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif name == "newer" and query.isdecimal():
             self._send(_packed(self.live.session.newer(int(query))), "application/octet-stream")
         elif name == "about.js":
-            self._send(about().encode(), _TYPES[".js"])
+            self._send(_about(), _TYPES[".js"])
         elif name in _OWN or name in _SHARED:
             package = "graycast.show.report.page" if name in _SHARED else "graycast.show.live"
             body = resources.files(package).joinpath("web", name).read_bytes()
@@ -260,6 +262,19 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is printed for a request."""
+
+
+@cache
+def _about() -> bytes:
+    """What the page has to know before any picture."""
+    return report_script(
+        {
+            "reasons": reason_records(),
+            "colormaps": {name: color_table(name) for name in _COLORMAPS},
+            "scanners": {},
+            "statistics": {"part_error": {"sigma_mm": None}},
+        }
+    )
 
 
 def _command(body: bytes) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 
-from ...base.frames import inverse, transform_points
+from ...base.frames import transform_points
 from ...base.robust import robust_sigma
 from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
 from ...camera.picture import srgb_frame
@@ -21,6 +21,7 @@ from ...rig.optics import Optics
 from ...rig.pair import Rig
 from ...world.parts import Mesh
 from ...world.scene import Layout, Scene, bin_mesh
+from ..report.page.packing import view_record
 from ..report.rig_picture import common_field, footprint_m
 from .asking import Answer, Ask
 from .controls import values_of_files
@@ -150,24 +151,18 @@ def _capture(page: PageContent) -> dict[str, Any]:
 
 def _camera(page: PageContent) -> dict[str, Any]:
     camera: Optics = page.cell.scanner.rig.camera
-    T_cam_world = inverse(page.scene.T_world_cam)
     return {
         "width": camera.width_px,
         "height": camera.height_px,
-        "view": {
-            "cam_K": camera.K.ravel().tolist(),
-            "distortion": list(camera.distortion),
-            "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
-            "cam_t_w2c": (MM_PER_M * T_cam_world[:3, 3]).tolist(),
-        },
+        "view": view_record(camera, page.scene.T_world_cam),
     }
 
 
 def _rig(rig: Rig) -> dict[str, Any]:
     lens = asdict(rig.projector)
-    kept = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
+    names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
     return {
-        "projector": {name: lens[name] for name in kept},
+        "projector": {name: lens[name] for name in names},
         "T_cam_proj": rig.T_cam_proj.tolist(),
         "baseline_mm": MM_PER_M * rig.baseline_m,
         "axes_deg": float(np.degrees(rig.axes_angle_rad)),

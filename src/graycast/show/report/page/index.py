@@ -1,20 +1,19 @@
 """What all pages share, as one script: the dataset, its statistics, a row per scene."""
 
 import base64
-import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from .... import __version__
-from ....camera.decode import Reason
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures
 from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
 from ....dataset.stored import NO_REASON, StoredDataset
 from ....rig.pattern import Code, CodeSpec
-from .packing import color_table
+from .packing import color_table, reason_records, report_script
 from .scene_files import MISSING_COLOR
 
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
@@ -24,11 +23,11 @@ def index_script(
     stored: StoredDataset,
     figures: Iterable[SceneFigures],
     detections: Mapping[str, Any] | None = None,
-) -> tuple[str, Statistics]:
-    """`index.js`, and the statistics that it holds; figures may come from a generator.
+) -> bytes:
+    """`index.js`; figures may come from a generator.
 
     Args:
-        detections: what `found_index` gives; None where no results were judged.
+        detections: what `detection_index` gives; None where no results were judged.
     """
     rows: list[list[Any]] = []
 
@@ -52,8 +51,7 @@ def index_script(
         "scenes": rows,
         "detections": detections,
     }
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    return f"Graycast.report = {text};\n", statistics
+    return report_script(content)
 
 
 _COLUMNS = (
@@ -66,14 +64,11 @@ def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)
-    counts: dict[int, int] = {}
-    for obj_id in one.obj_id:
-        counts[obj_id] = counts.get(obj_id, 0) + 1
     return [
         one.split,
         one.scene_id,
         one.picture,
-        counts,
+        Counter(one.obj_id),
         len(one.obj_id),
         _short(_average([share for share in one.visib_fract if share is not None])),
         _short(one.decoded_share),
@@ -109,29 +104,19 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
 
 def _claim(content: Mapping[str, Any]) -> dict[str, Any]:
     """The claim without digests."""
-    kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
-    claim = {key: content[key] for key in kept if key in content}
+    keys = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
+    claim = {key: content[key] for key in keys if key in content}
     if "config" in claim:
         claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
     return claim
 
 
 def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
-    listed = [
-        {
-            "number": int(reason),
-            "name": reason.label,
-            "color": reason.color,
-            "meaning": reason.meaning,
-        }
-        for reason in Reason
-    ]
-    if "missing" in statistics.reason:
-        meaning = "no scanner depth; the dataset does not say why"
-        listed.append(
-            {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
-        )
-    return listed
+    if "missing" not in statistics.reason:
+        return reason_records()
+    meaning = "no scanner depth; the dataset does not say why"
+    missing = {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
+    return [*reason_records(), missing]
 
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:

@@ -36,20 +36,19 @@ def draw_precision_recall(
     save_png(figure, path, dpi=120)
 
 
-def draw_groups(judgements: Sequence[Judgement], path: Path) -> bool:
-    """Average precision of each group, a panel for each way to group; False if there is none.
+def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
+    """Average precision of each group, a panel for each way to group; no file if there is none.
 
     Raises:
         GraycastError: the file cannot be written.
     """
     ways = list(dict.fromkeys(row.by for row in judgements[0].rows if row.by != "all"))
     if not ways:
-        return False
+        return
     figure, axes = plain_figure(4.6 * len(ways), 3.8, (1,) * len(ways), grid="y")
     for ax, by in zip(axes, ways, strict=True):
         _bars(ax, by, judgements)
     save_png(figure, path, dpi=120)
-    return True
 
 
 def _curves(judgement: Judgement) -> dict[int, Float[np.ndarray, "t recalls"]]:

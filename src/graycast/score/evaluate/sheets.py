@@ -1,13 +1,12 @@
 """The worst mistakes as crops of the pictures, with the outlines of both sides."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from pycocotools import mask as coco_mask
@@ -25,8 +24,8 @@ _LEAST_PX = 48
 Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]
 
 
-def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
-    """Draw the most visible instances that were missed; False if there are none.
+def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> None:
+    """Draw the most visible instances that were missed; no file if there are none.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -34,31 +33,29 @@ def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
     crops = judgement.misses[:MOST_CROPS]
     least = judgement.point.score
     threshold = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
-    figure, axes = _sheet(len(crops), f"{len(judgement.misses)} missed (green){threshold}")
-    for ax, miss in zip(axes, crops, strict=True):
+    titles = []
+    for miss in crops:
         labels = judgement.known.labels[miss.scene]
         known = "" if labels.visib_fract is None else f", {labels.visib_fract[miss.instance]:.0%}"
-        title = f"scene {labels.scene_id}{known}{' visible' if known else ''}\n{_nearest(miss)}"
-        _draw(ax, judgement, miss, picture, title)
-    return _save(figure, path, crops)
+        head = f"scene {labels.scene_id}{known}{' visible' if known else ''}"
+        titles.append(f"{head}\n{_nearest(miss)}")
+    heading = f"{len(judgement.misses)} missed (green){threshold}"
+    _draw_sheet(judgement, dict(zip(crops, titles, strict=True)), heading, picture, path)
 
 
-def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> bool:
-    """Draw the detections with the highest scores that found nothing; False if there are none.
+def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> None:
+    """Draw the detections with the highest scores that found nothing; no file if there are none.
 
     Raises:
         GraycastError: the file cannot be written.
     """
-    crops = judgement.false_alarms[:MOST_CROPS]
+    crops = {
+        alarm: f"scene {judgement.known.labels[alarm.scene].scene_id}, score {alarm.score:.2f}\n"
+        f"{alarm.why}, overlap {alarm.overlap:.2f}"
+        for alarm in judgement.false_alarms[:MOST_CROPS]
+    }
     heading = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
-    figure, axes = _sheet(len(crops), heading)
-    for ax, alarm in zip(axes, crops, strict=True):
-        scene_id = judgement.known.labels[alarm.scene].scene_id
-        title = (
-            f"scene {scene_id}, score {alarm.score:.2f}\n{alarm.why}, overlap {alarm.overlap:.2f}"
-        )
-        _draw(ax, judgement, alarm, picture, title)
-    return _save(figure, path, crops)
+    _draw_sheet(judgement, crops, heading, picture, path)
 
 
 def _nearest(miss: Miss) -> str:
@@ -67,21 +64,25 @@ def _nearest(miss: Miss) -> str:
     return f"nearest: overlap {miss.overlap:.2f}, score {miss.score:.2f}"
 
 
-def _sheet(count: int, title: str) -> tuple[Figure, list[Axes]]:
-    rows = max(-(-count // _COLUMNS), 1)
+def _draw_sheet(
+    judgement: Judgement,
+    crops: Mapping[Miss, str] | Mapping[FalseAlarm, str],
+    heading: str,
+    picture: Picture,
+    path: Path,
+) -> None:
+    """Crops of mistakes, each with its title, on one sheet."""
+    if not crops:
+        return
+    rows = -(-len(crops) // _COLUMNS)
     figure = Figure(figsize=(2.3 * _COLUMNS, 2.6 * rows + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, _COLUMNS, squeeze=False).ravel().tolist()
     for ax in axes:
         ax.set_axis_off()
-    figure.suptitle(title, fontsize=9, color=INK, x=0.01, ha="left")
-    return figure, axes[:count]
-
-
-def _save(figure: Figure, path: Path, crops: Sequence[Any]) -> bool:
-    if crops:
-        save_png(figure, path, dpi=90)
-    return bool(crops)
+    figure.suptitle(heading, fontsize=9, color=INK, x=0.01, ha="left")
+    for ax, (mistake, title) in zip(axes, crops.items(), strict=False):
+        _draw(ax, judgement, mistake, picture, title)
+    save_png(figure, path, dpi=90)
 
 
 def _draw(

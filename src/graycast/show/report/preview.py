@@ -29,10 +29,10 @@ from ...cell.simulate import Shot
 from ...dataset import labelled
 from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
-from ...rig.pair import depth_per_column_m, depth_per_row_m
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from ...world.scene import Scene
+from .rig_picture import depth_per_line_m
 
 DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400
@@ -290,8 +290,7 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
     """
     known = truth.depth_m[np.isfinite(truth.depth_m)]
     z_m = float(np.median(known)) if known.size else scene.rig.near_m
-    of_axis = {"column": depth_per_column_m, "row": depth_per_row_m}
-    limit_m = _ERROR_COLUMNS * of_axis[triangulation_axis(scene.rig)](scene.rig, z_m)
+    limit_m = _ERROR_COLUMNS * depth_per_line_m(scene.rig, z_m)
     return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
 
 

@@ -70,11 +70,11 @@ def write_rescan_page(
         for scene in scene_folders(out / claim.split, RECORDS)
         for number, record in image_records(scene).items()
     ]
-    chosen = np.unique(np.linspace(0, len(places) - 1, _MOST).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, len(places) - 1, _MOST).round().astype(int)).tolist()
     rows, errors_mm = [], []
     with whole_folder(folder) as aside:
         (aside / "images").mkdir()
-        for done, k in enumerate(chosen, start=1):
+        for done, k in enumerate(index, start=1):
             scene, number, record = places[k]
             pictures, error_mm = _pictures(scene, number, record, claim)
             errors_mm.append(error_mm)
@@ -86,11 +86,11 @@ def write_rescan_page(
             share = f"{record.reasons['decoded']:.1%} decoded"
             rows.append(f'<tr><td colspan="6">{scene.name}/{number:06d}: {share}</td></tr>')
             rows.append(f"<tr>{''.join(cells)}</tr>")
-            progress.count("images", done, len(chosen))
+            progress.count("images", done, len(index))
         records = [record for _, _, record in places]
         text = _page(out, claim, records, np.concatenate(errors_mm), rows)
         (aside / PAGE).write_text(text, encoding="utf-8")
-    return RescanPage(page=folder / PAGE, images=len(chosen), of=len(places))
+    return RescanPage(page=folder / PAGE, images=len(index), of=len(places))
 
 
 def _pictures(

@@ -73,13 +73,13 @@ def describe_rig(rig: Rig) -> str:
         f"  depth           {f'one {triangulation_axis(rig)}':>13}   common field",
     ]
     for name, z_m in _stations(rig):
-        line_mm = 1e3 * _depth_per_line_m(rig, z_m)
+        line_mm = 1e3 * depth_per_line_m(rig, z_m)
         step = "not lit on axis" if math.isnan(line_mm) else f"{line_mm:.3f} mm"
         lines.append(f"  {name:6} {1e3 * z_m:6.0f} mm  {step:>12}   {_field_words(rig, z_m)}")
     return "\n".join(lines)
 
 
-def _depth_per_line_m(rig: Rig, z_m: float) -> float:
+def depth_per_line_m(rig: Rig, z_m: float) -> float:
     """Per line of the projector's picture that the baseline moves: a column, or a row."""
     match triangulation_axis(rig):
         case "column":
@@ -152,10 +152,10 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
 
 def _draw_depth_per_line(ax: Axes, rig: Rig) -> None:
     z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
-    step_m = np.array([_depth_per_line_m(rig, z) for z in z_m])
+    step_m = np.array([depth_per_line_m(rig, z) for z in z_m])
     ax.plot(1e3 * z_m, 1e3 * step_m, color="black")
     for name, z in _stations(rig):
-        here_mm = 1e3 * _depth_per_line_m(rig, z)
+        here_mm = 1e3 * depth_per_line_m(rig, z)
         if math.isfinite(here_mm):
             ax.plot(1e3 * z, here_mm, "o", color="black")
             text = f"{name}: {here_mm:.3f} mm"

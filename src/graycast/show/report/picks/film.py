@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8, UInt16
+from jaxtyping import Float, UInt8, UInt16
 from PIL import Image, ImageDraw, ImageFont
 
 from ....base.errors import GraycastError
@@ -149,14 +149,14 @@ def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -
 
 def _tool_path_m(replay: Replay, motions: Sequence[Motion | None]) -> Float[np.ndarray, "points 3"]:
     """Where the tool's limbs are over all times: the corners of their boxes, in the world."""
-    found = [np.zeros((0, 3))]
+    corners_m = [np.zeros((0, 3))]
     for number, limb in enumerate(replay.limbs[replay.arm_limbs :], start=replay.arm_limbs):
         corners = np.stack(np.meshgrid(*limb.bounds_m.T), axis=-1).reshape(-1, 3)
         places = [motion.T_world_limb[::4, number] for motion in motions if motion is not None]
-        found += [
+        corners_m += [
             transform_points(T, corners) for T in np.concatenate([*places, np.zeros((0, 4, 4))])
         ]
-    return np.concatenate(found)
+    return np.concatenate(corners_m)
 
 
 def _attempts(
@@ -233,15 +233,15 @@ def _ground(replay: Replay, eye: _Eye) -> _Layer:
     front = Mesh(vertices_m=box.vertices_m, faces=box.faces[facing])
     size = (eye.camera.height_px, eye.camera.width_px)
     sky = _Layer(color=np.full((*size, 3), TINT["sky"]), z=np.full(size, np.inf))
-    bin_ = _drawn(eye, front, np.array(TINT["bin"]))
-    return bin_.over(_drawn(eye, table(replay), np.array(TINT["table"]))).over(sky)
+    bin_ = _body(eye, front, np.array(TINT["bin"]))
+    return bin_.over(_body(eye, table(replay), np.array(TINT["table"]))).over(sky)
 
 
 def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4"]) -> _Layer:
     arm = replay.arm_limbs
     pairs = list(zip(replay.limbs, T_world_limb, strict=True))
-    body = _drawn(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
-    return body.over(_drawn(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
+    body = _body(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
+    return body.over(_body(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
 
 
 def _remaining(
@@ -273,17 +273,16 @@ def _part(
     replay: Replay, eye: _Eye, kinds: tuple[int, ...], number: int, T: Float[np.ndarray, "4 4"]
 ) -> _Layer:
     mesh = replay.cell.cell.scene.parts[kinds[number]].mesh
-    return _drawn(eye, joined([(mesh, T)]), np.array(TINT["part"]))
+    return _body(eye, joined([(mesh, T)]), np.array(TINT["part"]))
 
 
-def _drawn(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
+def _body(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
     """A mesh in one colour, as bright as it faces the eye."""
     vertices = eye.sees(mesh)
     face, z = rasterize(vertices, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
     corner = vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    camera = eye.camera
-    shade = _shade(normal[face], picture_rays(camera))
+    shade = _shade(normal[face], picture_rays(eye.camera))
     return _Layer(color=shade[..., None] * tint, z=np.where(face >= 0, z, np.inf))
 
 
@@ -338,8 +337,9 @@ def _scattered(
     """Points of a pixel each, far ones first so that near ones stay."""
     column, row = np.rint(project(eye.camera, point)).astype(int).T
     height, width = ground.z.shape
+    inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
     order = np.argsort(-point[:, 2])
-    order = order[_inside(row[order], column[order], (height, width))]
+    order = order[inside[order]]
     row, column, z = row[order], column[order], point[order, 2]
     visible = z < ground.z[row, column] + _ON_SURFACE_M
     row, column, z = row[visible], column[visible], z[visible]
@@ -347,10 +347,6 @@ def _scattered(
     color[row, column] = shade[order][visible][:, None] * np.array(TINT["point"])
     depth[row, column] = z
     return _Layer(color=color, z=depth)
-
-
-def _inside(row: np.ndarray, column: np.ndarray, size: tuple[int, int]) -> Bool[np.ndarray, " p"]:
-    return (row >= 0) & (column >= 0) & (row < size[0]) & (column < size[1])
 
 
 # --- pictures -------------------------------------------------------------------------------------

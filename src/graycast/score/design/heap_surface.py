@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...base.frames import inverse, look_at, transform_points
 from ...rig.meshdepth import rasterize
-from ...rig.optics import Optics, project
+from ...rig.optics import Optics, pixels_of
 from ...world.parts import Mesh
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 from ..merge.adding import surface_of
@@ -116,12 +116,9 @@ def sight(
     vertices = transform_points(T_eye_world, obstacles.mesh.vertices_m.astype(np.float64))
     face, z_m = rasterize(vertices, obstacles.mesh.faces, eye).over(eye)
     at = transform_points(T_eye_world, point_m)
-    pixel = project(eye, at)
-    column, row = np.rint(np.nan_to_num(pixel, nan=-1.0)).clip(-1, 2**30).astype(np.int64).T
-    inside = (at[:, 2] > 0) & (column >= 0) & (column < eye.width_px)
-    inside &= (row >= 0) & (row < eye.height_px)
+    pixel, inside = pixels_of(eye, at)
     visibility = np.full(len(point_m), int(Visibility.OUTSIDE))
-    column, row = column[inside], row[inside]
+    row, column = pixel[inside].T
     hit, own = face[row, column], at[inside]
     nearest_m = np.maximum(z_m[row, column], _on_plane(vertices, obstacles, hit, own))
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)

@@ -124,9 +124,9 @@ def overlaps(
     detections = [by_scene[scene_id] for scene_id in scene_ids]
     pairs: dict[int, list[Pair]] = {}
     for scene, (there, of_scene) in enumerate(zip(ordered, detections, strict=True)):
-        shapes = _shapes(there, of_scene, kind)
+        both = shapes(there, of_scene, kind)
         for obj_id in np.union1d(there.obj_id, of_scene.obj_id).tolist():
-            pair = _pair(scene, there, of_scene, obj_id, shapes, most)
+            pair = _pair(scene, there, of_scene, obj_id, both, most)
             pairs.setdefault(obj_id, []).append(pair)
     return Overlaps(
         kind=kind,
@@ -155,7 +155,7 @@ def _check_scenes(labelled: list[int], detected: list[int]) -> None:
         )
 
 
-def _shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
+def shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
     """What is compared: boxes or run lengths of instances and of detections."""
     if kind == "box":
         return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
@@ -184,7 +184,7 @@ def _pair(
     there: Labels,
     of_scene: Detections,
     obj_id: int,
-    shapes: tuple[list[Any], list[Any]],
+    both: tuple[list[Any], list[Any]],
     most: int,
 ) -> Pair:
     instance = np.flatnonzero(there.obj_id == obj_id)
@@ -194,8 +194,8 @@ def _pair(
     overlap = np.zeros((len(detection), len(instance)))
     if overlap.size:
         overlap = coco_mask.iou(
-            [shapes[1][i] for i in detection],
-            [shapes[0][i] for i in instance],
+            [both[1][i] for i in detection],
+            [both[0][i] for i in instance],
             ignored.astype(int).tolist(),
         )
     return Pair(

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pycocotools import mask as coco_mask
 
-from .matching import ClassMatches, Overlaps
+from .matching import ClassMatches, Overlaps, shapes
 
 AT_HALF = 0  # It is the place of 0.5 among THRESHOLDS.
 NEAR = 0.1  # A detection that overlaps less is of nothing.
@@ -158,15 +158,8 @@ def _overlaps(
     instance: Int[np.ndarray, " g"],
 ) -> Float[np.ndarray, "d g"]:
     """Intersection over union, whatever the classes."""
-    labels, detections = known.labels[scene], known.detections[scene]
     if not (len(detection) and len(instance)):
         return np.zeros((len(detection), len(instance)))
-    plain = [0] * len(instance)
-    if known.kind == "mask" and labels.mask is not None and detections.mask is not None:
-        masks = [detections.mask[i] for i in detection], [labels.mask[i] for i in instance]
-        return coco_mask.iou(*masks, plain)
-    boxes = (
-        side.astype(float).tolist()
-        for side in (detections.box_px[detection], labels.box_px[instance])
-    )
-    return coco_mask.iou(*boxes, plain)
+    instances, detections = shapes(known.labels[scene], known.detections[scene], known.kind)
+    sides = [detections[i] for i in detection], [instances[i] for i in instance]
+    return coco_mask.iou(*sides, [0] * len(instance))

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.frames import inverse, transform_points
-from ...rig.optics import project
+from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
 SIGMAS = 4.0  # Views of one surface may differ by so many standard deviations.
@@ -58,11 +58,8 @@ class ViewAgreement:
 
 def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
     """What a view measured where it would see another's points."""
-    camera = view.camera
     place = transform_points(inverse(view.T_world_cam), own.point_m)
-    column, row = np.rint(np.nan_to_num(project(camera, place), nan=-1.0)).T
-    inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    pixel = np.where(inside[:, None], np.stack([row, column], axis=-1), 0).astype(np.int64)
+    pixel, inside = pixels_of(view.camera, place)
     there = points.at(pixel)
     apart = there.point_m - own.point_m
     across = _mean_normal(own, there)

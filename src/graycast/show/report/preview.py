@@ -230,7 +230,7 @@ def painted(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A map in the colours of `name`; beyond the limits its ends, `unknown` for NaN."""
     low, high = limits
-    share = np.clip((value - low) / (high - low), 0.0, 1.0)
+    share = np.clip((value - low) / max(high - low, 1e-9), 0.0, 1.0)
     color = colormaps[name](np.nan_to_num(share))[..., :3]
     color[np.isnan(value)] = unknown
     return np.round(255 * color).astype(np.uint8)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib import colormaps
 
 from ...base.color import srgb_of_bytes
 from ...base.folder import refuse_foreign, whole_folder
@@ -21,10 +20,12 @@ from ...dataset.rescanned import RECORDS, ImageRecord, RescanClaim, image_record
 from ...dataset.scene_folder import SceneFolder, scene_folders
 from .page import WIDTH_PX
 from .page.packing import jpeg, palette_picture, shrunk
+from .preview import painted
 
 PAGE = "rescan.html"
 _MOST = 60  # So many images are drawn.
 _QUALITY = 88
+_BLACK = (0.0, 0.0, 0.0)
 _ERROR_MM = 1.0  # The picture of errors has its full colours here.
 _HEADS = (
     "picture",
@@ -113,13 +114,14 @@ def _pictures(
         perfect_mm = _depth_mm(steps, step_mm)
     error_mm = scanned_mm - perfect_mm
     known = perfect_mm if np.isfinite(perfect_mm).any() else scanned_mm
-    span = np.nanquantile(np.where(np.isfinite(scanned_mm), known, np.nan), [0.01, 0.99])
+    low, high = np.nanquantile(np.where(np.isfinite(scanned_mm), known, np.nan), [0.01, 0.99])
+    span = float(low), float(high)
     pictures = (
         picture,
         white,
-        _coloured(perfect_mm, "viridis", span[0], span[1]),
-        _coloured(scanned_mm, "viridis", span[0], span[1]),
-        _coloured(error_mm, "RdBu_r", -_ERROR_MM, _ERROR_MM),
+        painted(perfect_mm, "viridis", span, unknown=_BLACK),
+        painted(scanned_mm, "viridis", span, unknown=_BLACK),
+        painted(error_mm, "RdBu_r", (-_ERROR_MM, _ERROR_MM), unknown=_BLACK),
         reasons,
     )
     return dict(zip(_HEADS, pictures, strict=True)), error_mm[np.isfinite(error_mm)]
@@ -127,15 +129,6 @@ def _pictures(
 
 def _depth_mm(steps: np.ndarray, step_mm: float) -> Float[np.ndarray, "h w"]:
     return np.where(steps > 0, steps * step_mm, np.nan)
-
-
-def _coloured(
-    value: Float[np.ndarray, "h w"], colors: str, low: float, high: float
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Black where there is no value."""
-    share = np.nan_to_num((value - low) / max(high - low, 1e-9))
-    picture = (255 * colormaps[colors](share)[..., :3]).round().astype(np.uint8)
-    return picture * np.isfinite(value)[..., None].astype(np.uint8)
 
 
 def _page(

@@ -22,7 +22,7 @@ from ....base.folder import write_whole
 from ....base.frames import inverse, look_at, transform_points
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....rig.meshdepth import rasterize
-from ....rig.optics import Optics, picture_rays, points, project
+from ....rig.optics import Optics, picture_rays, pixels_of, points, project
 from ....robot.pick import StoredEpisode, read_episodes
 from ....robot.pick.outcome import Outcome
 from ....robot.pick.pick_files import BINS, DEPTH_STEP_M
@@ -335,12 +335,10 @@ def _scattered(
     eye: _Eye, point: Float[np.ndarray, "p 3"], shade: Float[np.ndarray, " p"], ground: _Layer
 ) -> _Layer:
     """Points of a pixel each, far ones first so that near ones stay."""
-    column, row = np.rint(project(eye.camera, point)).astype(int).T
-    height, width = ground.z.shape
-    inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+    pixel, inside = pixels_of(eye.camera, point)
     order = np.argsort(-point[:, 2])
     order = order[inside[order]]
-    row, column, z = row[order], column[order], point[order, 2]
+    (row, column), z = pixel[order].T, point[order, 2]
     visible = z < ground.z[row, column] + _ON_SURFACE_M
     row, column, z = row[visible], column[visible], z[visible]
     color, depth = ground.color.copy(), ground.z.copy()

@@ -1,7 +1,6 @@
 """The settings of a design study, and the cell that each of them makes."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -65,20 +64,18 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
     Raises:
         ConfigError: two settings have one name.
     """
-    settings = tuple(setting for sweep in spec.sweeps for setting in _combinations(sweep))
+    settings = []
+    for sweep in spec.sweeps:
+        lists = {key: getattr(sweep, key) or (None,) for key in SweepSection.model_fields}
+        combinations = product(*lists.values())
+        settings += [Setting(**dict(zip(lists, one, strict=True))) for one in combinations]
     name, times = Counter(setting.name for setting in settings).most_common(1)[0]
     if times > 1:
         raise ConfigError(
             f"the setting {name} comes {times} times: remove it from one sweep, or rename a rig "
             "file"
         )
-    return settings
-
-
-def _combinations(sweep: SweepSection) -> Iterator[Setting]:
-    lists = {key: getattr(sweep, key) or (None,) for key in SweepSection.model_fields}
-    for values in product(*lists.values()):
-        yield Setting(**dict(zip(lists, values, strict=True)))
+    return tuple(settings)
 
 
 @final

@@ -50,7 +50,9 @@ def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> 
     text = json.dumps(evaluation_json(evaluation), indent=1, allow_nan=False)
     (folder / EVALUATION).write_text(text + "\n", encoding="utf-8")
     (folder / "figures.csv").write_text(_csv(evaluation), encoding="utf-8")
-    (folder / "figures.md").write_text(figures_markdown(evaluation), encoding="utf-8")
+    (folder / "figures.md").write_text(
+        "\n\n".join(_paragraphs(evaluation)) + "\n", encoding="utf-8"
+    )
     judgements = evaluation.judgements
     draw_precision_recall(judgements, evaluation.categories, folder / "precision_recall.png")
     draw_groups(judgements, folder / "groups.png")
@@ -88,11 +90,6 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
     )
 
 
-def figures_markdown(evaluation: Evaluation) -> str:
-    """A table of every figure with its interval, and the sentences around it."""
-    return "\n\n".join(_paragraphs(evaluation)) + "\n"
-
-
 def summary(evaluation: Evaluation) -> str:
     """The figures of all instances, for the terminal."""
     lines = [_what(evaluation)]
@@ -106,6 +103,7 @@ def summary(evaluation: Evaluation) -> str:
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
+    """A table of every figure with its interval, and the sentences around it."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes

@@ -121,14 +121,12 @@ def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
     """The dataset, and the pictures of each of its scenes, or of the one that is meant."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
-    shots = [shot for shot in stored.pictures if not one or _same(shot.folder, source)]
+    shots = [
+        shot for shot in stored.pictures if not one or shot.folder.absolute() == source.absolute()
+    ]
     if not shots:
         raise DatasetError(f"{source}: is no finished scene of {stored.folder}: give one of them")
     return stored, [list(view) for _, view in groupby(shots, key=lambda shot: shot.folder)]
-
-
-def _same(a: Path, b: Path) -> bool:
-    return a.absolute() == b.absolute()
 
 
 def _share(share: float) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
+from jaxtyping import Float, Num
 
 from ...base.errors import DatasetError
 from ...base.frames import inverse, transform_points
@@ -151,18 +151,8 @@ def measured_noise_px(
     on_plane = np.isfinite(off_px)
     if not on_plane.any():
         return np.full(depth_m.shape, _NO_PLANES_PX)
-    strength, noise_px = _by_light(light, off_px, on_plane)
-    return np.interp(light, strength, noise_px)
-
-
-def _by_light(
-    light: Num[np.ndarray, "h w"],
-    off_px: Float[np.ndarray, "h w"],
-    on_plane: Bool[np.ndarray, "h w"],
-) -> tuple[list[float], list[float]]:
-    """Median light and noise of groups of equal size, the darkest first."""
-    order = np.argsort(light[on_plane], kind="stable")
+    order = np.argsort(light[on_plane], kind="stable")  # groups of equal size, the darkest first
     groups = np.array_split(order, np.clip(len(order) // _LEAST, 1, _GROUPS))
     strength = [float(np.median(light[on_plane][group])) for group in groups]
     off = [float(np.median(off_px[on_plane][group])) for group in groups]
-    return strength, [MAD_SIGMA * each / np.sqrt(_CENTRE) for each in off]
+    return np.interp(light, strength, [MAD_SIGMA * each / np.sqrt(_CENTRE) for each in off])

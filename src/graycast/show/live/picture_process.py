@@ -146,11 +146,5 @@ class PictureProcess:
         with self._lock:
             stopping = self._stopping
         if not stopping:
-            self._on_end(_end_of(self._process.exitcode or 0))
-
-
-def _end_of(exit_code: int) -> str:
-    """What ended a process, in words."""
-    if exit_code >= 0:
-        return f"exit code {exit_code}"
-    return signal.Signals(-exit_code).name
+            code = self._process.exitcode or 0
+            self._on_end(f"exit code {code}" if code >= 0 else signal.Signals(-code).name)

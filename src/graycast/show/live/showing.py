@@ -50,8 +50,8 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
     """All maps of what is shown; the colour picture is among them once it is made."""
     cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
-    axis = triangulation_axis(cell.scanner.rig)
-    codes = page.codes
+    rig, codes = cell.scanner.rig, page.codes
+    camera, axis = rig.camera, triangulation_axis(rig)
     place, spread = (
         (codes.column, codes.sigma_column) if axis == "column" else (codes.row, codes.sigma_row)
     )
@@ -80,11 +80,13 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "frame": frame,
         "axis": axis,
         "depth_scale_mm": scale_mm,
-        **_camera(page),
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "view": view_record(camera, page.scene.T_world_cam),
         **_capture(page),
         "figures": _figures(page),
-        "rig": _rig(cell.scanner.rig),
-        "lines": _lines(cell.scanner.rig, page.scene.T_world_cam),
+        "rig": _rig(rig),
+        "lines": _lines(rig, page.scene.T_world_cam),
         "target": _target(page),
         "notes": list(cell.notes),
         "values": values_of_files(cell),
@@ -146,15 +148,6 @@ def _capture(page: PageContent) -> dict[str, Any]:
         "high_dn": sensor.saturation_dn,
         "merged": isinstance(page.capture.exposure_s, np.ndarray),
         "frames": [frame.name for frame in page.cell.code.frames],
-    }
-
-
-def _camera(page: PageContent) -> dict[str, Any]:
-    camera: Optics = page.cell.scanner.rig.camera
-    return {
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "view": view_record(camera, page.scene.T_world_cam),
     }
 
 

@@ -64,13 +64,14 @@ def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)
+    visible = [share for share in one.visib_fract if share is not None]
     return [
         one.split,
         one.scene_id,
         one.picture,
         Counter(one.obj_id),
         len(one.obj_id),
-        _short(_average([share for share in one.visib_fract if share is not None])),
+        _short(sum(visible) / len(visible) if visible else None),
         _short(one.decoded_share),
         _short(one.part_reason_px.get("decoded", 0) / parts),
         {name: _short(px / one.pixels) for name, px in one.reason_px.items() if px},
@@ -83,10 +84,6 @@ def _scene_row(one: SceneFigures) -> list[Any]:
 
 def _short(value: float | None, digits: int = 4) -> float | None:
     return None if value is None or np.isnan(value) else round(value, digits)
-
-
-def _average(values: list[float]) -> float | None:
-    return sum(values) / len(values) if values else None
 
 
 def _mean(counts: dict[int, int]) -> float | None:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.score.evaluate.groups import AREA_EDGES, groups
-from graycast.score.evaluate.judging import Protocol, judge
+from graycast.score.evaluate.judging import AREA_EDGES, Protocol, groups, judge
 from graycast.score.evaluate.matching import match, overlaps
 from graycast.score.evaluate.mistakes import false_alarms, misses, working_point
 from graycast.score.evaluate.scores import scores_of

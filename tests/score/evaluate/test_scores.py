@@ -8,7 +8,7 @@ import pytest
 from graycast.base.errors import GraycastError
 from graycast.dataset.example import Example
 from graycast.score.evaluate import labels_of, score
-from graycast.score.evaluate.curves import precision_curves
+from graycast.score.evaluate.scores import precision_curves
 
 from .drawn_sets import SIZE_PX, RandomSet, figures, found_squares, ours, squares
 

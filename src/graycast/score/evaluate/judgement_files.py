@@ -12,13 +12,18 @@ import numpy as np
 from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import plain
 from .intervals import Interval
+from .judgement_plots import (
+    Picture,
+    draw_false_alarms,
+    draw_groups,
+    draw_misses,
+    draw_precision_recall,
+)
 from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
-from .precision_plots import draw_groups, draw_precision_recall
 from .results import DetectionRun
 from .scores import FIGURES
-from .sheets import Picture, draw_false_alarms, draw_misses
 
 EVALUATION = "evaluation.json"
 _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
@@ -176,9 +181,7 @@ def _judgement_json(one: Judgement) -> dict[str, Any]:
         ],
         "difference": None if one.against is None else _intervals(one.against),
         "working_point": {
-            "score": one.point.score,
-            "precision": one.point.precision,
-            "recall": one.point.recall,
+            **asdict(one.point),
             "missed": len(one.misses),
             "false_alarms": dict(Counter(alarm.why for alarm in one.false_alarms)),
         },

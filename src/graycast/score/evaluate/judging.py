@@ -1,20 +1,31 @@
-"""From labels and detections to all figures of them, for boxes and for masks."""
+"""From labels and detections to all figures of them, for boxes and for masks.
 
-from collections.abc import Iterator, Mapping, Sequence
+Instances outside a group are ignored: they need not be found, and what finds one is neither a hit
+nor a mistake. They overlap as ever (intersection over union), so a bad outline of one is a mistake
+in every group, as is a detection of nothing. By size alone detections have a group of their own,
+and a mistake counts there alone, as COCO has it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
+from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
 from ...dataset.detections import Detections
-from .groups import groups
 from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
 from .labels import MIN_VISIBILITY, Labels
-from .matching import Kind, Overlaps, match, overlaps
+from .matching import Group, Kind, Overlaps, match, overlaps
 from .mistakes import FalseAlarm, Miss, WorkingPoint, false_alarms, misses, working_point
 from .scores import MOST, Scores, score, scores_of
 
+VISIBILITY_EDGES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+# Areas are shares of the picture; each edge is four times the last.
+AREA_EDGES = (0.0, 0.001, 0.004, 0.016, 0.064, 1.0)
+MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 KINDS: tuple[Kind, ...] = ("box", "mask")
 
 
@@ -139,3 +150,55 @@ def _group_scores(
     by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> GroupRow:
     return GroupRow(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))
+
+
+# --- groups -------------------------------------------------------------------------------------
+
+
+def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
+    """The groups that the labels allow; an unknown share makes no groups."""
+    if all(one.visib_fract is not None for one in labels):
+        above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
+        for low, high in pairwise([min_visibility, *above]):
+            yield _group("visibility", low, high, lambda one: one.visib_fract)
+    if all(one.size_px is not None for one in labels):
+        pixels = {one.scene_id: one.size_px[0] * one.size_px[1] for one in labels if one.size_px}
+
+        def share(one: Labels | Detections) -> Float[np.ndarray, " n"]:
+            return _area_px2(one, kind) / pixels[one.scene_id]
+
+        for low, high in pairwise(AREA_EDGES):
+            # A detection's box that reaches beyond the picture covers no more than it.
+            yield _group("size", low, high, share, lambda one: np.minimum(share(one), 1.0))
+    if all(one.missing is not None for one in labels):
+        for low, high in pairwise(MISSING_EDGES):
+            yield _group("missing depth", low, high, lambda one: one.missing)
+
+
+def _group(
+    by: str,
+    low: float,
+    high: float,
+    label_share: Callable[[Labels], Float[np.ndarray, " n"] | None],
+    detection_share: Callable[[Detections], Float[np.ndarray, " n"]] | None = None,
+) -> Group:
+    def outside(share: Float[np.ndarray, " n"] | None) -> Bool[np.ndarray, " n"]:
+        if share is None:
+            raise ValueError(f"these labels do not know their {by}")
+        return (share < low) | ((share > high) if high == 1.0 else (share >= high))
+
+    return Group(
+        by=by,
+        low=low,
+        high=high,
+        other_instances=lambda one: outside(label_share(one)),
+        other_detections=None
+        if detection_share is None
+        else lambda one: outside(detection_share(one)),
+    )
+
+
+def _area_px2(one: Labels | Detections, kind: Kind) -> Float[np.ndarray, " n"]:
+    if kind == "mask":
+        return np.array([coco_mask.area(dict(mask)) for mask in one.mask or ()], dtype=float)
+    return one.box_px[:, 2].astype(float) * one.box_px[:, 3]

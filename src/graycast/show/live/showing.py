@@ -191,38 +191,33 @@ def _target(page: PageContent) -> list[float]:
 
 def _lines(rig: Rig, T_world_cam: Float[np.ndarray, "4 4"]) -> Mapping[str, list[float]]:
     """Segments in the world [mm]: both fields to the far end of the range, what they share."""
-    middle_m = 0.5 * (rig.near_m + rig.far_m)
+    ends_m = rig.near_m, 0.5 * (rig.near_m + rig.far_m), rig.far_m
     lines = {
         "camera": _field(rig.camera, np.eye(4), rig.far_m),
         "projector": _field(rig.projector, rig.T_cam_proj, rig.far_m),
         "baseline": [np.stack([np.zeros(3), rig.T_cam_proj[:3, 3]])],
-        "common": _volume([_common(rig, z_m) for z_m in (rig.near_m, middle_m, rig.far_m)]),
+        "common": _volume([_outline(common_field(rig, z_m), z_m) for z_m in ends_m]),
     }
-    return {
-        name: _flat(transform_points(T_world_cam, np.concatenate(segments)) if segments else None)
+    points_m = {
+        name: transform_points(T_world_cam, np.reshape(segments, (-1, 3)))
         for name, segments in lines.items()
     }
-
-
-def _flat(points_m: Float[np.ndarray, "n 3"] | None) -> list[float]:
-    return [] if points_m is None else np.round(MM_PER_M * points_m, 2).ravel().tolist()
+    return {name: np.round(MM_PER_M * p, 2).ravel().tolist() for name, p in points_m.items()}
 
 
 def _field(
     optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
 ) -> list[Float[np.ndarray, "2 3"]]:
-    outline = footprint_m(optics, T_cam_device, z_m)
-    if not len(outline):
+    corners = _outline(footprint_m(optics, T_cam_device, z_m), z_m)
+    if not len(corners):
         return []
-    corners = np.column_stack([outline, np.full(len(outline), z_m)])
     each = len(corners) // 4
     sides = [np.stack([T_cam_device[:3, 3], corners[each * k]]) for k in range(4)]
     return [*sides, *_around(corners[::each] if not optics.has_distortion else corners)]
 
 
-def _common(rig: Rig, z_m: float) -> Float[np.ndarray, "n 3"]:
-    outline = common_field(rig, z_m)
-    return np.column_stack([outline, np.full(len(outline), z_m)])
+def _outline(xy_m: Float[np.ndarray, "n 2"], z_m: float) -> Float[np.ndarray, "n 3"]:
+    return np.column_stack([xy_m, np.full(len(xy_m), z_m)])
 
 
 def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]:

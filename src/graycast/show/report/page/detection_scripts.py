@@ -45,7 +45,8 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
     return {
         "name": evaluation.run.name,
         "kind": judgement.kind,
-        "score": 0.5 if np.isnan(point.score) else _below(point.score),
+        # Rounded so that the detection of that score still counts on the page.
+        "score": 0.5 if np.isnan(point.score) else float(np.floor(point.score * 100) / 100),
         "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,
     }
@@ -93,11 +94,6 @@ def detection_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator
 
 def _judgement(evaluation: Evaluation) -> Judgement:
     return evaluation.judgements[-1]  # masks come after boxes
-
-
-def _below(score: float) -> float:
-    """Rounded so that the detection of that score still counts on the page."""
-    return float(np.floor(score * 100) / 100)
 
 
 def _instance(judgement: Judgement, scene: int, place: int) -> int | None:

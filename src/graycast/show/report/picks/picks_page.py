@@ -58,7 +58,10 @@ def write_pick_report(
         content = {
             "name": picks.resolve().name,
             "graycast": __version__,
-            "claim": _claim(replay),
+            "claim": {
+                **{key: replay.claim[key] for key in ("config", "seed", "versions")},
+                "rig": replay.cell.cell.scene.rig.name,
+            },
             "colormaps": {name: color_table(name) for name in ("viridis_r", "RdBu_r")},
             "reasons": [],
             "outcomes": outcome_words(),
@@ -74,11 +77,6 @@ def write_pick_report(
         write_whole(out / "index.js", report_script(content))
         write_web(out, _WEB)
     return done
-
-
-def _claim(replay: Replay) -> dict[str, Any]:
-    claim = {key: replay.claim[key] for key in ("config", "seed", "versions")}
-    return {**claim, "rig": replay.cell.cell.scene.rig.name}
 
 
 def _cell(replay: Replay) -> dict[str, Any]:

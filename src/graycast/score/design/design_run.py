@@ -17,14 +17,13 @@ from ...cell.config import resolve_quality
 from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
 from ...cell.resolve import Cell
 from ...cell.simulate import counts_of
-from ...dataset.json_text import json_bytes
 from ...rendering import Rendering
 from ...world.drop import drop
 from ...world.parts import Part
 from ...world.scene import Layout
 from .heap_surface import HeapSurface, spread_surface
 from .point_fates import figures, judge, picture_png, view_of
-from .result_files import PICTURE, heap_file, open_design
+from .result_files import heap_files, open_design
 from .setting import Placed, lights_of, place_settings, settings_of
 from .study import DesignSpec
 
@@ -94,10 +93,10 @@ class Comparer:
             seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
             record = figures(scene, view, heap.surface, fates, seconds=seconds)
             measured[name] = record["measured"]
+            picture = None
             if number == 0:
                 picture = picture_png(gray_picture(capture), view, heap.surface, fates)
-                files.append((f"{name}/{PICTURE}", picture))
-            files.append((f"{name}/{heap_file(number)}", json_bytes(record)))
+            files += heap_files(name, number, record, picture)
         return TaskResult(
             scene_id=scene_id,
             files=tuple(files),

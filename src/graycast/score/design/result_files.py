@@ -31,6 +31,14 @@ def heap_file(layout: int) -> str:
     return f"{layout:03d}.json"
 
 
+def heap_files(
+    name: str, layout: int, figures: Mapping[str, Any], picture: bytes | None
+) -> list[tuple[str, bytes]]:
+    """What a setting's scan of a heap comes to: (path, content), the figures last."""
+    files = [] if picture is None else [(f"{name}/{PICTURE}", picture)]
+    return [*files, (f"{name}/{heap_file(layout)}", json_bytes(figures))]
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignFolder:

@@ -31,11 +31,7 @@ _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 def draw_precision_recall(
     judgements: Sequence[Judgement], categories: Mapping[int, str], path: Path
 ) -> None:
-    """A panel for boxes, one for masks; beside each the classes, if there are several.
-
-    Raises:
-        GraycastError: the file cannot be written.
-    """
+    """A panel for boxes, one for masks; beside each the classes, if there are several."""
     several = len(judgements[0].scores.matches) > 1
     panels = 2 if several else 1
     count = panels * len(judgements)
@@ -49,11 +45,7 @@ def draw_precision_recall(
 
 
 def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
-    """Average precision of each group, a panel for each way to group; no file if there is none.
-
-    Raises:
-        GraycastError: the file cannot be written.
-    """
+    """Average precision of each group, a panel for each way to group; no file if there is none."""
     ways = list(dict.fromkeys(row.by for row in judgements[0].rows if row.by != "all"))
     if not ways:
         return
@@ -139,35 +131,25 @@ def _whisker(ax: Axes, x: float, row: GroupRow) -> None:
 
 
 def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> None:
-    """Draw the most visible instances that were missed; no file if there are none.
-
-    Raises:
-        GraycastError: the file cannot be written.
-    """
-    crops = judgement.misses[:MOST_CROPS]
+    """Draw the most visible instances that were missed; no file if there are none."""
     least = judgement.point.score
     threshold = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
-    titles = []
-    for miss in crops:
+    crops = []
+    for miss in judgement.misses[:MOST_CROPS]:
         labels = judgement.known.labels[miss.scene]
         known = "" if labels.visib_fract is None else f", {labels.visib_fract[miss.instance]:.0%}"
         head = f"scene {labels.scene_id}{known}{' visible' if known else ''}"
-        titles.append(f"{head}\n{_nearest(miss)}")
+        crops.append((miss, f"{head}\n{_nearest(miss)}"))
     heading = f"{len(judgement.misses)} missed (green){threshold}"
-    _draw_sheet(judgement, dict(zip(crops, titles, strict=True)), heading, picture, path)
+    _draw_sheet(judgement, crops, heading, picture, path)
 
 
 def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> None:
-    """Draw the detections with the highest scores that found nothing; no file if there are none.
-
-    Raises:
-        GraycastError: the file cannot be written.
-    """
-    crops = {
-        alarm: f"scene {judgement.known.labels[alarm.scene].scene_id}, score {alarm.score:.2f}\n"
-        f"{alarm.why}, overlap {alarm.overlap:.2f}"
-        for alarm in judgement.false_alarms[:MOST_CROPS]
-    }
+    """Draw the detections with the highest scores that found nothing; no file if there are none."""
+    crops = []
+    for alarm in judgement.false_alarms[:MOST_CROPS]:
+        head = f"scene {judgement.known.labels[alarm.scene].scene_id}, score {alarm.score:.2f}"
+        crops.append((alarm, f"{head}\n{alarm.why}, overlap {alarm.overlap:.2f}"))
     heading = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
     _draw_sheet(judgement, crops, heading, picture, path)
 
@@ -180,7 +162,7 @@ def _nearest(miss: Miss) -> str:
 
 def _draw_sheet(
     judgement: Judgement,
-    crops: Mapping[Miss, str] | Mapping[FalseAlarm, str],
+    crops: Sequence[tuple[Miss | FalseAlarm, str]],
     heading: str,
     picture: Picture,
     path: Path,
@@ -194,7 +176,7 @@ def _draw_sheet(
     for ax in axes:
         ax.set_axis_off()
     figure.suptitle(heading, fontsize=9, color=INK, x=0.01, ha="left")
-    for ax, (mistake, title) in zip(axes, crops.items(), strict=False):
+    for ax, (mistake, title) in zip(axes, crops, strict=False):
         _draw(ax, judgement, mistake, picture, title)
     save_png(figure, path, dpi=90)
 

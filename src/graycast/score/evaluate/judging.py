@@ -88,8 +88,8 @@ class Judgement:
 
 def kinds_of(labels: Sequence[Labels], detections: Sequence[Detections]) -> tuple[Kind, ...]:
     """What can be compared: boxes, and masks where both sides have them."""
-    sides = (*labels, *(one for one in detections if len(one)))
-    has_masks = all(one.mask is not None for one in sides)
+    has_masks = all(one.mask is not None for one in labels)
+    has_masks &= all(one.mask is not None for one in detections if len(one))
     return KINDS if has_masks and any(map(len, detections)) else ("box",)
 
 

@@ -159,6 +159,18 @@ def optics_of(
     )
 
 
+def pinhole(width_px: int, height_px: int, f_px: float) -> Optics:
+    """Ideal optics whose axis meets the middle of the picture."""
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=f_px,
+        fy_px=f_px,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
 def distort(
     xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
 ) -> Float[np.ndarray, "*n 2"]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...base.frames import inverse, look_at, transform_points
 from ...rig.meshdepth import rasterize
-from ...rig.optics import Optics, pixels_of
+from ...rig.optics import Optics, pinhole, pixels_of
 from ...world.parts import Mesh
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 from ..merge.adding import surface_of
@@ -166,11 +166,7 @@ def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # nearly parallel rays
     f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # parts may stick out at the top
-    centre_px = (LEAST_PX - 1) / 2
-    eye = Optics(
-        width_px=LEAST_PX, height_px=LEAST_PX, fx_px=f_px, fy_px=f_px, cx_px=centre_px,
-        cy_px=centre_px,
-    )  # fmt: skip
+    eye = pinhole(LEAST_PX, LEAST_PX, f_px)
     eyes = []
     for count, share in RINGS if cone_deg > 0 else RINGS[:1]:
         lean = np.radians(share * cone_deg)

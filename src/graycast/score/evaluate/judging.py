@@ -57,7 +57,7 @@ class GroupRow:
         by: `all`, `class`, or what the group is made by.
         name: the part's, or the group's.
         to_find: instances that count there.
-        figures: `FIGURES` with their intervals.
+        figures: `FIGURES` of the scores or of poses, with their intervals.
     """
 
     by: str

@@ -18,7 +18,7 @@ from ...dataset.models_read import read_models
 from ...dataset.pose_results import PoseEstimate, read_pose_results
 from ...dataset.training import Examples, open_examples
 from .intervals import Interval, draw_scenes, interval_of
-from .judging import Protocol
+from .judging import GroupRow, Protocol
 from .pose_recall import Counts, PictureTruth, count_picture, solid_of
 
 POSES = "poses.json"
@@ -36,15 +36,6 @@ _UNIT = 10.0  # In one unit the distances of estimates and parts differ by this 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PoseRow:
-    """Figures of all parts or of one, with their intervals; the last two are medians."""
-
-    name: str
-    to_find: int
-    figures: Mapping[str, Interval]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PoseEvaluation:
     """Everything about one file of poses.
 
@@ -59,7 +50,7 @@ class PoseEvaluation:
     estimates: int
     seconds: float
     protocol: Protocol
-    rows: tuple[PoseRow, ...]
+    rows: tuple[GroupRow, ...]
 
 
 def evaluate_poses(
@@ -109,27 +100,30 @@ def pose_rows(
     scene_of: Mapping[int, int],
     categories: Mapping[int, str],
     protocol: Protocol,
-) -> tuple[PoseRow, ...]:
-    """Figures of all parts, then of each where there are several; scenes are drawn together.
+) -> tuple[GroupRow, ...]:
+    """`FIGURES` of all parts, then of each where there are several; scenes are drawn together.
 
-    `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
+    The last two figures are medians. `scene_of` is the scene of each picture, by the numbers of the
+    pictures that `counts` have.
     """
     times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
-    rows = [_pose_row("all", counts, scene_of, times)]
+    rows = [_pose_row("all", "all", counts, scene_of, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:
         for obj_id in present:
             mine = [one for one in counts if one.obj_id == obj_id]
-            rows.append(_pose_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
+            name = categories.get(obj_id, str(obj_id))
+            rows.append(_pose_row("class", name, mine, scene_of, times))
     return tuple(rows)
 
 
 def _pose_row(
+    by: str,
     name: str,
     counts: Sequence[Counts],
     scene_of: Mapping[int, int],
     times: Int[np.ndarray, "draws pictures"],
-) -> PoseRow:
+) -> GroupRow:
     scenes = len(set(scene_of.values()))
     hits, to_find = np.zeros((len(scene_of), 4)), np.zeros(len(scene_of))
     angle: list[list[float]] = [[] for _ in scene_of]
@@ -154,7 +148,7 @@ def _pose_row(
     }
     figures["rotation_deg"] = _median(angle, times, scenes)
     figures["translation_mm"] = _median(shift, times, scenes)
-    return PoseRow(name=name, to_find=int(to_find.sum()), figures=figures)
+    return GroupRow(by=by, name=name, to_find=int(to_find.sum()), figures=figures)
 
 
 def _median(

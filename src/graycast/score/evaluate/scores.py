@@ -19,9 +19,10 @@ from jaxtyping import Float, Int
 
 from ...dataset.detections import Detections
 from .labels import Labels
-from .matching import THRESHOLDS, ClassMatches, Kind, Overlaps, match, overlaps
+from .matching import ClassMatches, Kind, Overlaps, match, overlaps
 
 MOST = 300  # A full bin has 255 parts of a class in a scene: COCO's 100 detections are too few.
+_AT_50, _AT_75 = 0, 5  # These are the places of 0.50 and 0.75 among `THRESHOLDS`.
 RECALLS = np.linspace(0.0, 1.0, 101)  # They are COCO's.
 RECALLS.flags.writeable = False
 FIGURES = ("ap", "ap50", "ap75", "ar")
@@ -98,11 +99,10 @@ def figures_of_draws(
     both = [class_figures(one, times) for one in matches.values()]
     precision = _mean_of_known(np.array([one[0] for one in both]))
     recall = _mean_of_known(np.array([one[1] for one in both]))
-    at = {round(float(value), 2): t for t, value in enumerate(THRESHOLDS)}
     return {
         "ap": precision.mean(axis=1),
-        "ap50": precision[:, at[0.5]],
-        "ap75": precision[:, at[0.75]],
+        "ap50": precision[:, _AT_50],
+        "ap75": precision[:, _AT_75],
         "ar": recall.mean(axis=1),
     }
 

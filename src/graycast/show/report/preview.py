@@ -116,7 +116,6 @@ class _Sheet:
             self._tops.append(height_px + _ABOVE_PX)
             height_px += _ABOVE_PX + self.tile_px[1] + below_px
         self.figure = Figure(figsize=(SHEET_WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
-        FigureCanvasAgg(self.figure)
         self._filled = 0
 
     def picture(self, title: str, image: UInt8[np.ndarray, "h w 3"]) -> Axes:

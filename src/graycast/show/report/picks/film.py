@@ -22,7 +22,7 @@ from ....base.folder import write_whole
 from ....base.frames import inverse, look_at, transform_points
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....rig.meshdepth import rasterize
-from ....rig.optics import Optics, picture_rays, pixels_of, points, project
+from ....rig.optics import Optics, picture_rays, pinhole, pixels_of, points, project
 from ....robot.pick import StoredEpisode, read_episodes
 from ....robot.pick.outcome import Outcome
 from ....robot.pick.pick_files import BINS, DEPTH_STEP_M
@@ -118,10 +118,7 @@ def write_film(
     for done, attempt in enumerate(attempts, start=1):
         frames += attempt
         progress.count("attempts", done, len(episode.attempts))
-    try:
-        write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
-    except OSError as error:
-        raise GraycastError(f"{out}: cannot be written ({error.strerror or error})") from error
+    write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
     return len(frames)
 
 
@@ -129,10 +126,7 @@ def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -
     """From behind the bin, as far away as the tool needs to stay in the picture."""
     height_px = round(0.75 * width_px)
     f_px = height_px / 2 / np.tan(_FIELD_RAD / 2)
-    camera = Optics(
-        width_px=width_px, height_px=height_px, fx_px=f_px, fy_px=f_px,
-        cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2,
-    )  # fmt: skip
+    camera = pinhole(width_px, height_px, f_px)
     view = look(replay)
     yaw, middle = view["yaw"], 1e-3 * np.array(view["middle"])
     out = np.array([np.cos(_PITCH_RAD) * np.cos(yaw), np.cos(_PITCH_RAD) * np.sin(yaw), 0.0])

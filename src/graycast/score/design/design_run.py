@@ -23,7 +23,7 @@ from ...world.parts import Part
 from ...world.scene import Layout
 from .heap_surface import HeapSurface, spread_surface
 from .point_fates import figures, judge, picture_png, view_of
-from .result_files import heap_files, open_design
+from .result_files import claim_setting, heap_files, is_finished, open_design, write_heap
 from .setting import Placed, lights_of, place_settings, settings_of
 from .study import DesignSpec
 
@@ -203,15 +203,15 @@ def run_design(
 
     def is_missing(scene_id: int) -> bool:
         group, layout = task.group(scene_id)
-        return not all(folder.finished(one.setting.name, layout) for one in group)
+        return not all(is_finished(out, one.setting.name, layout) for one in group)
 
     def keep(result: TaskResult) -> None:
-        folder.write(result.files)
+        write_heap(out, result.files)
         on_result(*task.name(result.scene_id), result)
 
-    with open_design(out) as folder:
+    with open_design(out):
         for one in placed:
-            folder.claim(one, one.described(spec))
+            claim_setting(out, one, one.described(spec))
         scene_ids = range(len(task.lights) * spec.layouts)
         lost = make_missing(
             task,

@@ -129,9 +129,9 @@ class BootstrapFigure:
         return interval_of(self.value, self.draws, self.scenes)
 
 
-def bootstrap(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> BootstrapFigure:
+def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
     """One of `FIGURES` of the scores with its draws."""
-    times = draw_scenes(scores.scene_of, seed=seed, draws=draws)
+    times = draw_scenes(scores.scene_of, seed=seed)
     return BootstrapFigure(
         value=getattr(scores, figure),
         draws=figures_of_draws(scores.matches, times)[figure],

@@ -16,5 +16,6 @@ Each imports only from those above it:
     frames           rigid transforms, rotations, the pixel grid and units of length
     mask_box         the box about a mask's pixels, and where a window and an image overlap
     ply              point clouds and meshes as PLY files
+    tables           tables as CSV and as Markdown
     progress         what a long task tells whoever waits for it
 """

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from .folder import fill_whole
@@ -26,7 +25,6 @@ def plain_figure(
 ) -> tuple[Figure, list[Axes]]:
     """A figure of plain axes, row by row; `columns` are the widths of a row's, as shares."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, len(columns), width_ratios=columns, squeeze=False).ravel().tolist()
     for ax in axes:
         plain_axes(ax, grid=grid)

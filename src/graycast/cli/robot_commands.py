@@ -252,7 +252,7 @@ def _report(options: argparse.Namespace) -> None:
             width_px=options.width,
             progress=bars,
         )
-    print(f"{summary.built} bins made, {summary.kept} were there; open {summary.page.resolve()}")
+    print(f"{summary.built} bins made, {summary.current} were there; open {summary.page.resolve()}")
 
 
 def _score_poses(options: argparse.Namespace) -> None:

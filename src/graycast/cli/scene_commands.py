@@ -338,7 +338,9 @@ def _report(options: argparse.Namespace) -> int:
             detections=options.detections,
             progress=bars,
         )
-    print(f"{summary.built} scenes made, {summary.kept} were there; open {summary.page.resolve()}")
+    print(
+        f"{summary.built} scenes made, {summary.current} were there; open {summary.page.resolve()}"
+    )
     return 0
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from pydantic import AfterValidator, Field
 
 from ..base.frames import pixel_grid
@@ -155,6 +155,18 @@ def optics_of(
     )
 
 
+def pinhole(width_px: int, height_px: int, f_px: float) -> Optics:
+    """Ideal optics whose axis meets the middle of the picture."""
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=f_px,
+        fy_px=f_px,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
 def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
     """Ideal normalised image coordinates to distorted ones.
 
@@ -211,6 +223,19 @@ def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
         ideal = np.where(r2 < fold_radius2(optics.distortion), ideal, np.nan)
     xy = distort(ideal, optics.distortion)
     return xy * [optics.fx_px, optics.fy_px] + [optics.cx_px, optics.cy_px]
+
+
+def pixels_of(
+    optics: Optics, point: Float[np.ndarray, "*n 3"]
+) -> tuple[Int[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
+    """The pixel that sees each point of the camera frame, row and column, and whether one does.
+
+    Row and column are 0 where none does.
+    """
+    column, row = np.moveaxis(np.rint(np.nan_to_num(project(optics, point), nan=-1.0)), -1, 0)
+    inside = (column >= 0) & (column < optics.width_px) & (row >= 0) & (row < optics.height_px)
+    pixel = np.where(inside[..., None], np.stack([row, column], axis=-1), 0)
+    return pixel.astype(np.int64), inside
 
 
 def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:

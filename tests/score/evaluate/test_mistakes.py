@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.score.evaluate.groups import AREA_EDGES, groups
-from graycast.score.evaluate.judging import Protocol, judge
+from graycast.score.evaluate.judging import AREA_EDGES, Protocol, groups, judge
 from graycast.score.evaluate.matching import match, overlaps
 from graycast.score.evaluate.mistakes import false_alarms, misses, working_point
 from graycast.score.evaluate.scores import scores_of
@@ -65,7 +64,7 @@ def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
     by_size = [g for g in groups(known.labels, kind=kind, min_visibility=0.1) if g.by == "size"]
     assert [g.low for g in by_size] == list(AREA_EDGES[:-1])
     for group in by_size:
-        own = scores_of(match(known, group.outside), known)
+        own = scores_of(match(known, group), known)
         areas = [group.low * pixels, group.high * pixels]
         theirs = figures(*drawn.by_pycocotools(kind, areas=areas, box_areas=kind == "box"))
         np.testing.assert_allclose(ours(own), theirs, rtol=0, atol=1e-9)

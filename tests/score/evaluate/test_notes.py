@@ -8,7 +8,7 @@ import pytest
 
 from graycast.score.evaluate import Protocol, score
 from graycast.score.evaluate.judging import judge
-from graycast.score.evaluate.notes import ap_of_any_order, notes
+from graycast.score.evaluate.task import ap_of_any_order, notes
 
 from .drawn_sets import found_squares, squares
 

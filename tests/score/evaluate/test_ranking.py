@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from graycast.score.evaluate.ranking import roc_auc, roc_auc_of_scenes
+from graycast.score.evaluate.shares import roc_auc, roc_auc_of_scenes
 
 
 def test_the_area_is_the_share_of_pairs_in_order():

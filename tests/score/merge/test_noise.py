@@ -7,7 +7,7 @@ import pytest
 from seen import FINE
 
 from graycast.rig.pair import preset_rig
-from graycast.score.merge.view_noise import depth_slope_m, measured_noise_px
+from graycast.score.merge.stored_views import depth_slope_m, measured_noise_px
 
 
 def rig():

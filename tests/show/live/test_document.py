@@ -14,7 +14,7 @@ from graycast.cell.config import Config
 from graycast.cell.resolve import resolve_cell
 from graycast.rig.pair import preset_rig
 from graycast.show.live.controls import described_controls, values_of_files
-from graycast.show.live.document import Document, RigChange, changed, checked, turned_rig, written
+from graycast.show.live.document import Document, RigChange, changed, checked, files_of, turned_rig
 
 WORDS = {"parts": [{"builtin": "metal_workpiece_1"}], "count": 4}
 
@@ -65,14 +65,13 @@ def test_the_configuration_is_refused_in_the_command_line_s_words(path):
 def test_ambient_light_is_a_factor_of_all_that_shines(path):
     lamp = {"center_m": [0.7, -0.5, 1.6], "radiance": [10.0, 20.0, 30.0]}
     turned = changed(document(light={"lamps": [lamp, lamp]}), "ambient", 3)
-    light = written(turned, path, rig_name="rig.yaml").content["light"]
+    light = files_of(turned, path, rig_name="rig.yaml")[0]["light"]
     assert light["environment"]["radiance"] == pytest.approx([0.6, 0.6, 0.6])  # of the default
     assert [one["radiance"] for one in light["lamps"]] == [[30.0, 60.0, 90.0]] * 2
 
 
 def test_what_is_not_turned_is_written_as_it_was(path):
-    now = written(document(), path, rig_name="rig.yaml")
-    assert now.content == WORDS and now.rig_text is None
+    assert files_of(document(), path, rig_name="rig.yaml") == (WORDS, None)
 
 
 def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
@@ -80,15 +79,15 @@ def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
         document(rig="phoxi-m", resolution="small"),
         rig=RigChange(power=1.7, baseline=0.9, toe_in_deg=0.3),
     )
-    now = written(turned, path, rig_name="own.yaml")
-    assert now.content["rig"] == "own.yaml" and "resolution" not in now.content
+    content, rig_text = files_of(turned, path, rig_name="own.yaml")
+    assert content["rig"] == "own.yaml" and "resolution" not in content
     file = path.with_name("own.yaml")
-    file.write_text(now.rig_text)
+    file.write_text(rig_text)
     rig = load_scanner(file).rig
     expected = turned_rig(scanner.preset("phoxi-m", "small").rig, turned.rig)
     np.testing.assert_array_equal(rig.T_cam_proj, expected.T_cam_proj)
     assert rig.camera == expected.camera and rig.intensity_w_sr == expected.intensity_w_sr == 17.0
-    yaml.safe_load(now.rig_text)
+    yaml.safe_load(rig_text)
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -69,7 +69,7 @@ def test_a_second_build_makes_nothing_and_changes_nothing(dataset, tmp_path):
     first = write_report(dataset, tmp_path / "page")
     held = content(tmp_path / "page")
     again = write_report(dataset, tmp_path / "page")
-    assert (first.built, again.built, again.kept) == (2, 0, 2)
+    assert (first.built, again.built, again.current) == (2, 0, 2)
     assert content(tmp_path / "page") == held
 
 
@@ -82,9 +82,9 @@ def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset
     shutil.rmtree(out / "train/000003")
     meter = Metered()
     summary = write_report(out, tmp_path / "page", progress=meter)
-    whole = summary.built + summary.kept
-    assert meter.counts == [("scenes", summary.kept + k, whole) for k in range(3)]
-    assert (summary.built, summary.kept, summary.removed) == (2, 0, 1)
+    whole = summary.built + summary.current
+    assert meter.counts == [("scenes", summary.current + k, whole) for k in range(3)]
+    assert (summary.built, summary.current, summary.removed) == (2, 0, 1)
     assert not (tmp_path / "page/scenes/train-000003").exists()
 
 
@@ -98,7 +98,7 @@ def test_a_build_that_fails_goes_on_where_it_was(dataset, tmp_path):
         write_report(out, tmp_path / "page")
     assert [p.name for p in (tmp_path / "page/scenes").iterdir()] == ["train-000000"]
     path.write_bytes(whole)
-    assert write_report(out, tmp_path / "page").kept == 1
+    assert write_report(out, tmp_path / "page").current == 1
 
 
 def test_another_folder_is_not_written_into(dataset, tmp_path):

@@ -132,7 +132,7 @@ def test_the_page_holds_the_bins_and_is_made_anew_where_they_change(copied, tmp_
     folder = {"cell_folder": copied.parent, "width_px": 100}
     done = write_pick_report(copied, tmp_path / "page", **folder)
     again = write_pick_report(copied, tmp_path / "page", **folder)
-    assert (done.built, again.built, again.kept) == (2, 0, 2)
+    assert (done.built, again.built, again.current) == (2, 0, 2)
     index = script(tmp_path / "page/index.js")
     assert [one["id"] for one in index["bins"]] == [0, 2]
     assert index["summary"]["outcomes"] == {"picked": 2, "lost seal": 2, "nothing found": 2}

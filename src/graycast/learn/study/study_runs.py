@@ -13,7 +13,7 @@ from ...dataset.detections import RESULTS, Detections, read_results
 from ...dataset.example import Example
 from ...dataset.json_text import json_bytes
 from ...score.evaluate import Labels, Scores, labels_of, score
-from ...score.evaluate.intervals import BootstrapFigure, drawn, mean
+from ...score.evaluate.intervals import BootstrapFigure, bootstrap, mean
 from ...score.evaluate.judging import KINDS
 from ...score.evaluate.matching import Kind
 from ...score.evaluate.task import as_one_class
@@ -117,7 +117,7 @@ def run_study(
                     _score(spec, *pair, kind) for pair in zip(world.labels, detections, strict=True)
                 ]
                 figures[name, kind] = tuple(
-                    drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
+                    bootstrap(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
                 )
         results.append(Result(run=run, figures=figures))
         on_done(results[-1])

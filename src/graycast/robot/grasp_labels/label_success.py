@@ -11,7 +11,7 @@ import numpy as np
 from ...dataset.grasp_files import GRASPS
 from ...score.evaluate import wilson
 from ...score.evaluate.intervals import Interval
-from ...score.evaluate.ranking import roc_auc_of_scenes
+from ...score.evaluate.shares import roc_auc_of_scenes
 from .label_files import read_scene_labels
 
 BANDS = ((0.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.999), (0.999, 1.0))

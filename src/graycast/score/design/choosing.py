@@ -165,13 +165,13 @@ def where(row: SettingFigures) -> str:
     words += f" tilted {view.tilt_deg:g} degrees" if view.tilt_deg else " looking straight down"
     if view.azimuth_deg:
         words += f", turned {view.azimuth_deg:g} degrees about the vertical,"
-    chosen = {
+    names = {
         "the code": setting.code,
         "the exposure": setting.exposure,
         "the bin": setting.bin,
         "the resolution": setting.resolution,
     }
-    named = [f"{key} {value}" for key, value in chosen.items() if value is not None]
+    named = [f"{key} {value}" for key, value in names.items() if value is not None]
     return f"{words} with {_list(named)}" if named else words
 
 
@@ -201,12 +201,11 @@ _UNIT |= {"seconds": ("scan time", "s", 1.0)}
 
 
 def _needs(spec: DesignSpec) -> list[str]:
-    wanted = spec.needs.model_dump(exclude_none=True)
-    found = []
-    for name, most in wanted.items():
+    needs = []
+    for name, most in spec.needs.model_dump(exclude_none=True).items():
         words, unit, factor = _UNIT[name]
-        found.append(f"a {words} of at most {factor * most:g} {unit}")
-    return found
+        needs.append(f"a {words} of at most {factor * most:g} {unit}")
+    return needs
 
 
 def _wanted(spec: DesignSpec) -> str:
@@ -215,16 +214,16 @@ def _wanted(spec: DesignSpec) -> str:
 
 def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The smallest value that any setting has of a required quantity."""
-    found = []
+    least = []
     for name in spec.needs.model_dump(exclude_none=True):
         candidates = [row for row in rows if math.isfinite(row.figure[name])]
         if candidates:
             row = min(candidates, key=lambda row: row.figure[name])
             words, unit, factor = _UNIT[name]
-            found.append(
+            least.append(
                 f"The least {words} is {factor * row.figure[name]:.3g} {unit}, of {row.name}."
             )
-    return " ".join(found) or "Nothing was measured at all."
+    return " ".join(least) or "Nothing was measured at all."
 
 
 def _percent(interval: Interval) -> str:

@@ -4,23 +4,61 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import final
 
 import numpy as np
 
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.streams import scene_seeds
 from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
 from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
+from ...cell.resolve import Cell
+from ...cell.simulate import counts_of
 from ...rendering import Rendering
+from ...world.drop import drop
 from ...world.parts import Part
-from .fate_picture import picture_png
-from .heap import Heap, make_heap
-from .point_fates import figures, judge, view_of
-from .result_files import heap_files, open_design
-from .setting import Placed, Setting, lights_of, place_settings, settings_of
+from ...world.scene import Layout
+from .heap_surface import HeapSurface, spread_surface
+from .point_fates import figures, judge, picture_png, view_of
+from .result_files import claim_setting, heap_files, is_finished, open_design, write_heap
+from .setting import Placed, lights_of, place_settings, settings_of
 from .study import DesignSpec
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heap:
+    """Parts as they lie, and the seeds of the light and the noise that all settings share."""
+
+    layout: Layout
+    surface: HeapSurface
+    render_seed: int
+    noise_seed: int
+
+
+def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMeter) -> Heap:
+    """The heap of that number, as a dataset of the same seed has it in its scene.
+
+    Raises:
+        DropError, ValueError: the parts found no rest, or do not fit the bin.
+    """
+    seeds = scene_seeds(spec.seed, number, domain=False)
+    layout = drop(
+        cell.scene,
+        counts_of(cell, number, np.random.default_rng(seeds["counts"])),
+        seed=seeds["drop"],
+        limits=cell.config.drop,
+        progress=progress,
+    )
+    return Heap(
+        layout=layout,
+        surface=spread_surface(cell.scene, layout, points=spec.points, cone_deg=spec.cone_deg),
+        render_seed=seeds["render"],
+        noise_seed=seeds["noise"],
+    )
 
 
 class Comparer:
@@ -28,7 +66,7 @@ class Comparer:
 
     def __init__(self, task: "DesignTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
+        self._renderers = WorkerRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> TaskResult:
@@ -38,7 +76,7 @@ class Comparer:
             DropError, ValueError: this heap cannot be made or lit; the next one may be.
         """
         start = time.perf_counter()
-        group, number = self._task.named(scene_id)
+        group, number = self._task.group(scene_id)
         heap, scene = self._heap(group[0], number), group[0].cell.scene
         rendering, own = self._light(group, heap)
         view = view_of(scene, heap.layout, heap.surface)
@@ -87,7 +125,7 @@ class Comparer:
             for (code, patterns), end in zip(by_code.items(), ends, strict=True)
         }
         self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
-        with self._kept.of(cell.config.render) as renderer:
+        with self._renderers.of(cell.config.render) as renderer:
             rendering = renderer.render(
                 cell.scene,
                 heap.layout,
@@ -98,7 +136,7 @@ class Comparer:
         return rendering, [own[placed.cell.scanner.code] for placed in group]
 
     def close(self) -> None:
-        self._kept.close()
+        self._renderers.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,10 +155,16 @@ class DesignTask(Job):
     def parts(self) -> tuple[Part, ...]:
         return self.lights[0][0].cell.scene.parts
 
-    def named(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
+    def group(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
         """The settings of a scene, which share their light, and the number of its heap."""
         layout, light = divmod(scene_id, len(self.lights))
         return self.lights[light], layout
+
+    def name(self, scene_id: int) -> tuple[str, int]:
+        """The name of a scene's rendering, and the number of its heap."""
+        group, layout = self.group(scene_id)
+        setting = group[0].setting
+        return setting.name if len(group) == 1 else setting.lit.name, layout
 
 
 def run_design(
@@ -150,40 +194,33 @@ def run_design(
         GraycastError, ValueError: nothing came out, for this reason.
     """
     placed = place_settings(spec, settings_of(spec), progress=progress)
-    chosen = workers.device(placed[0].cell.config.render.backend, device)
-    task = DesignTask(spec=spec, lights=lights_of(placed), seed=spec.seed, device=chosen)
+    task = DesignTask(
+        spec=spec,
+        lights=lights_of(placed),
+        seed=spec.seed,
+        device=workers.device(placed[0].cell.config.render.backend, device),
+    )
 
-    def named(scene_id: int) -> tuple[str, int]:
-        group, layout = task.named(scene_id)
-        return _light_name(group), layout
+    def is_missing(scene_id: int) -> bool:
+        group, layout = task.group(scene_id)
+        return not all(is_finished(out, one.setting.name, layout) for one in group)
 
     def keep(result: TaskResult) -> None:
-        folder.write(result.files)
-        on_result(*named(result.scene_id), result)
+        write_heap(out, result.files)
+        on_result(*task.name(result.scene_id), result)
 
-    with open_design(out) as folder:
+    with open_design(out):
         for one in placed:
-            folder.claim(one, one.described(spec))
+            claim_setting(out, one, one.described(spec))
         scene_ids = range(len(task.lights) * spec.layouts)
         lost = make_missing(
             task,
-            [k for k in scene_ids if not _all_there(folder.finished, *task.named(k))],
+            list(filter(is_missing, scene_ids)),
             what="scans",
             total=len(scene_ids),
             workers=workers,
             progress=progress,
             on_result=keep,
-            on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
+            on_failed=lambda failed: on_failed(*task.name(failed.scene_id), failed),
         )
-    return tuple("{}/{:03d}".format(*named(scene_id)) for scene_id in lost)
-
-
-def _light_name(group: tuple[Placed, ...]) -> str:
-    lit: Setting = group[0].setting
-    return lit.name if len(group) == 1 else lit.lit.name
-
-
-def _all_there(
-    finished: Callable[[str, int], bool], group: tuple[Placed, ...], layout: int
-) -> bool:
-    return all(finished(placed.setting.name, layout) for placed in group)
+    return tuple("{}/{:03d}".format(*task.name(scene_id)) for scene_id in lost)

@@ -1,7 +1,5 @@
 """A design study's figures as tables for readers and spreadsheets, and as pictures."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +10,7 @@ from matplotlib.axes import Axes
 
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import json_bytes
 from ..evaluate.intervals import Interval
 from .choosing import FIGURES, SettingFigures, choose, cost, on_front, row_of, sentences
@@ -41,8 +40,10 @@ def write_design(spec: DesignSpec, out: Path) -> str:
     rows = rows_of(spec, out)
     conclusion = sentences(spec, rows)
     write_whole(out / "table.md", _markdown(spec, rows, conclusion).encode())
-    write_whole(out / "table.csv", _csv(rows).encode())
-    content = {"title": spec.title, "says": conclusion, "rows": [_record(row) for row in rows]}
+    records = [_record(row) for row in rows]
+    table = csv_text(list(records[0]), ([*record.values()] for record in records))
+    write_whole(out / "table.csv", table.encode())
+    content = {"title": spec.title, "says": conclusion, "rows": records}
     write_whole(out / "design.json", json_bytes(content))
     _draw_pareto(spec, rows, out / "pareto.png")
     _draw_missing(spec, rows, out / "missing.png")
@@ -71,15 +72,6 @@ def _record(row: SettingFigures) -> dict[str, str | float | bool]:
     }
 
 
-def _csv(rows: Sequence[SettingFigures]) -> str:
-    text = io.StringIO()
-    records = [_record(row) for row in rows]
-    table = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(records)
-    return text.getvalue()
-
-
 def describe_design(spec: DesignSpec, out: Path) -> str:
     """The table in columns of plain text, and the recommendation."""
     rows = rows_of(spec, out)
@@ -104,17 +96,23 @@ def _cells(row: SettingFigures) -> list[str]:
 
 
 def _markdown(spec: DesignSpec, rows: Sequence[SettingFigures], conclusion: str) -> str:
-    lines = [f"# {spec.title}", "", conclusion, "", _head(_heads())]
-    for row in rows:
-        lines.append(_line([f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", *_cells(row)]))
-    lines += ["", _EXPLAINED.format(cone=spec.cone_deg, wrong=1e3 * spec.wrong_m), ""]
+    rows_of_figures = [
+        [f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", *_cells(row)] for row in rows
+    ]
     lost = [fate for fate in FATES if any(row.share[fate] > 0 for row in rows)]
     lost = [fate for fate in lost if fate is not Fate.MEASURED]
-    lines += ["## What is missing, in % of the open surface", ""]
-    lines.append(_head(["setting", *(fate.replace("_", " ") for fate in lost)]))
-    for row in rows:
-        lines.append(_line([row.name, *(_number(100 * row.share[fate], 1) for fate in lost)]))
-    return "\n".join(lines) + "\n"
+    texts = [
+        f"# {spec.title}",
+        conclusion,
+        markdown_table(_heads(), rows_of_figures),
+        _EXPLAINED.format(cone=spec.cone_deg, wrong=1e3 * spec.wrong_m),
+        "## What is missing, in % of the open surface",
+        markdown_table(
+            ["setting", *(fate.replace("_", " ") for fate in lost)],
+            [[row.name, *(_number(100 * row.share[fate], 1) for fate in lost)] for row in rows],
+        ),
+    ]
+    return "\n\n".join(texts) + "\n"
 
 
 _EXPLAINED = """\
@@ -123,14 +121,6 @@ are the same for all settings. The open surface is what can be seen from a direc
 most {cone:g} degrees from the vertical, and a place counts as much as it shows in such views.
 Depth counts as measured where it is within {wrong:g} mm of the truth. A setting is marked as front
 if no other measures as much with as small a sigma and in as few seconds, and is better in one."""
-
-
-def _head(heads: Sequence[str]) -> str:
-    return _line(heads) + "\n|" + "---|" * len(heads)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _number(value: float, digits: int) -> str:

@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Int
 
 from ...base.frames import inverse, look_at, transform_points
 from ...rig.meshdepth import rasterize
-from ...rig.optics import Optics, project
+from ...rig.optics import Optics, pinhole, pixels_of
 from ...world.parts import Mesh
-from ...world.parts.sampling import spread_points
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
+from ..merge.adding import surface_of
 
 LEAST_PX = 1000  # The longer side of a picture in which points are looked for has at least so many.
 SLACK_M = 0.5e-3  # Parts may press into each other, and their meshes lie off, by less than this.
@@ -74,26 +74,16 @@ def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float
 
     No chance is involved: one heap has the same points in every setting.
     """
-    area = [float(part.mesh.face_area_m2.sum()) for part in scene.parts]
-    total = sum(area[kind] for kind in layout.part_index)
-    place, normal, instance = [], [], []
-    for number, kind in enumerate(layout.part_index.tolist()):
-        count = max(1, round(points * area[kind] / total))
-        own, facing = spread_points(scene.parts[kind].mesh, count)
-        T = layout.T_world_part[number]
-        place.append(transform_points(T, own))
-        normal.append(facing @ T[:3, :3].T)
-        instance.append(np.full(count, number))
-    point_m, normals = np.concatenate(place), np.concatenate(normal)
+    meshes = [scene.parts[kind].mesh for kind in layout.part_index]
+    surface = surface_of(meshes, list(layout.T_world_part), points=points)
+    point_m, normal = surface.point_m, surface.normal
     box, obstacles = bin_of(scene), obstacles_of(scene, layout)
     eyes = _cone(box, cone_deg)
     weight = np.zeros(len(point_m))
     for eye, T_world_eye in eyes:
-        visible = sight(obstacles, eye, T_world_eye, point_m, normals) == Visibility.VISIBLE
-        weight += np.where(visible, -(normals @ T_world_eye[:3, 2]), 0.0).clip(0.0) / len(eyes)
-    return HeapSurface(
-        point_m=point_m, normal=normals, instance=np.concatenate(instance), weight=weight
-    )
+        visible = sight(obstacles, eye, T_world_eye, point_m, normal) == Visibility.VISIBLE
+        weight += np.where(visible, -(normal @ T_world_eye[:3, 2]), 0.0).clip(0.0) / len(eyes)
+    return HeapSurface(point_m=point_m, normal=normal, instance=surface.instance, weight=weight)
 
 
 def obstacles_of(scene: Scene, layout: Layout) -> Obstacles:
@@ -126,20 +116,19 @@ def sight(
     vertices = transform_points(T_eye_world, obstacles.mesh.vertices_m.astype(np.float64))
     face, z_m = rasterize(vertices, obstacles.mesh.faces, eye).over(eye)
     at = transform_points(T_eye_world, point_m)
-    pixel = project(eye, at)
-    column, row = np.rint(np.nan_to_num(pixel, nan=-1.0)).clip(-1, 2**30).astype(np.int64).T
-    inside = (at[:, 2] > 0) & (column >= 0) & (column < eye.width_px)
-    inside &= (row >= 0) & (row < eye.height_px)
+    pixel, inside = pixels_of(eye, at)
     visibility = np.full(len(point_m), int(Visibility.OUTSIDE))
-    column, row = column[inside], row[inside]
+    row, column = pixel[inside].T
     hit, own = face[row, column], at[inside]
     nearest_m = np.maximum(z_m[row, column], _on_plane(vertices, obstacles, hit, own))
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
     by_bin = hidden & obstacles.is_bin[hit]
     towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
-    found = np.where(hidden | (towards <= 0), int(Visibility.BY_PARTS), int(Visibility.VISIBLE))
     # What looks away would be hidden by its own part without any bin.
-    visibility[inside] = np.where(by_bin & (towards > 0), int(Visibility.BY_BIN), found)
+    cases = [by_bin & (towards > 0), hidden | (towards <= 0)]
+    visibility[inside] = np.select(
+        cases, [int(Visibility.BY_BIN), int(Visibility.BY_PARTS)], int(Visibility.VISIBLE)
+    )
     return visibility
 
 
@@ -177,17 +166,13 @@ def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # nearly parallel rays
     f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # parts may stick out at the top
-    centre_px = (LEAST_PX - 1) / 2
-    eye = Optics(
-        width_px=LEAST_PX, height_px=LEAST_PX, fx_px=f_px, fy_px=f_px, cx_px=centre_px,
-        cy_px=centre_px,
-    )  # fmt: skip
-    found = []
+    eye = pinhole(LEAST_PX, LEAST_PX, f_px)
+    eyes = []
     for count, share in RINGS if cone_deg > 0 else RINGS[:1]:
         lean = np.radians(share * cone_deg)
         for turn in 2 * np.pi * np.arange(count) / count:
             side = np.array([np.cos(turn), np.sin(turn), 0.0])
             away = np.sin(lean) * side + np.array([0.0, 0.0, np.cos(lean)])
             down = np.cos(lean) * side - np.array([0.0, 0.0, np.sin(lean)])
-            found.append((eye, look_at(middle + away_m * away, middle, down)))
-    return found
+            eyes.append((eye, look_at(middle + away_m * away, middle, down)))
+    return eyes

@@ -11,9 +11,8 @@ settings/NAME/
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 from ...base.errors import DatasetError, GraycastError
 from ...base.file_limits import parse_json
@@ -39,68 +38,54 @@ def heap_files(
     return [*files, (f"{name}/{heap_file(layout)}", json_bytes(figures))]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DesignFolder:
-    """An open folder of a study, locked against other runs."""
+def is_finished(out: Path, name: str, layout: int) -> bool:
+    return (out / SETTINGS / name / heap_file(layout)).exists()
 
-    out: Path
 
-    def finished(self, name: str, layout: int) -> bool:
-        return (self.out / SETTINGS / name / heap_file(layout)).exists()
+def write_heap(out: Path, files: Sequence[tuple[str, bytes]]) -> None:
+    """A heap's figures say that all of it is there: its picture stands before them.
 
-    def write(self, files: Sequence[tuple[str, bytes]]) -> None:
-        """A heap's figures say that all of it is there: its picture stands before them.
+    Raises:
+        GraycastError: the disk refuses.
+    """
+    for name, content in files:
+        write_whole(out / SETTINGS / name, content)
 
-        Raises:
-            GraycastError: the disk refuses.
-        """
-        for name, content in files:
-            write_whole(self.out / SETTINGS / name, content)
 
-    def claim(self, placed: Placed, described: Mapping[str, Any]) -> None:
-        """Make a setting's folder, or see that it was begun with the same values.
+def claim_setting(out: Path, placed: Placed, described: Mapping[str, Any]) -> None:
+    """Make a setting's folder, or see that it was begun with the same values.
 
-        Raises:
-            DatasetError: it was measured with other values; says where they differ.
-            GraycastError: the disk refuses.
-        """
-        folder = self.out / SETTINGS / placed.setting.name
-        path = folder / SETTING
-        if not path.exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            write_whole(path, json_bytes(described))
-            return
-        try:
-            earlier = parse_json(path.read_bytes())
-        except ValueError as error:
-            raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
-        record = plain(described)
-        where = next(
-            (
-                found
-                for key in sorted({*earlier, *record})
-                if (found := difference(earlier.get(key), record.get(key), key)) is not None
-            ),
-            None,
+    Raises:
+        DatasetError: it was measured with other values; says where they differ.
+        GraycastError: the disk refuses.
+    """
+    folder = out / SETTINGS / placed.setting.name
+    path = folder / SETTING
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json_bytes(described))
+        return
+    try:
+        earlier = parse_json(path.read_bytes())
+    except ValueError as error:
+        raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
+    if where := difference(earlier, plain(described), ""):
+        raise DatasetError(
+            f"{folder} was measured with other values, which differ in "
+            f"{where.removeprefix('.')}: choose another folder, or remove this one"
         )
-        if where is not None:
-            raise DatasetError(
-                f"{folder} was measured with other values, which differ in {where}: choose another "
-                "folder, or remove this one"
-            )
 
 
 @contextmanager
-def open_design(out: Path) -> Iterator[DesignFolder]:
-    """Make a study's folder, or go on with one.
+def open_design(out: Path) -> Iterator[None]:
+    """Make a study's folder, or go on with one; other runs are kept out of it.
 
     Raises:
         GraycastError: it is a file, holds something else, is in use, or cannot be written.
     """
     refuse_foreign(out, SETTINGS)
     with claimed_folder(out, SETTINGS, _LOCK):
-        yield DesignFolder(out=out)
+        yield
 
 
 def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | None]:
@@ -109,11 +94,11 @@ def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | 
     Raises:
         GraycastError: a file is damaged.
     """
-    found: list[dict[str, Any] | None] = []
+    heaps: list[dict[str, Any] | None] = []
     for layout in range(spec.layouts):
         path = out / SETTINGS / name / heap_file(layout)
         try:
-            found.append(parse_json(path.read_bytes()) if path.exists() else None)
+            heaps.append(parse_json(path.read_bytes()) if path.exists() else None)
         except ValueError as error:
             raise GraycastError(f"{path}: cannot be read ({error}): remove this file") from error
-    return found
+    return heaps

@@ -1,7 +1,6 @@
 """The settings of a design study, and the cell that each of them makes."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -65,20 +64,18 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
     Raises:
         ConfigError: two settings have one name.
     """
-    found = tuple(setting for sweep in spec.sweeps for setting in _combinations(sweep))
-    name, times = Counter(setting.name for setting in found).most_common(1)[0]
+    settings = []
+    for sweep in spec.sweeps:
+        lists = {key: getattr(sweep, key) or (None,) for key in SweepSection.model_fields}
+        combinations = product(*lists.values())
+        settings += [Setting(**dict(zip(lists, one, strict=True))) for one in combinations]
+    name, times = Counter(setting.name for setting in settings).most_common(1)[0]
     if times > 1:
         raise ConfigError(
             f"the setting {name} comes {times} times: remove it from one sweep, or rename a rig "
             "file"
         )
-    return found
-
-
-def _combinations(sweep: SweepSection) -> Iterator[Setting]:
-    lists = {key: getattr(sweep, key) or (None,) for key in SweepSection.model_fields}
-    for values in product(*lists.values()):
-        yield Setting(**dict(zip(lists, values, strict=True)))
+    return tuple(settings)
 
 
 @final
@@ -125,17 +122,17 @@ def place_settings(
         refuse_several(base, "graycast rig design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error
-    found, impossible = [], []
+    placed, impossible = [], []
     for setting in settings:
         try:
-            found.append(Placed(setting=setting, cell=_cell(spec, base, setting)))
+            placed.append(Placed(setting=setting, cell=_cell(spec, base, setting)))
         except (GraycastError, ValueError, OSError) as error:
             impossible.append(f"the setting {setting.name}: {error}")
-    if not found:
+    if not placed:
         raise ConfigError(impossible[0])
     for why in impossible:
         progress.note(f"{why}; it is left out")
-    return tuple(found)
+    return tuple(placed)
 
 
 def _cell(spec: DesignSpec, base: Cell, setting: Setting) -> Cell:
@@ -169,16 +166,12 @@ def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
             f"the cell's view.T_world_cam is the whole pose: remove it there, or {view_key} here"
         )
     changes: dict[str, Any] = {"view": config.view.model_copy(update=view)}
-    if setting.rig is not None:
-        changes["rig"] = setting.rig
-    if setting.resolution is not None:
-        changes["resolution"] = setting.resolution
-    if setting.code is not None:
-        changes["code"] = spec.codes[setting.code]
-    if setting.exposure is not None:
-        changes["exposure"] = spec.exposures[setting.exposure]
-    if setting.bin is not None:
-        changes["bin"] = spec.bins[setting.bin]
+    for key in ("rig", "resolution"):
+        if (value := getattr(setting, key)) is not None:
+            changes[key] = value
+    for key in ("code", "exposure", "bin"):
+        if (name := getattr(setting, key)) is not None:
+            changes[key] = getattr(spec, f"{key}s")[name]
     return config.model_copy(update=changes)
 
 

@@ -1,7 +1,5 @@
 """The scanner's depth by angle of incidence as files: JSON, CSV, Markdown and a plot."""
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -13,6 +11,7 @@ from matplotlib.axes import Axes
 from ...base.errors import GraycastError
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import plain
 from ...dataset.scene_content import SceneContent, scene_content
 from ...dataset.stored import open_dataset
@@ -64,42 +63,40 @@ def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> N
     text = json.dumps(content, indent=1, allow_nan=False)
     (folder / DEPTH).write_text(text + "\n", encoding="utf-8")
     reasons = _reasons(tables, colors)
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow([*_COLUMNS, *reasons])
-    for name, rows in tables.items():
-        for row in rows:
-            writer.writerow([name, row.name, row.pixels, *_figures(row, reasons)])
-    (folder / "depth.csv").write_text(table.getvalue(), encoding="utf-8")
+    table = csv_text(
+        [*_COLUMNS, *reasons],
+        (
+            [name, row.name, row.pixels, *_figures(row, reasons)]
+            for name, rows in tables.items()
+            for row in rows
+        ),
+    )
+    (folder / "depth.csv").write_text(table, encoding="utf-8")
     (folder / "depth.md").write_text(depth_markdown(tables), encoding="utf-8")
     _draw(tables, {name: colors.get(name, SOFT) for name in reasons}, folder / "depth.png")
 
 
 def depth_markdown(tables: Tables) -> str:
     """A table for all pixels and one for the parts; rows without pixels are left out."""
-    lines = ["# The scanner's depth against perfect depth, by angle of incidence"]
+    texts = ["# The scanner's depth against perfect depth, by angle of incidence"]
+    heads = ["angle", "pixels", "decoded", "bias", "sigma", "> 1 mm", "> 5 mm", "holes"]
     for name, rows in tables.items():
-        lines += ["", f"## {'All pixels' if name == 'all' else 'Parts'}", ""]
-        lines.append("| angle | pixels | decoded | bias | sigma | > 1 mm | > 5 mm | holes |")
-        lines.append("|---|---|---|---|---|---|---|---|")
-        for row in rows:
-            if not row.pixels:
-                continue
-            e = row.error
-            holes = sorted(
-                ((share, reason) for reason, share in row.reason.items() if reason != "decoded"),
-                reverse=True,
-            )
-            shares = ", ".join(f"{r.replace('_', ' ')} {s:.1%}" for s, r in holes if s >= 0.001)
-            error = "| none | none | none | none |"
-            if e.pixels:
-                error = (
-                    f"| {e.median_mm:+.3f} mm | {e.sigma_mm:.3f} mm | {e.beyond_1mm:.2%} "
-                    f"| {e.beyond_5mm:.2%} |"
-                )
-            decoded = row.reason.get("decoded", 0.0)
-            lines.append(f"| {row.name} | {row.pixels} | {decoded:.1%} {error} {shares} |")
-    return "\n".join(lines) + "\n"
+        texts.append(f"## {'All pixels' if name == 'all' else 'Parts'}")
+        texts.append(markdown_table(heads, [_cells(row) for row in rows if row.pixels]))
+    return "\n\n".join(texts) + "\n"
+
+
+def _cells(row: DepthRow) -> list[str]:
+    error = ["none"] * 4
+    if (e := row.error).pixels:
+        error = [f"{e.median_mm:+.3f} mm", f"{e.sigma_mm:.3f} mm"]
+        error += [f"{e.beyond_1mm:.2%}", f"{e.beyond_5mm:.2%}"]
+    holes = sorted(
+        ((share, reason) for reason, share in row.reason.items() if reason != "decoded"),
+        reverse=True,
+    )
+    shares = ", ".join(f"{r.replace('_', ' ')} {s:.1%}" for s, r in holes if s >= 0.001)
+    return [row.name, str(row.pixels), f"{row.reason.get('decoded', 0.0):.1%}", *error, shares]
 
 
 def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:

@@ -19,6 +19,7 @@ Sources: Hesterberg, "What Teachers Should Know About the Bootstrap", The Americ
 Confidence Intervals", Canadian Journal of Statistics 9(2), 1981 (bias-corrected percentiles).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,6 +43,20 @@ class Interval:
     low: float
     high: float
 
+    def text(self, form: str = ".3f", *, unit: str = "", none: str = "none") -> str:
+        """The figure in a format and, in brackets, its limits; `none` where it is NaN."""
+        if math.isnan(self.value):
+            return none
+        text = f"{self.value:{form}}{unit}"
+        if math.isnan(self.low):
+            return text
+        return f"{text} ({self.low:{form}} to {self.high:{form}})"
+
+    def cells(self) -> list[str]:
+        """Value and limits for a spreadsheet, empty where they are not known."""
+        numbers = (self.value, self.low, self.high)
+        return ["" if math.isnan(x) else f"{x:.6f}" for x in numbers]
+
 
 def draw_scenes(
     scene_of: Sequence[int], *, seed: int, draws: int = DRAWS
@@ -57,10 +72,9 @@ def draw_scenes(
 
 def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
     """`FIGURES` of the scores, each with its interval."""
-    drawn = figures_of_draws(scores.matches, times)
     return {
         name: interval_of(getattr(scores, name), values, scores.scenes)
-        for name, values in drawn.items()
+        for name, values in figures_of_draws(scores.matches, times).items()
     }
 
 
@@ -115,9 +129,9 @@ class BootstrapFigure:
         return interval_of(self.value, self.draws, self.scenes)
 
 
-def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> BootstrapFigure:
+def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
     """One of `FIGURES` of the scores with its draws."""
-    times = draw_scenes(scores.scene_of, seed=seed, draws=draws)
+    times = draw_scenes(scores.scene_of, seed=seed)
     return BootstrapFigure(
         value=getattr(scores, figure),
         draws=figures_of_draws(scores.matches, times)[figure],
@@ -134,16 +148,16 @@ def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
     )
 
 
-def interval_of(value: float, drawn: Float[np.ndarray, " draws"], scenes: int) -> Interval:
+def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -> Interval:
     """The interval of a figure from its draws of so many scenes; it contains the figure.
 
     Draws that have nothing to find are NaN; they tell nothing and are left out.
     """
-    drawn = drawn[~np.isnan(drawn)]
-    if scenes < 2 or not len(drawn):
+    draws = draws[~np.isnan(draws)]
+    if scenes < 2 or not len(draws):
         return Interval(value=value, low=float("nan"), high=float("nan"))
     z = np.sqrt(scenes / (scenes - 1)) * stats.t.ppf((1 + LEVEL) / 2, scenes - 1)
-    below, above = np.mean(drawn < value - _EQUAL), np.mean(drawn > value + _EQUAL)
+    below, above = np.mean(draws < value - _EQUAL), np.mean(draws > value + _EQUAL)
     bias = np.clip(stats.norm.ppf((1 + below - above) / 2), -z / 2, z / 2)  # equal draws: half
-    low, high = np.quantile(drawn, stats.norm.cdf([2 * bias - z, 2 * bias + z]))
+    low, high = np.quantile(draws, stats.norm.cdf([2 * bias - z, 2 * bias + z]))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))

@@ -1,25 +1,29 @@
 """A judgement as files: figures as JSON, CSV and Markdown, plots, and pictures of mistakes."""
 
-import csv
-import io
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import plain
 from .intervals import Interval
+from .judgement_plots import (
+    Picture,
+    draw_false_alarms,
+    draw_groups,
+    draw_misses,
+    draw_precision_recall,
+)
 from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
-from .precision_plots import draw_groups, draw_precision_recall
 from .results import DetectionRun
 from .scores import FIGURES
-from .sheets import Picture, draw_false_alarms, draw_misses
 
 EVALUATION = "evaluation.json"
 _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
@@ -51,7 +55,9 @@ def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> 
     text = json.dumps(evaluation_json(evaluation), indent=1, allow_nan=False)
     (folder / EVALUATION).write_text(text + "\n", encoding="utf-8")
     (folder / "figures.csv").write_text(_csv(evaluation), encoding="utf-8")
-    (folder / "figures.md").write_text(figures_markdown(evaluation), encoding="utf-8")
+    (folder / "figures.md").write_text(
+        "\n\n".join(_paragraphs(evaluation)) + "\n", encoding="utf-8"
+    )
     judgements = evaluation.judgements
     draw_precision_recall(judgements, evaluation.categories, folder / "precision_recall.png")
     draw_groups(judgements, folder / "groups.png")
@@ -75,7 +81,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
             "scene_ids": [one.scene_id for one in known.labels],
             "instances": sum(map(len, known.labels)),
             "ignored": sum(int(one.ignored.sum()) for one in known.labels),
-            "detections": sum(map(len, known.found)),
+            "detections": sum(map(len, known.detections)),
             "protocol": {
                 "thresholds": THRESHOLDS.round(2),
                 "min_visibility": protocol.min_visibility,
@@ -89,26 +95,20 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
     )
 
 
-def figures_markdown(evaluation: Evaluation) -> str:
-    """A table of every figure with its interval, and the sentences around it."""
-    return "\n\n".join(_paragraphs(evaluation)) + "\n"
-
-
 def summary(evaluation: Evaluation) -> str:
     """The figures of all instances, for the terminal."""
     lines = [_what(evaluation)]
     for one in evaluation.judgements:
-        text = ", ".join(f"{_TITLES[n]} {_interval(f)}" for n, f in one.rows[0].figures.items())
-        lines.append(f"{one.kind:5} {text}")
+        lines.append(f"{one.kind:5} {_sentence(one.rows[0].figures)}")
         if one.against is not None:
-            text = ", ".join(f"{_TITLES[n]} {_interval(f, '+')}" for n, f in one.against.items())
-            lines.append(f"      difference: {text}")
+            lines.append(f"      difference: {_sentence(one.against, '+.3f')}")
         lines.append(f"      {_point(one)}")
     lines += [f"note: {note}" for note in evaluation.notes]
     return "\n".join(lines)
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
+    """A table of every figure with its interval, and the sentences around it."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes
@@ -116,30 +116,29 @@ def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
         yield f"## {one.kind.capitalize()}"
         yield _point(one)
         yield _mistakes(one)
-        yield "\n".join(_table(one))
+        yield _table(one)
         if one.against is not None and evaluation.against is not None:
             yield (
                 f"Difference from the results of {evaluation.against.name}, on the same draws of "
                 "scenes:"
             )
-            yield "\n".join(
-                [
-                    "| " + " | ".join(_TITLES[name] for name in FIGURES) + " |",
-                    "|" + "---|" * len(FIGURES),
-                    "| " + " | ".join(_interval(one.against[name], "+") for name in FIGURES) + " |",
-                ]
-            )
+            yield markdown_table(list(_TITLES.values()), [_texts(one.against, "+.3f")])
+
+
+def _sentence(figures: Mapping[str, Interval], form: str = ".3f") -> str:
+    pairs = zip(_TITLES.values(), _texts(figures, form), strict=True)
+    return ", ".join(" ".join(pair) for pair in pairs)
 
 
 def _what(evaluation: Evaluation) -> str:
     known, run = evaluation.judgements[0].known, evaluation.run
-    empty = sum(not len(one) for one in known.found)
+    empty = sum(not len(one) for one in known.detections)
     instances = sum(map(len, known.labels))
     ignored = sum(int(one.ignored.sum()) for one in known.labels)
     source = "" if run.model is None else f" of {run.model} on {run.input}"
     speed = "" if np.isnan(run.median_ms) else f" {run.median_ms:.0f} ms a picture (median)."
     return (
-        f"{sum(map(len, known.found))} detections{source} in {len(known.labels)} scenes of "
+        f"{sum(map(len, known.detections))} detections{source} in {len(known.labels)} scenes of "
         f"{evaluation.dataset} (set {evaluation.split}; nothing was found in {empty}), "
         f"{instances - ignored} instances to find; {ignored} of less than "
         f"{evaluation.protocol.min_visibility:.0%} visibility are ignored.{speed}"
@@ -164,20 +163,14 @@ def _mistakes(one: Judgement) -> str:
     )
 
 
-def _table(one: Judgement) -> Iterator[str]:
-    yield "| by | which | to find | " + " | ".join(_TITLES[name] for name in FIGURES) + " |"
-    yield "|---|---|---|" + "---|" * len(FIGURES)
-    for row in one.rows:
-        cells = [row.by, row.name, str(row.to_find), *(_interval(row.figures[n]) for n in FIGURES)]
-        yield "| " + " | ".join(cells) + " |"
+def _table(one: Judgement) -> str:
+    heads = ["by", "which", "to find", *(_TITLES[name] for name in FIGURES)]
+    rows = [[row.by, row.name, str(row.to_find), *_texts(row.figures)] for row in one.rows]
+    return markdown_table(heads, rows)
 
 
-def _interval(figure: Interval, sign: str = "") -> str:
-    if np.isnan(figure.value):
-        return "none to find"
-    if np.isnan(figure.low):
-        return f"{figure.value:{sign}.3f}"
-    return f"{figure.value:{sign}.3f} ({figure.low:{sign}.3f} to {figure.high:{sign}.3f})"
+def _texts(figures: Mapping[str, Interval], form: str = ".3f") -> list[str]:
+    return [figures[name].text(form, none="none to find") for name in FIGURES]
 
 
 def _judgement_json(one: Judgement) -> dict[str, Any]:
@@ -188,9 +181,7 @@ def _judgement_json(one: Judgement) -> dict[str, Any]:
         ],
         "difference": None if one.against is None else _intervals(one.against),
         "working_point": {
-            "score": one.point.score,
-            "precision": one.point.precision,
-            "recall": one.point.recall,
+            **asdict(one.point),
             "missed": len(one.misses),
             "false_alarms": dict(Counter(alarm.why for alarm in one.false_alarms)),
         },
@@ -199,7 +190,7 @@ def _judgement_json(one: Judgement) -> dict[str, Any]:
 
 
 def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
-    return {n: {"value": f.value, "low": f.low, "high": f.high} for n, f in figures.items()}
+    return {name: asdict(figure) for name, figure in figures.items()}
 
 
 def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
@@ -220,19 +211,11 @@ def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
 
 
 def _csv(evaluation: Evaluation) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["kind", "by", "name", "to_find", "figure", "value", "low", "high"])
+    rows: list[list[object]] = []
     for one in evaluation.judgements:
         for row in one.rows:
-            for name, figure in row.figures.items():
-                head = [one.kind, row.by, row.name, row.to_find, name]
-                writer.writerow([*head, *_cells(figure)])
-        for name, figure in (one.against or {}).items():
-            to_find = one.rows[0].to_find
-            writer.writerow([one.kind, "difference", "all", to_find, name, *_cells(figure)])
-    return text.getvalue()
-
-
-def _cells(figure: Interval) -> Sequence[str]:
-    return ["" if np.isnan(v) else f"{v:.6f}" for v in (figure.value, figure.low, figure.high)]
+            head = [one.kind, row.by, row.name, row.to_find]
+            rows += [[*head, name, *f.cells()] for name, f in row.figures.items()]
+        head = [one.kind, "difference", "all", one.rows[0].to_find]
+        rows += [[*head, name, *f.cells()] for name, f in (one.against or {}).items()]
+    return csv_text(["kind", "by", "name", "to_find", "figure", "value", "low", "high"], rows)

@@ -1,20 +1,31 @@
-"""From labels and detections to all figures of them, for boxes and for masks."""
+"""From labels and detections to all figures of them, for boxes and for masks.
 
-from collections.abc import Iterator, Mapping, Sequence
+Instances outside a group are ignored: they need not be found, and what finds one is neither a hit
+nor a mistake. They overlap as ever (intersection over union), so a bad outline of one is a mistake
+in every group, as is a detection of nothing. By size alone detections have a group of their own,
+and a mistake counts there alone, as COCO has it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
+from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
 from ...dataset.detections import Detections
-from .groups import groups
 from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
 from .labels import MIN_VISIBILITY, Labels
-from .matching import Kind, Overlaps, match, overlaps
+from .matching import Group, Kind, Overlaps, match, overlaps
 from .mistakes import FalseAlarm, Miss, WorkingPoint, false_alarms, misses, working_point
-from .scores import MOST, Scores, scores_of
+from .scores import MOST, Scores, score, scores_of
 
+VISIBILITY_EDGES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+# Areas are shares of the picture; each edge is four times the last.
+AREA_EDGES = (0.0, 0.001, 0.004, 0.016, 0.064, 1.0)
+MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 KINDS: tuple[Kind, ...] = ("box", "mask")
 
 
@@ -46,7 +57,7 @@ class GroupRow:
         by: `all`, `class`, or what the group is made by.
         name: the part's, or the group's.
         to_find: instances that count there.
-        figures: `FIGURES` with their intervals.
+        figures: `FIGURES` of the scores or of poses, with their intervals.
     """
 
     by: str
@@ -75,16 +86,16 @@ class Judgement:
     false_alarms: tuple[FalseAlarm, ...]
 
 
-def kinds_of(labels: Sequence[Labels], found: Sequence[Detections]) -> tuple[Kind, ...]:
+def kinds_of(labels: Sequence[Labels], detections: Sequence[Detections]) -> tuple[Kind, ...]:
     """What can be compared: boxes, and masks where both sides have them."""
-    drawn = all(one.mask is not None for one in labels)
-    drawn = drawn and all(one.mask is not None for one in found if len(one))
-    return KINDS if drawn and any(map(len, found)) else ("box",)
+    has_masks = all(one.mask is not None for one in labels)
+    has_masks &= all(one.mask is not None for one in detections if len(one))
+    return KINDS if has_masks and any(map(len, detections)) else ("box",)
 
 
 def judge(
     labels: Sequence[Labels],
-    found: Sequence[Detections],
+    detections: Sequence[Detections],
     *,
     kind: Kind,
     categories: Mapping[int, str],
@@ -96,32 +107,26 @@ def judge(
     Raises:
         GraycastError: labels and detections do not fit together.
     """
-    known = overlaps(labels, found, kind=kind, most=protocol.most)
+    known = overlaps(labels, detections, kind=kind, most=protocol.most)
     scene_of = [one.scene for one in known.labels]
     times = draw_scenes(scene_of, seed=protocol.seed, draws=protocol.draws)
-    scores = _scores(known)
-    other = None
+    scores = scores_of(match(known), known)
+    gap = None
     if against is not None:
-        other = _scores(overlaps(labels, against, kind=kind, most=protocol.most))
+        other = score(labels, against, kind=kind, most=protocol.most)
+        gap = differences(scores, other, times)
     point = working_point(scores.matches)
+    least = float("inf") if np.isnan(point.score) else point.score
     return Judgement(
         kind=kind,
         known=known,
         scores=scores,
         rows=tuple(_rows(known, scores, times, categories, protocol)),
-        against=None if other is None else differences(scores, other, times),
+        against=gap,
         point=point,
-        misses=tuple(misses(known, scores.matches, _least(point))),
-        false_alarms=tuple(false_alarms(known, scores.matches, _least(point))),
+        misses=tuple(misses(known, scores.matches, least)),
+        false_alarms=tuple(false_alarms(known, scores.matches, least)),
     )
-
-
-def _least(point: WorkingPoint) -> float:
-    return float("inf") if np.isnan(point.score) else point.score
-
-
-def _scores(known: Overlaps) -> Scores:
-    return scores_of(match(known), known)
 
 
 def _rows(
@@ -137,7 +142,7 @@ def _rows(
             alone = scores_of({obj_id: one}, known)
             yield _group_scores("class", categories.get(obj_id, str(obj_id)), alone, times)
     for group in groups(known.labels, kind=known.kind, min_visibility=protocol.min_visibility):
-        inside = scores_of(match(known, group.outside), known)
+        inside = scores_of(match(known, group), known)
         yield _group_scores(group.by, group.name, inside, times)
 
 
@@ -145,3 +150,55 @@ def _group_scores(
     by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> GroupRow:
     return GroupRow(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))
+
+
+# --- groups -------------------------------------------------------------------------------------
+
+
+def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
+    """The groups that the labels allow; an unknown share makes no groups."""
+    if all(one.visib_fract is not None for one in labels):
+        above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
+        for low, high in pairwise([min_visibility, *above]):
+            yield _group("visibility", low, high, lambda one: one.visib_fract)
+    if all(one.size_px is not None for one in labels):
+        pixels = {one.scene_id: one.size_px[0] * one.size_px[1] for one in labels if one.size_px}
+
+        def share(one: Labels | Detections) -> Float[np.ndarray, " n"]:
+            return _area_px2(one, kind) / pixels[one.scene_id]
+
+        for low, high in pairwise(AREA_EDGES):
+            # A detection's box that reaches beyond the picture covers no more than it.
+            yield _group("size", low, high, share, lambda one: np.minimum(share(one), 1.0))
+    if all(one.missing is not None for one in labels):
+        for low, high in pairwise(MISSING_EDGES):
+            yield _group("missing depth", low, high, lambda one: one.missing)
+
+
+def _group(
+    by: str,
+    low: float,
+    high: float,
+    label_share: Callable[[Labels], Float[np.ndarray, " n"] | None],
+    detection_share: Callable[[Detections], Float[np.ndarray, " n"]] | None = None,
+) -> Group:
+    def outside(share: Float[np.ndarray, " n"] | None) -> Bool[np.ndarray, " n"]:
+        if share is None:
+            raise ValueError(f"these labels do not know their {by}")
+        return (share < low) | ((share > high) if high == 1.0 else (share >= high))
+
+    return Group(
+        by=by,
+        low=low,
+        high=high,
+        other_instances=lambda one: outside(label_share(one)),
+        other_detections=None
+        if detection_share is None
+        else lambda one: outside(detection_share(one)),
+    )
+
+
+def _area_px2(one: Labels | Detections, kind: Kind) -> Float[np.ndarray, " n"]:
+    if kind == "mask":
+        return np.array([coco_mask.area(dict(mask)) for mask in one.mask or ()], dtype=float)
+    return one.box_px[:, 2].astype(float) * one.box_px[:, 3]

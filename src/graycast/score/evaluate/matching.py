@@ -48,7 +48,7 @@ class Overlaps:
 
     Attributes:
         labels: in the order of their scenes' ids.
-        found: of the same scenes.
+        detections: of the same scenes.
         most: how many detections of a scene and a class were looked at.
         pairs: of each class, those of all scenes that have an instance or a detection of it.
     """
@@ -56,7 +56,7 @@ class Overlaps:
     kind: Kind
     most: int
     labels: tuple[Labels, ...]
-    found: tuple[Detections, ...]
+    detections: tuple[Detections, ...]
     pairs: Mapping[int, tuple[Pair, ...]]
 
 
@@ -83,20 +83,31 @@ class ClassMatches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outside:
-    """Instances and detections outside a group, such as all that are not large.
+class Group:
+    """A group of instances, such as all large ones.
 
     Attributes:
-        instance: instances that are ignored there too; they overlap as before, not as crowds do.
-        detection: detections that are no mistakes there if they find nothing.
+        by: what the group is made by.
+        low, high: share from which and to which instances belong to it, without `high` except in
+            the last group.
+        other_instances: those outside, which are ignored there too; they overlap as before, not as
+            crowds do.
+        other_detections: detections that are no mistakes there if they find nothing.
     """
 
-    instance: Callable[[Labels], Bool[np.ndarray, " n"]]
-    detection: Callable[[Detections], Bool[np.ndarray, " n"]] | None = None
+    by: str
+    low: float
+    high: float
+    other_instances: Callable[[Labels], Bool[np.ndarray, " n"]]
+    other_detections: Callable[[Detections], Bool[np.ndarray, " n"]] | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{100 * self.low:g} to {100 * self.high:g} %"
 
 
 def overlaps(
-    labels: Sequence[Labels], found: Sequence[Detections], *, kind: Kind, most: int
+    labels: Sequence[Labels], detections: Sequence[Detections], *, kind: Kind, most: int
 ) -> Overlaps:
     """Compare every detection with every instance of its scene and class.
 
@@ -106,37 +117,37 @@ def overlaps(
     """
     if most < 1:
         raise ValueError(f"most is {most}; give at least 1")
-    by_scene = {one.scene_id: one for one in found}
+    by_scene = {one.scene_id: one for one in detections}
     ordered = sorted(labels, key=lambda one: one.scene_id)
     scene_ids = [one.scene_id for one in ordered]
-    _check_scenes(scene_ids, [one.scene_id for one in found])
-    found = [by_scene[scene_id] for scene_id in scene_ids]
+    _check_scenes(scene_ids, [one.scene_id for one in detections])
+    detections = [by_scene[scene_id] for scene_id in scene_ids]
     pairs: dict[int, list[Pair]] = {}
-    for scene, (there, of_scene) in enumerate(zip(ordered, found, strict=True)):
-        shapes = _shapes(there, of_scene, kind)
+    for scene, (there, of_scene) in enumerate(zip(ordered, detections, strict=True)):
+        both = shapes(there, of_scene, kind)
         for obj_id in np.union1d(there.obj_id, of_scene.obj_id).tolist():
-            pair = _pair(scene, there, of_scene, obj_id, shapes, most)
+            pair = _pair(scene, there, of_scene, obj_id, both, most)
             pairs.setdefault(obj_id, []).append(pair)
     return Overlaps(
         kind=kind,
         most=most,
         labels=tuple(ordered),
-        found=tuple(found),
+        detections=tuple(detections),
         pairs={obj_id: tuple(values) for obj_id, values in sorted(pairs.items())},
     )
 
 
-def match(known: Overlaps, outside: Outside | None = None) -> dict[int, ClassMatches]:
+def match(known: Overlaps, group: Group | None = None) -> dict[int, ClassMatches]:
     """Match every detection; classes are keyed by their object id."""
-    return {obj_id: _match_class(known, pairs, outside) for obj_id, pairs in known.pairs.items()}
+    return {obj_id: _match_class(known, pairs, group) for obj_id, pairs in known.pairs.items()}
 
 
-def _check_scenes(labelled: list[int], found: list[int]) -> None:
-    for what, ids in (("labels", labelled), ("detections", found)):
+def _check_scenes(labelled: list[int], detected: list[int]) -> None:
+    for what, ids in (("labels", labelled), ("detections", detected)):
         if len(set(ids)) < len(ids):
             twice = next(i for i in ids if ids.count(i) > 1)
             raise GraycastError(f"scene {twice} has {what} twice: give each scene once")
-    if odd := set(labelled) ^ set(found):
+    if odd := set(labelled) ^ set(detected):
         lacks = "detections" if min(odd) in labelled else "labels"
         raise GraycastError(
             f"scene {min(odd)} has no {lacks}: give labels and detections of the same scenes, "
@@ -144,7 +155,7 @@ def _check_scenes(labelled: list[int], found: list[int]) -> None:
         )
 
 
-def _shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
+def shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
     """What is compared: boxes or run lengths of instances and of detections."""
     if kind == "box":
         return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
@@ -173,7 +184,7 @@ def _pair(
     there: Labels,
     of_scene: Detections,
     obj_id: int,
-    shapes: tuple[list[Any], list[Any]],
+    both: tuple[list[Any], list[Any]],
     most: int,
 ) -> Pair:
     instance = np.flatnonzero(there.obj_id == obj_id)
@@ -183,8 +194,8 @@ def _pair(
     overlap = np.zeros((len(detection), len(instance)))
     if overlap.size:
         overlap = coco_mask.iou(
-            [shapes[1][i] for i in detection],
-            [shapes[0][i] for i in instance],
+            [both[1][i] for i in detection],
+            [both[0][i] for i in instance],
             ignored.astype(int).tolist(),
         )
     return Pair(
@@ -197,16 +208,16 @@ def _pair(
     )
 
 
-def _match_class(known: Overlaps, pairs: tuple[Pair, ...], outside: Outside | None) -> ClassMatches:
+def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) -> ClassMatches:
     to_find = np.zeros(len(known.labels), dtype=np.int64)
     instance, hit, counted = [], [], []
     for pair in pairs:
         ignored = pair.ignored.copy()
         beside = np.zeros(len(pair.detection), dtype=bool)
-        if outside is not None:
-            ignored |= outside.instance(known.labels[pair.scene])[pair.instance]
-            if outside.detection is not None:
-                beside = outside.detection(known.found[pair.scene])[pair.detection]
+        if group is not None:
+            ignored |= group.other_instances(known.labels[pair.scene])[pair.instance]
+            if group.other_detections is not None:
+                beside = group.other_detections(known.detections[pair.scene])[pair.detection]
         to_find[pair.scene] = np.count_nonzero(~ignored)
         place = _take(pair.overlap, ignored, pair.ignored, THRESHOLDS)
         taken = place >= 0

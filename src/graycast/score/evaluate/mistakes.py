@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pycocotools import mask as coco_mask
 
-from .matching import ClassMatches, Overlaps
+from .matching import ClassMatches, Overlaps, shapes
 
 AT_HALF = 0  # It is the place of 0.5 among THRESHOLDS.
 NEAR = 0.1  # A detection that overlaps less is of nothing.
@@ -77,7 +77,7 @@ def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
 
 def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -> list[Miss]:
     """Instances that no detection of that score or more finds; the most visible first."""
-    found = {
+    hits = {
         (int(scene), int(instance))
         for one in matches.values()
         for scene, instance in zip(
@@ -88,7 +88,7 @@ def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -
         _miss(known, scene, i)
         for scene, labels in enumerate(known.labels)
         for i in np.flatnonzero(~labels.ignored).tolist()
-        if (scene, i) not in found
+        if (scene, i) not in hits
     ]
     return sorted(missed, key=lambda one: (-_visible(known, one), one.scene, one.instance))
 
@@ -116,14 +116,14 @@ def false_alarms(
 
 
 def _miss(known: Overlaps, scene: int, instance: int) -> Miss:
-    found = known.found[scene]
-    overlap = _overlaps(known, scene, np.arange(len(found)), np.array([instance]))[:, 0]
+    detections = known.detections[scene]
+    overlap = _overlaps(known, scene, np.arange(len(detections)), np.array([instance]))[:, 0]
     nearest = int(overlap.argmax()) if overlap.any() else -1
     return Miss(
         scene=scene,
         instance=instance,
         overlap=0.0 if nearest < 0 else float(overlap[nearest]),
-        score=float("nan") if nearest < 0 else float(found.score[nearest]),
+        score=float("nan") if nearest < 0 else float(detections.score[nearest]),
     )
 
 
@@ -136,10 +136,10 @@ def _visible(known: Overlaps, miss: Miss) -> float:
 
 
 def _why(known: Overlaps, scene: int, detection: int) -> tuple[Why, float]:
-    labels, found = known.labels[scene], known.found[scene]
+    labels, detections = known.labels[scene], known.detections[scene]
     every = np.arange(len(labels))
     overlap = _overlaps(known, scene, np.array([detection]), every)[0]
-    same = labels.obj_id == found.obj_id[detection]
+    same = labels.obj_id == detections.obj_id[detection]
     own = float(overlap[same].max(initial=0.0))
     other = float(overlap[~same].max(initial=0.0))
     if own >= 0.5:
@@ -158,14 +158,8 @@ def _overlaps(
     instance: Int[np.ndarray, " g"],
 ) -> Float[np.ndarray, "d g"]:
     """Intersection over union, whatever the classes."""
-    labels, found = known.labels[scene], known.found[scene]
     if not (len(detection) and len(instance)):
         return np.zeros((len(detection), len(instance)))
-    plain = [0] * len(instance)
-    if known.kind == "mask" and labels.mask is not None and found.mask is not None:
-        masks = [found.mask[i] for i in detection], [labels.mask[i] for i in instance]
-        return coco_mask.iou(*masks, plain)
-    boxes = (
-        side.astype(float).tolist() for side in (found.box_px[detection], labels.box_px[instance])
-    )
-    return coco_mask.iou(*boxes, plain)
+    instances, detections = shapes(known.labels[scene], known.detections[scene], known.kind)
+    sides = [detections[i] for i in detection], [instances[i] for i in instance]
+    return coco_mask.iou(*sides, [0] * len(instance))

@@ -82,19 +82,17 @@ def vsd(
     true_m: Float[np.ndarray, "h w"],
     measured_m: Float[np.ndarray, "h w"],
     tolerances_m: Float[np.ndarray, " t"],
-    *,
-    delta_m: float = DELTA_M,
 ) -> Float[np.ndarray, " t"]:
     """Visible surface discrepancy, 0 to 1, for each tolerance.
 
     All three are distances from the camera's centre to the surface, not z; NaN where there is none.
-    A surface is visible where it is not more than `delta_m` behind the measured one, or nothing was
+    A surface is visible where it is not more than `DELTA_M` behind the measured one, or nothing was
     measured. The estimate is visible as well where the true surface is and the estimate has one.
     The error is the share, of the pixels where either is visible, of those where but one is or both
     differ by the tolerance or more. 1 where neither is visible.
     """
-    visible = _visible(true_m, measured_m, delta_m)
-    mine = _visible(estimate_m, measured_m, delta_m) | (visible & np.isfinite(estimate_m))
+    visible = _visible(true_m, measured_m)
+    mine = _visible(estimate_m, measured_m) | (visible & np.isfinite(estimate_m))
     both, either = visible & mine, visible | mine
     total = int(either.sum())
     if total == 0:
@@ -104,10 +102,10 @@ def vsd(
     return (wrong + total - int(both.sum())) / total
 
 
-def _visible(surface_m: np.ndarray, measured_m: np.ndarray, delta_m: float) -> np.ndarray:
+def _visible(surface_m: np.ndarray, measured_m: np.ndarray) -> np.ndarray:
     unknown = ~np.isfinite(measured_m)
     with np.errstate(invalid="ignore"):
-        near = surface_m - measured_m <= delta_m
+        near = surface_m - measured_m <= DELTA_M
     return np.isfinite(surface_m) & (unknown | near)
 
 

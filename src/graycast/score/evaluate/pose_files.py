@@ -1,10 +1,8 @@
 """From a file of estimated poses and a dataset to figures, and the files that hold them."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from jaxtyping import Float, Int
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.tables import csv_text, markdown_table
 from ...dataset.example import Example
 from ...dataset.export.split import Split
 from ...dataset.json_text import plain
@@ -19,7 +18,7 @@ from ...dataset.models import read_models
 from ...dataset.pose_results import PoseEstimate, read_pose_results
 from ...dataset.training import Examples, open_examples
 from .intervals import Interval, draw_scenes, interval_of
-from .judging import Protocol
+from .judging import GroupRow, Protocol
 from .pose_recall import Counts, PictureTruth, count_picture, solid_of
 
 POSES = "poses.json"
@@ -37,15 +36,6 @@ _UNIT = 10.0  # In one unit the distances of estimates and parts differ by this 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PoseRow:
-    """Figures of all parts or of one, with their intervals; the last two are medians."""
-
-    name: str
-    to_find: int
-    figures: Mapping[str, Interval]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PoseEvaluation:
     """Everything about one file of poses.
 
@@ -60,7 +50,7 @@ class PoseEvaluation:
     estimates: int
     seconds: float
     protocol: Protocol
-    rows: tuple[PoseRow, ...]
+    rows: tuple[GroupRow, ...]
 
 
 def evaluate_poses(
@@ -110,52 +100,55 @@ def pose_rows(
     scene_of: Mapping[int, int],
     categories: Mapping[int, str],
     protocol: Protocol,
-) -> tuple[PoseRow, ...]:
-    """Figures of all parts, then of each where there are several; scenes are drawn together.
+) -> tuple[GroupRow, ...]:
+    """`FIGURES` of all parts, then of each where there are several; scenes are drawn together.
 
-    `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
+    The last two figures are medians. `scene_of` is the scene of each picture, by the numbers of the
+    pictures that `counts` have.
     """
     times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
-    rows = [_pose_row("all", counts, scene_of, times)]
+    rows = [_pose_row("all", "all", counts, scene_of, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:
         for obj_id in present:
             mine = [one for one in counts if one.obj_id == obj_id]
-            rows.append(_pose_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
+            name = categories.get(obj_id, str(obj_id))
+            rows.append(_pose_row("class", name, mine, scene_of, times))
     return tuple(rows)
 
 
 def _pose_row(
+    by: str,
     name: str,
     counts: Sequence[Counts],
     scene_of: Mapping[int, int],
     times: Int[np.ndarray, "draws pictures"],
-) -> PoseRow:
+) -> GroupRow:
     scenes = len(set(scene_of.values()))
-    found, to_find = np.zeros((len(scene_of), 4)), np.zeros(len(scene_of))
+    hits, to_find = np.zeros((len(scene_of), 4)), np.zeros(len(scene_of))
     angle: list[list[float]] = [[] for _ in scene_of]
     shift: list[list[float]] = [[] for _ in scene_of]
     place = {picture: k for k, picture in enumerate(scene_of)}
     for one in counts:
         k = place[one.scene_id]
         to_find[k] += one.to_find
-        found[k] += [one.vsd.mean(), one.mssd.mean(), one.mspd.mean(), one.near]
+        hits[k] += [one.vsd.mean(), one.mssd.mean(), one.mspd.mean(), one.near]
         angle[k] += np.degrees(one.angle_rad).tolist()
         shift[k] += (1000 * one.shift_m).tolist()
 
     def recalls(weight: Float[np.ndarray, "draws pictures"]) -> Float[np.ndarray, "draws 5"]:
         with np.errstate(invalid="ignore"):
-            each = (weight @ found) / (weight @ to_find)[:, None]
+            each = (weight @ hits) / (weight @ to_find)[:, None]
         return np.column_stack([each[:, :3].mean(axis=1), each])
 
-    value, drawn = recalls(np.ones((1, len(scene_of))))[0], recalls(times.astype(float))
+    value, resampled = recalls(np.ones((1, len(scene_of))))[0], recalls(times.astype(float))
     figures = {
-        figure: interval_of(float(value[k]), drawn[:, k], scenes)
+        figure: interval_of(float(value[k]), resampled[:, k], scenes)
         for k, figure in enumerate(_SHARES)
     }
     figures["rotation_deg"] = _median(angle, times, scenes)
     figures["translation_mm"] = _median(shift, times, scenes)
-    return PoseRow(name=name, to_find=int(to_find.sum()), figures=figures)
+    return GroupRow(by=by, name=name, to_find=int(to_find.sum()), figures=figures)
 
 
 def _median(
@@ -169,8 +162,8 @@ def _median(
     order = np.argsort(values, kind="stable")
     total = np.cumsum(times[:, picture[order]], axis=1)
     place = (2 * total >= total[:, -1:]).argmax(axis=1)
-    drawn = np.where(total[:, -1] > 0, values[order][place], np.nan)
-    return interval_of(float(np.median(values)), drawn, scenes)
+    medians = np.where(total[:, -1] > 0, values[order][place], np.nan)
+    return interval_of(float(np.median(values)), medians, scenes)
 
 
 def _of_first_scanner(examples: Examples) -> dict[tuple[int, int], int]:
@@ -257,17 +250,22 @@ def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
             "seed": evaluation.protocol.seed,
             "rows": [
                 {"name": row.name, "to_find": row.to_find}
-                | {
-                    n: {"value": f.value, "low": f.low, "high": f.high}
-                    for n, f in row.figures.items()
-                }
+                | {name: asdict(figure) for name, figure in row.figures.items()}
                 for row in evaluation.rows
             ],
         }
     )
     text = json.dumps(content, indent=1, allow_nan=False)
     (folder / POSES).write_text(text + "\n", encoding="utf-8")
-    (folder / "poses.csv").write_text(_csv(evaluation), encoding="utf-8")
+    table = csv_text(
+        ["part", "to_find", "figure", "value", "low", "high"],
+        (
+            [row.name, row.to_find, name, *figure.cells()]
+            for row in evaluation.rows
+            for name, figure in row.figures.items()
+        ),
+    )
+    (folder / "poses.csv").write_text(table, encoding="utf-8")
     (folder / "poses.md").write_text(poses_markdown(evaluation), encoding="utf-8")
 
 
@@ -276,39 +274,21 @@ def poses_markdown(evaluation: PoseEvaluation) -> str:
     time = (
         "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
     )
-    lines = [
+    sentence = (
         f"{evaluation.estimates} poses of {evaluation.results} in {evaluation.scenes} scenes of "
         f"{evaluation.dataset} (set {evaluation.split}), {evaluation.rows[0].to_find} instances to "
         f"find; those of less than {evaluation.protocol.min_visibility:.0%} visibility are "
-        f"ignored.{time}",
-        "",
-        "| part | to find | AR | AR_VSD | AR_MSSD | AR_MSPD | within 5 deg, 3 mm "
-        "| rotation (median) | translation (median) |",
-        "|---|---|---|---|---|---|---|---|---|",
+        f"ignored.{time}"
+    )
+    heads = ["part", "to find", *_SHARES[:-1], "within 5 deg, 3 mm"]
+    heads += ["rotation (median)", "translation (median)"]
+    rows = [
+        [
+            *(row.name, str(row.to_find)),
+            *(row.figures[name].text() for name in _SHARES),
+            row.figures["rotation_deg"].text(".2f", unit=" deg"),
+            row.figures["translation_mm"].text(".2f", unit=" mm"),
+        ]
+        for row in evaluation.rows
     ]
-    for row in evaluation.rows:
-        cells = [_interval_text(row.figures[name], 3, "") for name in _SHARES]
-        cells += [_interval_text(row.figures["rotation_deg"], 2, " deg")]
-        cells += [_interval_text(row.figures["translation_mm"], 2, " mm")]
-        lines.append(f"| {row.name} | {row.to_find} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def _interval_text(figure: Interval, digits: int, unit: str) -> str:
-    if np.isnan(figure.value):
-        return "none"
-    if np.isnan(figure.low):
-        return f"{figure.value:.{digits}f}{unit}"
-    return f"{figure.value:.{digits}f}{unit} ({figure.low:.{digits}f} to {figure.high:.{digits}f})"
-
-
-def _csv(evaluation: PoseEvaluation) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["part", "to_find", "figure", "value", "low", "high"])
-    for row in evaluation.rows:
-        for name, figure in row.figures.items():
-            numbers = (figure.value, figure.low, figure.high)
-            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in numbers]
-            writer.writerow([row.name, row.to_find, name, *cells])
-    return text.getvalue()
+    return f"{sentence}\n\n{markdown_table(heads, rows)}\n"

@@ -64,7 +64,7 @@ def open_run(path: Path) -> DetectionRun:
     return _run(path / RESULTS, path / DETECT_JSON)
 
 
-def read_found(
+def read_detections(
     run: DetectionRun, scene_ids: Sequence[int], categories: Mapping[int, str]
 ) -> list[Detections]:
     """The run's detections of some of its scenes.
@@ -78,9 +78,9 @@ def read_found(
             f"{run.path}: scene {min(odd)} was not used by graycast detector find: score the set "
             "of scenes that it used"
         )
-    found = read_results(run.path, scene_ids_of_run, obj_ids=set(categories))
+    detections = read_results(run.path, scene_ids_of_run, obj_ids=set(categories))
     wanted = set(scene_ids)
-    return [one for one in found if one.scene_id in wanted]
+    return [one for one in detections if one.scene_id in wanted]
 
 
 def _run(results: Path, path: Path) -> DetectionRun:

@@ -1,17 +1,30 @@
-"""Average precision and recall, as COCO defines them."""
+"""Average precision and recall, as COCO defines them, also for bootstrap resamples of the scenes.
+
+A scene that is drawn twice counts twice: as two scenes with the same content. Where detections have
+equal scores, those of one scene come first and then those of the next, as for the scenes
+themselves. If each detection stood beside its own copies instead, runs of hits and of mistakes
+would be longer in draws than in the data, and with them average precision would be higher.
+
+Hits raise precision and recall together, mistakes lower precision alone, and the curve that COCO
+takes is the highest precision at a recall or above.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 
 from ...dataset.detections import Detections
-from .curves import drawn_figures
 from .labels import Labels
-from .matching import THRESHOLDS, ClassMatches, Kind, Overlaps, match, overlaps
+from .matching import ClassMatches, Kind, Overlaps, match, overlaps
 
 MOST = 300  # A full bin has 255 parts of a class in a scene: COCO's 100 detections are too few.
+_AT_50, _AT_75 = 0, 5  # These are the places of 0.50 and 0.75 among `THRESHOLDS`.
+RECALLS = np.linspace(0.0, 1.0, 101)  # They are COCO's.
+RECALLS.flags.writeable = False
 FIGURES = ("ap", "ap50", "ap75", "ar")
 
 
@@ -23,19 +36,15 @@ class Scores:
         ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.
         ap50: at a threshold of 0.50; `ap75` at 0.75.
         ar: share of the instances that are found, the mean over the same.
-        ap_of_class: `ap` of each object id that the labels or the detections have.
         scene_ids: of the pictures, in the order that `matches` has them.
         scene_of: the scene that each of them is of; several views of a scene share one.
         matches: of each class, what intervals and pictures of mistakes need.
     """
 
-    kind: Kind
-    most: int
     ap: float
     ap50: float
     ap75: float
     ar: float
-    ap_of_class: Mapping[int, float]
     scene_ids: tuple[int, ...]
     scene_of: tuple[int, ...]
     matches: Mapping[int, ClassMatches]
@@ -51,13 +60,13 @@ class Scores:
 
 
 def score(
-    labels: Sequence[Labels], found: Sequence[Detections], *, kind: Kind, most: int = MOST
+    labels: Sequence[Labels], detections: Sequence[Detections], *, kind: Kind, most: int = MOST
 ) -> Scores:
     """Judge the detections of some scenes by their labels.
 
     Args:
         labels: of each scene once, in any order.
-        found: of the same scenes, also where nothing was found.
+        detections: of the same scenes, also where nothing was found.
         kind: whether boxes or masks are compared.
         most: how many detections of a scene and a class count, best first.
 
@@ -65,7 +74,7 @@ def score(
         GraycastError: labels and detections are of different scenes or of pictures of different
             sizes, or one of them has no masks to compare.
     """
-    known = overlaps(labels, found, kind=kind, most=most)
+    known = overlaps(labels, detections, kind=kind, most=most)
     return scores_of(match(known), known)
 
 
@@ -73,13 +82,7 @@ def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
     """The figures of matched detections."""
     once = np.ones((1, len(known.labels)), dtype=np.int64)
     figures = {name: float(value[0]) for name, value in figures_of_draws(matches, once).items()}
-    of_class = {
-        obj_id: float(drawn_figures(one, once)[0].mean()) for obj_id, one in matches.items()
-    }
     return Scores(
-        kind=known.kind,
-        most=known.most,
-        ap_of_class=of_class,
         scene_ids=tuple(one.scene_id for one in known.labels),
         scene_of=tuple(one.scene for one in known.labels),
         matches=matches,
@@ -93,14 +96,13 @@ def figures_of_draws(
     """`FIGURES` of each draw of scenes: means over the classes that it has to find."""
     if not matches:
         return {name: np.full(len(times), np.nan) for name in FIGURES}
-    both = [drawn_figures(one, times) for one in matches.values()]
+    both = [class_figures(one, times) for one in matches.values()]
     precision = _mean_of_known(np.array([one[0] for one in both]))
     recall = _mean_of_known(np.array([one[1] for one in both]))
-    at = {round(float(value), 2): t for t, value in enumerate(THRESHOLDS)}
     return {
         "ap": precision.mean(axis=1),
-        "ap50": precision[:, at[0.5]],
-        "ap75": precision[:, at[0.75]],
+        "ap50": precision[:, _AT_50],
+        "ap75": precision[:, _AT_75],
         "ar": recall.mean(axis=1),
     }
 
@@ -110,3 +112,89 @@ def _mean_of_known(value: Float[np.ndarray, "classes draws t"]) -> Float[np.ndar
     count = known.sum(axis=0)
     total = np.where(known, value, 0.0).sum(axis=0)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+# --- precision over recall ----------------------------------------------------------------------
+
+
+def precision_curves(matches: ClassMatches) -> Float[np.ndarray, "t recalls"]:
+    """Highest precision at each of `RECALLS` or above, for each threshold; NaN if none to find."""
+    curves = np.full((len(matches.hit), len(RECALLS)), np.nan)
+    if wanted := int(matches.to_find.sum()):
+        times = np.ones(len(matches.scene), dtype=np.int64)
+        for t, curve in enumerate(curves):
+            _curve(
+                matches.hit[t], matches.counted[t], _runs(matches), times, wanted, RECALLS, curve
+            )
+    return curves
+
+
+def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
+    """Where detections of one scene with one score begin, and the end of the last."""
+    if not len(matches.score):
+        return np.zeros(1, dtype=np.int64)
+    new = (np.diff(matches.score) != 0) | (np.diff(matches.scene) != 0)
+    return np.concatenate([[0], 1 + np.flatnonzero(new), [len(new) + 1]])
+
+
+def class_figures(
+    matches: ClassMatches, times: Int[np.ndarray, "draws scenes"]
+) -> tuple[Float[np.ndarray, "draws t"], Float[np.ndarray, "draws t"]]:
+    """Average precision and recall of a class at each threshold.
+
+    Args:
+        times: how often each scene counts in each draw.
+
+    Returns:
+        (average precision, recall of all detections); NaN where a draw has nothing to find.
+    """
+    scene, to_find, runs = matches.scene, matches.to_find, _runs(matches)
+    often = times.astype(np.int64, order="C")
+    return _figures(matches.hit, matches.counted, scene, runs, to_find, often, RECALLS)
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _figures(hit, counted, scene, runs, to_find, times, recalls):
+    draws, thresholds = len(times), len(hit)
+    precision = np.full((draws, thresholds), np.nan)
+    recall = np.full((draws, thresholds), np.nan)
+    curve = np.empty(len(recalls))
+    for b in range(draws):
+        wanted = (times[b] * to_find).sum()
+        if wanted == 0:
+            continue
+        each = times[b][scene]
+        for t in range(thresholds):
+            recall[b, t] = _curve(hit[t], counted[t], runs, each, wanted, recalls, curve)
+            precision[b, t] = curve.mean()
+    return precision, recall
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _curve(hit, counted, runs, times, wanted, recalls, curve):
+    """Fill `curve`; returns the recall of all detections. Precision matters at hits alone."""
+    hits, mistakes, steps = 0, 0, 0
+    most = times.sum()
+    at_recall, at_precision = np.empty(most), np.empty(most)
+    for run in range(len(runs) - 1):
+        first, end = runs[run], runs[run + 1]
+        for _ in range(times[first]):
+            for i in range(first, end):
+                if not counted[i]:
+                    continue
+                if hit[i]:
+                    hits += 1
+                    at_recall[steps] = hits / wanted
+                    at_precision[steps] = hits / (hits + mistakes)
+                    steps += 1
+                else:
+                    mistakes += 1
+    highest, step = 0.0, steps - 1
+    for r in range(len(recalls) - 1, -1, -1):
+        while step >= 0 and at_recall[step] >= recalls[r]:
+            highest = max(highest, at_precision[step])
+            step -= 1
+        curve[r] = highest
+    return hits / wanted

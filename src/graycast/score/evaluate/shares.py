@@ -1,8 +1,12 @@
-"""The confidence interval of a share, and a test for the difference of two paired shares."""
+"""Shares of successes: an interval, a test of two paired shares, and how well a score predicts."""
 
 import math
 
+import numpy as np
+from jaxtyping import Bool, Float, Int
 from scipy import stats
+
+from .intervals import Interval, draw_scenes, interval_of
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
@@ -33,3 +37,34 @@ def mcnemar(only_first: int, only_second: int) -> float:
     if only_first + only_second == 0:
         return 1.0
     return float(stats.binomtest(only_first, only_first + only_second, 0.5).pvalue)
+
+
+def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
+    """The area under the ROC curve, which states how well a score predicts success.
+
+    It is the probability that a success has a higher score than a failure; ties count half.
+    NaN where nothing succeeds, or everything. It is Mann and Whitney's U, as a share of all pairs:
+    the sum of the successes' ranks, less the least that it can be.
+    """
+    good = int(success.sum())
+    bad = len(success) - good
+    if not good or not bad:
+        return float("nan")
+    u = stats.rankdata(score)[success].sum() - good * (good + 1) / 2
+    return float(u / (good * bad))
+
+
+def roc_auc_of_scenes(
+    score: Float[np.ndarray, " n"],
+    success: Bool[np.ndarray, " n"],
+    scene: Int[np.ndarray, " n"],
+    *,
+    seed: int,
+) -> Interval:
+    """The same with its interval by resampling of scenes."""
+    ids, place = np.unique(scene, return_inverse=True)
+    draws = []
+    for times in draw_scenes(ids.tolist(), seed=seed) if len(ids) > 1 else ():
+        index = np.repeat(np.arange(len(score)), times[place])
+        draws.append(roc_auc(score[index], success[index]))
+    return interval_of(roc_auc(score, success), np.array(draws), len(ids))

@@ -1,5 +1,6 @@
 """From a results' path and a dataset's to an evaluation."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -17,14 +18,15 @@ from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
 from ...dataset.training import Examples, open_examples
 from .judgement_files import Evaluation
-from .judging import Protocol, judge, kinds_of
+from .judgement_plots import Picture
+from .judging import Judgement, Protocol, judge, kinds_of
 from .labels import Labels, labels_of
-from .matching import Kind
-from .notes import notes
-from .results import DetectionRun, open_run, read_found
-from .sheets import Picture
+from .matching import ClassMatches, Kind
+from .results import DetectionRun, open_run, read_detections
+from .scores import precision_curves
 
 _Either = TypeVar("_Either", Labels, Detections)
+TELLING = 0.005  # A note is worth it if the order of equal scores moves AP by this at least.
 _ONE_CLASS = 1  # Everything has this object id where classes do not matter.
 
 
@@ -60,18 +62,19 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
     of_scene = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
     categories = dict(sets[0].categories)
     scene_ids = _scene_ids(task, run, of_scene)
-    found = read_found(run, scene_ids, categories)
-    other = None if against is None else read_found(against, scene_ids, categories)
+    detections = read_detections(run, scene_ids, categories)
+    other = None if against is None else read_detections(against, scene_ids, categories)
     labels = list(_labels(task, of_scene, scene_ids, progress))
     if task.one_class:
-        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
+        labels = [as_one_class(one) for one in labels]
+        detections = [as_one_class(one) for one in detections]
         other = None if other is None else [as_one_class(one) for one in other]
         categories = {_ONE_CLASS: "any part"}
-    kinds = kinds_of(labels, [*found, *(other or [])]) if task.kind is None else (task.kind,)
+    kinds = kinds_of(labels, [*detections, *(other or [])]) if task.kind is None else (task.kind,)
     judgements = tuple(
         judge(
             labels,
-            found,
+            detections,
             kind=kind,
             categories=categories,
             protocol=task.protocol,
@@ -144,3 +147,63 @@ def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
         return display_image(of_scene[scene_id].read(scene_id))
 
     return picture
+
+
+# --- what a reader of the figures must know of the results ---------------------------------------
+
+
+def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
+    """Sentences about one file of results."""
+    if doubled := sum(map(_doubled, judgements[0].known.detections)):
+        yield (
+            f"{doubled} detections repeat another one (same picture, class and outline), and each "
+            "counts as a false alarm: remove them from the results."
+        )
+    for one in judgements:
+        low, high = ap_of_any_order(one.scores.matches)
+        if high - low < TELLING:
+            continue
+        score = np.concatenate([each.score for each in one.scores.matches.values()])
+        equal = "all scores are equal" if len(set(score.tolist())) == 1 else "scores are equal"
+        yield (
+            f"{one.kind}: {equal}, so that AP depends on the order of the detections in the file: "
+            f"it is {one.scores.ap:.3f}, and another order could make it {low:.3f} to {high:.3f}."
+        )
+
+
+def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
+    """AP if among equal scores all mistakes came first, and if all hits did.
+
+    The matches stay the same: within a picture, another order could also change them.
+    """
+    worst, best = (
+        [float(precision_curves(_sorted(one, sign)).mean()) for one in matches.values()]
+        for sign in (1, -1)
+    )
+    known = ~np.isnan(worst)
+    if not known.any():
+        return float("nan"), float("nan")
+    return float(np.mean(np.array(worst)[known])), float(np.mean(np.array(best)[known]))
+
+
+def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
+    """Hits after mistakes of the same score (sign 1), or before them."""
+    order = np.stack([np.lexsort((sign * hit, -one.score)) for hit in one.hit.astype(int)])
+    return replace(
+        one,
+        hit=np.take_along_axis(one.hit, order, axis=1),
+        counted=np.take_along_axis(one.counted, order, axis=1),
+    )
+
+
+def _doubled(detections: Detections) -> int:
+    """How many detections of a picture have the class, box and mask of an earlier one."""
+    masks = (
+        [None] * len(detections)
+        if detections.mask is None
+        else [str(m["counts"]) for m in detections.mask]
+    )
+    outlines = zip(
+        detections.obj_id.tolist(), map(tuple, detections.box_px.tolist()), masks, strict=True
+    )
+    return sum(count - 1 for count in Counter(outlines).values())

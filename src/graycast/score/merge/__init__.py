@@ -2,8 +2,7 @@
 
 from .adding import best_order
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud, fuse
-from .merge_text import described
-from .merging import merge, merged_ply
+from .merging import described, merge, merged_ply
 from .stored_views import read_view
 from .view import MeasuredView
 

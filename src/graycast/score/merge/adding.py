@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from ...base.frames import inverse, transform_points
-from ...rig.optics import project
+from ...rig.optics import pixels_of
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
 from .fuse import HIDDEN, OUTSIDE
@@ -81,9 +81,8 @@ def why_not(
     camera = view.camera
     T_cam_world = inverse(view.T_world_cam)
     at = transform_points(T_cam_world, surface.point_m)
-    column, row = np.rint(np.nan_to_num(project(camera, at), nan=-1.0)).T
-    inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    pixel = tuple(np.where(inside, index, 0).astype(np.int64) for index in (row, column))
+    row_column, inside = pixels_of(camera, at)
+    pixel = tuple(row_column.T)
     # The true point of the pixel lies on the way from the camera, as the measured one would.
     eye, toward = view.T_world_cam[:3, 3], points.toward[pixel]
     along_m = truth.depth_m[pixel] / -(toward @ T_cam_world[2, :3])

@@ -17,8 +17,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from .looking import Measured, ViewAgreement, at, look
-from .view import MeasuredView, points_of
+from .looking import ViewAgreement, look
+from .view import MeasuredView, Points, points_of
 from .view_poses import pose_doubts
 
 # Beside a dataset's reasons, these say why the first view has no such point: it measured something
@@ -82,99 +82,109 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
     if not 1 <= len(views) <= MOST:
         raise ValueError(f"there are {len(views)} views to merge: give 1 to {MOST}")
     points = [points_of(view) for view in views]
-    own = [at(view_points, np.argwhere(view_points.known)) for view_points in points]
+    own = [each.at(np.argwhere(each.known)) for each in points]
     agreement = [
         {j: look(own[i], views[j], points[j]) for j in range(len(views)) if j != i}
         for i in range(len(views))
     ]
-    rejected = [
-        _count(answers, "through", len(one.pixel)) > _count(answers, "agrees", len(one.pixel))
-        for answers, one in zip(agreement, own, strict=True)
-    ]
+    votes = [_votes(answers, len(one.pixel)) for answers, one in zip(agreement, own, strict=True)]
+    rejected = [against > confirmed for confirmed, against in votes]
     wrong = [_picture(v, one, bad) for v, one, bad in zip(views, own, rejected, strict=True)]
-    kept = [
-        ~rejected[i] & ~_stood_for(i, own[i], agreement[i], wrong) for i in range(len(views))
-    ]  # fmt: skip
-    pieces = [_piece(i, own[i], agreement[i], views, kept[i]) for i in range(len(views))]
-    confirmed = (_count(agreement[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
+    pieces = [
+        _piece(
+            i,
+            own[i],
+            agreement[i],
+            views,
+            votes[i],
+            ~rejected[i] & ~_stood_for(i, own[i], agreement[i], wrong),
+        )
+        for i in range(len(views))
+    ]
     return Fused(
         cloud=FusedCloud(
             **{name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
         ),
         doubts=pose_doubts(views, points),
         measured_px=tuple(len(one.pixel) for one in own),
-        confirmed_px=tuple(int(each.sum()) for each in confirmed),
+        confirmed_px=tuple(int((confirmed > 0).sum()) for confirmed, _ in votes),
         rejected_px=tuple(int(bad.sum()) for bad in rejected),
     )
 
 
-def _count(answers: Mapping[int, ViewAgreement], name: str, points: int) -> Int[np.ndarray, " n"]:
-    """How many views answer so, of each point."""
-    total = np.zeros(points, dtype=np.int64)
+def _votes(
+    answers: Mapping[int, ViewAgreement], points: int
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """How many other views confirm each point, and how many saw through it."""
+    confirmed, against = np.zeros((2, points), dtype=np.int64)
     for answer in answers.values():
-        total += getattr(answer, name)
-    return total
+        confirmed += answer.met.agrees
+        against += answer.through
+    return confirmed, against
 
 
 def _picture(
-    view: MeasuredView, own: Measured, chosen: Bool[np.ndarray, " n"]
+    view: MeasuredView, own: Points, which: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, "h w"]:
     where = np.zeros(view.depth_m.shape, dtype=bool)
-    where[tuple(own.pixel[chosen].T)] = True
+    where[tuple(own.pixel[which].T)] = True
     return where
 
 
 def _stood_for(
     i: int,
-    own: Measured,
+    own: Points,
     answers: Mapping[int, ViewAgreement],
     wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
     """Whether a view with smaller pixels on the surface has the place; of equals the first."""
-    found = np.zeros(len(own.pixel), dtype=bool)
+    better = np.zeros(len(own.pixel), dtype=bool)
     for j, answer in answers.items():
-        theirs = answer.there.area_m2
+        met = answer.met
+        theirs = met.there.area_m2
         finer = (theirs < own.area_m2) | ((theirs == own.area_m2) & (j < i))
-        found |= answer.agrees & finer & ~wrong[j][tuple(answer.there.pixel.T)]
-    return found
+        better |= met.agrees & finer & ~wrong[j][tuple(met.there.pixel.T)]
+    return better
 
 
 def _piece(
     i: int,
-    own: Measured,
+    own: Points,
     answers: Mapping[int, ViewAgreement],
     views: Sequence[MeasuredView],
-    kept: Bool[np.ndarray, " n"],
+    votes: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]],
+    keep: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
     """The fields of `FusedCloud` for the points that stand at a view's pixels."""
     weight = 1 / own.variance_along(own.normal)
     moved = np.zeros_like(weight)
     for answer in answers.values():
-        one = np.where(answer.agrees, 1 / answer.variance_m2, 0.0)
-        moved += np.where(answer.agrees, answer.offset_m, 0.0) * one
+        met = answer.met
+        one = np.where(met.agrees, 1 / met.variance_m2, 0.0)
+        moved += np.where(met.agrees, met.offset_m, 0.0) * one
         weight = weight + one
     place = own.point_m + (moved / weight)[:, None] * own.normal
-    first = np.zeros(len(kept), dtype=np.uint8) if i == 0 else _first_reason(answers[0], views[0])
+    first = np.zeros(len(keep), dtype=np.uint8) if i == 0 else _first_reason(answers[0], views[0])
     row, column = own.pixel.T
-    count = {name: _count(answers, name, len(kept)) for name in ("agrees", "through")}
-    found = {
+    confirmed, against = votes
+    values = {
         "point_m": place,
         "normal": own.normal,
         "color": views[i].color[row, column],
         "sigma_m": 1 / np.sqrt(weight),
-        "view": np.full(len(kept), i, dtype=np.uint8),
+        "view": np.full(len(keep), i, dtype=np.uint8),
         "pixel": own.pixel,
-        "views": (1 + count["agrees"]).astype(np.uint8),
-        "against": count["through"].astype(np.uint8),
+        "views": (1 + confirmed).astype(np.uint8),
+        "against": against.astype(np.uint8),
         "first_reason": first,
     }
-    return {name: values[kept] for name, values in found.items()}
+    return {name: array[keep] for name, array in values.items()}
 
 
 def _first_reason(answer: ViewAgreement, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
-    reason = first.reason[tuple(answer.there.pixel.T)]
-    unknown = ~np.isfinite(answer.there.sigma_m)
-    cases = [answer.agrees, ~answer.inside, unknown, answer.before]
+    met = answer.met
+    reason = first.reason[tuple(met.there.pixel.T)]
+    cases = [met.agrees, ~met.inside, ~np.isfinite(met.there.sigma_m), answer.before]
     return np.select(
         cases, [np.uint8(0), np.uint8(OUTSIDE), reason, np.uint8(HIDDEN)], np.uint8(THROUGH)
     )

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.frames import inverse, transform_points
-from ...rig.optics import project
+from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
 SIGMAS = 4.0  # Views of one surface may differ by so many standard deviations.
@@ -20,30 +20,24 @@ _SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
-    """Pixels of a view in a row, with the fields of `Points`; NaN where nothing was measured."""
+class ProjectedPoints:
+    """The pixel of a view at which each point of another would be seen.
 
-    pixel: Int[np.ndarray, "n 2"]  # row and column
-    point_m: Float[np.ndarray, "n 3"]
-    toward: Float[np.ndarray, "n 3"]
-    normal: Float[np.ndarray, "n 3"]
-    plane: Bool[np.ndarray, " n"]
-    sigma_m: Float[np.ndarray, " n"]
-    spacing_m: Float[np.ndarray, " n"]
+    Attributes:
+        inside: the point is in the view's picture.
+        there: what the view measured at that pixel.
+        agrees: it is the point's own surface.
+        offset_m: from the point to the view's surface, along the mean of both normals.
+        variance_m2: of what the view measured, along that mean.
+        depth_m: the point's own z in the view's camera.
+    """
 
-    def variance_along(self, direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Of each point along a direction [m^2]: noise is along the ray, and its shadow counts."""
-        cosine = np.abs((self.toward * direction).sum(axis=-1)).clip(LEAST_COSINE, 1.0)
-        return np.square(self.sigma_m * cosine)
-
-    @property
-    def cosine(self) -> Float[np.ndarray, " n"]:
-        return (self.toward * self.normal).sum(axis=-1).clip(LEAST_COSINE, 1.0)
-
-    @property
-    def area_m2(self) -> Float[np.ndarray, " n"]:
-        """Of the surface, what a pixel covers."""
-        return np.square(self.spacing_m) / self.cosine
+    inside: Bool[np.ndarray, " n"]
+    there: Points
+    agrees: Bool[np.ndarray, " n"]
+    offset_m: Float[np.ndarray, " n"]
+    variance_m2: Float[np.ndarray, " n"]
+    depth_m: Float[np.ndarray, " n"]
 
 
 @final
@@ -52,55 +46,21 @@ class ViewAgreement:
     """A view's answer for each point: it agrees, sees through it, is hidden from it, or is silent.
 
     Attributes:
-        inside: the point is in the view's picture, at `pixel`.
-        there: what the view measured at that pixel.
-        agrees: it is the point's own surface.
-        through: it is behind the point, on all sides.
+        met: where the view would see the point, and whether it agrees.
+        through: what the view measured is behind the point, on all sides.
         before: it is before the point.
-        offset_m: from the point to the view's surface, along the mean of both normals.
-        variance_m2: of what the view measured, along that mean.
     """
 
-    inside: Bool[np.ndarray, " n"]
-    there: Measured
-    agrees: Bool[np.ndarray, " n"]
+    met: ProjectedPoints
     through: Bool[np.ndarray, " n"]
     before: Bool[np.ndarray, " n"]
-    offset_m: Float[np.ndarray, " n"]
-    variance_m2: Float[np.ndarray, " n"]
 
 
-def at(points: Points, pixel: Int[np.ndarray, "n 2"]) -> Measured:
-    """What a view has at some of its pixels."""
-    row, column = pixel.T
-    values = {name: getattr(points, name)[row, column] for name in Points.__dataclass_fields__}
-    return Measured(pixel=pixel, **values)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProjectedPoints:
-    """The pixel of a view at which each point would be seen, named as in `ViewAgreement`.
-
-    `depth_m` is the point's own z in the view's camera.
-    """
-
-    inside: Bool[np.ndarray, " n"]
-    there: Measured
-    agrees: Bool[np.ndarray, " n"]
-    offset_m: Float[np.ndarray, " n"]
-    variance_m2: Float[np.ndarray, " n"]
-    depth_m: Float[np.ndarray, " n"]
-
-
-def meet(own: Measured, view: MeasuredView, points: Points) -> ProjectedPoints:
+def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
     """What a view measured where it would see another's points."""
-    camera = view.camera
     place = transform_points(inverse(view.T_world_cam), own.point_m)
-    column, row = np.rint(np.nan_to_num(project(camera, place), nan=-1.0)).T
-    inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    pixel = np.where(inside[:, None], np.stack([row, column], axis=-1), 0).astype(np.int64)
-    there = at(points, pixel)
+    pixel, inside = pixels_of(view.camera, place)
+    there = points.at(pixel)
     apart = there.point_m - own.point_m
     across = _mean_normal(own, there)
     offset_m = (apart * across).sum(axis=-1)
@@ -115,31 +75,25 @@ def meet(own: Measured, view: MeasuredView, points: Points) -> ProjectedPoints:
     )
 
 
-def look(own: Measured, view: MeasuredView, points: Points) -> ViewAgreement:
+def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
     """Ask a view about another's points.
 
     A view sees through a point where all nine pixels about the place have measured something
     behind it, and the middle one a plane that the point lies before.
     """
     met = meet(own, view, points)
-    inside, there, agrees = met.inside, met.there, met.agrees
+    there, other = met.there, met.inside & ~met.agrees
     behind_m = _nearest_m(view.depth_m)[tuple(there.pixel.T)] - met.depth_m
     beyond = behind_m > SIGMAS * np.hypot(own.sigma_m, there.sigma_m)
-    through = inside & there.plane & ~agrees & beyond & _over_plane(own, there)
     apart = there.point_m - own.point_m
-    before = inside & ~agrees & ((apart * there.toward).sum(axis=-1) > 0)
     return ViewAgreement(
-        inside=inside,
-        there=there,
-        agrees=agrees,
-        through=through,
-        before=before,
-        offset_m=met.offset_m,
-        variance_m2=met.variance_m2,
+        met=met,
+        through=other & there.plane & beyond & _over_plane(own, there),
+        before=other & ((apart * there.toward).sum(axis=-1) > 0),
     )
 
 
-def _mean_normal(own: Measured, there: Measured) -> Float[np.ndarray, "n 3"]:
+def _mean_normal(own: Points, there: Points) -> Float[np.ndarray, "n 3"]:
     """Across the surface between two points of it; on a sphere the way between is square to it.
 
     Where one has no plane, the other's normal.
@@ -152,8 +106,8 @@ def _mean_normal(own: Measured, there: Measured) -> Float[np.ndarray, "n 3"]:
 
 
 def _on_one_surface(
-    own: Measured,
-    there: Measured,
+    own: Points,
+    there: Points,
     across: Float[np.ndarray, "n 3"],
     offset_m: Float[np.ndarray, " n"],
     aside_m: Float[np.ndarray, " n"],
@@ -169,7 +123,7 @@ def _on_one_surface(
     return near & ~turned
 
 
-def _over_plane(own: Measured, there: Measured) -> Bool[np.ndarray, " n"]:
+def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
     """Whether the point lies before the other's plane, by more than both noises."""
     apart = own.point_m - there.point_m
     height_m = (apart * there.normal).sum(axis=-1)

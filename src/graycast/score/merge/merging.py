@@ -1,5 +1,6 @@
 """The clouds of a dataset's scenes, and what their views add, as files."""
 
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from .stored_views import read_surface, read_view
 from .view_figures import SurfaceCoverage, cloud_figures, joined, surface_coverage, surface_figures
 
 RECORD = "merge.json"
+_MOST_REASONS = 2
 
 
 def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> dict[str, Any]:
@@ -74,6 +76,32 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
     return record
 
 
+def described(surface: Mapping[str, Any]) -> Iterator[str]:
+    """Lines about one of the `surfaces` of `merge.json`."""
+    views = surface["views"]
+    yield (
+        f"of the parts' surface {_share(surface['visible'])} is visible to a camera, and of that "
+        f"{_share(surface['measured'])} is measured by the views together:"
+    )
+    wide = max(len(view["view"]) for view in views)
+    yield f"  {'view':{max(wide, 4)}}  measures  only it  others fill, and why it has none"
+    for view in views:
+        filled = view["filled_by_others"]
+        why = sorted(filled.items(), key=lambda item: -item[1])[:_MOST_REASONS]
+        reasons = ", ".join(f"{name.replace('_', ' ')} {_share(share)}" for name, share in why)
+        yield (
+            f"  {view['view']:{max(wide, 4)}}  {_share(view['measured']):>8}  "
+            f"{_share(view['only_this_view']):>7}  {_share(sum(filled.values(), 0.0)):>6}"
+            + (f" ({reasons})" if reasons else "")
+        )
+    if len(views) > 1:
+        steps = [
+            f"{step['view']} {'+' if k else ''}{_share(step['adds'])}"
+            for k, step in enumerate(surface["best_order"])
+        ]
+        yield f"the order in which they add most: {', '.join(steps)}"
+
+
 def merged_ply(cloud: FusedCloud) -> bytes:
     """A binary PLY in the world frame, with all that is known of each point."""
     more = {
@@ -93,11 +121,13 @@ def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
     """The dataset, and the pictures of each of its scenes, or of the one that is meant."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
-    shots = [shot for shot in stored.pictures if not one or _same(shot.folder, source)]
+    shots = [
+        shot for shot in stored.pictures if not one or shot.folder.absolute() == source.absolute()
+    ]
     if not shots:
         raise DatasetError(f"{source}: is no finished scene of {stored.folder}: give one of them")
     return stored, [list(view) for _, view in groupby(shots, key=lambda shot: shot.folder)]
 
 
-def _same(a: Path, b: Path) -> bool:
-    return a.absolute() == b.absolute()
+def _share(share: float) -> str:
+    return f"{100 * share:.1f} %"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from ...base.frames import transform_points
 from ...camera.crop import crop
@@ -50,9 +50,12 @@ class MeasuredView:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Points:
-    """The pixels of a view as points of the world; NaN where nothing was measured.
+    """Pixels of a view, all of its picture or some in a row, as points of the world.
+
+    They are NaN where nothing was measured.
 
     Attributes:
+        pixel: row and column.
         point_m, toward: places, and unit vectors from them to the camera.
         normal: of the surface, towards the camera; where no plane fits, `toward` stands for it.
         plane: whether one fits.
@@ -60,20 +63,41 @@ class Points:
         spacing_m: how far apart the rays of neighbouring pixels are there.
     """
 
-    point_m: Float[np.ndarray, "h w 3"]
-    toward: Float[np.ndarray, "h w 3"]
-    normal: Float[np.ndarray, "h w 3"]
-    plane: Bool[np.ndarray, "h w"]
-    sigma_m: Float[np.ndarray, "h w"]
-    spacing_m: Float[np.ndarray, "h w"]
+    pixel: Int[np.ndarray, "*n 2"]
+    point_m: Float[np.ndarray, "*n 3"]
+    toward: Float[np.ndarray, "*n 3"]
+    normal: Float[np.ndarray, "*n 3"]
+    plane: Bool[np.ndarray, "*n"]
+    sigma_m: Float[np.ndarray, "*n"]
+    spacing_m: Float[np.ndarray, "*n"]
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             getattr(self, name).flags.writeable = False
 
     @property
-    def known(self) -> Bool[np.ndarray, "h w"]:
+    def known(self) -> Bool[np.ndarray, "*n"]:
         return np.isfinite(self.point_m[..., 2])
+
+    @property
+    def cosine(self) -> Float[np.ndarray, "*n"]:
+        return (self.toward * self.normal).sum(axis=-1).clip(LEAST_COSINE, 1.0)
+
+    @property
+    def area_m2(self) -> Float[np.ndarray, "*n"]:
+        """Of the surface, what a pixel covers."""
+        return np.square(self.spacing_m) / self.cosine
+
+    def variance_along(self, direction: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+        """Of each point along a direction [m^2]: noise is along the ray, and its shadow counts."""
+        cosine = np.abs((self.toward * direction).sum(axis=-1)).clip(LEAST_COSINE, 1.0)
+        return np.square(self.sigma_m * cosine)
+
+    def at(self, pixel: Int[np.ndarray, "n 2"]) -> "Points":
+        """Some pixels of a whole picture."""
+        index = tuple(pixel.T)
+        names = [name for name in self.__dataclass_fields__ if name != "pixel"]
+        return Points(pixel=pixel, **{name: getattr(self, name)[index] for name in names})
 
 
 def points_of(view: MeasuredView) -> Points:
@@ -87,6 +111,7 @@ def points_of(view: MeasuredView) -> Points:
     plane = np.isfinite(normal_cam[..., 2])
     normal = np.where(plane[..., None], normal_cam @ T[:3, :3].T, toward)
     return Points(
+        pixel=np.moveaxis(np.indices(plane.shape), 0, -1),
         point_m=transform_points(T, ray * depth_m[..., None]),
         toward=toward,
         normal=normal,

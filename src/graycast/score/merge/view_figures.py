@@ -93,8 +93,8 @@ def cloud_figures(
         "doubtful": int((cloud.against > 0).sum()),
         "first_reason": _shares(cloud.first_reason, reason_name | OWN_NAMES, len(cloud.views)),
         "by_views": [
-            {"views": count, **_noise(cloud.sigma_m[chosen], error_m[chosen])}
-            for count, chosen in ((count, cloud.views == count) for count in counts)
+            {"views": count, **_noise(cloud.sigma_m[own], error_m[own])}
+            for count, own in ((count, cloud.views == count) for count in counts)
         ],
         "views": [
             {

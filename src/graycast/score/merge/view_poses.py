@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from ...base.frames import axis_rotation, inverse, rigid, transform_points
 from ...base.robust import robust_sigma
-from .looking import SIGMAS, Measured, at, meet
+from .looking import SIGMAS, meet
 from .view import MeasuredView, Points, points_of
 
 POINTS = 4000  # So many points of a view are looked up in another.
@@ -136,8 +136,8 @@ def _remedy(i: int, views: Sequence[MeasuredView], points: Sequence[Points]) -> 
     T = views[i].T_world_cam
     for what, change in _MISTAKES.items():
         own = _moved(_some(points[i]), change(T) @ inverse(T))
-        found = [_agreement(own, views[j], points[j]) for j in range(len(views)) if j != i]
-        if best := max((one.share for one in found if one.meets), default=0.0):
+        pairs = [_agreement(own, views[j], points[j]) for j in range(len(views)) if j != i]
+        if best := max((one.share for one in pairs if one.meets), default=0.0):
             name = views[i].name
             return f"; with the pose of view {name} {what}, {best:.0%} would: change the pose so"
     return "; to invert its pose does not help: check the pose (camera to world, in metres)"
@@ -157,14 +157,14 @@ _MISTAKES: Mapping[str, Callable[[Float[np.ndarray, "4 4"]], Float[np.ndarray, "
 }
 
 
-def _some(points: Points) -> Measured:
+def _some(points: Points) -> Points:
     """Points on planes, spread evenly over the picture."""
     pixel = np.argwhere(points.known & points.plane)
-    chosen = np.linspace(0, len(pixel) - 1, min(POINTS, len(pixel))).astype(np.int64)
-    return at(points, pixel[chosen])
+    index = np.linspace(0, len(pixel) - 1, min(POINTS, len(pixel))).astype(np.int64)
+    return points.at(pixel[index])
 
 
-def _agreement(own: Measured, view: MeasuredView, points: Points) -> Agreement:
+def _agreement(own: Points, view: MeasuredView, points: Points) -> Agreement:
     T, off = np.eye(4), 0.0
     shift_m, turn_rad = np.zeros(3), 0.0
     for gate in GATES:
@@ -205,7 +205,7 @@ def _agreement(own: Measured, view: MeasuredView, points: Points) -> Agreement:
     )
 
 
-def _moved(own: Measured, T: Float[np.ndarray, "4 4"]) -> Measured:
+def _moved(own: Points, T: Float[np.ndarray, "4 4"]) -> Points:
     R = T[:3, :3].T
     return replace(
         own, point_m=transform_points(T, own.point_m), toward=own.toward @ R, normal=own.normal @ R

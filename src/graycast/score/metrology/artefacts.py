@@ -206,16 +206,12 @@ def ball_bars(rig: Rig, volume: Volume, *, radius_m: float) -> tuple[BallBar, ..
             )
             for name, along in directions.items()
         )
-        if all(_stands(rig, volume, bar) for bar in bars):
+        fit = (sphere_fits(rig, volume, end, radius_m) for bar in bars for end in bar.ends_m)
+        if all(fit) and all(clear(rig, bar.ends_m, radius_m) for bar in bars):
             return bars
     raise ValueError(
         f"no ball bar of {BAR_SHARES[-1]:.0%} of the diagonal fits into the volume of {rig.name}"
     )
-
-
-def _stands(rig: Rig, volume: Volume, bar: BallBar) -> bool:
-    fits = all(sphere_fits(rig, volume, end, bar.radius_m) for end in bar.ends_m)
-    return fits and clear(rig, bar.ends_m, bar.radius_m)
 
 
 def clear(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> bool:

@@ -19,14 +19,14 @@ def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
     Raises:
         GraycastError: a file cannot be written.
     """
-    drawn = {
+    figures = {
         "volume": _volume(certificate),
         "noise": _noise(certificate),
         "shape": _shape(certificate),
         "focus": _focus(certificate),
     }
     paths = {}
-    for name, figure in drawn.items():
+    for name, figure in figures.items():
         paths[name] = folder / f"{name}.png"
         save_png(figure, paths[name], dpi=150)
     return paths
@@ -128,8 +128,8 @@ def _shape(certificate: Certificate) -> Figure:
 def _focus(certificate: Certificate) -> Figure:
     figure, (bits, blur) = plain_figure(9.6, 2.9, (1.2, 1))
     facing = certificate.facing
-    chosen = facing[0], certificate.middle, facing[-1]
-    for name, plane, color in zip(("near", "middle", "far"), chosen, DEPTH_COLORS, strict=True):
+    planes = facing[0], certificate.middle, facing[-1]
+    for name, plane, color in zip(("near", "middle", "far"), planes, DEPTH_COLORS, strict=True):
         values = list(plane.modulation.values())
         label = f"{name}, {1e3 * plane.z_m:.0f} mm"
         bits.plot(range(len(values)), values, "o-", color=color, ms=4, lw=1, label=label)

@@ -27,8 +27,18 @@ from .certificate import (
     Scope,
     SpacingResult,
 )
-from .conditions import blur, conditions, fields_m, rig_figures
-from .lab import Lab, Shots, incidence_rad, measured_points, open_lab, shoot
+from .lab import (
+    Lab,
+    Shots,
+    blur,
+    conditions,
+    fields_m,
+    incidence_rad,
+    measured_points,
+    open_lab,
+    rig_figures,
+    shoot,
+)
 from .measures import flatness, modulation, point_spacing_m, probing, temporal_noise_m
 
 MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's box, each way.
@@ -119,8 +129,7 @@ def certify(
 
     planes, deviation_m = [], np.zeros((0, 0))
     for pose in plan.poses:
-        shots = _plane_shots(lab, pose, next_seed(pose.name))
-        result, map_m = _judge_plane(lab, pose, shots)
+        result, map_m = _plane(lab, pose, next_seed(pose.name))
         planes.append(result)
         if len(planes) == lab.scope.distances // 2 + 1:
             deviation_m = map_m
@@ -219,20 +228,15 @@ def _poses(lab: Lab) -> tuple[_Pose, ...]:
 # --- planes ------------------------------------------------------------------------------------
 
 
-def _plane_shots(lab: Lab, pose: _Pose, seed: int) -> Shots:
+def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndarray, "h w"]]:
+    """The figures of one plane, and a map of how far it lies from its best fit."""
     surface = plane(
         pose.z_m,
         tilt_rad=math.radians(pose.tilt_deg),
         azimuth_rad=math.radians(pose.azimuth_deg),
         material=lab.material,
     )
-    return shoot(lab, (surface,), captures=pose.captures, seed=seed)
-
-
-def _judge_plane(
-    lab: Lab, pose: _Pose, shots: Shots
-) -> tuple[PlaneResult, Float[np.ndarray, "h w"]]:
-    """The figures of one plane, and a map of how far it lies from its best fit."""
+    shots = shoot(lab, (surface,), captures=pose.captures, seed=seed)
     first_m = shots.depth_m[0]
     point = measured_points(lab, first_m)
     decoded = shots.where & np.isfinite(first_m)
@@ -307,12 +311,12 @@ def _sphere_points(
 def _probe(lab: Lab, plan: _Plan, scene: list[int], seed: int) -> dict[int, ProbingResult]:
     centre_m, radius_m = plan.places_m[scene], plan.probing_radius_m
     shots = shoot(lab, spheres(centre_m, radius_m, lab.material), captures=1, seed=seed)
-    found = {}
+    results = {}
     for i, true_m, point in zip(
         scene, centre_m, _sphere_points(lab, shots, centre_m, radius_m), strict=True
     ):
         fit, off = probing(point)
-        found[i] = ProbingResult(
+        results[i] = ProbingResult(
             centre_m=tuple(true_m.tolist()),
             form_m=off.range_m,
             size_m=2 * (fit.radius_m - radius_m),
@@ -321,7 +325,7 @@ def _probe(lab: Lab, plan: _Plan, scene: list[int], seed: int) -> dict[int, Prob
             points=off.points,
             dropped=off.dropped,
         )
-    return found
+    return results
 
 
 def _space(lab: Lab, bar: BallBar, seed: int) -> SpacingResult:

@@ -1,6 +1,8 @@
 """The virtual lab: the rig as it is built lights a scene, the scanner as it is scans it."""
 
-from dataclasses import dataclass, replace
+import platform
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -8,19 +10,21 @@ from scipy.ndimage import binary_erosion
 
 from ...base.frames import transform_points
 from ...camera.decode import DepthMap, Reason
+from ...camera.faults import FaultSpec
 from ...camera.light import camera_light
 from ...camera.scanner import Scanner, measure, take
 from ...camera.sensor import auto_exposure_s
 from ...rendering import Quality, Renderer, Rendering
-from ...rig.optics import picture_rays
+from ...rig.optics import Optics, blur_radius_px, picture_rays
 from ...rig.pair import Rig, grey_levels
 from ...rig.pattern import Code
 from ...world.parts import Material
 from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
-from .artefacts import Volume, in_view, working_volume
-from .certificate import Scope
+from .artefacts import Volume, common_rectangle_m, in_view, working_volume
+from .certificate import BlurResult, Scope
 
 ERODED_PX = 3  # So much is left out along the outline of every artefact.
+BLUR_DEPTHS = 21
 MIN_DECODED = 0.05  # Fewer of an artefact's pixels say more of the settings than of its shape.
 
 
@@ -174,3 +178,76 @@ def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
 def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
     """The scanner's points, camera frame; NaN where it has no depth."""
     return lab.scanner_ray * depth_m[..., None].astype(np.float64)
+
+
+# --- what a certificate states without a scan ---------------------------------------------------
+
+
+def blur(lab: Lab) -> tuple[BlurResult, ...]:
+    z_m = np.linspace(lab.volume.near_m, lab.volume.far_m, BLUR_DEPTHS)
+    axis = np.stack([0 * z_m, 0 * z_m, z_m], axis=-1)
+    z_projector_m = transform_points(lab.rig.T_proj_cam, axis)[:, 2]
+    rows = zip(
+        z_m,
+        blur_radius_px(lab.rig.camera, z_m),
+        blur_radius_px(lab.rig.projector, z_projector_m),
+        strict=True,
+    )
+    return tuple(
+        BlurResult(z_m=float(z), camera_px=float(camera), projector_px=float(projector))
+        for z, camera, projector in rows
+    )
+
+
+def fields_m(lab: Lab) -> dict[str, tuple[float, float]]:
+    """Width and height of the common rectangle at the near end, the middle and the far end."""
+    fields = {}
+    for name, share in (("near", 0.0), ("middle", 0.5), ("far", 1.0)):
+        field = common_rectangle_m(lab.rig, lab.volume.depth_m(share))
+        width_m, height_m = (0.0, 0.0) if field is None else (field[1] - field[0]).tolist()
+        fields[name] = (width_m, height_m)
+    return fields
+
+
+def rig_figures(rig: Rig) -> dict[str, Any]:
+    def optics(one: Optics) -> dict[str, Any]:
+        return {
+            "width_px": one.width_px,
+            "height_px": one.height_px,
+            "fx_px": one.fx_px,
+            "aperture_m": one.aperture_m,
+            "focus_m": one.focus_m,
+            "psf_px": one.psf_px,
+        }
+
+    return {
+        "name": rig.name,
+        "baseline_m": rig.baseline_m,
+        "axes_angle_rad": rig.axes_angle_rad,
+        "projector_m": rig.T_cam_proj[:3, 3].tolist(),
+        "camera": optics(rig.camera),
+        "projector": optics(rig.projector),
+    }
+
+
+def conditions(lab: Lab, seed: int) -> dict[str, Any]:
+    scanner, scope = lab.scanner, lab.scope
+    kinds = {
+        "codec": scanner.code.codec,
+        "frames": len(lab.code.frames),
+        "subpixel": lab.code.subpixel,
+    }
+    return {
+        "albedo": scope.albedo,
+        "ambient_w_sr_m2": scope.ambient_w_sr_m2,
+        "samples": scope.samples,
+        "path_vertices": scope.depth,
+        "captures": scope.captures,
+        "exposures": list(scanner.exposure.factors),
+        "code": kinds,
+        "filters": asdict(scanner.filters),
+        "faults": asdict(scanner.faults) if scanner.faults != FaultSpec() else {},
+        "calibration_differs": lab.rig is not scanner.rig,
+        "renderer": f"{lab.renderer.name} on {lab.renderer.device}, {platform.machine()}",
+        "seed": seed,
+    }

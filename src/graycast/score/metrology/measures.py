@@ -199,12 +199,12 @@ def modulation(
         return {}
     white, black = ends["white"], ends["black"]
     lit = white > black
-    found = {}
+    share_of = {}
     for frame, picture in value_of.items():
         swing = _swing(frame, picture, value_of, white + black)
         if swing is not None and lit.any():
-            found[frame.name] = float((swing[lit] / (white - black)[lit]).mean())
-    return found
+            share_of[frame.name] = float((swing[lit] / (white - black)[lit]).mean())
+    return share_of
 
 
 def _swing(

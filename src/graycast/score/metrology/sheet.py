@@ -119,8 +119,9 @@ def _page(certificate: Certificate, plots: dict[str, Path]) -> str:
         f"<div><dt>{escape(word)}</dt><dd>{escape(text)}</dd></div>"
         for word, text in _facts(certificate)
     )
+    encoded = {key: base64.b64encode(path.read_bytes()).decode() for key, path in plots.items()}
     pictures = {
-        key: f'<img alt="{escape(alt)}" src="data:image/png;base64,{_base64(plots[key])}">'
+        key: f'<img alt="{escape(alt)}" src="data:image/png;base64,{encoded[key]}">'
         for key, alt in _ALTERNATIVES.items()
     }
     method = "\n".join(f"<li>{escape(line)}</li>" for line in _method(certificate))
@@ -271,10 +272,6 @@ def _limits(certificate: Certificate) -> list[str]:
     if certificate.conditions["path_vertices"] == 1:
         lines.append("Light is direct: interreflections between artefacts are left out.")
     return lines
-
-
-def _base64(path: Path) -> str:
-    return base64.b64encode(path.read_bytes()).decode("ascii")
 
 
 _ALTERNATIVES = {

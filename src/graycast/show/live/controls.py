@@ -1,7 +1,8 @@
 """The controls of the page: what each one sets, between which bounds, and what it costs."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -56,9 +57,9 @@ def values_of_files(cell: Cell) -> dict[str, Any]:
     """The values that a configuration may leave to the files that it names."""
     config = cell.config
     values: dict[str, Any] = {"table": material_words(cell.scene.table, config.table)}
-    for index, part in list(enumerate(cell.scene.parts[: len(config.parts)]))[:MOST_PARTS]:
-        look = material_words(part.material, config.parts[index].material)
-        values[f"parts.{index}.material"] = look
+    for index, section in enumerate(config.parts[:MOST_PARTS]):
+        material = cell.scene.parts[index].material
+        values[f"parts.{index}.material"] = material_words(material, section.material)
     if (box := cell.scene.bin) is not None:
         values["bin.material"] = material_words(box.material, config.bin.material)
         values |= _bin_values(config, box.inner_m)
@@ -77,17 +78,12 @@ def _described(control: Control) -> dict[str, Any]:
 def _controls(config: Config) -> Iterator[Control]:
     yield from _FREE
     yield from _RIG
-    for index, part in list(enumerate(config.parts))[:MOST_PARTS]:
+    for index, part in enumerate(config.parts[:MOST_PARTS]):
         name = part.name or part.builtin or (part.mesh.stem if part.mesh else str(index))
         yield from _surface(f"parts.{index}.material", name)
         if part.builtin is not None:
-            yield Control(
-                key=f"parts.{index}.builtin",
-                label=f"{name}: another part",
-                group="Parts",
-                cost="physics",
-                choices=BUILTIN,
-            )
+            key = f"parts.{index}.builtin"
+            yield _physics(key=key, label=f"{name}: another part", choices=BUILTIN)
     yield from _surface("bin.material", "bin")
     yield from _surface("table", "table")
     for index in range(len(config.light.lamps)):
@@ -113,21 +109,20 @@ def _free(
     )  # fmt: skip
 
 
+_exposure = partial(Control, group="Exposure", cost="free")
+_rig = partial(Control, group="Rig", cost="light")
+_light = partial(Control, group="Light", cost="light")
+_physics = partial(Control, group="Parts", cost="physics")
+_FACTORS = ((1.0,), (1.0, 0.25), (1.0, 0.25, 0.0625), (1.0, 4.0))
+_DEGREE = "\N{DEGREE SIGN}"
+_RADIANCE = "W/(sr m\N{SUPERSCRIPT TWO})"
+
 _FREE = (
     _free("exposure.target", "automatic: share of the range", 0.05, 1, 0.01),
     _free("exposure.exposure_s", "fixed time", 1e-4, 0.2, unit="ms", scale=1e3),
-    Control(
-        key="exposure.factors", label="exposures taken", group="Exposure", cost="free",
-        choices=((1.0,), (1.0, 0.25), (1.0, 0.25, 0.0625), (1.0, 4.0)),
-    ),
-    Control(
-        key="ambient", label="ambient light, times", group="Exposure", cost="free",
-        low=0.02, high=50,
-    ),
-    Control(
-        key="rig.power", label="projector's power, times", group="Exposure", cost="free",
-        low=0.02, high=50,
-    ),
+    _exposure(key="exposure.factors", label="exposures taken", choices=_FACTORS),
+    _exposure(key="ambient", label="ambient light, times", low=0.02, high=50),
+    _exposure(key="rig.power", label="projector's power, times", low=0.02, high=50),
     _free("sensor.read_noise_e", "read noise", 0, 60, 0.5, unit="e\N{MINUS SIGN}"),
     _free("sensor.bit_depth", "bit depth", 6, 16, 1, unit="bit"),
     _free("sensor.offset_dn", "dark level (offset)", 0, 1000, 1, unit="DN"),
@@ -141,46 +136,30 @@ _FREE = (
     _free("decode.doubt", "doubt", 0, 0.9, 0.01),
     _free("decode.fine_bits", "fine bits", 0, 8, 1),
     _free("decode.max_epipolar_px", "farthest off the epipolar line", 0, 5, 0.05, unit="px"),
-    _free("filters.flying_angle_deg", "flying pixels from", 0, 89, 1, unit="\N{DEGREE SIGN}"),
+    _free("filters.flying_angle_deg", "flying pixels from", 0, 89, 1, unit=_DEGREE),
     _free("filters.outlier_sigmas", "outliers from", 0, 12, 0.25, unit="\N{GREEK SMALL LETTER SIGMA}"),  # noqa: E501
     _free("filters.outlier_share", "and a share of depth", 0, 0.02, 0.0005),
     _free("filters.island_px", "islands up to", 0, 400, 5, unit="px"),
     _free("filters.smoothing_px", "smoothing", 0, 4, 0.05, unit="px"),
-    _free("filters.step_angle_deg", "two surfaces from", 1, 89, 1, unit="\N{DEGREE SIGN}"),
+    _free("filters.step_angle_deg", "two surfaces from", 1, 89, 1, unit=_DEGREE),
 )  # fmt: skip
 
 _RIG = (
-    Control(
-        key="view.distance_m", label="distance", group="Rig", cost="light", low=0.15, high=4,
-        unit="mm", scale=1e3,
-    ),
-    Control(
-        key="view.tilt_deg", label="tilt", group="Rig", cost="light", low=0, high=80, step=0.5,
-        unit="\N{DEGREE SIGN}",
-    ),
-    Control(
-        key="view.azimuth_deg", label="azimuth", group="Rig", cost="light", low=-180, high=180,
-        step=1, unit="\N{DEGREE SIGN}",
-    ),
+    _rig(key="view.distance_m", label="distance", low=0.15, high=4, unit="mm", scale=1e3),
+    _rig(key="view.tilt_deg", label="tilt", low=0, high=80, step=0.5, unit=_DEGREE),
+    _rig(key="view.azimuth_deg", label="azimuth", low=-180, high=180, step=1, unit=_DEGREE),
     *(
-        Control(
-            key=f"view.target_m.{k}", label=f"looks at {axis}", group="Rig", cost="light",
-            low=-0.5, high=0.5, step=0.005, unit="mm", scale=1e3, whole="view.target_m",
+        _rig(
+            key=f"view.target_m.{k}", label=f"looks at {axis}", low=-0.5, high=0.5, step=0.005,
+            unit="mm", scale=1e3, whole="view.target_m",
         )
         for k, axis in enumerate("xyz")
     ),
-    Control(
-        key="rig.toe_in_deg", label="toe-in, more by", group="Rig", cost="light", low=-15,
-        high=15, step=0.25, unit="\N{DEGREE SIGN}",
-    ),
-    Control(
-        key="rig.baseline", label="baseline, times", group="Rig", cost="light", low=0.2, high=3,
-    ),
-    Control(key="rig", label="rig", group="Rig", cost="light", choices=PRESETS),
-    Control(
-        key="resolution", label="resolution", group="Rig", cost="light", choices=RESOLUTIONS
-    ),
-    Control(key="code.codec", label="code", group="Rig", cost="light", choices=CODECS),
+    _rig(key="rig.toe_in_deg", label="toe-in, more by", low=-15, high=15, step=0.25, unit=_DEGREE),
+    _rig(key="rig.baseline", label="baseline, times", low=0.2, high=3),
+    _rig(key="rig", label="rig", choices=PRESETS),
+    _rig(key="resolution", label="resolution", choices=RESOLUTIONS),
+    _rig(key="code.codec", label="code", choices=CODECS),
 )  # fmt: skip
 
 
@@ -196,50 +175,38 @@ def _surface(whole: str, name: str) -> Iterator[Control]:
 
 
 def _lamp(index: int) -> Iterator[Control]:
-    lamp = Control(
-        key=f"light.lamps.{index}", label=f"lamp {index}", group="Light", cost="light",
-        whole="light.lamps", unit="mm", scale=1e3,
-    )  # fmt: skip
+    key, label = f"light.lamps.{index}", f"lamp {index}"
+    length = partial(_light, whole="light.lamps", unit="mm", scale=1e3)
     for k, axis in enumerate("xyz"):
-        key, label = f"{lamp.key}.center_m.{k}", f"{lamp.label}: {axis}"
-        yield replace(lamp, key=key, label=label, low=-2.5, high=2.5, step=0.05)
-    yield replace(lamp, key=f"{lamp.key}.size_m", label=f"{lamp.label}: side", low=0.02, high=2.0)
-    yield replace(
-        lamp, key=f"{lamp.key}.radiance", label=f"{lamp.label}: radiance", low=0.05, high=500.0,
-        unit=_RADIANCE, scale=1.0, grey=True,
+        place = f"{key}.center_m.{k}"
+        yield length(key=place, label=f"{label}: {axis}", low=-2.5, high=2.5, step=0.05)
+    yield length(key=f"{key}.size_m", label=f"{label}: side", low=0.02, high=2.0)
+    yield _light(
+        key=f"{key}.radiance", label=f"{label}: radiance", low=0.05, high=500.0, unit=_RADIANCE,
+        grey=True, whole="light.lamps",
     )  # fmt: skip
 
 
-_RADIANCE = "W/(sr m\N{SUPERSCRIPT TWO})"
 _LIGHT = (
-    Control(
-        key="light.environment.radiance", label="from all around", group="Light", cost="light",
-        low=0.002, high=50, unit=_RADIANCE, grey=True,
+    _light(
+        key="light.environment.radiance", label="from all around", low=0.002, high=50,
+        unit=_RADIANCE, grey=True,
     ),
-    Control(
-        key="render.samples", label="samples", group="Light", cost="light",
-        choices=(1, 4, 8, 16, 32, 64, 128, 256),
-    ),
-    Control(
-        key="render.depth", label="surfaces that a path meets", group="Light", cost="light",
-        low=1, high=16, step=1,
-    ),
+    _light(key="render.samples", label="samples", choices=(1, 4, 8, 16, 32, 64, 128, 256)),
+    _light(key="render.depth", label="surfaces that a path meets", low=1, high=16, step=1),
 )  # fmt: skip
 
 _PHYSICS = (
-    Control(key="count", label="parts", group="Parts", cost="physics", low=1, high=255, step=1),
-    Control(key="seed", label="seed", group="Parts", cost="physics", low=0, high=999, step=1),
+    _physics(key="count", label="parts", low=1, high=255, step=1),
+    _physics(key="seed", label="seed", low=0, high=999, step=1),
     *(
-        Control(
-            key=f"bin.inner_m.{k}", label=f"bin: {word}", group="Parts", cost="physics", low=0.05,
-            high=1.2, step=0.01, unit="mm", scale=1e3, whole="bin.inner_m",
+        _physics(
+            key=f"bin.inner_m.{k}", label=f"bin: {word}", low=0.05, high=1.2, step=0.01, unit="mm",
+            scale=1e3, whole="bin.inner_m",
         )
         for k, word in enumerate(("length", "width", "height"))
     ),
-    Control(
-        key="bin.friction", label="bin: friction", group="Parts", cost="physics", low=0, high=1.5,
-        step=0.05,
-    ),
+    _physics(key="bin.friction", label="bin: friction", low=0, high=1.5, step=0.05),
 )  # fmt: skip
 
 
@@ -250,7 +217,7 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
         for name, value in asdict(getattr(scanner, section)).items():
             values[f"{section}.{name}"] = value
     stated = {"bin.material": config.bin.material, "table": config.table}
-    for index, part in list(enumerate(config.parts))[:MOST_PARTS]:
+    for index, part in enumerate(config.parts[:MOST_PARTS]):
         if part.builtin is None:  # The material of a built-in part is known with the part.
             stated[f"parts.{index}.material"] = part.material
         values[f"parts.{index}.builtin"] = part.builtin

@@ -54,14 +54,6 @@ class Document:
             raise ConfigError(f"ambient is {self.ambient}: give a factor from 0 to 1000")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Written:
-    """A document as files: what the configuration holds, and its own rig file where it has one."""
-
-    content: Mapping[str, Any]
-    rig_text: str | None
-
-
 def changed(document: Document, key: str, value: Any) -> Document:
     """The document with another value; None takes a key away, so that it is as if left out.
 
@@ -123,8 +115,10 @@ def checked(document: Document, path: Path) -> Config:
     return check_settings(document.content, Config, path)
 
 
-def written(document: Document, path: Path, *, rig_name: str) -> Written:
-    """The document as files that `graycast preview` reads.
+def files_of(
+    document: Document, path: Path, *, rig_name: str
+) -> tuple[Mapping[str, Any], str | None]:
+    """What the files hold that `graycast preview` reads: a configuration, and a rig file if needed.
 
     Args:
         path: of the configuration; its relative paths start in that folder.
@@ -138,7 +132,7 @@ def written(document: Document, path: Path, *, rig_name: str) -> Written:
     if document.ambient != 1:
         content["light"] = _brightened(config, document.ambient)
     if document.rig == RigChange():
-        return Written(content=content, rig_text=None)
+        return content, None
     named = named_scanner(config.rig, folder=path.parent, resolution=config.resolution)
     try:
         turned = replace(named, rig=turned_rig(named.rig, document.rig))
@@ -146,7 +140,7 @@ def written(document: Document, path: Path, *, rig_name: str) -> Written:
         raise ConfigError(f"{path}: rig: {error}") from error
     content["rig"] = rig_name
     content.pop("resolution", None)  # a rig file states its own
-    return Written(content=content, rig_text=scanner_text(turned))
+    return content, scanner_text(turned)
 
 
 def _brightened(config: Config, factor: float) -> dict[str, Any]:

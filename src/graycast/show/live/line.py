@@ -1,7 +1,7 @@
 """The whole line kept open: what is asked for is made from what is there as far as that goes.
 
 Every product stays with what it was made from. A change of what comes after the light alone
-(exposure, sensor, decoder, filters, faults) is measured again from the kept radiance, which is
+(exposure, sensor, decoder, filters, faults) is measured again from the stored radiance, which is
 linear: so are the projector's power and the ambient light, whose factors scale it. Another light is
 rendered, roughly first, then as configured. Only what falls otherwise is dropped again.
 
@@ -108,14 +108,14 @@ class Line:
         layout, fell = self._layout(physics, scene, variation.counts, seeds["drop"], ask)
         run = _Run(ask=ask, cell=cell, scene=scene, layout=layout, seeds=seeds, start=start)
         key = (_light_key(ask.unturned), physics)
-        kept = self._lit if self._lit is not None and self._lit.key == key else None
-        if kept is not None:
-            exact = kept.final and (kept.ambient, kept.power) == (ask.ambient, ask.power)
-            self._finish(run, kept, kind="free", exact=exact, first=True)
+        lit = self._lit if self._lit is not None and self._lit.key == key else None
+        if lit is not None:
+            exact = lit.final and (lit.ambient, lit.power) == (ask.ambient, ask.power)
+            self._finish(run, lit, kind="free", exact=exact, first=True)
             if exact:
                 return
-        first = kept is None
-        for quality in _qualities(resolve_quality(ask.config), kept):
+        first = lit is None
+        for quality in _qualities(resolve_quality(ask.config), lit):
             if self._superseded():
                 raise Superseded
             final = quality == resolve_quality(ask.config)
@@ -130,7 +130,7 @@ class Line:
                 final=final,
                 rendering=rendering,
             )
-            kind = "physics" if fell else "light" if kept is None else "free"
+            kind = "physics" if fell else "light" if lit is None else "free"
             self._finish(run, self._lit, kind=kind, exact=final, first=first)
             first = False
 
@@ -269,23 +269,23 @@ def _light_key(config: Config) -> str:
     return config.model_dump_json(exclude=set(FREE_SECTIONS))
 
 
-def _qualities(wanted: Quality, kept: LightState | None) -> list[Quality]:
+def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:
     """Rough pictures first, but none that is no better than what is there."""
-    there = kept.quality.samples if kept is not None else 0
+    there = lit.quality.samples if lit is not None else 0
     rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
     return [*rough, wanted]
 
 
-def _scaled(kept: LightState, ask: Ask) -> Rendering:
+def _scaled(lit: LightState, ask: Ask) -> Rendering:
     """The rendering under another power of the projector and another ambient light.
 
     A light that was dark says nothing of a brighter one: what it would add is left out until it
     is rendered.
     """
-    power, ambient = ask.power / kept.power, ask.ambient / (kept.ambient or 1.0)
+    power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
     if power == ambient == 1:
-        return kept.rendering
-    light = kept.rendering.radiance
+        return lit.rendering
+    light = lit.rendering.radiance
     radiance = replace(
         light,
         pattern=_times(light.pattern, power),
@@ -294,7 +294,7 @@ def _scaled(kept: LightState, ask: Ask) -> Rendering:
         white_rgb=_times(light.white_rgb, power),
         ambient_rgb=_times(light.ambient_rgb, ambient),
     )
-    return replace(kept.rendering, radiance=radiance)
+    return replace(lit.rendering, radiance=radiance)
 
 
 def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:

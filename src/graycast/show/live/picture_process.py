@@ -4,6 +4,7 @@ import faulthandler
 import signal
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock, Thread
@@ -31,7 +32,7 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
         done: Ask | None = None
         while (ask := _last(connection)) is not None:
             try:
-                if done is not None and _same_but_frame(ask, done):
+                if done is not None and ask == replace(done, number=ask.number, frame=ask.frame):
                     line.look(ask)
                 else:
                     done = None
@@ -58,12 +59,6 @@ def _last(connection: Connection) -> Ask | None:
         connection.send(Answer(kind="taken", number=ask.number, header={}, arrays={}))
         if not connection.poll():
             return ask
-
-
-def _same_but_frame(ask: Ask, done: Ask) -> bool:
-    return (ask.config, ask.unturned, ask.ambient, ask.power) == (
-        done.config, done.unturned, done.ambient, done.power,
-    )  # fmt: skip
 
 
 def _refusal(ask: Ask, text: str) -> Answer:
@@ -151,11 +146,5 @@ class PictureProcess:
         with self._lock:
             stopping = self._stopping
         if not stopping:
-            self._on_end(_end_of(self._process.exitcode or 0))
-
-
-def _end_of(exit_code: int) -> str:
-    """What ended a process, in words."""
-    if exit_code >= 0:
-        return f"exit code {exit_code}"
-    return signal.Signals(-exit_code).name
+            code = self._process.exitcode or 0
+            self._on_end(f"exit code {code}" if code >= 0 else signal.Signals(-code).name)

@@ -12,16 +12,17 @@ import struct
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, ClassVar
+from typing import Any
 
 from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
-from .page import about
+from ..report.page.packing import color_table, reason_records, report_script
 from .session import LatestAnswer, Message, Session
 
 HOST = "127.0.0.1"
@@ -31,6 +32,7 @@ _BEAT_S = 0.25  # A page's stream looks this often whether the page is still the
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
+_COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray", "magma")
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'"
 
@@ -51,13 +53,14 @@ class Server:
         self._turn = threading.Lock()  # opening and pausing take their turns
         self._pause: threading.Timer | None = None
         try:
-            self._http = _Http((HOST, port), _handler(self))
+            self._http = _Http((HOST, port), _Handler)
         except OSError as error:
             self.session.close()
             raise GraycastError(
                 f"port {port} of this machine cannot be opened ({error.strerror}): give another "
                 "--port, or end the program that uses it"
             ) from error
+        self._http.live = self
         self.port = self._http.server_address[1]
         self.url = f"http://{HOST}:{self.port}/"
 
@@ -161,6 +164,7 @@ def serve(path: Path, *, port: int, scene_id: int, device: str) -> Iterator[Serv
 
 
 class _Http(ThreadingHTTPServer):
+    live: Server
     daemon_threads = True
     block_on_close = False  # a stream ends when its page or the program does
 
@@ -168,17 +172,10 @@ class _Http(ThreadingHTTPServer):
         """A page that went away in the middle of an answer is no error."""
 
 
-def _handler(server: Server) -> type[BaseHTTPRequestHandler]:
-    class Handler(_Handler):
-        live = server
-
-    return Handler
-
-
 class _Handler(BaseHTTPRequestHandler):
     """One request of a browser."""
 
-    live: ClassVar[Server]
+    server: _Http
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
@@ -190,9 +187,11 @@ class _Handler(BaseHTTPRequestHandler):
         if name == "events":
             self._stream()
         elif name == "newer" and query.isdecimal():
-            self._send(_packed(self.live.session.newer(int(query))), "application/octet-stream")
+            self._send(
+                _packed(self.server.live.session.newer(int(query))), "application/octet-stream"
+            )
         elif name == "about.js":
-            self._send(about().encode(), _TYPES[".js"])
+            self._send(_about(), _TYPES[".js"])
         elif name in _OWN or name in _SHARED:
             package = "graycast.show.report.page" if name in _SHARED else "graycast.show.live"
             body = resources.files(package).joinpath("web", name).read_bytes()
@@ -213,26 +212,26 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "send JSON to /do")
             return
         try:
-            answer = self.live.do(_command(body))
+            answer = self.server.live.do(_command(body))
         except (GraycastError, ValueError, OSError) as error:
             answer = {"error": error_line(error)}
         self._send(json.dumps(answer).encode(), "application/json")
 
     def _is_ours(self) -> bool:
         """Whether a page of this server asks, under the name that it was opened with."""
-        names = {f"{name}:{self.live.port}" for name in (HOST, "localhost")}
+        names = {f"{name}:{self.server.live.port}" for name in (HOST, "localhost")}
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
         if host in names and origin in (None, f"http://{host}"):
             return True
         self.close_connection = True
-        self._refuse(HTTPStatus.FORBIDDEN, f"open {self.live.url}")
+        self._refuse(HTTPStatus.FORBIDDEN, f"open {self.server.live.url}")
         return False
 
     def _stream(self) -> None:
         """Everything that happens, line by line, for as long as the page is there."""
         self.close_connection = True
         self._head(HTTPStatus.OK, "text/event-stream", None)
-        with self.live.page() as queue, suppress(OSError):
+        with self.server.live.page() as queue, suppress(OSError):
             while not _is_gone(self.connection):
                 with suppress(Empty):
                     message = queue.get(timeout=_BEAT_S)
@@ -260,6 +259,19 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is printed for a request."""
+
+
+@cache
+def _about() -> bytes:
+    """What the page has to know before any picture."""
+    return report_script(
+        {
+            "reasons": reason_records(),
+            "colormaps": {name: color_table(name) for name in _COLORMAPS},
+            "scanners": {},
+            "statistics": {"part_error": {"sigma_mm": None}},
+        }
+    )
 
 
 def _command(body: bytes) -> Any:

@@ -17,7 +17,7 @@ from ...base.settings import check_settings, parse_yaml, read_text
 from ...cell.config import Config, resolve_scanner
 from .asking import Answer, Ask
 from .controls import described_controls
-from .document import Document, RigChange, Written, changed, checked, document_text, written
+from .document import Document, RigChange, changed, checked, document_text, files_of
 from .picture_process import PictureProcess
 
 MOST_UNDO = 500
@@ -176,10 +176,10 @@ class Session:
         with self._lock:
             path = self._path.parent / name
             rig_path = path.with_name(f"{path.stem}_rig.yaml")
-            now = written(self._now, self._path, rig_name=rig_path.name)
-            files = {path: document_text(now.content)}
-            if now.rig_text is not None:
-                files[rig_path] = now.rig_text
+            content, rig_text = files_of(self._now, self._path, rig_name=rig_path.name)
+            files = {path: document_text(content)}
+            if rig_text is not None:
+                files[rig_path] = rig_text
             for file in files:
                 if file.exists() and file not in self._own:
                     raise GraycastError(f"{file} exists already: give another name")
@@ -279,17 +279,14 @@ class Session:
 
     def _config(self, document: Document) -> Config:
         """The document's whole configuration; its rig file, if any, is among the session's own."""
-        plain = written(document, self._path, rig_name="rig.yaml")
-        return check_settings(self._with_rig(plain), Config, self._path)
-
-    def _with_rig(self, plain: Written) -> Mapping[str, Any]:
-        if plain.rig_text is None:
-            return plain.content
-        digest = hashlib.sha256(plain.rig_text.encode()).hexdigest()[:16]
-        file = self._folder / f"rig-{digest}.yaml"
-        if not file.exists():
-            write_whole(file, plain.rig_text.encode())
-        return {**plain.content, "rig": str(file)}
+        content, rig_text = files_of(document, self._path, rig_name="rig.yaml")
+        if rig_text is not None:
+            digest = hashlib.sha256(rig_text.encode()).hexdigest()[:16]
+            file = self._folder / f"rig-{digest}.yaml"
+            if not file.exists():
+                write_whole(file, rig_text.encode())
+            content = {**content, "rig": str(file)}
+        return check_settings(content, Config, self._path)
 
     def _answered(self, answer: Answer) -> None:
         with self._lock:

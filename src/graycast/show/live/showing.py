@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 
-from ...base.frames import inverse, transform_points
+from ...base.frames import transform_points
 from ...base.robust import robust_sigma
 from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
 from ...camera.picture import srgb_frame
@@ -21,6 +21,7 @@ from ...rig.optics import Optics
 from ...rig.pair import Rig
 from ...world.parts import Mesh
 from ...world.scene import Layout, Scene, bin_mesh
+from ..report.page.packing import view_record
 from ..report.rig_picture import common_field, footprint_m
 from .asking import Answer, Ask
 from .controls import values_of_files
@@ -49,8 +50,8 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
     """All maps of what is shown; the colour picture is among them once it is made."""
     cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
-    axis = triangulation_axis(cell.scanner.rig)
-    codes = page.codes
+    rig, codes = cell.scanner.rig, page.codes
+    camera, axis = rig.camera, triangulation_axis(rig)
     place, spread = (
         (codes.column, codes.sigma_column) if axis == "column" else (codes.row, codes.sigma_row)
     )
@@ -79,11 +80,13 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "frame": frame,
         "axis": axis,
         "depth_scale_mm": scale_mm,
-        **_camera(page),
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "view": view_record(camera, page.scene.T_world_cam),
         **_capture(page),
         "figures": _figures(page),
-        "rig": _rig(cell.scanner.rig),
-        "lines": _lines(cell.scanner.rig, page.scene.T_world_cam),
+        "rig": _rig(rig),
+        "lines": _lines(rig, page.scene.T_world_cam),
         "target": _target(page),
         "notes": list(cell.notes),
         "values": values_of_files(cell),
@@ -148,26 +151,11 @@ def _capture(page: PageContent) -> dict[str, Any]:
     }
 
 
-def _camera(page: PageContent) -> dict[str, Any]:
-    camera: Optics = page.cell.scanner.rig.camera
-    T_cam_world = inverse(page.scene.T_world_cam)
-    return {
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "view": {
-            "cam_K": camera.K.ravel().tolist(),
-            "distortion": list(camera.distortion),
-            "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
-            "cam_t_w2c": (MM_PER_M * T_cam_world[:3, 3]).tolist(),
-        },
-    }
-
-
 def _rig(rig: Rig) -> dict[str, Any]:
     lens = asdict(rig.projector)
-    kept = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
+    names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
     return {
-        "projector": {name: lens[name] for name in kept},
+        "projector": {name: lens[name] for name in names},
         "T_cam_proj": rig.T_cam_proj.tolist(),
         "baseline_mm": MM_PER_M * rig.baseline_m,
         "axes_deg": float(np.degrees(rig.axes_angle_rad)),
@@ -203,38 +191,33 @@ def _target(page: PageContent) -> list[float]:
 
 def _lines(rig: Rig, T_world_cam: Float[np.ndarray, "4 4"]) -> Mapping[str, list[float]]:
     """Segments in the world [mm]: both fields to the far end of the range, what they share."""
-    middle_m = 0.5 * (rig.near_m + rig.far_m)
+    ends_m = rig.near_m, 0.5 * (rig.near_m + rig.far_m), rig.far_m
     lines = {
         "camera": _field(rig.camera, np.eye(4), rig.far_m),
         "projector": _field(rig.projector, rig.T_cam_proj, rig.far_m),
         "baseline": [np.stack([np.zeros(3), rig.T_cam_proj[:3, 3]])],
-        "common": _volume([_common(rig, z_m) for z_m in (rig.near_m, middle_m, rig.far_m)]),
+        "common": _volume([_outline(common_field(rig, z_m), z_m) for z_m in ends_m]),
     }
-    return {
-        name: _flat(transform_points(T_world_cam, np.concatenate(segments)) if segments else None)
+    points_m = {
+        name: transform_points(T_world_cam, np.reshape(segments, (-1, 3)))
         for name, segments in lines.items()
     }
-
-
-def _flat(points_m: Float[np.ndarray, "n 3"] | None) -> list[float]:
-    return [] if points_m is None else np.round(MM_PER_M * points_m, 2).ravel().tolist()
+    return {name: np.round(MM_PER_M * p, 2).ravel().tolist() for name, p in points_m.items()}
 
 
 def _field(
     optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
 ) -> list[Float[np.ndarray, "2 3"]]:
-    outline = footprint_m(optics, T_cam_device, z_m)
-    if not len(outline):
+    corners = _outline(footprint_m(optics, T_cam_device, z_m), z_m)
+    if not len(corners):
         return []
-    corners = np.column_stack([outline, np.full(len(outline), z_m)])
     each = len(corners) // 4
     sides = [np.stack([T_cam_device[:3, 3], corners[each * k]]) for k in range(4)]
     return [*sides, *_around(corners[::each] if not optics.has_distortion else corners)]
 
 
-def _common(rig: Rig, z_m: float) -> Float[np.ndarray, "n 3"]:
-    outline = common_field(rig, z_m)
-    return np.column_stack([outline, np.full(len(outline), z_m)])
+def _outline(xy_m: Float[np.ndarray, "n 2"], z_m: float) -> Float[np.ndarray, "n 3"]:
+    return np.column_stack([xy_m, np.full(len(xy_m), z_m)])
 
 
 def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]:

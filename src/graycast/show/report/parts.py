@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.color import srgb
@@ -12,7 +11,7 @@ from ...base.frames import inverse, look_at, rigid, transform_points
 from ...base.plotting import save_png
 from ...rendering import Quality, Renderer
 from ...rendering.denoise import denoise
-from ...rig.optics import Optics
+from ...rig.optics import pinhole
 from ...rig.pair import Rig
 from ...world.parts import Material, Mesh, Part, Symmetry, mass_kg
 from ...world.scene import Environment, Lamp, Layout, Quad, Scene
@@ -76,7 +75,6 @@ def draw_parts(
     step_x, step_y = width + _GAP_PX, height + _WORDS_PX + _GAP_PX
     sheet_px = (_GAP_PX + columns * step_x, _HEAD_PX + rows * step_y)
     figure = Figure(figsize=(sheet_px[0] / DPI, sheet_px[1] / DPI), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
     title = f"{len(parts)} part{'s' if len(parts) > 1 else ''}"
     figure.text(_GAP_PX / sheet_px[0], 1 - 36 / sheet_px[1], title, fontsize=15, weight="bold",
                 va="center")  # fmt: skip
@@ -175,18 +173,10 @@ def _filling_distance_m(mesh: Mesh, towards: Float[np.ndarray, "3"]) -> float:
 
 
 def _rig() -> Rig:
-    width_px, height_px = _TILE_PX
     return Rig(
         name="portrait",
-        camera=Optics(
-            width_px=width_px,
-            height_px=height_px,
-            fx_px=_FOCAL_PX,
-            fy_px=_FOCAL_PX,
-            cx_px=(width_px - 1) / 2,
-            cy_px=(height_px - 1) / 2,
-        ),
-        projector=Optics(width_px=2, height_px=2, fx_px=2.0, fy_px=2.0, cx_px=0.5, cy_px=0.5),
+        camera=pinhole(*_TILE_PX, _FOCAL_PX),
+        projector=pinhole(2, 2, 2.0),
         T_cam_proj=rigid(np.eye(3), np.array([0.1, 0.0, 0.0])),
         near_m=0.01,
         far_m=100.0,

@@ -33,6 +33,7 @@ from ...rig.pair import depth_per_line_m
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from ...world.scene import Scene
+from .rig_picture import depth_per_line_m
 
 DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400
@@ -116,7 +117,6 @@ class _Sheet:
             self._tops.append(height_px + _ABOVE_PX)
             height_px += _ABOVE_PX + self.tile_px[1] + below_px
         self.figure = Figure(figsize=(SHEET_WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
-        FigureCanvasAgg(self.figure)
         self._filled = 0
 
     def picture(self, title: str, image: UInt8[np.ndarray, "h w 3"]) -> Axes:
@@ -230,7 +230,7 @@ def painted(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A map in the colours of `name`; beyond the limits its ends, `unknown` for NaN."""
     low, high = limits
-    share = np.clip((value - low) / (high - low), 0.0, 1.0)
+    share = np.clip((value - low) / max(high - low, 1e-9), 0.0, 1.0)
     color = colormaps[name](np.nan_to_num(share))[..., :3]
     color[np.isnan(value)] = unknown
     return np.round(255 * color).astype(np.uint8)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib import colormaps
 
 from ...base.color import srgb_of_bytes
 from ...base.folder import refuse_foreign, whole_folder
@@ -21,10 +20,12 @@ from ...dataset.rescanned import RECORDS, ImageRecord, RescanClaim, image_record
 from ...dataset.scene_folder import SceneFolder, scene_folders
 from .page import WIDTH_PX
 from .page.packing import jpeg, palette_picture, shrunk
+from .preview import painted
 
 PAGE = "rescan.html"
 _MOST = 60  # So many images are drawn.
 _QUALITY = 88
+_BLACK = (0.0, 0.0, 0.0)
 _ERROR_MM = 1.0  # The picture of errors has its full colours here.
 _HEADS = (
     "picture",
@@ -70,11 +71,11 @@ def write_rescan_page(
         for scene in scene_folders(out / claim.split, RECORDS)
         for number, record in image_records(scene).items()
     ]
-    chosen = np.unique(np.linspace(0, len(places) - 1, _MOST).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, len(places) - 1, _MOST).round().astype(int)).tolist()
     rows, errors_mm = [], []
     with whole_folder(folder) as aside:
         (aside / "images").mkdir()
-        for done, k in enumerate(chosen, start=1):
+        for done, k in enumerate(index, start=1):
             scene, number, record = places[k]
             pictures, error_mm = _pictures(scene, number, record, claim)
             errors_mm.append(error_mm)
@@ -86,11 +87,11 @@ def write_rescan_page(
             share = f"{record.reasons['decoded']:.1%} decoded"
             rows.append(f'<tr><td colspan="6">{scene.name}/{number:06d}: {share}</td></tr>')
             rows.append(f"<tr>{''.join(cells)}</tr>")
-            progress.count("images", done, len(chosen))
+            progress.count("images", done, len(index))
         records = [record for _, _, record in places]
         text = _page(out, claim, records, np.concatenate(errors_mm), rows)
         (aside / PAGE).write_text(text, encoding="utf-8")
-    return RescanPage(page=folder / PAGE, images=len(chosen), of=len(places))
+    return RescanPage(page=folder / PAGE, images=len(index), of=len(places))
 
 
 def _pictures(
@@ -113,13 +114,14 @@ def _pictures(
         perfect_mm = _depth_mm(steps, step_mm)
     error_mm = scanned_mm - perfect_mm
     known = perfect_mm if np.isfinite(perfect_mm).any() else scanned_mm
-    span = np.nanquantile(np.where(np.isfinite(scanned_mm), known, np.nan), [0.01, 0.99])
+    low, high = np.nanquantile(np.where(np.isfinite(scanned_mm), known, np.nan), [0.01, 0.99])
+    span = float(low), float(high)
     pictures = (
         picture,
         white,
-        _coloured(perfect_mm, "viridis", span[0], span[1]),
-        _coloured(scanned_mm, "viridis", span[0], span[1]),
-        _coloured(error_mm, "RdBu_r", -_ERROR_MM, _ERROR_MM),
+        painted(perfect_mm, "viridis", span, unknown=_BLACK),
+        painted(scanned_mm, "viridis", span, unknown=_BLACK),
+        painted(error_mm, "RdBu_r", (-_ERROR_MM, _ERROR_MM), unknown=_BLACK),
         reasons,
     )
     return dict(zip(_HEADS, pictures, strict=True)), error_mm[np.isfinite(error_mm)]
@@ -127,15 +129,6 @@ def _pictures(
 
 def _depth_mm(steps: np.ndarray, step_mm: float) -> Float[np.ndarray, "h w"]:
     return np.where(steps > 0, steps * step_mm, np.nan)
-
-
-def _coloured(
-    value: Float[np.ndarray, "h w"], colors: str, low: float, high: float
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Black where there is no value."""
-    share = np.nan_to_num((value - low) / max(high - low, 1e-9))
-    picture = (255 * colormaps[colors](share)[..., :3]).round().astype(np.uint8)
-    return picture * np.isfinite(value)[..., None].astype(np.uint8)
 
 
 def _page(

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import CrossSection, FillRule
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
@@ -86,7 +85,6 @@ def draw_rig(rig: Rig, path: Path) -> None:
         GraycastError: the file cannot be written.
     """
     figure = Figure(figsize=(15, 10), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3, height_ratios=(1.35, 1))
     _draw_view(axes[0, 0], rig, across=0)
     _draw_view(axes[0, 1], rig, across=1)

@@ -1,8 +1,12 @@
 """Builds the page: only scenes that are new or changed, each whole or not at all."""
 
+import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ....base.folder import write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
@@ -11,15 +15,20 @@ from ....dataset.scene_content import scene_content
 from ....dataset.scene_folder import of_sensor, picture_name
 from ....dataset.stats import SceneFigures, scene_figures
 from ....dataset.stored import StoredDataset, StoredScene, open_dataset
-from ....score.evaluate import Evaluation
-from .found import FOUND, evaluation_of, found_index, found_scripts
-from .fused import FUSED, fused_script
+from ....score.evaluate import Evaluation, Task, evaluate
+from ....score.merge import FusedCloud, fuse, read_view
+from .detection_scripts import DETECTIONS, detection_index, detection_scripts
 from .index import index_script
+from .packing import receiving
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
 
 WIDTH_PX = 1300  # Maps of wider cameras are thinned; one of 1032 px keeps every pixel.
 _FORM = "5"  # A change of this number builds a scene's files anew.
+FUSED = "fused.js"
+_STEPS = 65535  # The longest side of the cloud has this many steps, which 16 bits can count.
+_MOST = 400000  # A browser draws this many points smoothly.
+_SIGMA_STEP_MM = 0.002  # In 8 bits, steps of this size reach half a millimetre.
 _PICTURES, _MAPS = ("depth_sl", "rgb"), ("column_sl", "row_sl")
 _WEB = Web(
     package=__package__,
@@ -107,7 +116,9 @@ def write_report(
             another dataset.
     """
     stored = open_dataset(dataset)
-    evaluation = None if detections is None else evaluation_of(dataset, detections)
+    evaluation = None
+    if detections is not None:
+        evaluation = evaluate(Task(results=detections, dataset=dataset))[0]
     pieces = [
         _ScenePiece(stored=stored, scene=scene, width_px=width_px) for scene in stored.pictures
     ]
@@ -120,12 +131,12 @@ def write_report(
 
 def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: StoredDataset) -> None:
     """A script of every scene that was looked at; none of an earlier build stays."""
-    scripts = {} if evaluation is None else dict(found_scripts(evaluation, stored))
+    scripts = {} if evaluation is None else dict(detection_scripts(evaluation, stored))
     for scene in scenes.iterdir():
         if scene.name in scripts:
-            write_whole(scene / FOUND, scripts[scene.name])
+            write_whole(scene / DETECTIONS, scripts[scene.name])
         else:
-            (scene / FOUND).unlink(missing_ok=True)
+            (scene / DETECTIONS).unlink(missing_ok=True)
 
 
 def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None) -> None:
@@ -135,7 +146,48 @@ def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None)
                 (out / PIECES / scene.key / "figures.json").read_bytes()
             )
 
-    found = None if evaluation is None else found_index(evaluation, stored)
-    script, _ = index_script(stored, figures(), found)
-    write_whole(out / "index.js", script.encode())
+    detections = None if evaluation is None else detection_index(evaluation, stored)
+    write_whole(out / "index.js", index_script(stored, figures(), detections))
     write_web(out, _WEB)
+
+
+# --- the fused cloud of a scene ------------------------------------------------------------------
+
+
+def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
+    """The cloud of all pictures of a scene, under the key of the first.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    shots = stored.images_of(first)
+    fused = fuse([read_view(stored, shot).view for shot in shots])
+    stride = -(-len(fused.cloud.views) // _MOST)
+    content = {"key": f"{first.key}/{FUSED}", "names": [shot.image_name for shot in shots]}
+    return receiving(content | _packed(fused.cloud, max(stride, 1)))
+
+
+def _packed(cloud: FusedCloud, stride: int) -> dict[str, Any]:
+    """Places [mm, world] as steps of 16 bits from a corner; a byte each of what else is known."""
+    place_mm = 1000 * cloud.point_m[::stride]
+    low = place_mm.min(axis=0) if len(place_mm) else np.zeros(3)
+    step = float(max((place_mm - low).max(initial=0.0), 1.0) / _STEPS)
+    sigma = np.rint(1000 * cloud.sigma_m[::stride] / _SIGMA_STEP_MM).clip(0, 255)
+    normal = np.rint(127 * cloud.normal[::stride]).astype(np.int8)
+    return {
+        "count": len(place_mm),
+        "low": low.tolist(),
+        "step": step,
+        "sigma_step_mm": _SIGMA_STEP_MM,
+        "place": _base64(np.rint((place_mm - low) / step).astype("<u2")),
+        "normal": _base64(normal),
+        "color": _base64(cloud.color[::stride]),
+        "sigma": _base64(sigma.astype(np.uint8)),
+        "views": _base64(cloud.views[::stride]),
+        "view": _base64(cloud.view[::stride]),
+        "first": _base64(cloud.first_reason[::stride]),
+    }
+
+
+def _base64(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

@@ -1,21 +1,20 @@
 """What all pages share, as one script: the dataset, its statistics, a row per scene."""
 
 import base64
-import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from .... import __version__
-from ....camera.decode import Reason
 from ....dataset.scene_content import NO_REASON
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures
 from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
 from ....dataset.stored import StoredDataset
 from ....rig.pattern import Code, CodeSpec
-from .packing import color_table
+from .packing import color_table, reason_records, report_script
 from .scene_files import MISSING_COLOR
 
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
@@ -25,11 +24,11 @@ def index_script(
     stored: StoredDataset,
     figures: Iterable[SceneFigures],
     detections: Mapping[str, Any] | None = None,
-) -> tuple[str, Statistics]:
-    """`index.js`, and the statistics that it holds; figures may come from a generator.
+) -> bytes:
+    """`index.js`; figures may come from a generator.
 
     Args:
-        detections: what `found_index` gives; None where no results were judged.
+        detections: what `detection_index` gives; None where no results were judged.
     """
     rows: list[list[Any]] = []
 
@@ -53,8 +52,7 @@ def index_script(
         "scenes": rows,
         "detections": detections,
     }
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    return f"Graycast.report = {text};\n", statistics
+    return report_script(content)
 
 
 _COLUMNS = (
@@ -67,16 +65,14 @@ def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)
-    counts: dict[int, int] = {}
-    for obj_id in one.obj_id:
-        counts[obj_id] = counts.get(obj_id, 0) + 1
+    visible = [share for share in one.visib_fract if share is not None]
     return [
         one.split,
         one.scene_id,
         one.picture,
-        counts,
+        Counter(one.obj_id),
         len(one.obj_id),
-        _short(_average([share for share in one.visib_fract if share is not None])),
+        _short(sum(visible) / len(visible) if visible else None),
         _short(one.decoded_share),
         _short(one.part_reason_px.get("decoded", 0) / parts),
         {name: _short(px / one.pixels) for name, px in one.reason_px.items() if px},
@@ -89,10 +85,6 @@ def _scene_row(one: SceneFigures) -> list[Any]:
 
 def _short(value: float | None, digits: int = 4) -> float | None:
     return None if value is None or np.isnan(value) else round(value, digits)
-
-
-def _average(values: list[float]) -> float | None:
-    return sum(values) / len(values) if values else None
 
 
 def _mean(counts: dict[int, int]) -> float | None:
@@ -110,29 +102,19 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
 
 def _claim(content: Mapping[str, Any]) -> dict[str, Any]:
     """The claim without digests."""
-    kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
-    claim = {key: content[key] for key in kept if key in content}
+    keys = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
+    claim = {key: content[key] for key in keys if key in content}
     if "config" in claim:
         claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
     return claim
 
 
 def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
-    listed = [
-        {
-            "number": int(reason),
-            "name": reason.label,
-            "color": reason.color,
-            "meaning": reason.meaning,
-        }
-        for reason in Reason
-    ]
-    if "missing" in statistics.reason:
-        meaning = "no scanner depth; the dataset does not say why"
-        listed.append(
-            {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
-        )
-    return listed
+    if "missing" not in statistics.reason:
+        return reason_records()
+    meaning = "no scanner depth; the dataset does not say why"
+    missing = {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
+    return [*reason_records(), missing]
 
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:

@@ -6,15 +6,56 @@ numbers as base64 of zlib of bytes. `web/packed.js` undoes what is done here.
 """
 
 import base64
+import json
 import zlib
+from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Int, UInt8, UInt16
+from jaxtyping import Float, Int, UInt8, UInt16
 from matplotlib import colormaps
+
+from ....base.frames import inverse
+from ....camera.decode import Reason
+from ....rig.optics import Optics
 
 _LEVEL = 6
 _WHOLE = 65536
+
+
+def receiving(content: Mapping[str, Any]) -> bytes:
+    """A script that hands its content to the page."""
+    return f"Graycast.receive({_json(content)});\n".encode()
+
+
+def report_script(content: Mapping[str, Any]) -> bytes:
+    """The script of what all of a page shares."""
+    return f"Graycast.report = {_json(content)};\n".encode()
+
+
+def reason_records() -> list[dict[str, Any]]:
+    """The reasons of missing depth, as the legends of pages have them."""
+    return [
+        {
+            "number": int(reason),
+            "name": reason.label,
+            "color": reason.color,
+            "meaning": reason.meaning,
+        }
+        for reason in Reason
+    ]
+
+
+def view_record(camera: Optics, T_world_cam: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
+    """A camera and its place [mm], with the keys of a dataset's `scene_camera.json`."""
+    T_cam_world = inverse(T_world_cam)
+    return {
+        "cam_K": camera.K.ravel().tolist(),
+        "distortion": list(camera.distortion),
+        "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
+        "cam_t_w2c": (1000.0 * T_cam_world[:3, 3]).tolist(),
+    }
 
 
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
@@ -80,6 +121,10 @@ def palette_picture(
 def color_table(name: str) -> str:
     """256 colours of a colour map as hexadecimal digits."""
     return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
+
+
+def _json(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, allow_nan=False, separators=(",", ":"))
 
 
 def _text(data: bytes, level: int = _LEVEL) -> str:

@@ -44,7 +44,7 @@ class ReportSummary:
 
     page: Path
     built: int
-    kept: int
+    current: int
     removed: int
 
 
@@ -100,14 +100,16 @@ def write_pieces(
     folder = out / PIECES
     remove_left(folder)
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
-    kept = len(pieces) - len(todo)
-    progress.count(what, kept, len(pieces))
-    for done, _ in enumerate(_finished_keys(todo, folder, workers), start=kept + 1):
+    current = len(pieces) - len(todo)
+    progress.count(what, current, len(pieces))
+    for done, _ in enumerate(_finished_keys(todo, folder, workers), start=current + 1):
         progress.count(what, done, len(pieces))
     gone = {entry.name for entry in folder.iterdir()} - {piece.key for piece in pieces}
     for key in gone:
         shutil.rmtree(folder / key)
-    return ReportSummary(page=out / "index.html", built=len(todo), kept=kept, removed=len(gone))
+    return ReportSummary(
+        page=out / "index.html", built=len(todo), current=current, removed=len(gone)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,8 +132,8 @@ def write_web(out: Path, web: Web) -> None:
     """Write what a browser runs, but for index.js, which holds the page's content."""
     folders = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
     for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
-        found = next(folder for folder in folders if folder.joinpath(name).is_file())
-        write_whole(out / name, found.joinpath(name).read_bytes())
+        file = next(file for folder in folders if (file := folder.joinpath(name)).is_file())
+        write_whole(out / name, file.read_bytes())
     template = Template(folders[-1].joinpath("index.html").read_text(encoding="utf-8"))
     page = template.substitute(
         title=web.title,

@@ -1,18 +1,26 @@
-"""One scene as the page's files: a script with its maps, thumbnails, its figures."""
+"""One scene as the page's files: a script with its maps, thumbnails, its figures.
 
-import json
-from collections.abc import Iterator
+Captured frames and decoded projector positions, which not every dataset has, are scripts of their
+own that are loaded when they are shown.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
 from ....base.color import srgb_of_bytes
+from ....base.errors import DatasetError
 from ....camera.decode import REASON_COLOR
+from ....camera.picture import srgb_frame
+from ....dataset.raw import read_capture, read_code_maps
+from ....dataset.safe_reading import Unreadable
+from ....dataset.sample import Raw
 from ....dataset.scene_content import NO_REASON, SceneContent
 from ....dataset.stats import SceneFigures
-from .capture_pieces import Kept, columns_script, frames_script, read_kept
 from .packing import (
     jpeg,
     jpeg_url,
@@ -20,17 +28,15 @@ from .packing import (
     pack_difference,
     pack_words,
     palette_picture,
+    receiving,
     shrunk,
 )
 
 THUMB_PX = 288
-_THUMB_QUALITY, _PICTURE_QUALITY = 80, 90
+_THUMB_QUALITY, _FRAME_QUALITY, _PICTURE_QUALITY = 80, 85, 90
+_FAST = 2  # This is a fast level of zlib, as code maps are noisy.
+_STEPS = 65534  # Of the values of 16 bits, 0 is no value, and the first step is 1.
 MISSING_COLOR = "#555b6e"
-
-
-def reason_colors(names: dict[int, str]) -> dict[int, str]:
-    """A colour per reason's number, by the palette of all pictures."""
-    return {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}
 
 
 def scene_page_files(
@@ -45,32 +51,77 @@ def scene_page_files(
     Raises:
         DatasetError: a captured frame or a code map is missing or damaged.
     """
-    kept = read_kept(scene.stored)
+    stored = scene.stored
+    try:
+        raw = read_capture(stored.folder, sensor=stored.sensor, number=stored.image)
+        code_maps = read_code_maps(stored.folder, sensor=stored.sensor, number=stored.image)
+    except Unreadable as error:
+        raise DatasetError(f"{stored.folder}: {error}: run graycast validate") from error
     stride = -(-scene.reason.shape[1] // width_px)
     yield "thumb.jpg", jpeg(shrunk(_color(scene), THUMB_PX), _THUMB_QUALITY)
     if scene.gray is not None:
         thumb = shrunk(srgb_of_bytes(scene.gray), THUMB_PX)
         yield "white.jpg", jpeg(thumb, _THUMB_QUALITY)
     yield "reason.png", _reason_thumb(scene)
-    yield "scene.js", receiving(_content(scene, kept, stride=stride))
-    if kept.raw is not None:
-        yield (
-            "frames.js",
-            receiving(frames_script(f"{scene.stored.key}/frames.js", kept.raw, stride)),
-        )
-    if kept.code_maps:
-        name = f"{scene.stored.key}/columns.js"
-        yield "columns.js", receiving(columns_script(name, kept.code_maps, stride))
+    yield "scene.js", receiving(_content(scene, raw, code_maps, stride=stride))
+    if raw is not None:
+        yield "frames.js", receiving(frames_script(f"{stored.key}/frames.js", raw, stride))
+    if code_maps:
+        yield "columns.js", receiving(columns_script(f"{stored.key}/columns.js", code_maps, stride))
     yield "figures.json", figures.model_dump_json().encode()
 
 
-def receiving(content: dict[str, Any]) -> bytes:
-    """A script that hands its content to the page."""
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    return f"Graycast.receive({text});\n".encode()
+def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
+    """Every captured picture as `srgb_frame`: 0 at the sensor's offset, 255 where it saturates."""
+    sensor, capture = raw.scanner.sensor, raw.capture
+    if capture is None:
+        raise ValueError("no picture was captured")
+    width_px = -(-capture.frames.shape[2] // stride)
+    pictures = [
+        jpeg_url(shrunk(srgb_frame(capture, k), width_px), _FRAME_QUALITY)
+        for k in range(len(capture.frames))
+    ]
+    return {
+        "key": name,
+        "pictures": pictures,
+        "bits": sensor.bit_depth,
+        "low_dn": float(sensor.offset_dn),
+        "high_dn": float(sensor.saturation_dn),
+        "merged": isinstance(capture.exposure_s, np.ndarray),
+    }
 
 
-def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
+def columns_script(
+    name: str, code_maps: Mapping[str, Float32[np.ndarray, "h w"]], stride: int
+) -> dict[str, Any]:
+    """Positions and standard deviations in steps of a power of two [px], 0 for none."""
+    return {
+        "key": name,
+        "maps": {axis: _packed(image[::stride, ::stride]) for axis, image in code_maps.items()},
+    }
+
+
+def _packed(image: Float32[np.ndarray, "h w"]) -> dict[str, Any]:
+    known = np.isfinite(image)
+    low = float(np.floor(image[known].min(initial=0.0)))
+    span = float(image[known].max(initial=0.0)) - low
+    step = 2.0 ** math.ceil(math.log2(max(span, 2.0**-8) / (_STEPS - 1)))
+    steps = np.rint((np.where(known, image, low).astype(np.float64) - low) / step) + 1
+    return {
+        "words": pack_words(np.where(known, steps, 0).astype(np.uint16), level=_FAST),
+        "low": low,
+        "step": step,
+    }
+
+
+def _content(
+    scene: SceneContent,
+    raw: Raw | None,
+    code_maps: Mapping[str, Float32[np.ndarray, "_ _"]],
+    *,
+    stride: int,
+) -> dict[str, Any]:
+    frames = () if raw is None else raw.scanner.light_code().frames
     thin = np.s_[::stride, ::stride]
     depth = _map(scene.depth, scene.reason.shape)[thin]
     scanner = _map(scene.scanner, scene.reason.shape)[thin]
@@ -94,7 +145,7 @@ def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
         "full": [scene.reason.shape[1], scene.reason.shape[0]],
         "depth_scale_mm": scene.depth_scale_mm,
         "has": {"depth": scene.depth is not None, "scanner": scene.scanner is not None},
-        "kept": {"frames": kept.frame_names, "columns": list(kept.code_maps)},
+        "kept": {"frames": [frame.name for frame in frames], "columns": list(code_maps)},
         "view": {**_DOWNWARDS, **scene.view},
         "instances": _instances(scene),
         "maps": maps,
@@ -150,6 +201,7 @@ def _instances(scene: SceneContent) -> list[dict[str, Any]]:
 def _reason_thumb(scene: SceneContent) -> bytes:
     """Not averaged: a mixture of two reasons would have a third one's colour."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
-    colors = reason_colors({**scene.reason_name, NO_REASON: "missing"})
+    names = {**scene.reason_name, NO_REASON: "missing"}
+    colors = {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}
     picture = palette_picture(scene.reason[::stride, ::stride], colors)
     return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()

@@ -12,9 +12,8 @@ from ....base.errors import GraycastError
 from ....base.file_limits import refuse_large_picture
 from ....robot.pick.pick_files import BINS, DEPTH_STEP_M, EPISODE, MOTION, WORK, StoredEpisode
 from ....robot.pick.replay import Motion, open_replay, read_motions
-from ..page.packing import jpeg_url, pack_words, shrunk
+from ..page.packing import jpeg_url, pack_words, receiving, shrunk
 from ..page.pieces import stamp_of
-from ..page.scene_files import receiving
 from .bodies import packed_places, placed
 
 _FORM = "1"  # A change of this number builds a bin's files anew.

@@ -29,14 +29,11 @@ TINT = {
 def open_bin(replay: Replay) -> Mesh:
     """The bin without its outer sides: seen from any side one looks in."""
     whole = bin_mesh(replay.cell.box)
-    corner = whole.vertices_m[whole.faces].astype(np.float64)
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+    normal, centre = whole.face_normal, whole.vertices_m[whole.faces].mean(axis=1)
     low, high = whole.bounds_m
     middle = np.array([*(low + high)[:2] / 2, high[2]])
-    inwards = np.einsum("fi,fi->f", normal, middle - corner.mean(axis=1)) > 0
-    kept = inwards | (normal[:, 2] > UPRIGHT)
-    return Mesh(vertices_m=whole.vertices_m, faces=whole.faces[kept])
+    inwards = np.einsum("fi,fi->f", normal, middle - centre) > 0
+    return Mesh(vertices_m=whole.vertices_m, faces=whole.faces[inwards | (normal[:, 2] > UPRIGHT)])
 
 
 def table(replay: Replay) -> Mesh:

@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8, UInt16
+from jaxtyping import Float, UInt8, UInt16
 from PIL import Image, ImageDraw, ImageFont
 
 from ....base.errors import GraycastError
@@ -22,7 +22,7 @@ from ....base.folder import write_whole
 from ....base.frames import inverse, look_at, transform_points
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....rig.meshdepth import rasterize
-from ....rig.optics import Optics, picture_rays, points, project
+from ....rig.optics import Optics, picture_rays, pinhole, pixels_of, points, project
 from ....robot.pick import StoredEpisode, read_episodes
 from ....robot.pick.outcome import Outcome
 from ....robot.pick.pick_files import BINS, DEPTH_STEP_M
@@ -118,10 +118,7 @@ def write_film(
     for done, attempt in enumerate(attempts, start=1):
         frames += attempt
         progress.count("attempts", done, len(episode.attempts))
-    try:
-        write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
-    except OSError as error:
-        raise GraycastError(f"{out}: cannot be written ({error.strerror or error})") from error
+    write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
     return len(frames)
 
 
@@ -129,10 +126,7 @@ def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -
     """From behind the bin, as far away as the tool needs to stay in the picture."""
     height_px = round(0.75 * width_px)
     f_px = height_px / 2 / np.tan(_FIELD_RAD / 2)
-    camera = Optics(
-        width_px=width_px, height_px=height_px, fx_px=f_px, fy_px=f_px,
-        cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2,
-    )  # fmt: skip
+    camera = pinhole(width_px, height_px, f_px)
     view = look(replay)
     yaw, middle = view["yaw"], 1e-3 * np.array(view["middle"])
     out = np.array([np.cos(_PITCH_RAD) * np.cos(yaw), np.cos(_PITCH_RAD) * np.sin(yaw), 0.0])
@@ -149,14 +143,14 @@ def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -
 
 def _tool_path_m(replay: Replay, motions: Sequence[Motion | None]) -> Float[np.ndarray, "points 3"]:
     """Where the tool's limbs are over all times: the corners of their boxes, in the world."""
-    found = [np.zeros((0, 3))]
+    corners_m = [np.zeros((0, 3))]
     for number, limb in enumerate(replay.limbs[replay.arm_limbs :], start=replay.arm_limbs):
         corners = np.stack(np.meshgrid(*limb.bounds_m.T), axis=-1).reshape(-1, 3)
         places = [motion.T_world_limb[::4, number] for motion in motions if motion is not None]
-        found += [
+        corners_m += [
             transform_points(T, corners) for T in np.concatenate([*places, np.zeros((0, 4, 4))])
         ]
-    return np.concatenate(found)
+    return np.concatenate(corners_m)
 
 
 def _attempts(
@@ -233,15 +227,15 @@ def _ground(replay: Replay, eye: _Eye) -> _Layer:
     front = Mesh(vertices_m=box.vertices_m, faces=box.faces[facing])
     size = (eye.camera.height_px, eye.camera.width_px)
     sky = _Layer(color=np.full((*size, 3), TINT["sky"]), z=np.full(size, np.inf))
-    bin_ = _drawn(eye, front, np.array(TINT["bin"]))
-    return bin_.over(_drawn(eye, table(replay), np.array(TINT["table"]))).over(sky)
+    bin_ = _body(eye, front, np.array(TINT["bin"]))
+    return bin_.over(_body(eye, table(replay), np.array(TINT["table"]))).over(sky)
 
 
 def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4"]) -> _Layer:
     arm = replay.arm_limbs
     pairs = list(zip(replay.limbs, T_world_limb, strict=True))
-    body = _drawn(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
-    return body.over(_drawn(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
+    body = _body(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
+    return body.over(_body(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
 
 
 def _remaining(
@@ -273,17 +267,16 @@ def _part(
     replay: Replay, eye: _Eye, kinds: tuple[int, ...], number: int, T: Float[np.ndarray, "4 4"]
 ) -> _Layer:
     mesh = replay.cell.cell.scene.parts[kinds[number]].mesh
-    return _drawn(eye, joined([(mesh, T)]), np.array(TINT["part"]))
+    return _body(eye, joined([(mesh, T)]), np.array(TINT["part"]))
 
 
-def _drawn(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
+def _body(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
     """A mesh in one colour, as bright as it faces the eye."""
     vertices = eye.sees(mesh)
     face, z = rasterize(vertices, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
     corner = vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    camera = eye.camera
-    shade = _shade(normal[face], picture_rays(camera))
+    shade = _shade(normal[face], picture_rays(eye.camera))
     return _Layer(color=shade[..., None] * tint, z=np.where(face >= 0, z, np.inf))
 
 
@@ -336,21 +329,16 @@ def _scattered(
     eye: _Eye, point: Float[np.ndarray, "p 3"], shade: Float[np.ndarray, " p"], ground: _Layer
 ) -> _Layer:
     """Points of a pixel each, far ones first so that near ones stay."""
-    column, row = np.rint(project(eye.camera, point)).astype(int).T
-    height, width = ground.z.shape
+    pixel, inside = pixels_of(eye.camera, point)
     order = np.argsort(-point[:, 2])
-    order = order[_inside(row[order], column[order], (height, width))]
-    row, column, z = row[order], column[order], point[order, 2]
+    order = order[inside[order]]
+    (row, column), z = pixel[order].T, point[order, 2]
     visible = z < ground.z[row, column] + _ON_SURFACE_M
     row, column, z = row[visible], column[visible], z[visible]
     color, depth = ground.color.copy(), ground.z.copy()
     color[row, column] = shade[order][visible][:, None] * np.array(TINT["point"])
     depth[row, column] = z
     return _Layer(color=color, z=depth)
-
-
-def _inside(row: np.ndarray, column: np.ndarray, size: tuple[int, int]) -> Bool[np.ndarray, " p"]:
-    return (row >= 0) & (column >= 0) & (row < size[0]) & (column < size[1])
 
 
 # --- pictures -------------------------------------------------------------------------------------

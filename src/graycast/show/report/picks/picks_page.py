@@ -1,6 +1,5 @@
 """Builds the page of a folder of picks: what all bins share, and a piece for each bin."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -8,12 +7,11 @@ from typing import Any
 
 from .... import __version__
 from ....base.folder import write_whole
-from ....base.frames import inverse
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....robot.pick import StoredEpisode, read_episodes, summarize
 from ....robot.pick.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary
-from ..page.packing import color_table
+from ..page.packing import color_table, report_script, view_record
 from ..page.pieces import Web, write_pieces, write_web, writing_page
 from .bin_files import BinPiece, bin_key
 from .bodies import look, open_bin, packed_mesh, table
@@ -60,7 +58,10 @@ def write_pick_report(
         content = {
             "name": picks.resolve().name,
             "graycast": __version__,
-            "claim": _claim(replay),
+            "claim": {
+                **{key: replay.claim[key] for key in ("config", "seed", "versions")},
+                "rig": replay.cell.cell.scene.rig.name,
+            },
             "colormaps": {name: color_table(name) for name in ("viridis_r", "RdBu_r")},
             "reasons": [],
             "outcomes": outcome_words(),
@@ -73,32 +74,19 @@ def write_pick_report(
             **_cell(replay),
             "bins": _bins(episodes),
         }
-        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-        write_whole(out / "index.js", f"Graycast.report = {text};\n".encode())
+        write_whole(out / "index.js", report_script(content))
         write_web(out, _WEB)
     return done
-
-
-def _claim(replay: Replay) -> dict[str, Any]:
-    kept = ("config", "seed", "versions")
-    claim = {key: replay.claim[key] for key in kept}
-    return {**claim, "rig": replay.cell.cell.scene.rig.name}
 
 
 def _cell(replay: Replay) -> dict[str, Any]:
     """What stands still, what the bodies are, and where the scanner and the viewer stand."""
     scene = replay.cell.cell.scene
-    T_cam_world = inverse(scene.T_world_cam)
-    camera, arm = scene.rig.camera, replay.arm_limbs
     return {
-        "view": {
-            "cam_K": camera.K.ravel().tolist(),
-            "distortion": list(camera.distortion),
-            "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
-            "cam_t_w2c": (1e3 * T_cam_world[:3, 3]).tolist(),
-        },
+        "view": view_record(scene.rig.camera, scene.T_world_cam),
         "limbs": [
-            {"is_tool": i >= arm, **packed_mesh(limb)} for i, limb in enumerate(replay.limbs)
+            {"is_tool": i >= replay.arm_limbs, **packed_mesh(limb)}
+            for i, limb in enumerate(replay.limbs)
         ],
         "parts": [{"name": part.name, **packed_mesh(part.mesh)} for part in scene.parts],
         "bin": packed_mesh(open_bin(replay)),

@@ -4,45 +4,23 @@ A detection takes the same instance whatever worse ones there are, so all that a
 changes is which detections are looked at: the page does that itself.
 """
 
-import json
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ....base.progress import UNWATCHED, ProgressMeter
 from ....dataset.stored import StoredDataset
-from ....score.evaluate import (
-    AT_HALF,
-    Evaluation,
-    Judgement,
-    Protocol,
-    Task,
-    evaluate,
-    false_alarms,
-)
+from ....score.evaluate import AT_HALF, Evaluation, Judgement, false_alarms
 from ....score.evaluate import summary as evaluation_summary
+from .packing import receiving
 
-FOUND = "detections.js"
+DETECTIONS = "detections.js"
 _DIGITS = 4
 
 
-def evaluation_of(
-    dataset: Path, results: Path, *, progress: ProgressMeter = UNWATCHED
-) -> Evaluation:
-    """The results, judged by the dataset with the usual choices.
-
-    Raises:
-        GraycastError: the results are missing, damaged, or of another dataset.
-    """
-    task = Task(results=results, dataset=dataset, protocol=Protocol())
-    return evaluate(task, progress=progress)[0]
-
-
-def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
+def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
     """The data of the grid's filters: instances to find, and scores of hits and mistakes per scene.
 
     Outlines are judged by masks where there are any. Detections are of pictures in `train/`,
@@ -67,18 +45,19 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
     return {
         "name": evaluation.run.name,
         "kind": judgement.kind,
-        "score": 0.5 if np.isnan(point.score) else _below(point.score),
+        # Rounded so that the detection of that score still counts on the page.
+        "score": 0.5 if np.isnan(point.score) else float(np.floor(point.score * 100) / 100),
         "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,
     }
 
 
-def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
+def detection_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
     """Scene keys, and for each a script with its detections and what is found of its instances."""
     judgement = _judgement(evaluation)
     scenes = len(judgement.known.labels)
     detections: list[dict[int, dict[str, Any]]] = [{} for _ in range(scenes)]
-    found_at: list[dict[int, float]] = [{} for _ in range(scenes)]
+    score_of_hit: list[dict[int, float]] = [{} for _ in range(scenes)]
     why = {
         (alarm.scene, alarm.detection): alarm.why
         for alarm in false_alarms(judgement.known, judgement.scores.matches, -np.inf)
@@ -98,27 +77,23 @@ def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tup
                 **_outline(judgement, scene, place),
             }
             if hit:
-                found_at[scene][taken] = round(float(matches.score[i]), _DIGITS)
+                score_of_hit[scene][taken] = round(float(matches.score[i]), _DIGITS)
     for scene, labels in enumerate(judgement.known.labels):
         key = stored.picture(labels.scene_id).key
         instances = {
             str(_instance(judgement, scene, i)): {
-                "found": found_at[scene].get(i),
+                "found": score_of_hit[scene].get(i),
                 "ignored": bool(labels.ignored[i]),
             }
             for i in range(len(labels))
         }
         of_scene = [one for _, one in sorted(detections[scene].items())]
-        yield key, _receiving(f"{key}/{FOUND}", of_scene, instances)
+        content = {"key": f"{key}/{DETECTIONS}", "detections": of_scene, "instances": instances}
+        yield key, receiving(content)
 
 
 def _judgement(evaluation: Evaluation) -> Judgement:
     return evaluation.judgements[-1]  # masks come after boxes
-
-
-def _below(score: float) -> float:
-    """Rounded so that the detection of that score still counts on the page."""
-    return float(np.floor(score * 100) / 100)
 
 
 def _instance(judgement: Judgement, scene: int, place: int) -> int | None:
@@ -130,18 +105,11 @@ def _instance(judgement: Judgement, scene: int, place: int) -> int | None:
 
 
 def _outline(judgement: Judgement, scene: int, place: int) -> dict[str, Any]:
-    found = judgement.known.found[scene]
-    box = found.box_px[place]
+    detections = judgement.known.detections[scene]
+    box = detections.box_px[place]
     outline: dict[str, Any] = {"box": [round(float(edge), 1) for edge in box]}
-    if judgement.kind == "mask" and found.mask is not None:
-        mask: Mapping[str, Any] = found.mask[place]
-        drawn = coco_mask.decode(dict(mask))
-        rings, _ = cv2.findContours(drawn, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if judgement.kind == "mask" and detections.mask is not None:
+        inside = coco_mask.decode(dict(detections.mask[place]))
+        rings, _ = cv2.findContours(inside, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
         outline["rings"] = [ring.reshape(-1).tolist() for ring in rings if len(ring) > 2]
     return outline
-
-
-def _receiving(name: str, detections: list[dict[str, Any]], instances: dict[str, Any]) -> bytes:
-    content = {"key": name, "detections": detections, "instances": instances}
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    return f"Graycast.receive({text});\n".encode()

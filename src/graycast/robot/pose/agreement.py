@@ -30,19 +30,19 @@ OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count(drawn, z, inside, tolerance_m):
+def count(depth, z, inside, tolerance_m):
     """The number of pixels of each kind, and the first and last visible column and row."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
     for i in range(h):
         for j in range(w):
-            covered, known = drawn[i, j] < np.inf, z[i, j] > 0
+            covered, known = depth[i, j] < np.inf, z[i, j] > 0
             if not covered:
                 if inside[i, j]:
                     number[MISSED if known else MISSED_UNKNOWN] += 1
                 continue
-            off = z[i, j] - drawn[i, j]
+            off = z[i, j] - depth[i, j]
             if not known:
                 kind = UNKNOWN
             elif abs(off) <= tolerance_m:
@@ -58,12 +58,12 @@ def count(drawn, z, inside, tolerance_m):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def misfits(drawn, z, inside, tolerance_m):
+def misfits(depth, z, inside, tolerance_m):
     """Pixels within an outline that are measured off the part, before or behind."""
     number = 0
     for i in range(z.shape[0]):
         for j in range(z.shape[1]):
-            if inside[i, j] and drawn[i, j] < np.inf and drawn[i, j] - z[i, j] > tolerance_m:
+            if inside[i, j] and depth[i, j] < np.inf and depth[i, j] - z[i, j] > tolerance_m:
                 number += 1
     return number
 
@@ -98,16 +98,16 @@ def loose_score(number, edge, box, going_on):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def going_on(drawn, z, tolerance_m):
-    """Pixels just outside the drawn part where what is measured goes on as its surface does."""
+def going_on(depth, z, tolerance_m):
+    """Pixels just outside the part where what is measured goes on as its surface does."""
     number = 0
     h, w = z.shape
     for i in range(2, h - 2):
         for j in range(2, w - 2):
-            if drawn[i, j] < np.inf:
+            if depth[i, j] < np.inf:
                 continue
             for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-                near, far = drawn[i + di, j + dj], drawn[i + 2 * di, j + 2 * dj]
+                near, far = depth[i + di, j + dj], depth[i + 2 * di, j + 2 * dj]
                 if not near < np.inf:
                     continue
                 slope = near - far if far < np.inf else 0.0
@@ -119,10 +119,11 @@ def going_on(drawn, z, tolerance_m):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def score(T, vertex, faces, lens, ray, left, top, z, inside, tight, box, tolerance_m, drawn, face):
+def score(T, part, window, box, tolerance_m, canvas):
     """A pose's score, 0 to 1, with the counts it is from."""
-    draw(T, vertex, faces, lens, ray, left, top, drawn, face)
-    number, edge = count(drawn, z, inside, tolerance_m)
-    if tight:
-        return tight_score(number, misfits(drawn, z, inside, tolerance_m)), number
-    return loose_score(number, edge, box, going_on(drawn, z, tolerance_m)), number
+    draw(T, part, window, canvas)
+    depth, z, inside = canvas.depth, window.z, window.inside
+    number, edge = count(depth, z, inside, tolerance_m)
+    if window.tight:
+        return tight_score(number, misfits(depth, z, inside, tolerance_m)), number
+    return loose_score(number, edge, box, going_on(depth, z, tolerance_m)), number

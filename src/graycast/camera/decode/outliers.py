@@ -4,7 +4,6 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
 
 from ...base.robust import MAD_SIGMA
 from .median import median
@@ -14,31 +13,15 @@ SUPPORT_PX = 3  # So many of 24 neighbours near an outlying pixel's depth make i
 WHOLE_PX = 20  # So many of 24 neighbours near their median are a surface without an edge.
 
 
-def find_outliers(
-    inverse: Float[np.ndarray, "H W"],
-    noise: Float[np.ndarray, "H W"],
-    sigmas: float,
-    share: float,
-    margin_px: int,
-    repair: bool,
-    removed: Bool[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surface):
     """Mark outlying pixels of framed maps of inverse depth in `removed`.
 
     Args:
         repair: those within a whole surface are not marked but get its depth.
-
-    Returns:
-        inverse depth and its standard deviation for pixels to be repaired, else NaN.
+        surface: inverse depth and its standard deviation are written for pixels to be repaired.
     """
-    level, spread = np.full((2, *removed.shape), np.nan)
-    _find(inverse, noise, sigmas, share, margin_px, repair, removed, level, spread)
-    return level, spread
-
-
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _find(inverse, noise, sigmas, share, margin, repair, removed, level, spread):
     h, w = removed.shape
     for row in numba.prange(h):
         for column in range(w):
@@ -49,7 +32,7 @@ def _find(inverse, noise, sigmas, share, margin, repair, removed, level, spread)
             if not _in_line(inverse, noise, y, x, 0.5 * sigmas, 0.5 * share):
                 outlies, middle, around = _outlies(inverse, noise, y, x, sigmas, share)
                 if outlies and repair and around > 0:
-                    level[row, column], spread[row, column] = middle, around
+                    surface[0, row, column], surface[1, row, column] = middle, around
                 else:
                     removed[row, column] |= outlies
 

@@ -9,9 +9,9 @@ from small_cell import write_cell
 
 from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid
 from graycast.rig.optics import Optics, rays
-from graycast.robot.grasp import Grip
+from graycast.robot.grasp import DepthView, Grip
 from graycast.robot.pick import choose, load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import Candidate, DepthView, KnownPart
+from graycast.robot.pick.aim import Candidate, KnownPart
 from graycast.robot.pick.choose import Choice
 from graycast.robot.pick.clock import Clock
 from graycast.robot.pick.obstacles import standing

@@ -15,7 +15,8 @@ from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...rendering import Renderer, Rendering
 from ...world.scene import Layout
-from .aim import Candidate, DepthView, whole_bin
+from ..grasp import DepthView
+from .aim import Candidate, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # The truth has no target for a part of which less is visible.

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
-from ..grasp import Doubt, patch_of_depth
+from ..grasp import DepthView, Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
     Candidate,
-    DepthView,
     aims_by_pose,
     aims_in_depth,
     best_first,
@@ -20,8 +19,7 @@ from .aim import (
     spread,
 )
 from .clock import Clock
-from .heap_obstacle import measured_heap, measured_points
-from .obstacles import heap_obstacle
+from .obstacles import heap_obstacle, measured_heap, measured_points
 from .outcome import Outcome
 from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
@@ -137,15 +135,13 @@ def _aims(
     if search is None or picking.knows == "part":
         return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
     posed += found
+    doubt = Doubt(center_m=UNKNOWN_CENTER_M)
+    one_part = picking.detector != "none"
     return aims_in_depth(
         found,
-        view,
-        search,
-        weight_n=ready.weight_n,
-        doubt=Doubt(center_m=UNKNOWN_CENTER_M),
-        most_lean_rad=lean_rad,
-        places=PLACES * (picking.targets if picking.detector == "none" else 1),
-        one_part=picking.detector != "none",
+        search(view=view, weight_n=ready.weight_n, doubt=doubt, most_lean_rad=lean_rad),
+        one_part=one_part,
+        count=PLACES * (1 if one_part else picking.targets),
         seed=seed,
     )
 

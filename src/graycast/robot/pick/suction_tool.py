@@ -17,12 +17,11 @@ from ..grasp import (
     Cup,
     Doubt,
     Grip,
-    GripEstimate,
     Patch,
+    SuctionSearch,
     load_factor,
     patch_of_mesh,
     seal,
-    suction_in_depth,
     suction_places,
 )
 from .contact import NoGrip, PartGrip, is_near
@@ -56,8 +55,8 @@ class SuctionTool(Settings):
     reaches_round: ClassVar[bool] = False
 
     @property
-    def in_depth(self) -> Callable[..., list[GripEstimate]]:
-        return partial(suction_in_depth, cup=self.cup)
+    def in_depth(self) -> Callable[..., SuctionSearch]:
+        return partial(SuctionSearch, cup=self.cup)
 
     @property
     def ground_m(self) -> float:

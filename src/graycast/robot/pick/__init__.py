@@ -3,10 +3,10 @@
 pick_sections, robot_cell, ready, arms, robot   the cell that is written, read, and prepared
 tools, suction_tool, jaw_tool, contact          grippers: what is asked of them, and which are
 bin_scan, aim, choose      a scan, the grips on it, and the one that is taken
-obstacles, heap_obstacle, motion, ways          paths of the arm
+obstacles, motion, ways    paths of the arm
 touch, carry, episode      what then happens, pick after pick
 outcome, pick_files, pick_run, clock            results, their folder, many bins
-summary, success_plots, attempt_picture, replay, solids   results for people
+summary, success_plots, replay, solids   results for people
 """
 
 from .outcome import Attempt, Outcome

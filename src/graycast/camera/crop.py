@@ -138,12 +138,12 @@ def _planes(z, ray, radius, jump_m):
                     total += (q[k] - a * x[k] - b * y[k] - c) ** 2
                 limit = max(OUTLIER_SIGMAS * math.sqrt(total / n), ROUNDING * c)
                 if second == 0:
-                    kept = 0
+                    rest = 0
                     for k in range(n):
                         if abs(q[k] - a * x[k] - b * y[k] - c) <= limit:
-                            q[kept], x[kept], y[kept] = q[k], x[k], y[k]
-                            kept += 1
-                    n = kept
+                            q[rest], x[rest], y[rest] = q[k], x[k], y[k]
+                            rest += 1
+                    n = rest
             if n == 0 or not c > 0 or abs(1 / z0 - c) > 2 * limit:
                 continue
             tilt = c - a * ray[i, j, 0] - b * ray[i, j, 1]

@@ -250,7 +250,7 @@ def _other_size(shape: tuple[int, ...], rig: Rig, path: Path) -> str:
     )
 
 
-def _check_light(pictures: StackPictures, codes: CodeMap, found: list[str], path: Path) -> None:
+def _check_light(pictures: StackPictures, codes: CodeMap, warnings: list[str], path: Path) -> None:
     highest, lowest = int(pictures.frames.max()), int(pictures.frames.min())
     values = f"values are {lowest} to {highest} DN"
     if (codes.reason == Reason.SHADOW).all():
@@ -266,7 +266,7 @@ def _check_light(pictures: StackPictures, codes: CodeMap, found: list[str], path
     words = f"of the lit pixels are {main.words}"
     raise DecodeError(
         f"{path}: almost no pixel is decoded: {share} {words} ({values}): {_REMEDY[main]}"
-        + (f" ({found[0]})" if found else "")
+        + (f" ({warnings[0]})" if warnings else "")
     )
 
 
@@ -287,8 +287,8 @@ def _picture(pictures: StackPictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
         grey = pictures.frames[white[0]] if white else pictures.frames.max(axis=0)
         return np.repeat(_eight_bits(grey, pictures.frames)[..., None], 3, axis=-1)
     # A coarse bit and its inverse, or both ends of a phase, light all that is lit.
-    chosen = white[:1] or list(range(len(code.frames)))[:2]
-    color = np.maximum.reduce([read_color(pictures.files[k]) for k in chosen])
+    lit = white[:1] or list(range(len(code.frames)))[:2]
+    color = np.maximum.reduce([read_color(pictures.files[k]) for k in lit])
     return _eight_bits(color, pictures.frames)
 
 
@@ -351,24 +351,24 @@ def _rig_symptoms(
     remedy = better_reading(codes, rig)
     if remedy is not None:
         return [f"the rig does not fit the stack: {remedy}"]
-    found = []
+    warnings = []
     away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
     placed = away + int((depth.reason == Reason.DECODED).sum())
     if away > OUT_OF_RANGE * max(placed, 1):
-        found.append(
+        warnings.append(
             f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
             "range: check that it is the rig of this stack, and its near_m and far_m"
         )
     if residual_px is None or not np.isfinite(residual_px).any():
-        return found
+        return warnings
     median_px = float(np.nanmedian(np.abs(residual_px)))
     if median_px > MISPLACED_PX:
-        found.append(
+        warnings.append(
             f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
             "calibration may be of another rig, the camera may have moved, offset_px may be "
             "wrong, or frames may be exchanged"
         )
-    return found
+    return warnings
 
 
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:

@@ -177,10 +177,10 @@ def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndar
     # right from its boxes (docs/measurements/pose.md). Truth has masks alone.
     if target.box_px is not None:
         box_px = np.asarray(target.box_px)
-        found = find_pose_in_box(model, view.depth_m, view.camera, box_px)
+        match = find_pose_in_box(model, view.depth_m, view.camera, box_px)
     else:
-        found = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
-    return None if found.score < LEAST_POSE else found.T_cam_part
+        match = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
+    return None if match.score < LEAST_POSE else match.T_cam_part
 
 
 def aims_in_depth(

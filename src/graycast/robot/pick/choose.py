@@ -53,7 +53,7 @@ class Choice:
 def choose(
     ready: Ready,
     view: DepthView,
-    found: Sequence[Candidate],
+    targets: Sequence[Candidate],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
     blocked: Sequence[Float[np.ndarray, "3"]],
@@ -74,13 +74,13 @@ def choose(
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
-    heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(found))
+    heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(targets))
 
     def aims() -> Iterator[Aim]:
         """In the order in which they are tried; the places that are sought decide it, too."""
         nonlocal why, reached
         later = []
-        for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
+        for together in _together(ranked(targets, view, (*tabu, *blocked)), picking.targets):
             with clock("grips"):
                 all_of_them = _aims(ready, together, view, seed, posed)
                 candidates = [aim for aim in all_of_them if aim.score >= picking.least_score]
@@ -126,19 +126,19 @@ def _near(
 
 
 def _aims(
-    ready: Ready, found: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
+    ready: Ready, targets: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
     """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     search = ready.tool.in_depth
     if search is None or picking.knows == "part":
-        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
-    posed += found
+        return aims_by_pose(targets, view, ready.known, most_lean_rad=lean_rad, posed=posed)
+    posed += targets
     doubt = Doubt(center_m=UNKNOWN_CENTER_M)
     one_part = picking.detector != "none"
     return aims_in_depth(
-        found,
+        targets,
         search(view=view, weight_n=ready.weight_n, doubt=doubt, most_lean_rad=lean_rad),
         one_part=one_part,
         count=PLACES * (1 if one_part else picking.targets),

@@ -131,11 +131,11 @@ def _attempt(
     with clock("scan"):
         bin_scan = scan(ready.cell, renderer, world.layout, seed=scan_seed)
     with clock("detect"):
-        found = targets(ready.cell, bin_scan, world.layout, ready.detector)
+        candidates = targets(ready.cell, bin_scan, world.layout, ready.detector)
     choice = choose(
         ready,
         bin_scan.view,
-        found,
+        candidates,
         world.q,
         world.tabu,
         world.blocked,
@@ -146,7 +146,7 @@ def _attempt(
         outcome=Outcome.NOTHING_FOUND,
         T_world_part=world.layout.T_world_part,
         present=tuple(world.numbers.tolist()),
-        targets=len(found),
+        targets=len(candidates),
         seconds={"scan": bin_scan.seconds, "motion": 0.0},
         work_s=clock.seconds,
     )

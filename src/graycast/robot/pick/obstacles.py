@@ -137,8 +137,8 @@ def measured_heap(
         without: pixels that are left out: the part that fingers are to close round.
     """
     size_m = points.box.inner_m
-    kept = np.s_[:] if without is None else ~without[points.pixel]
-    point = points.point_m[kept]
+    keep = np.s_[:] if without is None else ~without[points.pixel]
+    point = points.point_m[keep]
     columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in size_m[:2])
     j = np.rint(point[:, 0] / CELL_M + (columns - 1) / 2).astype(np.int64)
     i = np.rint(point[:, 1] / CELL_M + (rows - 1) / 2).astype(np.int64)

@@ -101,10 +101,10 @@ def pick(
         on_result(result)
 
     with open_picks(out, cell, seed=seed) as folder:
-        found = folder.finished()
+        finished = folder.finished()
         return make_missing(
             task,
-            [bin_id for bin_id in range(bins) if bin_id not in found],
+            [bin_id for bin_id in range(bins) if bin_id not in finished],
             what="bins",
             total=bins,
             workers=workers,

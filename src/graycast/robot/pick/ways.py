@@ -120,13 +120,13 @@ def ways(
         seed=seed,
     )
     turns = TURNS if round_tool else 2
-    found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+    result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
     for turn in range(turns):
         turned = rigid(axis_rotation("z", 2 * np.pi * turn / turns), np.zeros(3))
-        found = search.ways(q, T_world_tip @ turned)
-        if isinstance(found, Ways):
+        result = search.ways(q, T_world_tip @ turned)
+        if isinstance(result, Ways):
             break
-    return found
+    return result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,12 +156,12 @@ class _Search:
             return Blocked(
                 outcome=Outcome.COLLISION_SEEN, detail=f"the arm would collide with {hits[0]}"
             )
-        found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+        result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
         for q_before in free[:ELBOWS]:
-            found = self._by(q, q_before, tip)
-            if isinstance(found, Ways):
+            result = self._by(q, q_before, tip)
+            if isinstance(result, Ways):
                 break
-        return found
+        return result
 
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
         """Plan with this arm configuration at the approach."""

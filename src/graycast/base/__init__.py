@@ -16,5 +16,6 @@ Each imports only from those above it:
     frames           rigid transforms, rotations, the pixel grid and units of length
     mask_box         the box about a mask's pixels
     ply              point clouds and meshes as PLY files
+    kernels          functions that Numba compiles
     progress         what a long task tells whoever waits for it
 """

@@ -14,13 +14,14 @@ by a sensor of its own). The lens's falloff is the optics' business.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple, no_type_check
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 from pydantic import Field
 
+from ..base.kernels import kernel
 from ..base.settings import Level, Positive, check_fields
 from ..base.streams import CaptureStream
 
@@ -296,8 +297,7 @@ def stored_saturation_dn(sensor: SensorSpec) -> int:
     return math.floor(sensor.saturation_dn + 0.5)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s):
     n, h, w = stack.shape
     for y in numba.prange(h):
@@ -318,8 +318,7 @@ def _key(seed: int, *stream: int) -> np.uint64:
     return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _mix(z: np.uint64) -> np.uint64:
     """Finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014): 64 well-mixed bits."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -327,8 +326,7 @@ def _mix(z: np.uint64) -> np.uint64:
     return z ^ (z >> np.uint64(31))
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _polar(bits: np.uint64):
     """Radius and angle of two normal numbers (Box and Muller, 1958) from one draw.
 
@@ -355,8 +353,7 @@ class _Shot(NamedTuple):
     fpn_key: np.uint64
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _expose(radiance, background, frames, shot):
     n, pixels = radiance.shape
     read_noise_e = shot.read_noise_e
@@ -386,8 +383,7 @@ def _expose(radiance, background, frames, shot):
             frames[k, pixel] = min(max(dn, 0), shot.max_dn)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _poisson(mean: float, bits: np.uint64) -> int:
     """A Poisson number by inversion of its distribution function at one uniform draw."""
     u = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53

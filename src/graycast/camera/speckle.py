@@ -24,13 +24,13 @@ with their surface, since a capture has patches of its own; their size in the pi
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
 from scipy import fft, ndimage
 
+from ..base.kernels import kernel
 from ..base.streams import CaptureStream, stream
 from .sensor import SensorSpec
 
@@ -197,8 +197,7 @@ def speckled(stack: Float[np.ndarray, "n h w"], speckle: Speckle) -> Float[np.nd
     return out
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _weigh(stack, brightness, right, down, out):
     n, h, w = stack.shape
     for y in numba.prange(h):
@@ -212,8 +211,7 @@ def _weigh(stack, brightness, right, down, out):
                 out[k, y, x] = brightness[y, x] * max(light, np.float32(0))
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _slope(before, here, after):
     first, second = here - before, after - here
     if first * second <= 0:

@@ -1,12 +1,13 @@
 """Gray bits, row by row: their values, and the variance from uncertain bits."""
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Int
 
+from ...base.kernels import kernel
 from .maps import Reason
 
 XOR_SIGMAS = 3.0  # A stripe's edge flips all bits that share it: noise alone decides there.
@@ -55,8 +56,7 @@ class Places(NamedTuple):
     rival: Float32[np.ndarray, "h w"]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def read_gray(stack, code, law, light, places, why):
     """Decode bits to the middle of the cell of the code value, with its uncertainty."""
     bits, coarse, variance, rival = code.bits, places.place, places.sigma, places.rival
@@ -73,8 +73,7 @@ def read_gray(stack, code, law, light, places, why):
             coarse[y, x] = code.first_px + code.cell_px * middle
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def lose_bits(stack, bits, light, top, saturation_dn, why):
     """Mark pixels where a bit is lost because it and its inverse or threshold are saturated.
 
@@ -109,8 +108,7 @@ def lose_bits(stack, bits, light, top, saturation_dn, why):
             why[y, x] = np.uint8(Reason.SATURATED) if lost[x] & free else why[y, x]
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _read_bits(stack, y, bits, light, margin, value):
     """Each bit's signal, pattern minus inverse or twice its distance to the middle, and the value.
 
@@ -143,8 +141,7 @@ def _read_bits(stack, y, bits, light, margin, value):
         value[x] = word ^ (word >> np.int32(1))
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
     """The effect of uncertain bits: a variance [px^2], or a contradiction."""
     offset_dn, floor_dn2, slope_dn = law
@@ -210,8 +207,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
         why[x] = reason if free & (coarse[x] + fine[x] >= 2) else why[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _fine_limits(noise, contrast, fine_error, scale, sure):
     """A third of a fine bit's error, inverted [1/DN], and the contrast over its span of blur."""
     for x in range(len(noise)):
@@ -220,8 +216,7 @@ def _fine_limits(noise, contrast, fine_error, scale, sure):
         sure[1, x] = np.float32(1 / (SHARP - BLURRED)) / contrast[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
     """The variance from a fine bit [px^2]; `coarser` is empty if the blur is not known.
 

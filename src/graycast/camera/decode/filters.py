@@ -9,13 +9,14 @@ Leaves out: lens distortion, whose share in the angle between neighbouring rays 
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple, no_type_check
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int8
 from pydantic import Field
 
+from ...base.kernels import kernel
 from ...base.settings import check_fields
 from ...rig.optics import Optics
 from ...rig.pair import Rig
@@ -245,8 +246,7 @@ def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
     return np.column_stack([offsets, weight])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _steepness(framed, y, x, v, u, limit_tan):
     """-1 or 1 where pixel (v, u) lies before or behind (y, x) at more than that incidence, else 0.
 
@@ -279,8 +279,7 @@ def _falls_of(framed: _Framed, limit_tan: float) -> Int8[np.ndarray, "2 H W"]:
     return fall
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _falls(framed, limit_tan, fall):
     for row in numba.prange(fall.shape[1] - 1):
         y = np.int64(row)  # parallel loops count without a sign: more versions would be compiled
@@ -289,8 +288,7 @@ def _falls(framed, limit_tan, fall):
             fall[1, y, x] = _steepness(framed, y, x, y + 1, x, limit_tan)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _hanging(framed, flying_tan, fall, removed):
     z, margin = framed.z, framed.margin
     h, w = removed.shape
@@ -317,8 +315,7 @@ def _hanging(framed, flying_tan, fall, removed):
                     )
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _goes_on(framed, flying_tan, y, x, down, right):
     """Whether the surface of a pixel continues beyond a small hole."""
     for k in range(2, FLYING_REACH_PX + 1):
@@ -328,8 +325,7 @@ def _goes_on(framed, flying_tan, y, x, down, right):
     return False
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _within_step(z, fall, y, x, down, right, first, last):
     """Whether the fall around a pixel is a step: it ends soon, between much flatter surfaces.
 
@@ -358,8 +354,7 @@ def _within_step(z, fall, y, x, down, right, first, last):
 # --- edges -------------------------------------------------------------------------------------
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _edges(framed, step_tan, around, removed):
     """Mark pixels beside a step or a pixel without depth; the picture's own border is none."""
     z, margin = framed.z, framed.margin
@@ -390,8 +385,7 @@ def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
     removed |= (size < island_px) & ~np.isnan(framed.inside(framed.z))
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _unite(z, torn, margin, w, parent):
     """Every pixel gets the lowest index of its island: union-find (Tarjan, 1975)."""
     for i in range(len(parent)):
@@ -407,8 +401,7 @@ def _unite(z, torn, margin, w, parent):
         parent[i] = parent[parent[i]]  # parents have lower indices: they are roots by now
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -419,8 +412,7 @@ def _root(parent, i):
 # --- smoothing ---------------------------------------------------------------------------------
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
     """Opposite neighbours enter in pairs, so that a plane's border is not pulled inwards."""
     margin = framed.margin

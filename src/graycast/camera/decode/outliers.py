@@ -1,10 +1,9 @@
 """Detection of pixels that are off the surface around them, and the depth of that surface."""
 
-from typing import no_type_check
-
 import numba
 import numpy as np
 
+from ...base.kernels import kernel
 from ...base.robust import MAD_SIGMA
 from .median import median
 
@@ -13,8 +12,7 @@ SUPPORT_PX = 3  # So many of 24 neighbours near an outlying pixel's depth make i
 WHOLE_PX = 20  # So many of 24 neighbours near their median are a surface without an edge.
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surface):
     """Mark outlying pixels of framed maps of inverse depth in `removed`.
 
@@ -37,8 +35,7 @@ def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surfac
                     removed[row, column] |= outlies
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _in_line(inverse, noise, y, x, sigmas, share):
     middle = np.float64(inverse[y, x])
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -51,8 +48,7 @@ def _in_line(inverse, noise, y, x, sigmas, share):
     return False
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _outlies(inverse, noise, y, x, sigmas, share):
     """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
 

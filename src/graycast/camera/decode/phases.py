@@ -1,12 +1,13 @@
 """Phases, row by row: computing phases from levels, and counting their periods."""
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float, Float32
 
+from ...base.kernels import kernel
 from .maps import Reason
 from .plan import MODEL_RAD, OFF_CELL
 from .settling import CLEAR, OPEN, REFUSED
@@ -41,8 +42,7 @@ class Phases(NamedTuple):
     noise2: Float32[np.ndarray, "*h periods w"]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
     """Phase of each full period [periods], cosine of each lone frame, and their variances."""
     w = strength.shape[1]
@@ -62,8 +62,7 @@ def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
                 _amplitude(sums, np.float32(count), law, first, strength[y])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_frame(frame, wave, sums):
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
     for x in range(len(frame)):
@@ -77,8 +76,7 @@ def _add_frame(frame, wave, sums):
         s2[x] += level * wave[3]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _phase(sums, count, law, turn, noise2):
     """Phase [periods] and variance [rad^2] from sums of level times 1, cos, sin, cos 2, sin 2.
 
@@ -98,8 +96,7 @@ def _phase(sums, count, law, turn, noise2):
         turn[x] = _turn(s[x], c[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _amplitude(sums, count, law, first, strength):
     """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
     offset_dn, floor_dn2, slope_dn = law
@@ -113,8 +110,7 @@ def _amplitude(sums, count, law, first, strength):
         strength[x] = min(strength[x], two * amplitude[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _lone_frame(frame, first, model2, cosine, noise2):
     mean, amplitude, variance = first[0], first[1], first[2]
     model2, two = np.float32(model2), np.float32(2)
@@ -124,8 +120,7 @@ def _lone_frame(frame, first, model2, cosine, noise2):
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def lose_phases(stack, index, top, saturation_dn, why):
     """Mark pixels where a phase is lost because one of its own frames is saturated."""
     for y in numba.prange(len(why)):
@@ -139,8 +134,7 @@ def lose_phases(stack, index, top, saturation_dn, why):
                 why[y, x] = np.uint8(Reason.SATURATED) if lost & free else why[y, x]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
     """The period that brings the first phase next to the Gray code's cell; `place` is both.
 
@@ -159,8 +153,7 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
             place[y, x] = u
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def bound(phases, middle):
     """Of each pixel's places the lowest [periods] and a limit of the highest [px].
 
@@ -179,8 +172,7 @@ def bound(phases, middle):
             bounds[y, 1, x] = middle[y, x] + reach
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def count_by_phases(phases, place, state):
     """The period of the first group with which all others agree, by a search within the bounds.
 
@@ -192,15 +184,13 @@ def count_by_phases(phases, place, state):
         _search_row(row, place[y], state[y])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _most_places(row):
     """How many periods may fit between a pixel's bounds."""
     return math.floor(2 * row.half_px / row.periods[0, 0] + 1) + 1
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _search_row(row, place, state):
     groups, w = row.turn.shape
     period, first = np.float32(row.periods[0, 0]), row.bounds[0]
@@ -224,8 +214,7 @@ def _search_row(row, place, state):
         state[x] = count if best[x] <= limit else np.uint8(REFUSED)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def open_choices(phases, state, choice, cost):
     """The best periods of open counts with their costs; best first."""
     periods, delta, half_px, bounds, turn, noise2 = phases
@@ -245,8 +234,7 @@ def open_choices(phases, state, choice, cost):
                 cost[y, n, where[i]] = costs[n, i]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _search_all(row, choice, cost):
     """The cheapest periods of each pixel in order, as many as `choice` has rows."""
     groups, w = row.turn.shape
@@ -270,8 +258,7 @@ def _search_all(row, choice, cost):
                 costs[x] = dear if better else costs[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _cost(k, row, expected, costs):
     """The cost of the place `k` periods above the lowest; what is out of bounds is excluded."""
     periods, lowest, highest = row.periods, row.bounds[0], row.bounds[1]
@@ -288,8 +275,7 @@ def _cost(k, row, expected, costs):
             _add_phase_cost(np.float32(turns - math.floor(turns)), expected[g], costs)
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _expect(row, g, expected):
     """What a group shows at the lowest place: how far its own phase is off that place's, of a
     lone frame the place's cosine and sine; and a weight."""
@@ -311,8 +297,7 @@ def _expect(row, g, expected):
             weight[x] = tau2 / (noise2[g, x] + noise2[0, x] + model2)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_phase_cost(turns, expected, costs):
     here, weight = expected[0], expected[2]
     for x in range(len(costs)):
@@ -321,8 +306,7 @@ def _add_phase_cost(turns, expected, costs):
         costs[x] += weight[x] * (apart * apart)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_cosine_cost(cosine, c, s, expected, costs):
     here, aside, weight = expected[0], expected[1], expected[2]
     for x in range(len(costs)):
@@ -330,8 +314,7 @@ def _add_cosine_cost(cosine, c, s, expected, costs):
         costs[x] += weight[x] * (apart * apart)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def fuse(periods, turn, noise2, place, sigma):
     """The mean of all full periods' places, each next to that of the first, by their variance.
 
@@ -372,8 +355,7 @@ def fuse(periods, turn, noise2, place, sigma):
             error[x] = math.sqrt(one / weight[x] + beyond[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _turn(s, c):
     """atan2 in turns, -1/2 to 1/2; the library's own is not SIMD.
 

@@ -7,13 +7,13 @@ Each step is a kernel of its own, compiled when a code first needs it.
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from ...base.errors import DecodeError
+from ...base.kernels import kernel
 from ...rig.pattern import AXES, Axis, Code
 from .bits import FINE_ERROR, GrayBits, Light, Places, lose_bits, read_gray
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
@@ -238,16 +238,14 @@ def _settle_refused(cues: _Cues, period_px: float, turn, free, place) -> None:
         cues.why[settled] = Reason.DECODED
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def _range(stack, high, low, strength, peak):
     """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
     for y in numba.prange(stack.shape[1]):
         peak[y] = _range_row(stack, np.int64(y), high[y], low[y], strength[y])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _range_row(stack, y, high, low, strength):
     most = stack[0, y].copy()
     least = stack[0, y].copy()
@@ -266,8 +264,7 @@ def _range_row(stack, y, high, low, strength):
     return highest
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _reach(stack, read, peak, saturation_dn, top):
     """Where one of the frames that are read is at the top."""
     for y in numba.prange(len(top)):
@@ -279,8 +276,7 @@ def _reach(stack, read, peak, saturation_dn, top):
                 top[y, x] |= np.float32(frame[x]) >= saturation_dn
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def _judge(light, strength, top, why, law, dark):
     """What is wrong with a pixel's light goes before what is wrong with its code.
 
@@ -291,8 +287,7 @@ def _judge(light, strength, top, why, law, dark):
         _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark)
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _judge_row(high, low, strength, top, why, law, dark):
     offset_dn, floor_dn2, slope_dn = law
     dark_dn, sigmas, visibility = dark
@@ -316,8 +311,7 @@ def _judge_row(high, low, strength, top, why, law, dark):
         why[x] = reason[x]
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _forget(why, place, sigma):
     nan = np.float32(np.nan)
     for y in numba.prange(len(why)):
@@ -327,8 +321,7 @@ def _forget(why, place, sigma):
             sigma[y, x] = sigma[y, x] if decoded else nan
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _outside(size_px, place, why):
     border, end = np.float32(-0.5), size_px - np.float32(0.5)
     for y in numba.prange(len(why)):
@@ -338,8 +331,7 @@ def _outside(size_px, place, why):
             why[y, x] = np.uint8(Reason.OUTSIDE_PROJECTOR) if outside else why[y, x]
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _within_cell(cell_variance_px2, sigma):
     for y in numba.prange(len(sigma)):
         for x in range(sigma.shape[1]):

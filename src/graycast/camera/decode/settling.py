@@ -1,11 +1,12 @@
 """Ambiguous periods of a pixel, which its neighbours on the same surface resolve."""
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
+from ...base.kernels import kernel
 from .median import median
 
 CLEAR, OPEN, REFUSED = 0, 1, 2  # A pixel's own phases say this of its count of periods.
@@ -31,7 +32,7 @@ class Pixels(NamedTuple):
         choice, cost: of pixels in doubt the best periods, and their sums of squares.
         state: CLEAR, OPEN or REFUSED; settled ones are written as CLEAR.
         lit: pixels whose light is believed; others say nothing.
-        count: the period of clear pixels, which `settle` writes; -1 elsewhere.
+        number: of the period of clear pixels, which `settle` writes; -1 elsewhere.
     """
 
     first: Float32[np.ndarray, "h w"]
@@ -39,7 +40,7 @@ class Pixels(NamedTuple):
     cost: Float32[np.ndarray, "h 4 w"]
     state: UInt8[np.ndarray, "h w"]
     lit: Bool[np.ndarray, "h w"]
-    count: Int32[np.ndarray, "h w"]
+    number: Int32[np.ndarray, "h w"]
 
 
 def settle(pixels, place, period, *, min_lead):
@@ -67,21 +68,19 @@ def settle(pixels, place, period, *, min_lead):
     return before & (pixels.state == CLEAR)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _counts(pixels, period, place):
-    first, state, lit, count = pixels.first, pixels.state, pixels.lit, pixels.count
+    first, state, lit, count = pixels.first, pixels.state, pixels.lit, pixels.number
     for y in numba.prange(len(place)):
         for x in range(place.shape[1]):
             if state[y, x] == CLEAR and lit[y, x]:
                 count[y, x] = np.int32(np.rint(place[y, x] / period - first[y, x]))
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _take(pixels, period, pick, place):
     """Write the agreed periods; return which rows have any."""
-    first, state, count = pixels.first, pixels.state, pixels.count
+    first, state, count = pixels.first, pixels.state, pixels.number
     any_taken = np.zeros(len(pick), dtype=np.bool_)
     for y in numba.prange(len(pick)):
         for x in range(pick.shape[1]):
@@ -93,8 +92,7 @@ def _take(pixels, period, pick, place):
     return any_taken
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _agree(pixels, min_lead, pick):
     state, lit = pixels.state, pixels.lit
     for y in numba.prange(len(pick)):
@@ -104,8 +102,7 @@ def _agree(pixels, min_lead, pick):
                 pick[y, x] = _agreed(pixels, np.int64(y), x, against, min_lead)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _agreed(pixels, y, x, against, min_lead):
     """The period that this pixel and its neighbours agree on; -1 where they do not."""
     first, choice, cost, state, lit, count = pixels
@@ -169,8 +166,7 @@ def settle_refused(period_px, turn, place, refused, clear, *, votes):
     return settled
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _vote(period, turn, place, refused, clear, votes, settled):
     h, w = place.shape
     side = 2 * REACH_PX + 1

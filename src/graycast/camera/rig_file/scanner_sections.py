@@ -72,7 +72,7 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
 
 
 def _scanner(rig: Rig, parts: dict[str, Any], sections: ScannerSections) -> Scanner:
-    changes = {
+    changes: dict[str, Any] = {
         name: _changed(value, getattr(sections, name), name) for name, value in parts.items()
     }
     try:

@@ -1,15 +1,15 @@
 """Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
 
 from dataclasses import dataclass
-from typing import Annotated, no_type_check
+from typing import Annotated
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import inverse, rigid, transform_points
+from ...base.kernels import kernel
 from ...base.streams import stream
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
@@ -247,8 +247,7 @@ def _in_the_way(
     return bool((finger | palm).any())
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _far_side(origin, way, a, ab, ac, most_m):
     """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)

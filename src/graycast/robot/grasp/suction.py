@@ -9,13 +9,13 @@ uneven spread.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, no_type_check
+from typing import Annotated
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from ...base.kernels import kernel
 from .patch import Patch
 
 LIP_POINTS = 32  # This many springs form the lip: a groove of half their length opens the seal.
@@ -115,8 +115,7 @@ def seals(
     return strain, open_share
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
     radius_m, points = lip_m[0, 0], len(lip_m)
     side = math.hypot(radius_m, cup_m)
@@ -140,8 +139,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
         open_share[k] = max(missing, _open_share(height_m, radius_m / step_m, aside_m[k] / step_m))
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _between(height_m, place):
     """Bilinear between nodes, in steps from the middle; NaN beyond the grid or beside a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
@@ -153,8 +151,7 @@ def _between(height_m, place):
     return (1 - v) * low + v * ((1 - u) * height_m[i + 1, j] + u * height_m[i + 1, j + 1])
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _open_share(height_m, radius, about):
     """The share of missing nodes within a radius about a place; both in steps."""
     missing, inside, n = 0, 0, len(height_m) // 2

@@ -1,10 +1,8 @@
 """Comparison of a pose with the measured depth: pixels that agree and that contradict."""
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 
+from ...base.kernels import kernel
 from .drawing import draw
 
 VISIBLE, TOUCHING, HIDDEN, CONTRADICTED, UNKNOWN, MISSED, MISSED_UNKNOWN = range(7)
@@ -28,8 +26,7 @@ GOING_ON = 3.0  # A pixel beside the part takes this off where the part's surfac
 OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share of the box's pixels.
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def count(depth, z, inside, tolerance_m):
     """The number of pixels of each kind, and the first and last visible column and row."""
     number = np.zeros(KINDS, np.int64)
@@ -56,8 +53,7 @@ def count(depth, z, inside, tolerance_m):
     return number, edge
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def misfits(depth, z, inside, tolerance_m):
     """Pixels within an outline that are measured off the part, before or behind."""
     number = 0
@@ -68,8 +64,7 @@ def misfits(depth, z, inside, tolerance_m):
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def tight_score(number, misfit):
     """The share of agreeing pixels among those of the outline or of the part at its pose.
 
@@ -81,8 +76,7 @@ def tight_score(number, misfit):
     return number[VISIBLE] / max(number[VISIBLE] + against, 1)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def loose_score(number, edge, box, going_on):
     """Agreeing minus contradicting pixels, divided by the pixels of the box.
 
@@ -96,8 +90,7 @@ def loose_score(number, edge, box, going_on):
     return worth / (wide * high) - OFF_CENTRE * (x * x + y * y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def going_on(depth, z, tolerance_m):
     """Pixels just outside the part where what is measured goes on as its surface does."""
     number = 0
@@ -117,8 +110,7 @@ def going_on(depth, z, tolerance_m):
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def score(T, part, window, box, tolerance_m, canvas):
     """A pose's score, 0 to 1, with the counts it is from."""
     draw(T, part, window, canvas)

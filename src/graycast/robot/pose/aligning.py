@@ -1,11 +1,10 @@
 """Final alignment of a pose: surface and outline of the part are fitted to the measured ones."""
 
 import math
-from typing import no_type_check
 
-import numba
 import numpy as np
 
+from ...base.kernels import kernel
 from .closest import add_row, solved, turn_by
 from .drawing import draw
 
@@ -13,8 +12,7 @@ REACH_PX = 4.0  # An outline is looked for within this distance of its drawn pla
 LINE_STEP_PX = 0.5
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def align(T, part, window, gates_m, edge_m, canvas):
     """Move a pose by Gauss-Newton steps, one for each gate.
 
@@ -33,8 +31,7 @@ def align(T, part, window, gates_m, edge_m, canvas):
         turn_by(T, solved(A, b))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _surface_rows(A, b, T, face_normal, window, gate, canvas):
     z, ray, depth = window.z, window.ray, canvas.depth
     h, w = z.shape
@@ -55,8 +52,7 @@ def _surface_rows(A, b, T, face_normal, window, gate, canvas):
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _outline_rows(A, b, T, window, edge_m, depth):
     lens, ray = window.lens, window.ray
     h, w = depth.shape
@@ -84,24 +80,21 @@ def _outline_rows(A, b, T, window, edge_m, depth):
             add_row(A, b, row, off_px * zc / f, (1 - (off_px / REACH_PX) ** 2) ** 2)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _into_part(T, x, y, z, p):
     dx, dy, dz = x * z - T[0, 3], y * z - T[1, 3], z - T[2, 3]
     for j in range(3):
         p[j] = T[0, j] * dx + T[1, j] * dy + T[2, j] * dz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _fill(row, p, mx, my, mz):
     """How a place p of the part moves along m when the part turns and shifts."""
     row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
     row[3], row[4], row[5] = mx, my, mz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _on_outline(depth, i, j):
     return (
         depth[i - 1, j] == np.inf
@@ -111,8 +104,7 @@ def _on_outline(depth, i, j):
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _outwards(depth, i, j):
     """The outline's normal in the picture: away from what is covered in a window of five."""
     x, y = 0.0, 0.0
@@ -127,8 +119,7 @@ def _outwards(depth, i, j):
     return x / length, y / length
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _end(depth, i, j, nx, ny):
     """The position along the normal at which the drawn part ends."""
     s = 0.0
@@ -142,8 +133,7 @@ def _end(depth, i, j, nx, ny):
     return s - LINE_STEP_PX / 2
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _measured_end(window, i, j, nx, ny, zc, edge_m, near):
     """Where along that normal the measured part ends, the place nearest to `near`; NaN if nowhere.
 

@@ -1,12 +1,13 @@
 """The nearest place on a part's surface for any point near it, and ICP by it."""
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
+
+from ...base.kernels import kernel
 
 CELLS = 60  # The grid has this many cells along the diameter.
 BEYOND = 0.2  # The grid reaches beyond the part's box by this share of the diameter.
@@ -48,8 +49,7 @@ def closest(points: OrientedPoints, diameter_m: float) -> Closest:
     return Closest(points=points, low_m=low, cell_m=cell_m, nearest=nearest.reshape(size))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def settle(T, scene, surface, gates_m, rounds):
     """Poses moved so that the scene's points lie on the part: ICP, point to plane.
 
@@ -66,8 +66,7 @@ def settle(T, scene, surface, gates_m, rounds):
     return shares
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _round(T, scene, surface, gate):
     """One step; the share of the points that have a place on the part within the gate."""
     point, normal = scene.point, scene.normal
@@ -108,8 +107,7 @@ def _round(T, scene, surface, gate):
     return count / len(point)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def add_row(A, b, row, off, weight):
     for j in range(6):
         b[j] += weight * row[j] * off
@@ -117,8 +115,7 @@ def add_row(A, b, row, off, weight):
             A[j, k] += weight * row[j] * row[k]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def solved(A, b):
     """The damped step of a system whose lower half is filled; lengths scaled to like size."""
     scale = np.empty(6)
@@ -136,8 +133,7 @@ def solved(A, b):
     return step * scale
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def turn_by(T, step):
     """T times the motion of a small turn (step[:3]) and shift (step[3:]) in the part's frame."""
     x, y, z = step[0], step[1], step[2]

@@ -1,12 +1,12 @@
 """A closed mesh drawn into the window of a picture: depth and face of each pixel, quickly."""
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...base.kernels import kernel
 from ...rig.optics import Optics
 
 
@@ -43,14 +43,12 @@ def lens(camera: Optics) -> np.ndarray:
     return np.array([*focal, *camera.distortion], dtype=np.float64)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def draw(T, part, window, canvas):
     """Fill a canvas with what the pixels' rays meet.
 

@@ -10,12 +10,12 @@ that the many like pairs of a plane do not drown the few that tell.
 """
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Int
 
+from ...base.kernels import kernel
 from .closest import OrientedPoints
 
 ANGLES = 15  # Each angle of a feature has bins of 12 degrees.
@@ -48,8 +48,7 @@ def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
     return PairTable(step_m=step_m, distances=distances, start=start, first=first, turn_rad=turn)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def feature_of(p, n, q, m, step_m, distances):
     """The feature's number of two points with normals; -1 if they coincide or are too far."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -67,8 +66,7 @@ def feature_of(p, n, q, m, step_m, distances):
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def frame_of(n):
     """The rotation that turns a normal onto the x axis, by the shortest way."""
     R = np.empty((3, 3))
@@ -84,8 +82,7 @@ def frame_of(n):
     return R
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def turn_of(R, p, q):
     """The angle of q about the x axis once the point p with its normal lies along it."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -94,8 +91,7 @@ def turn_of(R, p, q):
     return math.atan2(z, y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _filled(point, normal, step_m, distances):
     n = len(point)
     count = np.zeros(distances * ANGLES**3 + 1, np.int64)
@@ -119,8 +115,7 @@ def _filled(point, normal, step_m, distances):
     return start, first, turn
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def votes(scene, references, model, pairs, peaks):
     """The best poses of each reference point, and how many votes each has.
 
@@ -159,8 +154,7 @@ def votes(scene, references, model, pairs, peaks):
     return T, weight
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _pose(T, R_scene, p_scene, R_model, p_model, angle):
     """Scene point and normal over the model's, the model turned by the angle about them."""
     c, s = math.cos(angle), math.sin(angle)

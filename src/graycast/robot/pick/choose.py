@@ -23,7 +23,7 @@ from .obstacles import heap_obstacle, measured_heap, measured_points
 from .outcome import Outcome
 from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
-from .ways import Blocked, Load, Ways, ways
+from .ways import Blocked, Load, Ways, WaySearch
 
 TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
 BLOCKED_M = 0.04  # Grips this near to one without a way to it wait until others had their turn.
@@ -161,20 +161,16 @@ class _Heaps:
         self._heaps: dict[int, _Heap] = {}
 
     def of(self, aim: Aim) -> _Heap:
-        # Targets outlive the choice.
-        key = id(aim.target) if self._ready.tool.reaches_round else -1
-        if key not in self._heaps:
-            self._heaps[key] = self._make(aim)
-        return self._heaps[key]
-
-    def _make(self, aim: Aim) -> _Heap:
         own = self._ready.tool.reaches_round
-        without = aim.target.inside(self._shape) if own else None
-        heap = measured_heap(self._points, without=without)
-        return _Heap(
-            obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
-            highest_m=float(heap.height_m.max()),
-        )
+        key = id(aim.target) if own else -1  # targets outlive the choice
+        if key not in self._heaps:
+            without = aim.target.inside(self._shape) if own else None
+            heap = measured_heap(self._points, without=without)
+            self._heaps[key] = _Heap(
+                obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
+                highest_m=float(heap.height_m.max()),
+            )
+        return self._heaps[key]
 
 
 def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
@@ -218,17 +214,16 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
     highest_m = max(ready.cell.box.inner_m[2], heap.highest_m)
     clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
     tool = ready.tool
-    return ways(
-        ready.bare.mount(tool.pieces(aim.opening_m)) if tool.reaches_round else ready.robot,
-        ready.here,
-        q,
-        aim.T_world_tool,
-        heap.obstacle,
+    around = tool.reaches_round
+    search = WaySearch(
+        robot=ready.bare.mount(tool.pieces(aim.opening_m)) if around else ready.robot,
+        here=ready.here,
+        obstacles=(*ready.here.standing, heap.obstacle),
         up_m=max(clear_m - float(aim.place_m[2]), LEAST_UP_M),
         load=load,
-        round_tool=tool.is_round,
         seed=seed,
     )
+    return search.ways(q, aim.T_world_tool, round_tool=tool.is_round)
 
 
 def _load(ready: Ready, aim: Aim) -> Load:

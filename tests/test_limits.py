@@ -29,7 +29,6 @@ FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.
 LONG_FILES = {
-    "camera/decode/filters.py": 447,
     "dataset/stored.py": 470,
     "learn/detect/training.py": 445,
 }

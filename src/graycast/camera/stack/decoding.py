@@ -1,6 +1,8 @@
 """The whole processing of a stack: reading, noise, decoding, triangulation, averaging."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,18 +104,17 @@ def decode_stack(
             lit; the rig is another camera's; averaging, or depth, lacks an axis.
     """
     path = Path(path)
-    clock = _Clock()
-    description = read_description(path)
+    clock, description = _Clock(), read_description(path)
     spec, stated_px = description.decode_spec()
-    code = _planned(code_of(description, path), spec, path)
+    code = code_of(description, path)
+    with _naming(path):
+        plan_axes(code, spec.fine_bits)
     _check_axes(code, rig, average, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
     clock.lap("read")
-    try:
+    with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
-    except DecodeError as error:
-        raise DecodeError(f"{path}: {error}") from error
     clock.lap("levels")
     codes = decode(pictures.frames, code, spec, levels.levels)
     clock.lap("decode")
@@ -148,7 +149,9 @@ def decode_stack(
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     if depth is not None:  # Only now it is known what is out of range or an outlier.
         figures = replace(figures, reasons=reason_shares(depth.reason))
-    light = _separated(pictures, code, levels.levels)
+    light = None
+    with suppress(DecodeError):  # where the code does not tell direct and global light apart
+        light = separate(pictures.frames, code, levels.levels)
     clock.lap("figures")
     return StackResult(
         code=code,
@@ -164,13 +167,13 @@ def decode_stack(
     )
 
 
-def _planned(code: Code, spec: DecodeSpec, path: Path) -> Code:
-    """The code, which can be decoded."""
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the stack's file in what is wrong with its frames."""
     try:
-        plan_axes(code, spec.fine_bits)
+        yield
     except DecodeError as error:
         raise DecodeError(f"{path}: {error}") from error
-    return code
 
 
 def _by_noise(
@@ -185,16 +188,6 @@ def _by_noise(
     if code.subpixel:
         return codes
     return decode(pictures.frames, code, spec, levels, fine_error=0.0)
-
-
-def _separated(
-    pictures: StackPictures, code: Code, levels: Levels
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
-    """Direct and global light, where the code tells them apart."""
-    try:
-        return separate(pictures.frames, code, levels)
-    except DecodeError:
-        return None
 
 
 class _Clock:

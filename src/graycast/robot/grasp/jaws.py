@@ -75,7 +75,6 @@ def jaw_load_factor(
     Forces along the axis are held by the drive.
 
     Args:
-        jaws: which hold.
         force_n: that pulls at the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
     """
@@ -109,11 +108,7 @@ def jaw_places(
     first chance has the tool where it was planned.
 
     Args:
-        mesh: of the part.
-        jaws: the tool.
-        weight_n: of the part.
-        center_m: its centre of mass.
-        doubt: what is not known.
+        center_m: the part's centre of mass.
         count: places that are tried, evenly over the surface.
         chances: of each grip.
         seed: of the chances.
@@ -177,9 +172,6 @@ def closing(
     the tangent between the axis and the mean normal of what a pad touches.
 
     Args:
-        mesh: what they close on.
-        jaws: the tool.
-        T_mesh_tool: where it is.
         opening_m: between the open pads; left out: as far as they open.
 
     Returns:

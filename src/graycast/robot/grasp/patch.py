@@ -75,7 +75,6 @@ def patch_of_depth(
 
     Args:
         depth_m: z of each pixel, NaN where it is missing.
-        camera: its optics.
         steepest_rad: between a triangle's normal and the line of sight.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)

@@ -98,7 +98,6 @@ def seals(
     """The two numbers of `Seal` for a cup that deviates from the tool's axis.
 
     Args:
-        cup: what is laid on.
         patch: the surface about the tool's axis.
         aside_m: where the cup's middle is instead, along x and y.
         lean: slopes of the lip's plane along x and y, small ones.
@@ -182,7 +181,6 @@ def load_factor(
     - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
 
     Args:
-        cup: which holds.
         force_n: that pulls at the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
         friction: left out: the cup's.

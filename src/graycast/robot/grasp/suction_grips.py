@@ -41,11 +41,7 @@ def suction_places(
     30 degrees to four sides, the least of the five: how the part will lie is not known yet.
 
     Args:
-        mesh: of the part.
-        cup: the tool.
-        weight_n: of the part.
-        center_m: its centre of mass.
-        doubt: what is not known.
+        center_m: the part's centre of mass.
         count: places that are tried, evenly over the surface.
         seed: of the doubts.
     """

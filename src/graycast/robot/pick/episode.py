@@ -95,13 +95,12 @@ def empty_bin(
     while len(world.numbers) and failures < config.picking.failures:
         left = len(world.numbers)
         progress.stage(f"bin {bin_id}, scan {len(attempts) + 1}: {left} parts are left")
-        before = len(world.numbers)
         attempt, bin_scan, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
         attempts.append(attempt)
         pictures.append(_picture(bin_scan, attempt))
         depths_m.append(bin_scan.view.depth_m)
         if attempt.outcome is Outcome.TWO_AT_ONCE:
-            taken += before - len(world.numbers)
+            taken += left - len(world.numbers)
         else:
             taken += attempt.outcome is Outcome.PICKED
         failures = 0 if attempt.outcome in TAKEN else failures + 1

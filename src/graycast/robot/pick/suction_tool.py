@@ -24,12 +24,11 @@ from ..grasp import (
     seal,
     suction_places,
 )
+from ..grasp.patch import STEP_M
 from .contact import NoGrip, PartGrip, is_near
 from .outcome import Outcome
 from .robot import Mounted
 from .solids import ROUND
-
-STEP_M = 0.5e-3  # The nodes of the surface under a cup lie this far apart.
 
 
 class SuctionTool(Settings):

@@ -96,7 +96,6 @@ class Tool(Protocol):
 
         Args:
             T_world_tool: where the tip is sent.
-            parts: the kinds.
             T_world_part, part_index: where parts lie, and their kinds.
             opening_m: that of the grip; left out: the tool is as open as it can be.
         """

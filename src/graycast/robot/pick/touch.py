@@ -47,7 +47,6 @@ def touch(
 
     Args:
         T_world_tool: where its tip is sent.
-        kinds: of parts.
         T_world_part, part_index: where parts lie, and their kinds.
         opening_m: that of the grip; left out: the tool is as open as it can be.
     """

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...base.kernels import kernel
-from .closest import add_row, solved, turn_by
+from .closest import add_row, fill_row, solved, turn_by
 from .drawing import draw
 
 REACH_PX = 4.0  # An outline is looked for within this distance of its drawn place.
@@ -46,7 +46,7 @@ def _surface_rows(A, b, T, face_normal, window, gate, canvas):
             _into_part(T, ray[i, j, 0], ray[i, j, 1], depth[i, j], q)
             m = face_normal[canvas.face[i, j]]
             off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
-            _fill(row, q, m[0], m[1], m[2])
+            fill_row(row, q, m[0], m[1], m[2])
             add_row(A, b, row, off, (1 - (off_z / gate) ** 2) ** 2)
             count += 1
     return count
@@ -76,7 +76,7 @@ def _outline_rows(A, b, T, window, edge_m, depth):
             mx = T[0, 0] * gx + T[1, 0] * gy + T[2, 0] * gz
             my = T[0, 1] * gx + T[1, 1] * gy + T[2, 1] * gz
             mz = T[0, 2] * gx + T[1, 2] * gy + T[2, 2] * gz
-            _fill(row, p, mx, my, mz)
+            fill_row(row, p, mx, my, mz)
             add_row(A, b, row, off_px * zc / f, (1 - (off_px / REACH_PX) ** 2) ** 2)
 
 
@@ -85,13 +85,6 @@ def _into_part(T, x, y, z, p):
     dx, dy, dz = x * z - T[0, 3], y * z - T[1, 3], z - T[2, 3]
     for j in range(3):
         p[j] = T[0, j] * dx + T[1, j] * dy + T[2, j] * dz
-
-
-@kernel(nogil=True, error_model="numpy")
-def _fill(row, p, mx, my, mz):
-    """How a place p of the part moves along m when the part turns and shifts."""
-    row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
-    row[3], row[4], row[5] = mx, my, mz
 
 
 @kernel(nogil=True, error_model="numpy")

@@ -95,9 +95,7 @@ def _round(T, scene, surface, gate):
             continue
         off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
         weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's
-        row[0], row[1] = p[1] * m[2] - p[2] * m[1], p[2] * m[0] - p[0] * m[2]
-        row[2] = p[0] * m[1] - p[1] * m[0]
-        row[3], row[4], row[5] = m[0], m[1], m[2]
+        fill_row(row, p, m[0], m[1], m[2])
         add_row(A, b, row, off, weight)
         count += 1
     if count < 6:
@@ -105,6 +103,13 @@ def _round(T, scene, surface, gate):
     # The scene moves by -step in the part's frame, so the part moves by +step in its own.
     turn_by(T, solved(A, b))
     return count / len(point)
+
+
+@kernel(nogil=True, error_model="numpy")
+def fill_row(row, p, mx, my, mz):
+    """How a place p of the part moves along m when the part turns and shifts."""
+    row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
+    row[3], row[4], row[5] = mx, my, mz
 
 
 @kernel(nogil=True, error_model="numpy")

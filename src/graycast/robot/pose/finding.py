@@ -213,18 +213,18 @@ def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) ->
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
-    tried = (
+    both = (
         trials.judge(T)
         for k in np.argsort(-first, kind="stable")[:ALIGNED]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(tried, key=lambda candidate: candidate.worth)  # the first of equals
+    best = max(both, key=lambda trial: trial.worth)  # the first of equals
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:
             T = trials.placed(before.T @ turn)
             if T is not None:
-                best = trials.judge(trials.align(T)).better_of(best)
+                best = max(best, trials.judge(trials.align(T)), key=lambda trial: trial.worth)
         if best is before or best.worth > SURE:
             break
     return best

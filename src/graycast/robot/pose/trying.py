@@ -30,9 +30,6 @@ class PoseTrial:
     worth: float
     number: Int[np.ndarray, " kinds"]
 
-    def better_of(self, other: "PoseTrial") -> "PoseTrial":
-        return self if self.worth > other.worth else other
-
 
 @final
 class Trials:

@@ -22,7 +22,7 @@ from graycast.dataset.models import StoredModel, read_models
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import Example, Examples, open_examples
 from graycast.rig.meshdepth import rasterize
-from graycast.robot.pose import PoseFound, PoseModel, find_pose, find_pose_in_box, pose_model
+from graycast.robot.pose import PoseMatch, PoseModel, find_pose, find_pose_in_box, pose_model
 from graycast.score.evaluate import rotation_translation, wilson
 from graycast.world.parts import Mesh
 from graycast.world.parts.symmetry import joined, motions, shape_symmetry
@@ -62,7 +62,7 @@ class _Trial:
 
     example: Example
     instance: int
-    estimate: PoseFound
+    estimate: PoseMatch
     cpu_s: float
     seen: bool = True
     angle_deg: float = math.inf
@@ -202,7 +202,7 @@ def _trials(
         region = _region(example, place, case[1], detections)
         began = time.process_time()
         if region is None:
-            estimate = PoseFound(T_cam_part=None, score=0.0)
+            estimate = PoseMatch(T_cam_part=None, score=0.0)
         elif region.ndim == 2:
             estimate = find_pose(model, depth_m, camera, region)
         else:

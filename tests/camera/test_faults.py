@@ -9,7 +9,7 @@ import pytest
 from stage import centred
 
 from graycast.camera.decode import DepthMap, FilterSpec, Reason
-from graycast.camera.faults import FaultSpec, line_amplitude, on_raster, with_faults
+from graycast.camera.faults import FaultSpec, line_amplitude, with_faults
 from graycast.camera.stack import decode_stack
 
 F_PX, SHAPE = 500.0, (300, 320)
@@ -37,7 +37,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
     """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that. The stated
     sigma is the errors'."""
     z_m = tilted(tilt_deg, azimuth_deg)
-    placed = on_raster(depth_map(z_m), 0.25)
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25))
     error_m = placed.depth_m - z_m
     near = np.s_[130:170, 140:180]
     law_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
@@ -50,7 +50,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
 def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
     """Oracle: the inverse squares of both deviations add up."""
     z_m, limit_m = tilted(tilt_deg, 90), 2e-4
-    placed = on_raster(depth_map(z_m), 0.25, limit_m=limit_m)
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25, raster_limit_m=limit_m))
     near = np.s_[130:170, 140:180]
     free_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
     law_m = (free_m**-2 + limit_m**-2) ** -0.5
@@ -60,7 +60,7 @@ def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
 
 def test_the_raster_is_white_and_the_same_in_every_shot():
     z_m = tilted(45, 30)
-    once, again = (on_raster(depth_map(z_m), 0.3) for _ in range(2))
+    once, again = (with_faults(depth_map(z_m), FaultSpec(raster_px=0.3)) for _ in range(2))
     assert np.array_equal(once.depth_m, again.depth_m)
     share = ((once.depth_m - z_m) / once.sigma_m)[1:-1, 1:-1]
     for a, b in ((share[1:], share[:-1]), (share[:, 1:], share[:, :-1])):
@@ -79,7 +79,7 @@ def test_errors_of_a_line_are_alike_in_size():
         assert along == pytest.approx(math.exp(-r * r / 4), abs=0.03)
         assert abs((log[:, r:] * log[:, :-r]).mean() / 0.25) < 0.03
     z_m = tilted(50, 0)
-    placed = on_raster(depth_map(z_m), 0.2, line_unevenness=0.5)
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.2, raster_line_unevenness=0.5))
     share = ((placed.depth_m - z_m) / placed.sigma_m)[1:-1, 1:-1]
     assert share.std() == pytest.approx(1, rel=0.03)  # what sigma tells
     size = np.abs(share) - np.abs(share).mean()
@@ -92,8 +92,8 @@ def test_where_light_is_even_a_place_is_nearer_to_the_middle():
     """Half the contrast of light moves the mean of a window half as far, and sigma tells it."""
     z_m = tilted(45, 0)
     contrast = np.where(np.arange(SHAPE[1]) < 160, 1.0, 0.5) * np.ones(SHAPE)
-    placed = on_raster(depth_map(z_m), 0.25, light_contrast=contrast)
-    whole = on_raster(depth_map(z_m), 0.25)
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), light_contrast=contrast)
+    whole = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25))
     moved, alone = placed.depth_m - z_m, whole.depth_m - z_m
     assert np.allclose(moved[:, 160:], 0.5 * alone[:, 160:], rtol=0.01, atol=1e-6)
     assert np.array_equal(moved[:, :160], alone[:, :160])
@@ -105,7 +105,7 @@ def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9
     z_m[100:110, 100:110] = np.nan
-    placed = on_raster(depth_map(z_m), 0.3)
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.3))
     assert np.allclose(placed.depth_m, z_m, rtol=1e-6, equal_nan=True)
 
 

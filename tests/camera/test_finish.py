@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from graycast.camera.finish import uneven
+from graycast.camera.speckle import uneven
 
 SHAPE = (400, 420)
 

@@ -17,5 +17,6 @@ Each imports only from those above it:
     mask_box         the box about a mask's pixels, and where a window and an image overlap
     ply              point clouds and meshes as PLY files
     tables           tables as CSV and as Markdown
+    kernels          functions that Numba compiles
     progress         what a long task tells whoever waits for it
 """

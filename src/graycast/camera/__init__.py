@@ -2,10 +2,9 @@
 
 Each imports only from those above it:
 
-    finish      noise whose amplitude differs between patches of a surface
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
-    speckle     laser speckle, and its effect on decoded positions
+    speckle     laser speckle, its patches, and its effect on decoded positions
     decode      from pictures to projector positions and depth: Capture -> DepthMap
     line_noise  uneven projector lines, and their effect on decoded positions
     faults      depth of points beside their pixels, for simulated scans

@@ -2,12 +2,11 @@
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from ..base.kernels import kernel
 from ..base.mask_box import mask_box
 from ..base.robust import robust_sigma
 from ..rig.optics import Optics, rays
@@ -97,8 +96,7 @@ def crop(
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def _planes(z, ray, radius, jump_m):
     """Planes by least squares of inverse depth, which is linear in the image on a plane.
 
@@ -138,12 +136,12 @@ def _planes(z, ray, radius, jump_m):
                     total += (q[k] - a * x[k] - b * y[k] - c) ** 2
                 limit = max(OUTLIER_SIGMAS * math.sqrt(total / n), ROUNDING * c)
                 if second == 0:
-                    kept = 0
+                    rest = 0
                     for k in range(n):
                         if abs(q[k] - a * x[k] - b * y[k] - c) <= limit:
-                            q[kept], x[kept], y[kept] = q[k], x[k], y[k]
-                            kept += 1
-                    n = kept
+                            q[rest], x[rest], y[rest] = q[k], x[k], y[k]
+                            rest += 1
+                    n = rest
             if n == 0 or not c > 0 or abs(1 / z0 - c) > 2 * limit:
                 continue
             tilt = c - a * ray[i, j, 0] - b * ray[i, j, 1]
@@ -154,8 +152,7 @@ def _planes(z, ray, radius, jump_m):
     return smooth, normal, off
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _fit(q, x, y, n):
     """a, b, c of q = a x + b y + c, about the means."""
     qm, xm, ym = 0.0, 0.0, 0.0

@@ -35,10 +35,7 @@ _SMOOTHED = (4 * math.pi) ** -0.25  # A Gaussian of one pixel leaves this of whi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultSpec:
-    """The faults of a device; None or 0 switches a fault off, and all are off by default.
-
-    See `on_raster`.
-    """
+    """The faults of a device; None or 0 switches a fault off, and all are off by default."""
 
     raster_px: Annotated[
         float | None,
@@ -81,53 +78,31 @@ def with_faults(
 ) -> DepthMap:
     """The depth that a device with these faults gives for a filtered depth map.
 
+    It is that of a point `raster_px` (one sigma along each axis) from the pixel's centre, on the
+    plane, in inverse depth, through both neighbours of a pixel along each axis; beside steps and
+    holes that is flat.
+
+    With a `raster_limit_m`, the error of depth on a surface that rises by s per pixel is not
+    `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / raster_limit_m^2)`. So it is unchanged on
+    gentle slopes and ends at the limit on the steepest.
+
     Args:
         depth: z and its standard deviation [m].
-        light_contrast: how uneven the light in each pixel is, as a share of a black surface's; it
-            scales the places of `raster_px`.
+        light_contrast: how uneven the light in each pixel is, as a share of that on a black
+            surface: where a surface has an even light, as white paper has, the point lies nearer
+            to the centre.
 
     Returns:
         A depth map whose `sigma_m` holds what `raster_px` adds; the same map where it is off.
     """
     if not spec.raster_px:
         return depth
-    return on_raster(
-        depth,
-        spec.raster_px,
-        limit_m=spec.raster_limit_m or math.inf,
-        line_unevenness=spec.raster_line_unevenness or 0.0,
-        light_contrast=light_contrast,
-    )
-
-
-def on_raster(
-    depth: DepthMap,
-    raster_px: float,
-    *,
-    limit_m: float = math.inf,
-    line_unevenness: float = 0.0,
-    light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
-) -> DepthMap:
-    """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
-
-    `light_contrast` is how uneven the light in a pixel is, as a share of that on a black surface:
-    where a surface has an even light, as white paper has, the point lies nearer to the centre.
-
-    With a `limit_m`, the error of depth on a surface that rises by s per pixel is not
-    `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / limit_m^2)`. So it is unchanged on gentle
-    slopes and ends at `limit_m` on the steepest.
-
-    With a `line_unevenness` above 0, `raster_px` differs from pixel to pixel, but hardly between
-    the pixels of a column that touch (`line_amplitude`).
-
-    The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
-    beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.
-    """
-    shape = depth.depth_m.shape
-    right, down = raster_px * line_amplitude(shape, line_unevenness) * places(shape)
+    shape, limit_m = depth.depth_m.shape, spec.raster_limit_m or math.inf
+    amplitude = line_amplitude(shape, spec.raster_line_unevenness or 0.0)
+    right, down = spec.raster_px * amplitude * places(shape)
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
-    spread_m = raster_px * np.hypot(along, across) / inverse**2
+    spread_m = spec.raster_px * np.hypot(along, across) / inverse**2
     left = light_contrast / np.hypot(1, spread_m / limit_m)
     depth_m = 1 / (inverse + left * (right * along + down * across))
     return replace(

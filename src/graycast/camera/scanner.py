@@ -34,11 +34,18 @@ from .decode import (
 )
 from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
-from .finish import PATCH_M, uneven
 from .light import camera_light
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
-from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
+from .speckle import (
+    PATCH_M,
+    draw_speckle,
+    footprint_px,
+    material_contrast,
+    pixel_contrast,
+    speckled,
+    uneven,
+)
 
 APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
 

@@ -14,13 +14,14 @@ by a sensor of its own). The lens's falloff is the optics' business.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, no_type_check
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 from pydantic import Field
 
+from ..base.kernels import kernel
 from ..base.settings import Level, Positive, check_fields
 from ..base.streams import CaptureStream
 
@@ -233,21 +234,20 @@ def expose(
     light = np.ascontiguousarray(radiance.reshape(n, h * w)).view(), dark.view()
     for values in light:
         values.flags.writeable = False  # the kernel is compiled for each kind of array: one here
-    _expose(
-        *light,
-        frames.reshape(n, h * w),
-        sensor.responsivity * exposure_s,
-        sensor.dark_current_e_s * exposure_s,
-        sensor.full_well_e,
-        sensor.read_noise_e,
-        sensor.gain_dn_per_e,
-        sensor.offset_dn,
-        sensor.max_dn,
-        sensor.prnu,
-        sensor.dsnu_e,
-        _key(seed),
-        _key(sensor.fpn_seed, CaptureStream.FIXED_PATTERN),
+    shot = _Shot(
+        scale=sensor.responsivity * exposure_s,
+        dark_e=sensor.dark_current_e_s * exposure_s,
+        full_well_e=sensor.full_well_e,
+        read_noise_e=sensor.read_noise_e,
+        gain=sensor.gain_dn_per_e,
+        offset_dn=sensor.offset_dn,
+        max_dn=sensor.max_dn,
+        prnu=sensor.prnu,
+        dsnu_e=sensor.dsnu_e,
+        key=_key(seed),
+        fpn_key=_key(sensor.fpn_seed, CaptureStream.FIXED_PATTERN),
     )
+    _expose(*light, frames.reshape(n, h * w), shot)
     return Capture(frames=frames, sensor=sensor, exposure_s=exposure_s)
 
 
@@ -297,8 +297,7 @@ def stored_saturation_dn(sensor: SensorSpec) -> int:
     return math.floor(sensor.saturation_dn + 0.5)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s):
     n, h, w = stack.shape
     for y in numba.prange(h):
@@ -319,8 +318,7 @@ def _key(seed: int, *stream: int) -> np.uint64:
     return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _mix(z: np.uint64) -> np.uint64:
     """Finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014): 64 well-mixed bits."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -328,8 +326,7 @@ def _mix(z: np.uint64) -> np.uint64:
     return z ^ (z >> np.uint64(31))
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _polar(bits: np.uint64):
     """Radius and angle of two normal numbers (Box and Muller, 1958) from one draw.
 
@@ -340,53 +337,53 @@ def _polar(bits: np.uint64):
     return math.sqrt(-2.0 * math.log(u)), 2.0 * math.pi * v
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _expose(
-    radiance,
-    background,
-    frames,
-    scale,
-    dark_e,
-    full_well_e,
-    read_noise_e,
-    gain,
-    offset_dn,
-    max_dn,
-    prnu,
-    dsnu_e,
-    key,
-    fpn_key,
-):
+class _Shot(NamedTuple):
+    """A sensor at one exposure: fields of `SensorSpec`, electrons per radiance, streams' keys."""
+
+    scale: float
+    dark_e: float
+    full_well_e: float
+    read_noise_e: float
+    gain: float
+    offset_dn: float
+    max_dn: int
+    prnu: float
+    dsnu_e: float
+    key: np.uint64
+    fpn_key: np.uint64
+
+
+@kernel(parallel=True)
+def _expose(radiance, background, frames, shot):
     n, pixels = radiance.shape
+    read_noise_e = shot.read_noise_e
     step = np.uint64(0x9E3779B97F4A7C15)
     for pixel in numba.prange(pixels):
-        pixel_scale, pixel_offset_dn = scale, offset_dn + 0.5
-        if prnu > 0 or dsnu_e > 0:
-            radius, angle = _polar(_mix(fpn_key + np.uint64(pixel) * step))
-            pixel_scale *= max(1.0 + prnu * radius * math.cos(angle), 0.0)
-            pixel_offset_dn += gain * dsnu_e * radius * math.sin(angle)
+        pixel_scale, pixel_offset_dn = shot.scale, shot.offset_dn + 0.5
+        if shot.prnu > 0 or shot.dsnu_e > 0:
+            radius, angle = _polar(_mix(shot.fpn_key + np.uint64(pixel) * step))
+            pixel_scale *= max(1.0 + shot.prnu * radius * math.cos(angle), 0.0)
+            pixel_offset_dn += shot.gain * shot.dsnu_e * radius * math.sin(angle)
         for k in range(n):
-            mean_e = (radiance[k, pixel] + background[pixel]) * pixel_scale + dark_e
+            mean_e = (radiance[k, pixel] + background[pixel]) * pixel_scale + shot.dark_e
             counter = np.uint64(k) * np.uint64(pixels) + np.uint64(pixel)
-            bits = _mix(key + counter * step)
+            bits = _mix(shot.key + counter * step)
             radius, angle = _polar(bits)
             first = radius * math.cos(angle)
             if mean_e < EXACT_POISSON_BELOW_E:
                 counted_e = np.float64(_poisson(mean_e, _mix(bits)))
-                signal_e = min(counted_e, full_well_e) + read_noise_e * first
-            elif mean_e + 7.0 * math.sqrt(mean_e) < full_well_e:
+                signal_e = min(counted_e, shot.full_well_e) + read_noise_e * first
+            elif mean_e + 7.0 * math.sqrt(mean_e) < shot.full_well_e:
                 # No draw reaches the well (32 bits end at 6.8 sigma): one number serves for both.
                 signal_e = mean_e + math.sqrt(mean_e + read_noise_e * read_noise_e) * first
             else:
-                counted_e = min(mean_e + math.sqrt(mean_e) * first, full_well_e)
+                counted_e = min(mean_e + math.sqrt(mean_e) * first, shot.full_well_e)
                 signal_e = counted_e + read_noise_e * radius * math.sin(angle)
-            dn = math.floor(gain * signal_e + pixel_offset_dn)
-            frames[k, pixel] = min(max(dn, 0), max_dn)
+            dn = math.floor(shot.gain * signal_e + pixel_offset_dn)
+            frames[k, pixel] = min(max(dn, 0), shot.max_dn)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _poisson(mean: float, bits: np.uint64) -> int:
     """A Poisson number by inversion of its distribution function at one uniform draw."""
     u = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from graycast.camera.stack.description import LevelsSection
-from graycast.camera.stack.levels import measure_levels
-from graycast.camera.stack.phase_steps import from_means, from_steps
+from graycast.camera.stack.levels import from_means, from_steps, measure_levels
 from graycast.rig.pattern import gray_phase, micro_phase, multi_frequency
 
 from .simulated import shoot, small_rig

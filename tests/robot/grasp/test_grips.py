@@ -14,15 +14,16 @@ from graycast.rig.optics import Optics, rays
 from graycast.robot.grasp import (
     Burden,
     Cup,
+    DepthView,
     Doubt,
     Jaws,
+    SuctionSearch,
     best_first,
     closing,
     jaw_load_factor,
     jaw_places,
     patch_of_mesh,
     robustness,
-    suction_in_depth,
     suction_places,
 )
 from graycast.robot.grasp.grip import downs
@@ -239,7 +240,7 @@ def test_jaws_hold_what_a_hand_calculation_says(force_n, point_m, limit):
 
 
 CAMERA = Optics(width_px=240, height_px=200, fx_px=500.0, fy_px=500.0, cx_px=119.5, cy_px=99.5)
-DOWN = np.array([0.0, 0.0, 1.0])  # the camera looks down
+LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
 def seen_plate(tilt_rad=0.0):
@@ -250,13 +251,18 @@ def seen_plate(tilt_rad=0.0):
     return (0.6 * normal[2]) / (ray @ normal)
 
 
+def search(depth_m, weight_n, doubt):
+    view = DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN)
+    return SuctionSearch(view=view, cup=CUP, weight_n=weight_n, doubt=doubt)
+
+
 def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weight_asks():
     """The weight pulls askew: across the plane it tilts the cup by its arm from the middle."""
     lean_rad, weight_n = 0.6, 1.0
     depth_m = seen_plate(lean_rad)
     mask = np.zeros(depth_m.shape, bool)
     mask[60:140, 80:160] = True
-    grips = suction_in_depth(depth_m, CAMERA, mask, CUP, down=DOWN, weight_n=weight_n, doubt=SURE)
+    grips = search(depth_m, weight_n, SURE).grips(mask)
     rows, columns = np.nonzero(mask)
     point = rays(CAMERA, np.stack([columns, rows], axis=-1).astype(float)) * depth_m[mask][:, None]
     press_n = SHAKE * weight_n * math.cos(lean_rad)
@@ -269,9 +275,8 @@ def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weig
         np.testing.assert_allclose(T[:3, 2], normal, atol=1e-6)
         x, y = CAMERA.fx_px * T[:2, 3] / T[2, 3] + [119.5, 99.5]
         assert mask[round(y), round(x)]
-    assert not suction_in_depth(
-        seen_plate(0.9), CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=DOUBT, count=20
-    )  # leans by more than 45 degrees
+    # It leans by more than 45 degrees.
+    assert not search(seen_plate(0.9), 0.5, DOUBT).grips(mask, count=20)
 
 
 @pytest.mark.slow
@@ -282,10 +287,10 @@ def test_no_grip_stands_on_unknown_ground():
     mask[:20], mask[-20:], mask[:, :20], mask[:, -20:] = False, False, False, False
     holed = depth_m.copy()
     holed[::8, ::8] = np.nan  # 9.6 mm apart, the cup is 16 mm wide
-    assert not suction_in_depth(holed, CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=DOUBT)
+    assert not search(holed, 0.5, DOUBT).grips(mask)
     half = depth_m.copy()
     half[::8, 120::8] = np.nan
-    grips = suction_in_depth(half, CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=SURE)
+    grips = search(half, 0.5, SURE).grips(mask)
     assert grips
     for grip in grips:
         x = CAMERA.fx_px * grip.T_cam_tool[0, 3] / grip.T_cam_tool[2, 3] + 119.5
@@ -296,18 +301,7 @@ def test_the_same_seed_gives_the_same_grips():
     mask = np.zeros((200, 240), bool)
     mask[80:120, 100:140] = True
     first, second = (
-        suction_in_depth(
-            seen_plate(0.2),
-            CAMERA,
-            mask,
-            CUP,
-            down=DOWN,
-            weight_n=0.5,
-            doubt=DOUBT,
-            seed=3,
-            count=20,
-        )
-        for _ in range(2)
+        search(seen_plate(0.2), 0.5, DOUBT).grips(mask, seed=3, count=20) for _ in range(2)
     )
     assert [g.score for g in first] == [g.score for g in second]
     assert all((a.T_cam_tool == b.T_cam_tool).all() for a, b in zip(first, second, strict=True))

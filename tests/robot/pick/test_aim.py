@@ -5,10 +5,10 @@ import pytest
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
+from graycast.robot.grasp import DepthView
 from graycast.robot.pick.aim import (
     Aim,
     Candidate,
-    DepthView,
     best_first,
     covered_share,
     ranked,

@@ -9,16 +9,16 @@ from small_cell import write_cell
 
 from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid
 from graycast.rig.optics import Optics, rays
-from graycast.robot.grasp import Grip
+from graycast.robot.grasp import DepthView, Grip
 from graycast.robot.pick import choose, load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import Candidate, DepthView, KnownPart
+from graycast.robot.pick.aim import Candidate, KnownPart
 from graycast.robot.pick.choose import Choice
 from graycast.robot.pick.clock import Clock
 from graycast.robot.pick.obstacles import standing
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.ready import Ready
 from graycast.robot.pick.tools import T_flange_tip
-from graycast.robot.pick.ways import Blocked, Load, Surroundings, Ways
+from graycast.robot.pick.ways import Blocked, Load, Surroundings, Ways, WaySearch
 from graycast.robot.pose import pose_model
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=300.0, fy_px=300.0, cx_px=79.5, cy_px=59.5)
@@ -110,13 +110,13 @@ def reaching(robots, ready, monkeypatch):
     def reaching(*reached, view=None, found=(TARGET,), tabu=(), blocked=(), **changes):
         sought = []
 
-        def ways(robot, here, q, tip, heap, **words):
-            sought.append((tip, words))
+        def ways(search, q, tip, *, round_tool):
+            sought.append((tip, search, round_tool))
             if any(abs(tip[0, 3] - place[0]) < 1e-6 for place in reached):
                 return bare(Ways)
             return Blocked(outcome=Outcome.UNREACHABLE, detail="too far")
 
-        monkeypatch.setattr(choose, "ways", ways)
+        monkeypatch.setattr(WaySearch, "ways", ways)
         view = scan() if view is None else view
         held = like(ready, here=here, **changes)
         return chosen(held, view, found, tabu=tabu, blocked=blocked), sought
@@ -125,7 +125,7 @@ def reaching(robots, ready, monkeypatch):
 
 
 def places(sought):
-    return [round(float(tip[0, 3]), 6) for tip, _ in sought]
+    return [round(float(tip[0, 3]), 6) for tip, *_ in sought]
 
 
 def test_a_grip_beside_one_without_a_way_waits_for_all_others(reaching):
@@ -180,11 +180,11 @@ def test_no_way_is_sought_to_where_the_tool_alone_meets_the_heap(reaching):
 
 def test_a_known_part_is_carried_over_the_rim_by_its_own_reach(reaching):
     """From the middle of its top it reaches 30 mm down, and half its diagonal aside."""
-    ((_, words),) = reaching(FIRST)[1]
-    assert words["load"].below_m == pytest.approx(0.03)
-    assert words["load"].aside_m == pytest.approx(np.hypot(0.03, 0.02))
-    assert words["up_m"] == pytest.approx(0.1 + 0.03 + 0.05 - TOP_M)  # rim, part, clearance
-    assert words["round_tool"]
+    ((_, search, round_tool),) = reaching(FIRST)[1]
+    assert search.load.below_m == pytest.approx(0.03)
+    assert search.load.aside_m == pytest.approx(np.hypot(0.03, 0.02))
+    assert search.up_m == pytest.approx(0.1 + 0.03 + 0.05 - TOP_M)  # rim, part, clearance
+    assert round_tool
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.3])
@@ -193,12 +193,12 @@ def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean
     tool is upright."""
     unknown = (Candidate(kind=None, score=1.0, mask=few(9)),)
     view = scan(lean_rad=lean_rad)
-    ((tip, words),) = reaching(found=unknown, view=view, knows="depth", grips=1)[1]
+    ((tip, search, _),) = reaching(found=unknown, view=view, knows="depth", grips=1)[1]
     assert tip[2, 2] == pytest.approx(np.cos(lean_rad))
     aside, up = np.mgrid[-0.08:0.08:400j, -0.08:0.08:400j]
     there = (np.hypot(aside, up) <= 0.08) & (up >= -tip[2, 3])
     deepest_m = (np.cos(lean_rad) * -up + np.sin(lean_rad) * aside)[there].max()
-    assert deepest_m - 0.001 < words["load"].below_m < deepest_m + 0.003
+    assert deepest_m - 0.001 < search.load.below_m < deepest_m + 0.003
 
 
 def few(pixels):

@@ -5,8 +5,13 @@ import pytest
 
 from graycast.base.frames import look_at, pixel_grid
 from graycast.rig.optics import Optics, rays
-from graycast.robot.pick.heap_obstacle import CELL_M, GUESSED_M, measured_heap, measured_points
-from graycast.robot.pick.obstacles import heap_obstacle
+from graycast.robot.pick.obstacles import (
+    CELL_M,
+    GUESSED_M,
+    heap_obstacle,
+    measured_heap,
+    measured_points,
+)
 from graycast.robot.pick.robot import Mounted, tool_touches
 from graycast.world.scene import Bin
 

@@ -9,8 +9,8 @@ from small_cell import write_cell
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.dataset.detections import Detections
 from graycast.rendering import GroundTruth, Radiance, Renderer, Rendering
+from graycast.robot.grasp import DepthView
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import DepthView
 from graycast.robot.pick.bin_scan import BinScan, scan, targets
 from graycast.world.scene import Layout
 

@@ -8,8 +8,7 @@ from matplotlib.colors import to_rgb
 from graycast.base.errors import GraycastError
 from graycast.robot.pick.outcome import TAKEN, Outcome
 from graycast.robot.pick.pick_files import StoredEpisode
-from graycast.robot.pick.success_plots import COLOR, plot_runs
-from graycast.robot.pick.summary import compared, pair, summarize
+from graycast.robot.pick.summary import COLOR, compared, pair, plot_runs, summarize
 from graycast.score.evaluate import mcnemar, wilson
 
 

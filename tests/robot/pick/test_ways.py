@@ -15,7 +15,7 @@ from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.robot import Obstacle, open_robot
 from graycast.robot.pick.suction_tool import SuctionTool
 from graycast.robot.pick.tools import T_flange_tip
-from graycast.robot.pick.ways import Load, Surroundings, Ways, ways
+from graycast.robot.pick.ways import Load, Surroundings, Ways, WaySearch
 
 TOOL = SuctionTool(length_m=0.2)
 LOAD = Load(below_m=0.1, aside_m=0.05)
@@ -56,8 +56,11 @@ GRIP = rigid(axis_rotation("y", np.radians(20)), np.array([-0.5, 0.1, 0.05]))
 
 
 def found(arm, here, *, heap=NOWHERE, grip=GRIP, **changes):
-    told = {"up_m": 0.25, "load": LOAD, "round_tool": True, "seed": 0} | changes
-    return ways(arm, here, arm.home, grip, heap, **told)
+    settings = {"up_m": 0.25, "load": LOAD, "seed": 0} | changes
+    round_tool = settings.pop("round_tool", True)
+    obstacles = (*here.standing, heap)
+    search = WaySearch(robot=arm, here=here, obstacles=obstacles, **settings)
+    return search.ways(arm.home, grip, round_tool=round_tool)
 
 
 def tip(arm, here, q):

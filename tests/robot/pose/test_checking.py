@@ -9,7 +9,7 @@ from graycast.base.frames import axis_rotation, rigid, transform_points
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics, rays
 from graycast.robot.pose.agreement import GOING_ON, HIDING, OFF_CENTRE, OUTSIDE, score
-from graycast.robot.pose.drawing import lens
+from graycast.robot.pose.drawing import Canvas, Facets, Window, lens
 
 CAMERA = Optics(width_px=120, height_px=90, fx_px=500.0, fy_px=500.0, cx_px=59.5, cy_px=44.5)
 TOLERANCE_M = 1e-3
@@ -42,15 +42,14 @@ def depth(window=PART, z_m=FRONT_M):
 def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
     y, x = np.mgrid[:90, :120].astype(float)
     ray = np.ascontiguousarray(rays(CAMERA, np.stack([x, y], axis=-1))[..., :2])
-    vertices, faces = BOX_CORNERS * half_m, FACES.copy()
-    for array in (ray, vertices, faces, z, inside):  # as in a search, whose kernel this then is
+    part = Facets(BOX_CORNERS * half_m, FACES.copy(), np.zeros(FACES.shape))
+    for array in (ray, *part, z, inside):  # as in a search, whose kernel this then is
         array.flags.writeable = False
     rows, columns = np.nonzero(inside)
     box = np.array([columns.min(), rows.min(), columns.max(), rows.max()])
-    drawn, face = np.empty(z.shape), np.empty(z.shape, np.int64)
-    return score(
-        T, vertices, faces, lens(CAMERA), ray, 0, 0, z, inside, tight, box, TOLERANCE_M, drawn, face
-    )[0]
+    window = Window(lens(CAMERA), ray, 0, 0, z, inside, tight)
+    canvas = Canvas(np.empty(z.shape), np.empty(z.shape, np.int64))
+    return score(T, part, window, box, TOLERANCE_M, canvas)[0]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from graycast.camera.crop import crop
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics, rays
 from graycast.robot.pose import find_pose, find_pose_in_box, find_poses, pose_model
-from graycast.robot.pose.drawing import draw, lens
+from graycast.robot.pose.drawing import Canvas, Window, draw, lens
 from graycast.score.evaluate import rotation_translation
 from graycast.world.parts import Mesh, Symmetry, builtin_part
 from graycast.world.parts.symmetry import motions
@@ -223,18 +223,20 @@ def test_a_flat_plate_does_not_explode_and_is_found():
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.12, 0.05, 0.002, -0.001, 0.0)])
-def test_the_quick_drawing_is_the_checking_rasters(bracket, distortion):
+def test_the_quick_drawing_is_the_checking_rasters(bracket, model, distortion):
     """Of a closed mesh, whose faces turned away are never seen; two programs."""
     camera = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5,
                     cy_px=79.5, distortion=distortion)  # fmt: skip
     y, x = np.mgrid[:160, :200].astype(float)
     ray = np.ascontiguousarray(rays(camera, np.stack([x, y], axis=-1))[..., :2])
-    ray.flags.writeable = False  # as those of a cloud are, for which the kernel is compiled
-    mesh, z, face = bracket.mesh, np.empty((160, 200)), np.empty((160, 200), np.int64)
+    z, face = np.empty((160, 200)), np.empty((160, 200), np.int64)
+    measured, inside = np.zeros(z.shape), np.zeros(z.shape, bool)
+    for array in (ray, measured, inside):  # as in a search, for which the kernel is compiled
+        array.flags.writeable = False
+    window = Window(lens(camera), ray, 0, 0, measured, inside, True)
     for seed in range(3):
-        vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
-        draw(pose(seed), vertices, mesh.faces, lens(camera), ray, 0, 0, z, face)
-        expected = drawn(mesh, pose(seed), camera)
+        draw(pose(seed), model.facets, window, Canvas(z, face))
+        expected = drawn(bracket.mesh, pose(seed), camera)
         assert (np.isfinite(z) != np.isfinite(expected)).sum() <= 2  # on an edge, by rounding
         both = np.isfinite(z) & np.isfinite(expected)
         assert (np.abs(z[both] - expected[both]) > 1e-12).sum() <= 2

@@ -8,6 +8,7 @@ from stage import BOX_CORNERS, box_part, lambert
 
 from graycast.base.frames import axis_rotation, rigid, transform_points
 from graycast.robot.pose import pose_model
+from graycast.robot.pose.closest import OrientedPoints
 from graycast.robot.pose.finding import _bundled
 from graycast.robot.pose.pairs import TURNS, pair_table, votes
 from graycast.world.parts import Mesh, Symmetry
@@ -35,17 +36,19 @@ def voted(scene, model, references, *, step_m=STEP_M, peaks=1):
     """As the search asks: what belongs to a model is not to be written."""
     for array in model:
         array.flags.writeable = False
-    table = pair_table(*model, step_m)
-    return votes(*scene, np.array(references), *model, table.start, table.first, table.turn_rad,
-                 table.step_m, table.distances, peaks)  # fmt: skip
+    points = OrientedPoints(*model)
+    table = pair_table(points, step_m)
+    for array in (table.start, table.first, table.turn_rad):
+        array.flags.writeable = False
+    return votes(OrientedPoints(*scene), np.array(references), points, table, peaks)
 
 
 def test_every_pair_is_in_the_table_at_a_feature_that_no_motion_changes():
     point, normal = scattered(60)
-    table = pair_table(point, normal, STEP_M)
+    table = pair_table(OrientedPoints(point, normal), STEP_M)
     assert len(table.first) == table.start[-1] == 2 * (pdist(point) > STEP_M / 2).sum()
     assert set(np.bincount(table.first)) <= {58, 59}
-    again = pair_table(*moved(SOMEWHERE, point, normal), STEP_M)
+    again = pair_table(OrientedPoints(*moved(SOMEWHERE, point, normal)), STEP_M)
     rows = min(len(table.start), len(again.start))  # the longest distances are reserved by boxes
     np.testing.assert_array_equal(again.start[:rows], table.start[:rows])
     np.testing.assert_array_equal(again.first, table.first)

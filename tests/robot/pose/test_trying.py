@@ -32,8 +32,8 @@ def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
 
     What may cover it stands 60 mm before it and over two of its pixels in each row, at the right.
     """
-    vertices = transform_points(T, model.vertices_m)
-    z = rasterize(vertices, model.faces, CAMERA).over(CAMERA)[1]
+    vertices = transform_points(T, model.facets.vertex)
+    z = rasterize(vertices, model.facets.face, CAMERA).over(CAMERA)[1]
     part = np.isfinite(z)
     rows, columns = np.nonzero(part)
     depth = np.where(part, z, 0.95) + sigma_m * np.random.default_rng(0).standard_normal(z.shape)
@@ -72,6 +72,6 @@ def test_a_pose_that_is_a_little_off_is_aligned(block, hidden, most_m):
     turn = Rotation.from_rotvec(np.radians([1.2, -1.2, 1.0])).as_matrix()
     off = T @ rigid(turn, np.array([0.0007, -0.0005, 0.0005]))
     aligned = trials(block, hidden=hidden)[0].align(off)
-    corners = [transform_points(pose, block.vertices_m) for pose in (off, aligned, T)]
+    corners = [transform_points(pose, block.facets.vertex) for pose in (off, aligned, T)]
     before_m, after_m = (np.abs(one - corners[2]).max() for one in corners[:2])
     assert after_m < most_m and before_m > 1.3e-3

@@ -1,6 +1,6 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none.
 
-maps           inputs and results: thresholds, maps, and the reasons of pixels without depth
+maps           inputs and results: settings, maps, and the reasons of pixels without depth
 plan           which frames are the bits and the phases of each axis
 bits, phases   the values of bits and of phases; phases that disagree
 positions      all frames into positions: where a pixel is decoded or gets its reason
@@ -13,12 +13,13 @@ outliers, median, filters   what a device removes from its depth
 """
 
 from .displaced import with_bends, with_displacement, with_place_sigma
-from .filters import FilterSpec, depth_steps, filter_depth
+from .filters import depth_steps, filter_depth
 from .maps import (
     REASON_COLOR,
     CodeMap,
     DecodeSpec,
     DepthMap,
+    FilterSpec,
     Levels,
     Mark,
     Reason,

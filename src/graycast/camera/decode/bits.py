@@ -1,11 +1,13 @@
 """Gray bits, row by row: their values, and the variance from uncertain bits."""
 
 import math
-from typing import no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from jaxtyping import Float32, Int
 
+from ...base.kernels import kernel
 from .maps import Reason
 
 XOR_SIGMAS = 3.0  # A stripe's edge flips all bits that share it: noise alone decides there.
@@ -20,36 +22,66 @@ FINE_ERROR = 0.06
 BLURRED, SHARP = 0.5, 0.8
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def read_gray(stack, bits, grid, law, high, low, coarse, variance, rival, why):
-    """Decode bits to the middle of the cell of the code value, with its uncertainty.
+class GrayBits(NamedTuple):
+    """The bits of an axis and how they are read: numbers of `AxisPlan`, `DecodeSpec` and `decode`.
 
-    `variance` is the variance from uncertain bits [px^2]. `rival` is the distance to the value
-    that results if the uncertain bit, if there is one, is inverted [px].
+    `bits` has the fields of each `Bit` in a row.
     """
-    count, w = len(bits), high.shape[1]
-    for y in numba.prange(len(high)):
+
+    bits: Int[np.ndarray, "bits 4"]
+    first_px: np.float32
+    cell_px: np.float32
+    reach: np.float32
+    doubt: np.float32
+    fine_error: np.float32
+
+
+class Light(NamedTuple):
+    """The brightest and the darkest value of each pixel [DN], of a picture or a row of it."""
+
+    high: Float32[np.ndarray, "*pixels"]
+    low: Float32[np.ndarray, "*pixels"]
+
+
+class Places(NamedTuple):
+    """Places of pixels along an axis [px], which kernels write.
+
+    `sigma` holds the variance from uncertain bits [px^2] until all of the deviation is known.
+    `rival` is the distance to the place that results if the uncertain bit, if there is one, is
+    inverted.
+    """
+
+    place: Float32[np.ndarray, "h w"]
+    sigma: Float32[np.ndarray, "h w"]
+    rival: Float32[np.ndarray, "h w"]
+
+
+@kernel(parallel=True, error_model="numpy")
+def read_gray(stack, code, law, light, places, why):
+    """Decode bits to the middle of the cell of the code value, with its uncertainty."""
+    bits, coarse, variance, rival = code.bits, places.place, places.sigma, places.rival
+    count, w = len(bits), coarse.shape[1]
+    for y in numba.prange(len(coarse)):
         margin = np.empty((count, w), dtype=np.int32)
         value = np.zeros(w, dtype=np.int32)
         row = np.int64(y)  # parallel loops count without a sign: two versions would be compiled
-        _read_bits(stack, row, bits, high[y], low[y], margin, value)
-        _weigh_doubts(
-            bits, grid, law, high[y], low[y], margin, value, variance[y], rival[y], why[y]
-        )
+        of_row = Light(light.high[y], light.low[y])
+        _read_bits(stack, row, bits, of_row, margin, value)
+        _weigh_doubts(code, law, of_row, margin, value, variance[y], rival[y], why[y])
         for x in range(w):
-            coarse[y, x] = grid[0] + grid[1] * (np.float32(value[x]) + np.float32(0.5))
+            middle = np.float32(value[x]) + np.float32(0.5)
+            coarse[y, x] = code.first_px + code.cell_px * middle
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def lose_bits(stack, bits, high, low, top, saturation_dn, why):
+@kernel(parallel=True)
+def lose_bits(stack, bits, light, top, saturation_dn, why):
     """Mark pixels where a bit is lost because it and its inverse or threshold are saturated.
 
     A pattern at the top whose inverse is not is brighter by at least what is seen. The threshold
     without inverse lies higher than it seems where lit stripes are at the top: a wide stripe is
     told from a dark one all the same; of a narrow one, greyed by blur, only that it is dark.
     """
+    high, low = light.high, light.low
     for y in numba.prange(len(why)):
         if not top[y].any():
             continue
@@ -76,13 +108,13 @@ def lose_bits(stack, bits, high, low, top, saturation_dn, why):
             why[y, x] = np.uint8(Reason.SATURATED) if lost[x] & free else why[y, x]
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _read_bits(stack, y, bits, high, low, margin, value):
+@kernel()
+def _read_bits(stack, y, bits, light, margin, value):
     """Each bit's signal, pattern minus inverse or twice its distance to the middle, and the value.
 
     `value` starts at 0.
     """
+    high, low = light.high, light.low
     count, w = margin.shape
     for b in range(count):
         first = stack[bits[b, 0], y]
@@ -109,12 +141,12 @@ def _read_bits(stack, y, bits, high, low, margin, value):
         value[x] = word ^ (word >> np.int32(1))
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, why):
+@kernel(error_model="numpy")
+def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
     """The effect of uncertain bits: a variance [px^2], or a contradiction."""
-    offset_dn, floor_dn2, slope_dn, doubt, fine_error = law
-    cell_px, reach = grid[1], grid[2]
+    offset_dn, floor_dn2, slope_dn = law
+    bits, cell_px, reach = code.bits, code.cell_px, code.reach
+    doubt, fine_error, high, low = code.doubt, code.fine_error, light.high, light.low
     count, w = margin.shape
     zero, half, one, two = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
     noise = np.empty(w, dtype=np.float32)  # of pattern minus inverse [DN]
@@ -175,8 +207,7 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
         why[x] = reason if free & (coarse[x] + fine[x] >= 2) else why[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _fine_limits(noise, contrast, fine_error, scale, sure):
     """A third of a fine bit's error, inverted [1/DN], and the contrast over its span of blur."""
     for x in range(len(noise)):
@@ -185,8 +216,7 @@ def _fine_limits(noise, contrast, fine_error, scale, sure):
         sure[1, x] = np.float32(1 / (SHARP - BLURRED)) / contrast[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
     """The variance from a fine bit [px^2]; `coarser` is empty if the blur is not known.
 

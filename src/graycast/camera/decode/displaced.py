@@ -6,12 +6,12 @@ a surface bends, a pixel sees more than the depth at its centre.
 
 import math
 from dataclasses import replace
-from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
 
+from ...base.kernels import kernel
 from ...rig.pair import Rig
 from .maps import CodeMap, DepthMap
 from .triangulation import triangulation_axis
@@ -77,8 +77,7 @@ def with_bends(depth: DepthMap) -> DepthMap:
     return replace(depth, sigma_m=sigma_m)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _find_bends(inverse, noise2, sigmas2, bend2):
     """Square of the bend along the row and the column at each pixel, less that of noise."""
     h, w = inverse.shape
@@ -93,8 +92,7 @@ def _find_bends(inverse, noise2, sigmas2, bend2):
                     bend2[axis, y, x] = beyond if beyond > 0 else 0  # 0 for NaN
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _widen(bend2, depth, share2, sigma):
     h, w = depth.shape
     for y in numba.prange(h):

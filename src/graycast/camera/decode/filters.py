@@ -8,18 +8,17 @@ Leaves out: lens distortion, whose share in the angle between neighbouring rays 
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Annotated, no_type_check
+from dataclasses import replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from pydantic import Field
+from jaxtyping import Bool, Float, Float32, Int, Int8
 
-from ...base.settings import check_fields
+from ...base.kernels import kernel
 from ...rig.optics import Optics
 from ...rig.pair import Rig
-from .maps import DepthMap, Reason
+from .maps import DepthMap, FilterSpec, Reason
 from .outliers import find_outliers
 from .visibility import without_hidden
 
@@ -27,87 +26,6 @@ STEP_SIGMAS = 3.0  # Noise up to here neither tears a surface nor makes it steep
 LINE_SIGMAS = 4.0  # A pixel farther off the line of two neighbours is not smoothed with them.
 FLYING_REACH_PX = 3  # A fall that takes more pixels than this to a side is a surface, not a step.
 NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel ends at this share of its middle's weight.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilterSpec:
-    """The settings of the filters; None or 0 switches a filter off, and all are off by default.
-
-    `edge_px` of 1 takes the four sides of a pixel, 1.5 its corners too. `smoothing_px` of 0.55 lets
-    0.56 of white noise pass and correlates neighbours by 0.36. `without_hidden` uses
-    `hidden_sigmas`; an outlier is judged by the deviations that its neighbours have or show.
-    """
-
-    flying_angle_deg: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            lt=90,
-            description="Pixels between two surfaces are removed if the line of sight meets "
-            "the step at more than this angle, in degrees from the normal.",
-        ),
-    ] = None
-    outlier_sigmas: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            description="Pixels are removed whose depth differs from their neighbours by "
-            "more than this number of standard deviations.",
-        ),
-    ] = None
-    outlier_share: Annotated[
-        float,
-        Field(
-            ge=0,
-            description="An outlier must also differ from its neighbours by "
-            "more than this share of its depth.",
-        ),
-    ] = 3e-4
-    outlier_repair: Annotated[
-        bool,
-        Field(
-            description="Whether an outlier within a surface gets the depth of that surface "
-            "instead of being removed.",
-        ),
-    ] = False
-    hidden_sigmas: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            description="Pixels are removed that a nearer surface hides from the projector "
-            "by more than this number of standard deviations.",
-        ),
-    ] = None
-    edge_px: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=5,
-            description="Pixels are removed whose distance to a depth step or to a pixel without "
-            "depth is at most this number of pixels. 1 removes the pixels on the border of each "
-            "surface.",
-        ),
-    ] = None
-    island_px: Annotated[
-        int | None,
-        Field(ge=0, description="Connected surfaces of fewer pixels than this are removed."),
-    ] = None
-    smoothing_px: Annotated[
-        float | None,
-        Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
-    ] = None
-    step_angle_deg: Annotated[
-        float,
-        Field(
-            gt=0,
-            lt=90,
-            description="Neighbouring pixels belong to two surfaces if the surface through "
-            "both is seen at more than this angle, in degrees from the normal.",
-        ),
-    ] = 80.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
@@ -137,10 +55,49 @@ def depth_steps(depth: DepthMap, camera: Optics, *, angle_deg: float) -> Bool[np
     Args:
         angle_deg: the surface through both would be seen at more than this angle of incidence.
     """
-    z_m, sigma_m = _framed(depth.depth_m, 1), _framed(depth.sigma_m, 1)
-    fall = np.zeros((2, *z_m.shape), dtype=np.int8)
-    _falls(z_m, sigma_m, _rays(camera, 1), math.tan(math.radians(angle_deg)), fall)
+    fall = _falls_of(_framed(depth, camera, 1), math.tan(math.radians(angle_deg)))
     return fall[:, 1:-1, 1:-1] != 0
+
+
+class _Framed(NamedTuple):
+    """A depth map with a border of NaN, so that no loop needs a special case.
+
+    `ray_x` and `ray_y` are the ray slopes x / z of its columns and y / z of its rows.
+    """
+
+    z: Float32[np.ndarray, "H W"]
+    sigma: Float32[np.ndarray, "H W"]
+    ray_x: Float[np.ndarray, " W"]
+    ray_y: Float[np.ndarray, " H"]
+    margin: int
+
+    def inside(self, image: Float32[np.ndarray, "H W"]) -> Float32[np.ndarray, "h w"]:
+        """An image in the frame without its border, not copied."""
+        return image[self.margin : -self.margin, self.margin : -self.margin]
+
+    def erase(self, removed: Bool[np.ndarray, "h w"]) -> None:
+        self.inside(self.z)[removed] = np.nan
+
+    def inverse(self) -> tuple[Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
+        """Inverse depth [1/m] and its standard deviation."""
+        inverse = np.float32(1) / self.z
+        return inverse, self.sigma * inverse * inverse
+
+
+def _framed(depth: DepthMap, camera: Optics, margin_px: int) -> _Framed:
+    z, sigma = (
+        np.pad(np.asarray(each, np.float32, order="C"), margin_px, constant_values=np.nan)
+        for each in (depth.depth_m, depth.sigma_m)
+    )
+    column = np.arange(-margin_px, camera.width_px + margin_px)
+    row = np.arange(-margin_px, camera.height_px + margin_px)
+    return _Framed(
+        z=z,
+        sigma=sigma,
+        ray_x=(column - camera.cx_px) / camera.fx_px,
+        ray_y=(row - camera.cy_px) / camera.fy_px,
+        margin=margin_px,
+    )
 
 
 def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
@@ -151,101 +108,71 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
         raise ValueError(f"the depth map is {w} x {h} px, the rig's camera {size} px")
     if np.isnan(depth.sigma_m[np.isfinite(depth.depth_m)]).any():
         raise ValueError("sigma_m is NaN at pixels that have depth; give every depth its sigma_m")
-    kernel = _half_kernel(spec.smoothing_px or 0.0)
+    kernel = _half_kernel(spec.smoothing_px) if spec.smoothing_px else np.empty((0, 3))
     widest_px = max(kernel[:, :2].max(initial=0), spec.edge_px or 0)
-    margin_px = max(FLYING_REACH_PX + 2, int(widest_px))
-    z_m, sigma_m = _framed(depth.depth_m, margin_px), _framed(depth.sigma_m, margin_px)
-    rays = _rays(camera, margin_px)
+    framed = _framed(depth, camera, max(FLYING_REACH_PX + 2, int(widest_px)))
     step_tan = math.tan(math.radians(spec.step_angle_deg))
     removed = np.zeros((h, w), dtype=np.bool_)
     if spec.flying_angle_deg:
         flying_tan = math.tan(math.radians(spec.flying_angle_deg))
-        _flying(z_m, sigma_m, rays, flying_tan, margin_px, removed)
-        _erase(z_m, removed, margin_px)
+        _hanging(framed, flying_tan, _falls_of(framed, flying_tan), removed)
+        framed.erase(removed)
     if spec.outlier_sigmas:
+        surface = np.full((2, h, w), np.nan)
         limits = np.float64(spec.outlier_sigmas), np.float64(spec.outlier_share)
-        level, spread = find_outliers(
-            *_inverse(z_m, sigma_m), *limits, margin_px, spec.outlier_repair, removed
+        find_outliers(
+            *framed.inverse(), *limits, framed.margin, spec.outlier_repair, removed, surface
         )
-        _repair(z_m, sigma_m, level, spread, margin_px)
-        _erase(z_m, removed, margin_px)
+        level, spread = surface
+        known = ~np.isnan(level)
+        framed.inside(framed.z)[known] = 1 / level[known]
+        framed.inside(framed.sigma)[known] = spread[known] / level[known] ** 2
+        framed.erase(removed)
     if spec.edge_px:
-        around = _half_disc(spec.edge_px)
-        _edges(z_m, sigma_m, rays, step_tan, around, margin_px, removed)
-        _erase(z_m, removed, margin_px)
+        _edges(framed, step_tan, _half_disc(spec.edge_px), removed)
+        framed.erase(removed)
     if spec.island_px:
-        _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)
-        _erase(z_m, removed, margin_px)
-    inside = np.s_[margin_px : margin_px + h, margin_px : margin_px + w]
-    filtered_m, filtered_sigma_m = z_m[inside].copy(), sigma_m[inside].copy()
+        _islands(framed, step_tan, spec.island_px, removed)
+        framed.erase(removed)
+    filtered_m, filtered_sigma_m = np.empty((2, h, w), dtype=np.float32)
     if len(kernel):
-        filtered_m, filtered_sigma_m = np.empty((2, h, w), dtype=np.float32)
-        maps = z_m, sigma_m, *_inverse(z_m, sigma_m)
-        _smooth(*maps, rays, step_tan, kernel, margin_px, filtered_m, filtered_sigma_m)
+        _smooth(framed, *framed.inverse(), step_tan, kernel, filtered_m, filtered_sigma_m)
     else:
-        filtered_sigma_m[removed] = np.nan
+        filtered_m[:] = framed.inside(framed.z)
+        filtered_sigma_m[:] = np.where(removed, np.float32(np.nan), framed.inside(framed.sigma))
     reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
     return replace(depth, depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
 
 
-def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:
-    """The map with a border of NaN, so that no loop needs a special case."""
-    h, w = image.shape
-    framed = np.full((h + 2 * margin_px, w + 2 * margin_px), np.nan, dtype=np.float32)
-    framed[margin_px : margin_px + h, margin_px : margin_px + w] = image
-    return framed
-
-
-def _erase(framed: Float[np.ndarray, "H W"], removed: np.ndarray, margin_px: int) -> None:
-    h, w = removed.shape
-    framed[margin_px : margin_px + h, margin_px : margin_px + w][removed] = np.nan
-
-
-def _repair(z_m, sigma_m, level, spread, margin_px: int) -> None:
-    """Write the surfaces' inverse depth and its deviation into pixels that have one."""
-    h, w = level.shape
-    inside = np.s_[margin_px : margin_px + h, margin_px : margin_px + w]
-    known = ~np.isnan(level)
-    z_m[inside][known] = 1 / level[known]
-    sigma_m[inside][known] = spread[known] / level[known] ** 2
-
-
-def _inverse(
-    z_m: Float[np.ndarray, "H W"], sigma_m: Float[np.ndarray, "H W"]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth [1/m] and its standard deviation."""
-    inverse = np.float32(1) / z_m
-    return inverse, sigma_m * inverse * inverse
-
-
-def _rays(camera: Optics, margin_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ray slopes x / z of the framed columns and y / z of the framed rows."""
-    column = np.arange(-margin_px, camera.width_px + margin_px)
-    row = np.arange(-margin_px, camera.height_px + margin_px)
-    return (column - camera.cx_px) / camera.fx_px, (row - camera.cy_px) / camera.fy_px
+def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
+    """(dy, dx) of one of each two opposite neighbours within a distance."""
+    side = range(-int(radius_px), int(radius_px) + 1)
+    offsets = [
+        (dy, dx)
+        for dy in side
+        for dx in side
+        if (dy, dx) > (0, 0) and dy**2 + dx**2 <= radius_px**2
+    ]
+    return np.array(offsets, dtype=np.int64).reshape(-1, 2)
 
 
 def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
     """(dy, dx, weight) of one of each two opposite neighbours; the middle, not in it, has 1."""
-    if smoothing_px == 0:
-        return np.empty((0, 3))
-    radius = math.ceil(smoothing_px * math.sqrt(-2 * math.log(NEGLIGIBLE_WEIGHT)))
-    side = range(-radius, radius + 1)
-    offsets = np.array([(dy, dx) for dy in side for dx in side if (dy, dx) > (0, 0)], dtype=float)
+    offsets = _half_disc(smoothing_px * math.sqrt(-2 * math.log(NEGLIGIBLE_WEIGHT)))
     weight = np.exp(-np.square(offsets).sum(axis=1) / (2 * smoothing_px**2))
-    return np.column_stack([offsets, weight])[weight >= NEGLIGIBLE_WEIGHT]
+    return np.column_stack([offsets, weight])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _steepness(z, sigma, rays, y, x, v, u, limit_tan):
+@kernel()
+def _steepness(framed, y, x, v, u, limit_tan):
     """-1 or 1 where pixel (v, u) lies before or behind (y, x) at more than that incidence, else 0.
 
     The way between the two has a part along the first one's ray and one across it, here both
     times the ray's length; `along > limit_tan across` by more than noise is steep. NaN is 0.
     """
-    ray_x, ray_y = rays[0][x], rays[1][y]
-    dx, dy = rays[0][u] - ray_x, rays[1][v] - ray_y
+    z, sigma = framed.z, framed.sigma
+    ray_x, ray_y = framed.ray_x[x], framed.ray_y[y]
+    dx, dy = framed.ray_x[u] - ray_x, framed.ray_y[v] - ray_y
     length2 = 1.0 + ray_x * ray_x + ray_y * ray_y
     toward = dx * ray_x + dy * ray_y
     other = np.float64(z[v, u])
@@ -262,26 +189,25 @@ def _steepness(z, sigma, rays, y, x, v, u, limit_tan):
 # --- flying pixels -----------------------------------------------------------------------------
 
 
-def _flying(z_m, sigma_m, rays, flying_tan, margin_px: int, removed) -> None:
-    fall = np.zeros((2, *z_m.shape), dtype=np.int8)
-    _falls(z_m, sigma_m, rays, flying_tan, fall)
-    _hanging(z_m, sigma_m, rays, flying_tan, fall, margin_px, removed)
-
-
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _falls(z, sigma, rays, limit_tan, fall):
+def _falls_of(framed: _Framed, limit_tan: float) -> Int8[np.ndarray, "2 H W"]:
     """Steepness from each pixel of the frame to the next one, rightwards and downwards."""
-    for row in numba.prange(z.shape[0] - 1):
+    fall = np.zeros((2, *framed.z.shape), dtype=np.int8)
+    _falls(framed, limit_tan, fall)
+    return fall
+
+
+@kernel(parallel=True)
+def _falls(framed, limit_tan, fall):
+    for row in numba.prange(fall.shape[1] - 1):
         y = np.int64(row)  # parallel loops count without a sign: more versions would be compiled
-        for x in range(z.shape[1] - 1):
-            fall[0, y, x] = _steepness(z, sigma, rays, y, x, y, x + 1, limit_tan)
-            fall[1, y, x] = _steepness(z, sigma, rays, y, x, y + 1, x, limit_tan)
+        for x in range(fall.shape[2] - 1):
+            fall[0, y, x] = _steepness(framed, y, x, y, x + 1, limit_tan)
+            fall[1, y, x] = _steepness(framed, y, x, y + 1, x, limit_tan)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _hanging(z, sigma, rays, flying_tan, fall, margin, removed):
+@kernel(parallel=True)
+def _hanging(framed, flying_tan, fall, removed):
+    z, margin = framed.z, framed.margin
     h, w = removed.shape
     for row in numba.prange(h):
         for column in range(w):
@@ -299,26 +225,24 @@ def _hanging(z, sigma, rays, flying_tan, fall, margin, removed):
                 else:
                     continue
                 if first == last or not _goes_on(
-                    z, sigma, rays, flying_tan, y, x, down * (first - last), right * (first - last)
+                    framed, flying_tan, y, x, down * (first - last), right * (first - last)
                 ):
                     removed[row, column] |= _within_step(
                         z, fall[axis], y, x, down, right, first, last
                     )
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _goes_on(z, sigma, rays, flying_tan, y, x, down, right):
+@kernel()
+def _goes_on(framed, flying_tan, y, x, down, right):
     """Whether the surface of a pixel continues beyond a small hole."""
     for k in range(2, FLYING_REACH_PX + 1):
         v, u = y + k * down, x + k * right
-        if not np.isnan(z[v, u]):
-            return _steepness(z, sigma, rays, y, x, v, u, flying_tan) == 0
+        if not np.isnan(framed.z[v, u]):
+            return _steepness(framed, y, x, v, u, flying_tan) == 0
     return False
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _within_step(z, fall, y, x, down, right, first, last):
     """Whether the fall around a pixel is a step: it ends soon, between much flatter surfaces.
 
@@ -347,23 +271,10 @@ def _within_step(z, fall, y, x, down, right, first, last):
 # --- edges -------------------------------------------------------------------------------------
 
 
-def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
-    """(dy, dx) of one of each two opposite neighbours within a distance."""
-    side = range(-int(radius_px), int(radius_px) + 1)
-    return np.array(
-        [
-            (dy, dx)
-            for dy in side
-            for dx in side
-            if (dy, dx) > (0, 0) and dy**2 + dx**2 <= radius_px**2
-        ]
-    )
-
-
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _edges(z, sigma, rays, step_tan, around, margin, removed):
+@kernel(parallel=True)
+def _edges(framed, step_tan, around, removed):
     """Mark pixels beside a step or a pixel without depth; the picture's own border is none."""
+    z, margin = framed.z, framed.margin
     h, w = removed.shape
     for row in numba.prange(h):
         for column in range(w):
@@ -375,27 +286,23 @@ def _edges(z, sigma, rays, step_tan, around, margin, removed):
                     v, u = y + way * around[k, 0], x + way * around[k, 1]
                     if margin <= v < h + margin and margin <= u < w + margin:
                         edge = np.isnan(z[v, u])
-                        edge |= _steepness(z, sigma, rays, y, x, v, u, step_tan) != 0
+                        edge |= _steepness(framed, y, x, v, u, step_tan) != 0
                         removed[row, column] |= edge
 
 
 # --- islands -----------------------------------------------------------------------------------
 
 
-def _islands(z_m, sigma_m, rays, step_tan, island_px: int, margin_px: int, removed) -> None:
+def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
     """Remove surfaces smaller than `island_px`, connected over the four sides of a pixel."""
     h, w = removed.shape
-    torn = np.zeros((2, *z_m.shape), dtype=np.int8)
-    _falls(z_m, sigma_m, rays, step_tan, torn)
     parent = np.arange(h * w, dtype=np.int32)
-    _unite(z_m, torn, margin_px, w, parent)
-    inside = z_m[margin_px : margin_px + h, margin_px : margin_px + w]
+    _unite(framed.z, _falls_of(framed, step_tan), framed.margin, w, parent)
     size = np.bincount(parent, minlength=h * w)[parent].reshape(h, w)
-    removed |= (size < island_px) & ~np.isnan(inside)
+    removed |= (size < island_px) & ~np.isnan(framed.inside(framed.z))
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _unite(z, torn, margin, w, parent):
     """Every pixel gets the lowest index of its island: union-find (Tarjan, 1975)."""
     for i in range(len(parent)):
@@ -411,8 +318,7 @@ def _unite(z, torn, margin, w, parent):
         parent[i] = parent[parent[i]]  # parents have lower indices: they are roots by now
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -423,10 +329,10 @@ def _root(parent, i):
 # --- smoothing ---------------------------------------------------------------------------------
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _smooth(z, sigma, inverse, noise, rays, step_tan, kernel, margin, smooth, smooth_sigma):
+@kernel(parallel=True)
+def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
     """Opposite neighbours enter in pairs, so that a plane's border is not pulled inwards."""
+    margin = framed.margin
     h, w = smooth.shape
     for row in numba.prange(h):
         for column in range(w):
@@ -441,7 +347,7 @@ def _smooth(z, sigma, inverse, noise, rays, step_tan, kernel, margin, smooth, sm
                 off = line - middle
                 # On the line of both, a pixel is as steep to one as to the other. NaN is not <=.
                 if off * off <= LINE_SIGMAS**2 * (own + 0.25 * pair) and (
-                    _steepness(z, sigma, rays, y, x, y + dy, x + dx, step_tan) == 0
+                    _steepness(framed, y, x, y + dy, x + dx, step_tan) == 0
                 ):
                     level += 2.0 * weight * line
                     variance += weight * weight * pair

@@ -1,4 +1,4 @@
-"""Inputs and results of decoding: sensor levels, thresholds, maps and reasons."""
+"""Inputs and results of decoding: sensor levels, settings, maps and reasons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -214,6 +214,87 @@ class DecodeSpec:
             "switches the test off.",
         ),
     ] = 2.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSpec:
+    """The settings of the filters; None or 0 switches a filter off, and all are off by default.
+
+    `edge_px` of 1 takes the four sides of a pixel, 1.5 its corners too. `smoothing_px` of 0.55 lets
+    0.56 of white noise pass and correlates neighbours by 0.36. `without_hidden` uses
+    `hidden_sigmas`; an outlier is judged by the deviations that its neighbours have or show.
+    """
+
+    flying_angle_deg: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            lt=90,
+            description="Pixels between two surfaces are removed if the line of sight meets "
+            "the step at more than this angle, in degrees from the normal.",
+        ),
+    ] = None
+    outlier_sigmas: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            description="Pixels are removed whose depth differs from their neighbours by "
+            "more than this number of standard deviations.",
+        ),
+    ] = None
+    outlier_share: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="An outlier must also differ from its neighbours by "
+            "more than this share of its depth.",
+        ),
+    ] = 3e-4
+    outlier_repair: Annotated[
+        bool,
+        Field(
+            description="Whether an outlier within a surface gets the depth of that surface "
+            "instead of being removed.",
+        ),
+    ] = False
+    hidden_sigmas: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            description="Pixels are removed that a nearer surface hides from the projector "
+            "by more than this number of standard deviations.",
+        ),
+    ] = None
+    edge_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=5,
+            description="Pixels are removed whose distance to a depth step or to a pixel without "
+            "depth is at most this number of pixels. 1 removes the pixels on the border of each "
+            "surface.",
+        ),
+    ] = None
+    island_px: Annotated[
+        int | None,
+        Field(ge=0, description="Connected surfaces of fewer pixels than this are removed."),
+    ] = None
+    smoothing_px: Annotated[
+        float | None,
+        Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
+    ] = None
+    step_angle_deg: Annotated[
+        float,
+        Field(
+            gt=0,
+            lt=90,
+            description="Neighbouring pixels belong to two surfaces if the surface through "
+            "both is seen at more than this angle, in degrees from the normal.",
+        ),
+    ] = 80.0
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -1,13 +1,11 @@
 """The median of a window's few values, inside kernels."""
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 
+from ...base.kernels import kernel
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+
+@kernel()
 def median(values, least):
     """The median of the values that are not NaN; NaN for fewer than `least` values.
 

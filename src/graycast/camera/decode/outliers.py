@@ -1,11 +1,9 @@
 """Detection of pixels that are off the surface around them, and the depth of that surface."""
 
-from typing import no_type_check
-
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
 
+from ...base.kernels import kernel
 from ...base.robust import MAD_SIGMA
 from .median import median
 
@@ -14,31 +12,14 @@ SUPPORT_PX = 3  # So many of 24 neighbours near an outlying pixel's depth make i
 WHOLE_PX = 20  # So many of 24 neighbours near their median are a surface without an edge.
 
 
-def find_outliers(
-    inverse: Float[np.ndarray, "H W"],
-    noise: Float[np.ndarray, "H W"],
-    sigmas: float,
-    share: float,
-    margin_px: int,
-    repair: bool,
-    removed: Bool[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+@kernel(parallel=True)
+def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surface):
     """Mark outlying pixels of framed maps of inverse depth in `removed`.
 
     Args:
         repair: those within a whole surface are not marked but get its depth.
-
-    Returns:
-        inverse depth and its standard deviation for pixels to be repaired, else NaN.
+        surface: inverse depth and its standard deviation are written for pixels to be repaired.
     """
-    level, spread = np.full((2, *removed.shape), np.nan)
-    _find(inverse, noise, sigmas, share, margin_px, repair, removed, level, spread)
-    return level, spread
-
-
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _find(inverse, noise, sigmas, share, margin, repair, removed, level, spread):
     h, w = removed.shape
     for row in numba.prange(h):
         for column in range(w):
@@ -49,13 +30,12 @@ def _find(inverse, noise, sigmas, share, margin, repair, removed, level, spread)
             if not _in_line(inverse, noise, y, x, 0.5 * sigmas, 0.5 * share):
                 outlies, middle, around = _outlies(inverse, noise, y, x, sigmas, share)
                 if outlies and repair and around > 0:
-                    level[row, column], spread[row, column] = middle, around
+                    surface[0, row, column], surface[1, row, column] = middle, around
                 else:
                     removed[row, column] |= outlies
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _in_line(inverse, noise, y, x, sigmas, share):
     middle = np.float64(inverse[y, x])
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -68,8 +48,7 @@ def _in_line(inverse, noise, y, x, sigmas, share):
     return False
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _outlies(inverse, noise, y, x, sigmas, share):
     """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
 

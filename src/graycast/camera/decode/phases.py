@@ -1,11 +1,13 @@
 """Phases, row by row: computing phases from levels, and counting their periods."""
 
 import math
-from typing import no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from jaxtyping import Float, Float32
 
+from ...base.kernels import kernel
 from .maps import Reason
 from .plan import MODEL_RAD, OFF_CELL
 from .settling import CLEAR, OPEN, REFUSED
@@ -19,8 +21,28 @@ SLACK_SIGMAS = 4.0  # A place may lie beside where it must be by this much of it
 NOWHERE = 1e30  # This is the cost of a place that is out of bounds.
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+class Phases(NamedTuple):
+    """The phases of an axis that were measured, of a picture or a row of it.
+
+    Attributes:
+        periods: of each its length [px], the index of its first frame, how many it has, and the
+            variance of its phase beyond noise [rad^2].
+        delta: the phase of each frame [rad].
+        half_px: a place lies this near to the middle of its cell, but for noise.
+        bounds: the lowest place [periods] and a limit of the highest [px]; `bound` writes them.
+        turn: phases [periods], cosines of lone frames.
+        noise2: variances of `turn` [rad^2].
+    """
+
+    periods: Float[np.ndarray, "periods 4"]
+    delta: Float[np.ndarray, " frames"]
+    half_px: float
+    bounds: Float32[np.ndarray, "*h 2 w"]
+    turn: Float32[np.ndarray, "*h periods w"]
+    noise2: Float32[np.ndarray, "*h periods w"]
+
+
+@kernel(parallel=True, error_model="numpy")
 def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
     """Phase of each full period [periods], cosine of each lone frame, and their variances."""
     w = strength.shape[1]
@@ -40,8 +62,7 @@ def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
                 _amplitude(sums, np.float32(count), law, first, strength[y])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_frame(frame, wave, sums):
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
     for x in range(len(frame)):
@@ -55,15 +76,14 @@ def _add_frame(frame, wave, sums):
         s2[x] += level * wave[3]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _phase(sums, count, law, turn, noise2):
     """Phase [periods] and variance [rad^2] from sums of level times 1, cos, sin, cos 2, sin 2.
 
     The least-squares phase of N even steps has the variance 4 / (N A)^2 times the sum of
     var_j sin^2(phase - delta_j), and var_j is linear in the level j.
     """
-    offset_dn, floor_dn2, slope_dn, _, _ = law
+    offset_dn, floor_dn2, slope_dn = law
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
     two = np.float32(2)
     for x in range(len(turn)):
@@ -76,11 +96,10 @@ def _phase(sums, count, law, turn, noise2):
         turn[x] = _turn(s[x], c[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _amplitude(sums, count, law, first, strength):
     """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
-    offset_dn, floor_dn2, slope_dn, _, _ = law
+    offset_dn, floor_dn2, slope_dn = law
     total, c, s = sums[0], sums[1], sums[2]
     mean, amplitude, variance = first[0], first[1], first[2]
     two = np.float32(2)
@@ -91,8 +110,7 @@ def _amplitude(sums, count, law, first, strength):
         strength[x] = min(strength[x], two * amplitude[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _lone_frame(frame, first, model2, cosine, noise2):
     mean, amplitude, variance = first[0], first[1], first[2]
     model2, two = np.float32(model2), np.float32(2)
@@ -102,8 +120,7 @@ def _lone_frame(frame, first, model2, cosine, noise2):
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def lose_phases(stack, index, top, saturation_dn, why):
     """Mark pixels where a phase is lost because one of its own frames is saturated."""
     for y in numba.prange(len(why)):
@@ -117,8 +134,7 @@ def lose_phases(stack, index, top, saturation_dn, why):
                 why[y, x] = np.uint8(Reason.SATURATED) if lost & free else why[y, x]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
     """The period that brings the first phase next to the Gray code's cell; `place` is both.
 
@@ -137,13 +153,14 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
             place[y, x] = u
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def bound(periods, middle, half_px, turn, noise2, bounds):
+@kernel(parallel=True, error_model="numpy")
+def bound(phases, middle):
     """Of each pixel's places the lowest [periods] and a limit of the highest [px].
 
     A place lies within `half_px` of the middle, but for its phase's noise.
     """
+    periods, bounds, turn, noise2 = phases.periods, phases.bounds, phases.turn, phases.noise2
+    half_px = np.float32(phases.half_px)
     period, most = np.float32(periods[0, 0]), np.float32(math.pi)  # no phase is farther off
     per_rad, sigmas = period / np.float32(2 * math.pi), np.float32(SLACK_SIGMAS)
     for y in numba.prange(len(middle)):
@@ -155,37 +172,36 @@ def bound(periods, middle, half_px, turn, noise2, bounds):
             bounds[y, 1, x] = middle[y, x] + reach
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count_by_phases(periods, delta, half_px, bounds, turn, noise2, place, state):
+@kernel(parallel=True, error_model="numpy")
+def count_by_phases(phases, place, state):
     """The period of the first group with which all others agree, by a search within the bounds.
 
     The count is refused if no period agrees, and open if two agree.
     """
+    periods, delta, half_px, bounds, turn, noise2 = phases
     for y in numba.prange(len(place)):
-        _search_row(periods, delta, half_px, bounds[y], turn[y], noise2[y], place[y], state[y])
+        row = Phases(periods, delta, half_px, bounds[y], turn[y], noise2[y])
+        _search_row(row, place[y], state[y])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _most_places(periods, half_px):
+@kernel(error_model="numpy")
+def _most_places(row):
     """How many periods may fit between a pixel's bounds."""
-    return math.floor(2 * half_px / periods[0, 0] + 1) + 1
+    return math.floor(2 * row.half_px / row.periods[0, 0] + 1) + 1
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_row(periods, delta, half_px, bounds, turn, noise2, place, state):
-    groups, w = turn.shape
-    period, first = np.float32(periods[0, 0]), bounds[0]
+@kernel(error_model="numpy")
+def _search_row(row, place, state):
+    groups, w = row.turn.shape
+    period, first = np.float32(row.periods[0, 0]), row.bounds[0]
     costs = np.empty(w, dtype=np.float32)
     best = np.full(w, np.float32(NOWHERE))
     second = np.full(w, np.float32(NOWHERE))
     expected = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, first, turn[g], noise2, expected[g])
-    for k in range(_most_places(periods, half_px)):
-        _cost(k, periods, bounds, turn, expected, costs)
+        _expect(row, g, expected[g])
+    for k in range(_most_places(row)):
+        _cost(k, row, expected, costs)
         at = np.float32(k)
         for x in range(w):
             better = costs[x] < best[x]
@@ -198,55 +214,55 @@ def _search_row(periods, delta, half_px, bounds, turn, noise2, place, state):
         state[x] = count if best[x] <= limit else np.uint8(REFUSED)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def open_choices(periods, delta, half_px, bounds, turn, noise2, state, choice, cost):
+@kernel(parallel=True, error_model="numpy")
+def open_choices(phases, state, choice, cost):
     """The best periods of open counts with their costs; best first."""
+    periods, delta, half_px, bounds, turn, noise2 = phases
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
         if len(where) == 0:
             continue
         count = choice.shape[1]
-        chosen = np.full((count, len(where)), -1, dtype=np.int32)
+        best = np.full((count, len(where)), -1, dtype=np.int32)
         costs = np.full((count, len(where)), np.float32(NOWHERE))
-        of_row = bounds[y][:, where], turn[y][:, where], noise2[y][:, where]
-        _search_all(periods, delta, half_px, *of_row, chosen, costs)
+        of_open = bounds[y][:, where], turn[y][:, where], noise2[y][:, where]
+        row = Phases(periods, delta, half_px, of_open[0], of_open[1], of_open[2])
+        _search_all(row, best, costs)
         for n in range(count):
             for i in range(len(where)):
-                choice[y, n, where[i]] = chosen[n, i]
+                choice[y, n, where[i]] = best[n, i]
                 cost[y, n, where[i]] = costs[n, i]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_all(periods, delta, half_px, bounds, turn, noise2, choice, cost):
+@kernel(error_model="numpy")
+def _search_all(row, choice, cost):
     """The cheapest periods of each pixel in order, as many as `choice` has rows."""
-    groups, w = turn.shape
+    groups, w = row.turn.shape
     costs = np.empty(w, dtype=np.float32)
     number = np.empty(w, dtype=np.int32)
     expected = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, bounds[0], turn[g], noise2, expected[g])
-    for k in range(_most_places(periods, half_px)):
-        _cost(k, periods, bounds, turn, expected, costs)
+        _expect(row, g, expected[g])
+    for k in range(_most_places(row)):
+        _cost(k, row, expected, costs)
         for x in range(w):
-            number[x] = k + np.int32(np.rint(bounds[0, x] - turn[0, x]))
+            number[x] = k + np.int32(np.rint(row.bounds[0, x] - row.turn[0, x]))
         for n in range(len(choice)):  # what it displaces goes on to the next row
-            kept, price = choice[n], cost[n]
+            best, price = choice[n], cost[n]
             for x in range(w):
                 better = costs[x] < price[x]
-                other, dear = kept[x], price[x]
-                kept[x] = number[x] if better else other
+                other, dear = best[x], price[x]
+                best[x] = number[x] if better else other
                 price[x] = costs[x] if better else dear
                 number[x] = other if better else number[x]
                 costs[x] = dear if better else costs[x]
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _cost(k, periods, bounds, turn, expected, costs):
+@kernel(error_model="numpy")
+def _cost(k, row, expected, costs):
     """The cost of the place `k` periods above the lowest; what is out of bounds is excluded."""
-    period, at, lowest, highest = np.float32(periods[0, 0]), np.float32(k), bounds[0], bounds[1]
+    periods, lowest, highest = row.periods, row.bounds[0], row.bounds[1]
+    period, at = np.float32(periods[0, 0]), np.float32(k)
     for x in range(len(costs)):
         out = (at + lowest[x]) * period > highest[x]
         costs[x] = np.float32(NOWHERE) if out else np.float32(0)
@@ -254,34 +270,34 @@ def _cost(k, periods, bounds, turn, expected, costs):
         turns = k * periods[0, 0] / periods[g, 0]
         if periods[g, 2] < 3:
             c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
-            _add_cosine_cost(turn[g], np.float32(c), np.float32(s), expected[g], costs)
+            _add_cosine_cost(row.turn[g], np.float32(c), np.float32(s), expected[g], costs)
         else:
             _add_phase_cost(np.float32(turns - math.floor(turns)), expected[g], costs)
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _expect(periods, delta, g, first, its_turn, noise2, expected):
-    """What a group shows at the lowest place `first` [periods]: how far its own phase is off that
-    place's, of a lone frame the place's cosine and sine; and a weight."""
+@kernel(error_model="numpy")
+def _expect(row, g, expected):
+    """What a group shows at the lowest place: how far its own phase is off that place's, of a
+    lone frame the place's cosine and sine; and a weight."""
+    periods, first, noise2 = row.periods, row.bounds[0], row.noise2
     ratio = periods[0, 0] / periods[g, 0]
     here, aside, weight = expected[0], expected[1], expected[2]
     if periods[g, 2] < 3:
-        lag = delta[int(periods[g, 1])]
+        lag = row.delta[int(periods[g, 1])]
         for x in range(len(first)):
             angle = np.float32(2 * math.pi * ratio * first[x] - lag)
             here[x] = math.cos(angle)
             aside[x] = math.sin(angle)
             weight[x] = np.float32(1) / noise2[g, x]
     else:
+        its_turn = row.turn[g]
         tau2, model2 = np.float32(4 * math.pi**2), np.float32(periods[g, 3])
         for x in range(len(first)):
             here[x] = np.float32(ratio) * first[x] - its_turn[x]
             weight[x] = tau2 / (noise2[g, x] + noise2[0, x] + model2)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_phase_cost(turns, expected, costs):
     here, weight = expected[0], expected[2]
     for x in range(len(costs)):
@@ -290,8 +306,7 @@ def _add_phase_cost(turns, expected, costs):
         costs[x] += weight[x] * (apart * apart)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _add_cosine_cost(cosine, c, s, expected, costs):
     here, aside, weight = expected[0], expected[1], expected[2]
     for x in range(len(costs)):
@@ -299,8 +314,7 @@ def _add_cosine_cost(cosine, c, s, expected, costs):
         costs[x] += weight[x] * (apart * apart)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def fuse(periods, turn, noise2, place, sigma):
     """The mean of all full periods' places, each next to that of the first, by their variance.
 
@@ -341,8 +355,7 @@ def fuse(periods, turn, noise2, place, sigma):
             error[x] = math.sqrt(one / weight[x] + beyond[x])
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _turn(s, c):
     """atan2 in turns, -1/2 to 1/2; the library's own is not SIMD.
 

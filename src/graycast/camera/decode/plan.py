@@ -200,16 +200,16 @@ def _with_complementary(
 
     A Gray code finer than that does not need it.
     """
-    found = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
-    if len([1 for _, f in indexed if f.kind == "complementary"]) > len(found):
+    frame_of = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
+    if len([1 for _, f in indexed if f.kind == "complementary"]) > len(frame_of):
         raise DecodeError(f"{axis}: the code has more than one complementary bit: give one")
-    if not found:
+    if not frame_of:
         return bits, cell_px
-    if False not in found:
+    if False not in frame_of:
         raise DecodeError(
             f"{axis}: the complementary bit has an inverse frame but no frame of its own"
         )
-    k, frame = found[False]
+    k, frame = frame_of[False]
     if not bits:
         raise DecodeError(
             f"{axis}: the code has a complementary bit but no Gray bits: add the Gray bits"
@@ -221,7 +221,7 @@ def _with_complementary(
             f"{axis}: the complementary bit halves {frame.period_px:g} px, the Gray values are "
             f"{cell_px:g} px wide: stride_px must be the period"
         )
-    inverse = found[True][0] if True in found else NO_FRAME
+    inverse = frame_of[True][0] if True in frame_of else NO_FRAME
     return (*bits, Bit(frame=k, inverse=inverse)), cell_px / 2
 
 

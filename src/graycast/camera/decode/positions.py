@@ -7,18 +7,19 @@ Each step is a kernel of its own, compiled when a code first needs it.
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from ...base.errors import DecodeError
+from ...base.kernels import kernel
 from ...rig.pattern import AXES, Axis, Code
-from .bits import FINE_ERROR, lose_bits, read_gray
+from .bits import FINE_ERROR, GrayBits, Light, Places, lose_bits, read_gray
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import (
     MIN_LEAD,
+    Phases,
     bound,
     count_by_gray,
     count_by_phases,
@@ -28,7 +29,7 @@ from .phases import (
     read_phases,
 )
 from .plan import AxisPlan, plan_axes, read_frames
-from .settling import CHOICES, CLEAR, OPEN, settle, settle_refused
+from .settling import CHOICES, CLEAR, OPEN, Pixels, settle, settle_refused
 
 SHADOW_SIGMAS = 6.0  # The range of some twenty noisy frames of equal light seldom exceeds it.
 
@@ -72,15 +73,15 @@ def decode(
     plans = plan_axes(code, spec.fine_bits)
     stack = np.ascontiguousarray(frames).view()
     stack.flags.writeable = False  # kernels are compiled for each kind of array: this is one
-    cues = _cues(stack, plans, spec, levels, fine_error)
-    found = {axis: _read(cues, plan) for axis, plan in plans.items()}
-    why, strength, shape = cues.why, cues.strength, cues.why.shape
-    _judge(cues.high, cues.low, strength, cues.top, why, cues.law, cues.dark)
-    for place, sigma in found.values():
+    cues = _cues(stack, plans, spec, levels)
+    places = {axis: _read(cues, plan, spec, fine_error) for axis, plan in plans.items()}
+    why, strength = cues.why, cues.strength
+    _judge(cues.light, strength, cues.top, why, cues.law, cues.dark)
+    for place, sigma, _ in places.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
     column, row = (
-        found[axis] if axis in found else np.full((2, *shape), np.nan, dtype=np.float32)
+        places[axis] if axis in places else np.full((2, *why.shape), np.nan, dtype=np.float32)
         for axis in AXES
     )
     return CodeMap(
@@ -99,26 +100,23 @@ class _Cues:
     """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
-    law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
+    law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn
     # Shows too little: min_contrast [DN], min_sigmas, min_visibility.
     dark: tuple[np.float32, np.float32, np.float32]
     votes: int  # of neighbours that settle the period of a contradictory pixel; 0 is none
     saturation_dn: np.float32
-    high: Float32[np.ndarray, "h w"]
-    low: Float32[np.ndarray, "h w"]
+    light: Light
     top: Bool[np.ndarray, "h w"]  # a frame that is read is at the top
     strength: Float32[np.ndarray, "h w"]
     why: UInt8[np.ndarray, "h w"]
     mark: UInt8[np.ndarray, "h w"]
 
 
-def _cues(
-    frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels, fine_error: float
-) -> _Cues:
+def _cues(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels) -> _Cues:
     """Brightest and darkest value of each pixel, and where the top is reached."""
     shape = frames.shape[1:]
     high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, fine_error)
+    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn)
     saturation_dn = np.float32(levels.saturation_dn)
     peak = np.empty(shape[0], dtype=np.float32)
     _range(frames, high, low, strength, peak)
@@ -136,8 +134,7 @@ def _cues(
         ),
         votes=spec.settling_votes,
         saturation_dn=saturation_dn,
-        high=high,
-        low=low,
+        light=Light(high, low),
         top=top,
         strength=strength,
         why=np.zeros(shape, dtype=np.uint8),
@@ -145,31 +142,32 @@ def _cues(
     )
 
 
-def _read(cues: _Cues, plan: AxisPlan) -> tuple:
+def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> Places:
     """Places and their standard deviations along one axis; `Reason`s go to `cues.why`."""
     shape = cues.why.shape
     place = np.empty(shape, dtype=np.float32)
-    sigma = np.zeros(shape, dtype=np.float32)
     # Only a phase asks for rivals; without one they may go where the place will be written.
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
+    places = Places(place=place, sigma=np.zeros(shape, dtype=np.float32), rival=rival)
     clipped = bool(cues.top.any())
     free = cues.why == Reason.DECODED if cues.votes else None  # of what another axis says
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
-        grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
-        light = cues.high, cues.low
+        numbers = (plan.first_px, plan.cell_px, plan.reach, spec.doubt, fine_error)
+        gray = GrayBits(bits, *map(np.float32, numbers))
         if clipped:
-            lose_bits(cues.frames, bits, *light, cues.top, cues.saturation_dn, cues.why)
-        read_gray(cues.frames, bits, grid, cues.law, *light, place, sigma, rival, cues.why)
+            lose_bits(cues.frames, bits, cues.light, cues.top, cues.saturation_dn, cues.why)
+        read_gray(cues.frames, gray, cues.law, cues.light, places, cues.why)
     if plan.periods:
-        _read_phases(cues, plan, clipped, free, place, sigma, rival)
+        _read_phases(cues, plan, clipped, free, places)
     else:
-        _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
+        _within_cell(np.float32(plan.cell_px**2 / 12), places.sigma)
     _outside(np.float32(plan.size_px), place, cues.why)
-    return place, sigma
+    return places
 
 
-def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, place, sigma, rival) -> None:
+def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, places: Places) -> None:
+    place, sigma, rival = places
     counts = [len(p.frames) for p in plan.periods]
     starts = np.cumsum([0, *counts[:-1]])
     lengths = [p.period_px for p in plan.periods]
@@ -191,27 +189,30 @@ def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, place, sigma,
         if not plan.bits:
             place[:] = 0.5 * (plan.size_px - 1)
         bounds = np.empty((h, 2, w), dtype=np.float32)
-        bound(periods, place, np.float32(plan.half_px), turn, noise2, bounds)
-        _count(cues, (periods, delta, plan.half_px, bounds, turn, noise2), place, bool(plan.bits))
+        phases = Phases(periods, delta, plan.half_px, bounds, turn, noise2)
+        bound(phases, place)
+        _count(cues, phases, place, bool(plan.bits))
     fuse(periods, turn, noise2, place, sigma)
 
 
-def _count(cues: _Cues, measured: tuple, place, by_gray: bool) -> None:
+def _count(cues: _Cues, phases: Phases, place, by_gray: bool) -> None:
     """Count periods by the phases themselves; what they leave open is the neighbours' to settle.
 
     `by_gray`: a Gray code says about where, so a pixel whose phases do not agree there has light
     from elsewhere.
     """
-    periods, turn = measured[0], measured[-2]
     state = np.empty(place.shape, dtype=np.uint8)
-    count_by_phases(*measured, place, state)
+    count_by_phases(phases, place, state)
     lit = _reasons_so_far(cues) == Reason.DECODED
     if (lit & (state == OPEN)).any():
         h, w = place.shape
         choice = np.empty((h, CHOICES, w), dtype=np.int32)
         cost = np.empty(choice.shape, dtype=np.float32)
-        open_choices(*measured, state, choice, cost)
-        settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
+        open_choices(phases, state, choice, cost)
+        first, period = np.ascontiguousarray(phases.turn[:, 0]), np.float32(phases.periods[0, 0])
+        count = np.full(place.shape, -1, dtype=np.int32)
+        pixels = Pixels(first, choice, cost, state, lit, count)
+        settled = settle(pixels, place, period, min_lead=MIN_LEAD)
         cues.mark[settled] |= np.uint8(Mark.SETTLED)
     wrong = Reason.INTERREFLECTION if by_gray else Reason.CONTRADICTORY
     cues.why[(state != CLEAR) & (cues.why == Reason.DECODED)] = wrong
@@ -220,7 +221,7 @@ def _count(cues: _Cues, measured: tuple, place, by_gray: bool) -> None:
 def _reasons_so_far(cues: _Cues) -> UInt8[np.ndarray, "h w"]:
     """Each pixel's reason so far, by its light as well as by its code."""
     reason = cues.why.copy()
-    _judge(cues.high, cues.low, cues.strength, cues.top, reason, cues.law, cues.dark)
+    _judge(cues.light, cues.strength, cues.top, reason, cues.law, cues.dark)
     return reason
 
 
@@ -237,16 +238,14 @@ def _settle_refused(cues: _Cues, period_px: float, turn, free, place) -> None:
         cues.why[settled] = Reason.DECODED
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def _range(stack, high, low, strength, peak):
     """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
     for y in numba.prange(stack.shape[1]):
         peak[y] = _range_row(stack, np.int64(y), high[y], low[y], strength[y])
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _range_row(stack, y, high, low, strength):
     most = stack[0, y].copy()
     least = stack[0, y].copy()
@@ -265,8 +264,7 @@ def _range_row(stack, y, high, low, strength):
     return highest
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _reach(stack, read, peak, saturation_dn, top):
     """Where one of the frames that are read is at the top."""
     for y in numba.prange(len(top)):
@@ -278,21 +276,20 @@ def _reach(stack, read, peak, saturation_dn, top):
                 top[y, x] |= np.float32(frame[x]) >= saturation_dn
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge(high, low, strength, top, why, law, dark):
+@kernel(parallel=True, error_model="numpy")
+def _judge(light, strength, top, why, law, dark):
     """What is wrong with a pixel's light goes before what is wrong with its code.
 
     Whatever it is, it was found in frames that do not say all where one is at the top.
     """
+    high, low = light.high, light.low
     for y in numba.prange(len(high)):
         _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark)
 
 
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(error_model="numpy")
 def _judge_row(high, low, strength, top, why, law, dark):
-    offset_dn, floor_dn2, slope_dn, _, _ = law
+    offset_dn, floor_dn2, slope_dn = law
     dark_dn, sigmas, visibility = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     reason = why.astype(np.int32)
@@ -314,8 +311,7 @@ def _judge_row(high, low, strength, top, why, law, dark):
         why[x] = reason[x]
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _forget(why, place, sigma):
     nan = np.float32(np.nan)
     for y in numba.prange(len(why)):
@@ -325,8 +321,7 @@ def _forget(why, place, sigma):
             sigma[y, x] = sigma[y, x] if decoded else nan
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _outside(size_px, place, why):
     border, end = np.float32(-0.5), size_px - np.float32(0.5)
     for y in numba.prange(len(why)):
@@ -336,8 +331,7 @@ def _outside(size_px, place, why):
             why[y, x] = np.uint8(Reason.OUTSIDE_PROJECTOR) if outside else why[y, x]
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _within_cell(cell_variance_px2, sigma):
     for y in numba.prange(len(sigma)):
         for x in range(sigma.shape[1]):

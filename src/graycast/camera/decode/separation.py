@@ -65,17 +65,17 @@ def _of_stripes(frames, narrow: list[int], unlit):
 
 def _narrow(code: Code) -> list[int]:
     """Frames of narrow stripes whose inverses are there too, so that each pixel is lit in one."""
-    kept = []
+    narrow = []
     bits = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
     for k, frame in enumerate(code.frames):
         if frame.kind != "gray" or (frame.axis, frame.bit, not frame.inverse) not in bits:
             continue
         finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
         if 4 * 2**finest * code.stride_px[AXES.index(frame.axis)] <= NARROW_PX:
-            kept.append(k)
-    if not kept:
+            narrow.append(k)
+    if not narrow:
         raise DecodeError(
             "direct and global light need phases, or stripes with a period of at most "
             f"{NARROW_PX:g} px with their inverses; the code has neither"
         )
-    return kept
+    return narrow

@@ -1,10 +1,12 @@
 """Ambiguous periods of a pixel, which its neighbours on the same surface resolve."""
 
-from typing import no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from jaxtyping import Bool, Float32, Int32, UInt8
 
+from ...base.kernels import kernel
 from .median import median
 
 CLEAR, OPEN, REFUSED = 0, 1, 2  # A pixel's own phases say this of its count of periods.
@@ -22,7 +24,26 @@ PASSES = 8  # What one pass settles speaks in the next.
 AGAINST_SHARE = 0.25  # More neighbours against a period, as a share of those for it, leave it open.
 
 
-def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):
+class Pixels(NamedTuple):
+    """What neighbours say of one another.
+
+    Attributes:
+        first: phase of the first period [periods].
+        choice, cost: of pixels in doubt the best periods, and their sums of squares.
+        state: CLEAR, OPEN or REFUSED; settled ones are written as CLEAR.
+        lit: pixels whose light is believed; others say nothing.
+        number: of the period of clear pixels, which `settle` writes; -1 elsewhere.
+    """
+
+    first: Float32[np.ndarray, "h w"]
+    choice: Int32[np.ndarray, "h 4 w"]
+    cost: Float32[np.ndarray, "h 4 w"]
+    state: UInt8[np.ndarray, "h w"]
+    lit: Bool[np.ndarray, "h w"]
+    number: Int32[np.ndarray, "h w"]
+
+
+def settle(pixels, place, period, *, min_lead):
     """Resolve `OPEN` counts by the neighbours; without an agreement they stay open.
 
     A neighbour on the same surface sees the period that the step between both phases leads to, for
@@ -31,41 +52,35 @@ def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):
     `min_lead` and enough of the neighbours agree, it is taken. A clear pixel is never changed.
 
     Args:
-        turn: phase of each period [periods], (h, periods, w).
-        choice, cost: of pixels in doubt the best periods, and their sums of squares, (h, 4, w).
         place: place of clear pixels [px]; those of settled ones are written.
-        state: CLEAR, OPEN or REFUSED; settled ones are written as CLEAR.
-        lit: pixels whose light is believed; others say nothing.
+        period: the first one's length [px], a float32.
 
     Returns:
         which were settled.
     """
-    first = np.ascontiguousarray(turn[:, 0])
-    period = np.float32(periods[0, 0])
-    count = np.full(place.shape, -1, dtype=np.int32)
-    _counts(period, first, place, state, lit, count)
-    before = state == OPEN
+    _counts(pixels, period, place)
+    before = pixels.state == OPEN
     for _ in range(PASSES):
         pick = np.full(place.shape, -1, dtype=np.int32)
-        _agree(first, choice, cost, state, lit, count, np.float32(min_lead), pick)
-        if not _take(period, first, pick, place, state, count).any():
+        _agree(pixels, np.float32(min_lead), pick)
+        if not _take(pixels, period, pick, place).any():
             break
-    return before & (state == CLEAR)
+    return before & (pixels.state == CLEAR)
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _counts(period, first, place, state, lit, count):
+@kernel(parallel=True)
+def _counts(pixels, period, place):
+    first, state, lit, count = pixels.first, pixels.state, pixels.lit, pixels.number
     for y in numba.prange(len(place)):
         for x in range(place.shape[1]):
             if state[y, x] == CLEAR and lit[y, x]:
                 count[y, x] = np.int32(np.rint(place[y, x] / period - first[y, x]))
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _take(period, first, pick, place, state, count):
+@kernel(parallel=True)
+def _take(pixels, period, pick, place):
     """Write the agreed periods; return which rows have any."""
+    first, state, count = pixels.first, pixels.state, pixels.number
     any_taken = np.zeros(len(pick), dtype=np.bool_)
     for y in numba.prange(len(pick)):
         for x in range(pick.shape[1]):
@@ -77,22 +92,20 @@ def _take(period, first, pick, place, state, count):
     return any_taken
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _agree(first, choice, cost, state, lit, count, min_lead, pick):
+@kernel(parallel=True)
+def _agree(pixels, min_lead, pick):
+    state, lit = pixels.state, pixels.lit
     for y in numba.prange(len(pick)):
         against = np.empty(CHOICES, dtype=np.float32)
         for x in range(pick.shape[1]):
             if state[y, x] == OPEN and lit[y, x]:
-                pick[y, x] = _chosen(
-                    first, choice, cost, state, lit, count, np.int64(y), x, against, min_lead
-                )
+                pick[y, x] = _agreed(pixels, np.int64(y), x, against, min_lead)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
+@kernel()
+def _agreed(pixels, y, x, against, min_lead):
     """The period that this pixel and its neighbours agree on; -1 where they do not."""
+    first, choice, cost, state, lit, count = pixels
     h, w = first.shape
     against[:] = 0
     voters = 0
@@ -153,8 +166,7 @@ def settle_refused(period_px, turn, place, refused, clear, *, votes):
     return settled
 
 
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True)
 def _vote(period, turn, place, refused, clear, votes, settled):
     h, w = place.shape
     side = 2 * REACH_PX + 1

@@ -14,13 +14,12 @@ rig's lines leave them by a fraction of a pixel.
 """
 
 from dataclasses import replace
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import transform_points
+from ...base.kernels import kernel
 from ...rig.optics import picture_rays, project
 from ...rig.pair import Rig
 from .maps import DepthMap, Reason
@@ -65,8 +64,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     )
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _hide(place, noise, z, sigmas, hidden):
     h, w = place.shape
     right = np.int64(1)  # a number of its own would be compiled for by itself, as -1 would
@@ -81,11 +79,10 @@ def _hide(place, noise, z, sigmas, hidden):
                     _hide_beside(place[y], noise[y], sigmas, x, last, right, hidden[y])
                 else:
                     _hide_beside(place[y], noise[y], sigmas, last, x, -right, hidden[y])
-            last = x
+            last = np.int64(x)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _hide_beside(place, noise, sigmas, near, far, way, hidden):
     """Mark pixels from `far` on, away from `near`, until they are in order with `near`.
 

@@ -54,11 +54,7 @@ def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
         ConfigError: a value that does not fit the others; the text names the section.
     """
     parts = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
-    try:
-        changed = replace(scanner, **_values(parts, sections))
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
-    return _with_a_code(changed)
+    return _scanner(scanner.rig, parts, sections)
 
 
 def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
@@ -72,24 +68,22 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
         for f in fields(Scanner)
         if f.default_factory is not MISSING  # all but the rig
     }
+    return _scanner(rig, defaults, sections)
+
+
+def _scanner(rig: Rig, parts: dict[str, Any], sections: ScannerSections) -> Scanner:
+    changes: dict[str, Any] = {
+        name: _changed(value, getattr(sections, name), name) for name, value in parts.items()
+    }
     try:
-        scanner = Scanner(rig=rig, **_values(defaults, sections))
+        scanner = Scanner(rig=rig, **changes)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    return _with_a_code(scanner)
-
-
-def _with_a_code(scanner: Scanner) -> Scanner:
-    """Refuse numbers that make no code on this projector when they are read, not when it scans."""
-    try:
+    try:  # Numbers that make no code on this projector are refused here, and not by the first scan.
         scanner.light_code()
     except ValueError as error:
         raise ConfigError(f"code: {error}") from error
     return scanner
-
-
-def _values(parts: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
-    return {name: _changed(value, getattr(sections, name), name) for name, value in parts.items()}
 
 
 Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec

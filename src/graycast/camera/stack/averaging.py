@@ -87,9 +87,9 @@ def _two_rounds(
     )
 
 
-def _means(cell, values, chosen: Bool[np.ndarray, " k"], count: int):
+def _means(cell, values, subset: Bool[np.ndarray, " k"], count: int):
     """Mean of each cell's chosen pixels, their number, and whether they lie together."""
-    cell, values = cell[chosen], values[chosen]
+    cell, values = cell[subset], values[subset]
     pixels = np.bincount(cell, minlength=count)
 
     def mean(value) -> Float[np.ndarray, " n"]:

@@ -1,6 +1,8 @@
 """The whole processing of a stack: reading, noise, decoding, triangulation, averaging."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,18 +104,17 @@ def decode_stack(
             lit; the rig is another camera's; averaging, or depth, lacks an axis.
     """
     path = Path(path)
-    clock = _Clock()
-    description = read_description(path)
+    clock, description = _Clock(), read_description(path)
     spec, stated_px = description.decode_spec()
-    code = _planned(code_of(description, path), spec, path)
+    code = code_of(description, path)
+    with _naming(path):
+        plan_axes(code, spec.fine_bits)
     _check_axes(code, rig, average, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
     clock.lap("read")
-    try:
+    with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
-    except DecodeError as error:
-        raise DecodeError(f"{path}: {error}") from error
     clock.lap("levels")
     codes = decode(pictures.frames, code, spec, levels.levels)
     clock.lap("decode")
@@ -148,7 +149,9 @@ def decode_stack(
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     if depth is not None:  # Only now it is known what is out of range or an outlier.
         figures = replace(figures, reasons=reason_shares(depth.reason))
-    light = _separated(pictures, code, levels.levels)
+    light = None
+    with suppress(DecodeError):  # where the code does not tell direct and global light apart
+        light = separate(pictures.frames, code, levels.levels)
     clock.lap("figures")
     return StackResult(
         code=code,
@@ -164,13 +167,13 @@ def decode_stack(
     )
 
 
-def _planned(code: Code, spec: DecodeSpec, path: Path) -> Code:
-    """The code, which can be decoded."""
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the stack's file in what is wrong with its frames."""
     try:
-        plan_axes(code, spec.fine_bits)
+        yield
     except DecodeError as error:
         raise DecodeError(f"{path}: {error}") from error
-    return code
 
 
 def _by_noise(
@@ -185,16 +188,6 @@ def _by_noise(
     if code.subpixel:
         return codes
     return decode(pictures.frames, code, spec, levels, fine_error=0.0)
-
-
-def _separated(
-    pictures: StackPictures, code: Code, levels: Levels
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
-    """Direct and global light, where the code tells them apart."""
-    try:
-        return separate(pictures.frames, code, levels)
-    except DecodeError:
-        return None
 
 
 class _Clock:
@@ -250,7 +243,7 @@ def _other_size(shape: tuple[int, ...], rig: Rig, path: Path) -> str:
     )
 
 
-def _check_light(pictures: StackPictures, codes: CodeMap, found: list[str], path: Path) -> None:
+def _check_light(pictures: StackPictures, codes: CodeMap, warnings: list[str], path: Path) -> None:
     highest, lowest = int(pictures.frames.max()), int(pictures.frames.min())
     values = f"values are {lowest} to {highest} DN"
     if (codes.reason == Reason.SHADOW).all():
@@ -266,7 +259,7 @@ def _check_light(pictures: StackPictures, codes: CodeMap, found: list[str], path
     words = f"of the lit pixels are {main.words}"
     raise DecodeError(
         f"{path}: almost no pixel is decoded: {share} {words} ({values}): {_REMEDY[main]}"
-        + (f" ({found[0]})" if found else "")
+        + (f" ({warnings[0]})" if warnings else "")
     )
 
 
@@ -287,8 +280,8 @@ def _picture(pictures: StackPictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
         grey = pictures.frames[white[0]] if white else pictures.frames.max(axis=0)
         return np.repeat(_eight_bits(grey, pictures.frames)[..., None], 3, axis=-1)
     # A coarse bit and its inverse, or both ends of a phase, light all that is lit.
-    chosen = white[:1] or list(range(len(code.frames)))[:2]
-    color = np.maximum.reduce([read_color(pictures.files[k]) for k in chosen])
+    lit = white[:1] or list(range(len(code.frames)))[:2]
+    color = np.maximum.reduce([read_color(pictures.files[k]) for k in lit])
     return _eight_bits(color, pictures.frames)
 
 
@@ -351,24 +344,24 @@ def _rig_symptoms(
     remedy = better_reading(codes, rig)
     if remedy is not None:
         return [f"the rig does not fit the stack: {remedy}"]
-    found = []
+    warnings = []
     away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
     placed = away + int((depth.reason == Reason.DECODED).sum())
     if away > OUT_OF_RANGE * max(placed, 1):
-        found.append(
+        warnings.append(
             f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
             "range: check that it is the rig of this stack, and its near_m and far_m"
         )
     if residual_px is None or not np.isfinite(residual_px).any():
-        return found
+        return warnings
     median_px = float(np.nanmedian(np.abs(residual_px)))
     if median_px > MISPLACED_PX:
-        found.append(
+        warnings.append(
             f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
             "calibration may be of another rig, the camera may have moved, offset_px may be "
             "wrong, or frames may be exchanged"
         )
-    return found
+    return warnings
 
 
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:

@@ -1,17 +1,20 @@
-"""Offset, saturation and noise of an unknown camera, measured in the stack itself."""
+"""Offset, saturation and noise of an unknown camera, measured in the stack itself.
 
+Noise is what light does not explain: in sums of pairs, in steps of a period, in one picture.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
 import numpy as np
-from jaxtyping import Num, UInt8, UInt16
+from jaxtyping import Bool, Float, Num, UInt8, UInt16
 from scipy.ndimage import convolve, uniform_filter
 
 from ...base.errors import DecodeError
 from ...rig.pattern import Code
 from ..decode import Levels
 from .description import LevelsSection
-from .phase_steps import from_means, from_steps, full_periods
-from .scatter import QUANTISATION_DN2, bands, less_local_mean, line
 
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
@@ -21,6 +24,16 @@ MAX_PAIRS = 8  # Only coarse pairs serve, because the finest have edges everywhe
 FIRM = 0.8  # At a stripe's edge |pattern - inverse| is less, as a share of the contrast.
 # An unknown camera gets dark noise of 1/250 of the range and a full well of 10,000 e.
 DEFAULT_NOISE, DEFAULT_WELL_E = 1 / 250, 10_000.0
+MAX_PERIODS = 4  # More periods say the same.
+SURELY_HARMONIC = 3  # A response that is not linear puts its light into the harmonics up to here.
+BAND_PX, MAX_BANDS = 32, 12  # Bands of rows are enough to measure the noise.
+WINDOW_PX = 15  # Light is smooth over it; noise that a camera's own filters blurred is not.
+# Squares are averaged below their 90 % quantile, which outliers do not reach; for a normal law that
+# mean is this share of the variance. (Medians of whole numbers are coarse.)
+TRIM, TRIMMED_SHARE = 0.9, 0.6235
+BINS = 12  # The brightness is divided into so many bins.
+MIN_IN_BIN = 200
+QUANTISATION_DN2 = 1 / 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,3 +191,136 @@ def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
     rough = uniform_filter(square_dn2, 7)
     keep = (mean < 0.95 * saturation_dn) & (rough <= np.median(rough))
     return line(mean[keep] - offset_dn, square_dn2[keep])
+
+
+# --- steps of phases ---------------------------------------------------------------------------
+
+
+def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> list[list[int]]:
+    """Frames of each period that has all its steps, in their order."""
+    groups: dict[tuple, dict[int, int]] = {}
+    for k, frame in enumerate(code.frames):
+        if frame.kind in kinds:
+            whole, start = int(frame.step), frame.step % 1  # a cosine may begin between steps
+            key = frame.axis, frame.kind, frame.period_px, frame.steps, start
+            groups.setdefault(key, {})[whole] = k
+    return [
+        [steps[i] for i in range(key[3])] for key, steps in groups.items() if len(steps) == key[3]
+    ]
+
+
+def from_steps(
+    frames: Num[np.ndarray, "n h w"], code: Code, offset_dn: float, saturation_dn: float
+) -> tuple[float, float] | None:
+    """Floor [DN^2] and slope [DN] from four or more steps of one cosine; None where there are none.
+
+    Of N steps, the N - 3 numbers beside mean, cosine and sine are noise, and the harmonics of what
+    is not linear: the highest frequencies over the steps are taken, of N > 7 those above the third,
+    and off them what follows the phase within a band of rows.
+    """
+    light, squares = [], []
+    for steps in [s for s in full_periods(code, kinds=("phase",)) if len(s) > 3][:MAX_PERIODS]:
+        count = len(steps)
+        first = min(count // 2, SURELY_HARMONIC + 1)
+        for rows in bands(frames.shape[1]):
+            values = frames[steps, rows].astype(np.float32)
+            valid = values.max(axis=0) < saturation_dn
+            spectrum = np.fft.rfft(values, axis=0).astype(np.complex64)
+            for k in range(first, count // 2 + 1):
+                alone = 2 * k == count  # the highest of an even number has no imaginary part
+                scale = np.sqrt((1 if alone else 2) / count).astype(np.float32)
+                for part in (spectrum[k].real, spectrum[k].imag)[: 1 if alone else 2]:
+                    rest = _less_harmonics(
+                        scale * part, [(spectrum[1], k), (spectrum[1], count - k)]
+                    )
+                    rest, there = less_local_mean(rest, valid)
+                    light.append(values.mean(axis=0)[there] - offset_dn)
+                    squares.append(rest[there] ** 2)
+    return line(np.concatenate(light), np.concatenate(squares)) if light else None
+
+
+def from_means(
+    frames: Num[np.ndarray, "n h w"], code: Code, offset_dn: float, saturation_dn: float
+) -> tuple[float, float] | None:
+    """Floor [DN^2] and slope [DN]: the means of two periods' steps are the same light."""
+    periods = full_periods(code)
+    light, squares = [], []
+    for pair in islice(pairwise(periods), MAX_PERIODS):
+        for rows in bands(frames.shape[1]):
+            values = [frames[steps, rows].astype(np.float32) for steps in pair]
+            valid = np.maximum(*(s.max(axis=0) for s in values)) < saturation_dn
+            means = [s.mean(axis=0) for s in values]
+            waves = [(np.fft.rfft(s, axis=0)[1].astype(np.complex64), len(s)) for s in values]
+            rest = _less_harmonics(means[0] - means[1], waves)
+            rest, there = less_local_mean(rest, valid)
+            light.append((means[0] + means[1])[there] / 2 - offset_dn)
+            squares.append(rest[there] ** 2 / sum(1 / len(steps) for steps in pair))
+    return line(np.concatenate(light), np.concatenate(squares)) if light else None
+
+
+def _less_harmonics(
+    value: Float[np.ndarray, "h w"], waves: list[tuple[np.ndarray, int]]
+) -> Float[np.ndarray, "h w"]:
+    """Values less what is a wave's harmonic of some order, by least squares over all of them.
+
+    A harmonic's size follows the wave's own: as its first and second power, and its root.
+    """
+    terms = []
+    for wave, order in waves:
+        size = np.abs(wave)
+        turned = (wave / np.maximum(size, 1e-6)) ** order
+        share = size / max(float(size.max()), 1e-6)
+        for strength in (share, share**2, np.sqrt(share)):
+            terms += [(strength * turned.real).ravel(), (strength * turned.imag).ravel()]
+    term = np.array(terms, dtype=np.float64)
+    weights = np.linalg.lstsq(term @ term.T, term @ value.ravel().astype(np.float64), rcond=1e-9)
+    return value - (weights[0] @ term).reshape(value.shape).astype(np.float32)
+
+
+# --- variance against light --------------------------------------------------------------------
+
+
+def bands(height_px: int) -> Iterator[slice]:
+    """Rows spread over the picture."""
+    count = max(1, min(MAX_BANDS, height_px // BAND_PX))
+    for y in np.linspace(0, max(height_px - BAND_PX, 0), count).astype(int):
+        yield slice(y, min(y + BAND_PX, height_px))
+
+
+def less_local_mean(
+    value: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Values less the mean of the valid ones around; and where most around are valid."""
+    share = uniform_filter(valid.astype(np.float32), WINDOW_PX)
+    mean = uniform_filter(np.where(valid, value, 0), WINDOW_PX) / np.maximum(share, 0.1)
+    return value - mean, valid & (share > 0.9)
+
+
+def line(
+    light_dn: Float[np.ndarray, "*n"],
+    square_dn2: Float[np.ndarray, "*n"],
+) -> tuple[float, float] | None:
+    """Floor and slope of variance against light: a line through the mean of each brightness."""
+    if len(light_dn) < MIN_IN_BIN:
+        return None
+    brightest = max(float(np.quantile(light_dn, 0.999)), 1.0)
+    place = np.clip(light_dn * (BINS / brightest), 0, BINS - 1).astype(np.int64)
+    x, y = [], []
+    for b in range(BINS):
+        inside = place == b
+        if inside.sum() >= MIN_IN_BIN:
+            x.append(max(float(np.median(light_dn[inside])), 0.0))
+            y.append(_trimmed_mean(square_dn2[inside]) / TRIMMED_SHARE)
+    if not x:
+        return None
+    light, square = np.array(x), np.array(y)
+    slope = 0.0
+    if np.ptp(light) > 0:
+        weight = 1 / (square + square.mean() + QUANTISATION_DN2)
+        slope = max(float(np.polyfit(light, square, 1, w=weight)[0]), 0.0)
+    floor = float(np.median(square - slope * light))
+    return max(floor, QUANTISATION_DN2), slope
+
+
+def _trimmed_mean(value: Float[np.ndarray, " n"]) -> float:
+    return float(np.sort(value)[: max(1, round(TRIM * len(value)))].mean())

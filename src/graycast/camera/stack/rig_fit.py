@@ -59,15 +59,15 @@ def better_reading(codes: CodeMap, rig: Rig) -> str | None:
     stated = fit(_AS_IT_IS, rig)
     if stated >= FITS:
         return None
-    found = {what: fit(turn, rig) for what, turn in _TURNS.items()}
+    fits = {what: fit(turn, rig) for what, turn in _TURNS.items()}
     turned_over = replace(rig, T_cam_proj=inverse(rig.T_cam_proj))
-    found["invert R and T of the rig"] = fit(_AS_IT_IS, turned_over)
-    best = max(found, key=lambda what: found[what])
-    if found[best] < max(FITS, TIMES * stated):
+    fits["invert R and T of the rig"] = fit(_AS_IT_IS, turned_over)
+    best = max(fits, key=lambda what: fits[what])
+    if fits[best] < max(FITS, TIMES * stated):
         return None
     where = "places" if both else "places at the edge of the projector's picture"
     return (
-        f"{best}: then {100 * found[best]:.0f} % of the {where} lie where rig {rig.name} puts "
+        f"{best}: then {100 * fits[best]:.0f} % of the {where} lie where rig {rig.name} puts "
         f"them, and {100 * stated:.0f} % as it is"
     )
 

@@ -92,15 +92,15 @@ def _gray_place_px(
     stack: Stack, code: Code, axis: Axis, spec: DecodeSpec, levels: Levels
 ) -> Float[np.ndarray, "h w"]:
     """Middle of the cell that the bits of one axis alone say."""
-    kept = [
+    index = [
         k
         for k, f in enumerate(code.frames)
         if f.kind in ("white", "black") or (f.kind in ("gray", "complementary") and f.axis == axis)
     ]
-    bits = replace(code, frames=tuple(code.frames[k] for k in kept))
-    found = decode(stack[kept], bits, spec, levels)
-    place_px = found.column if axis == "column" else found.row
-    return np.where(found.reason == Reason.DECODED, place_px, np.nan).astype(np.float64)
+    bits = replace(code, frames=tuple(code.frames[k] for k in index))
+    codes = decode(stack[index], bits, spec, levels)
+    place_px = codes.column if axis == "column" else codes.row
+    return np.where(codes.reason == Reason.DECODED, place_px, np.nan).astype(np.float64)
 
 
 def _judge(

@@ -105,13 +105,13 @@ def _modulation(
         white, black = flat.max(axis=0), flat.min(axis=0)
     span = np.maximum(white - black, 1)
     inverse = dict(inverse_pairs(code))
-    found = {}
+    modulation = {}
     for k, frame in enumerate(code.frames):
         if frame.kind not in ("gray", "complementary") or frame.inverse:
             continue
         other = flat[inverse[k]] if k in inverse else white + black - flat[k]
-        found[frame.name] = float(np.median(np.abs(flat[k] - other) / span))
-    return found | _phase_modulation(flat, code, span)
+        modulation[frame.name] = float(np.median(np.abs(flat[k] - other) / span))
+    return modulation | _phase_modulation(flat, code, span)
 
 
 def _phase_modulation(flat, code: Code, span) -> dict[str, float]:
@@ -119,11 +119,11 @@ def _phase_modulation(flat, code: Code, span) -> dict[str, float]:
     for k, frame in enumerate(code.frames):
         if frame.kind in ("phase", "line"):
             groups.setdefault((frame.axis, frame.kind, frame.period_px, frame.steps), []).append(k)
-    found = {}
+    modulation = {}
     for (axis, kind, period_px, steps), members in groups.items():
         if len(members) < 3:
             continue
         turn = np.array([2j * np.pi * code.frames[k].step / steps for k in members])
         wave = np.abs(np.exp(turn) @ flat[members]) * 4 / len(members)
-        found[f"{axis}_{kind}_{period_px:g}px"] = float(np.median(wave / span))
-    return found
+        modulation[f"{axis}_{kind}_{period_px:g}px"] = float(np.median(wave / span))
+    return modulation

@@ -22,10 +22,7 @@ THREADS = 4  # Decoding a JPEG or PNG lets other threads run.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackPictures:
-    """A stack in memory.
-
-    `color` is what the scene looks like by the projector's light, in stored values.
-    """
+    """A stack in memory."""
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     files: tuple[Path, ...]

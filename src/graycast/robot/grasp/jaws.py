@@ -1,15 +1,15 @@
 """Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
 
 from dataclasses import dataclass
-from typing import Annotated, no_type_check
+from typing import Annotated
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import inverse, rigid, transform_points
+from ...base.kernels import kernel
 from ...base.streams import stream
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
@@ -75,7 +75,6 @@ def jaw_load_factor(
     Forces along the axis are held by the drive.
 
     Args:
-        jaws: which hold.
         force_n: that pulls at the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
     """
@@ -109,11 +108,7 @@ def jaw_places(
     first chance has the tool where it was planned.
 
     Args:
-        mesh: of the part.
-        jaws: the tool.
-        weight_n: of the part.
-        center_m: its centre of mass.
-        doubt: what is not known.
+        center_m: the part's centre of mass.
         count: places that are tried, evenly over the surface.
         chances: of each grip.
         seed: of the chances.
@@ -177,9 +172,6 @@ def closing(
     the tangent between the axis and the mean normal of what a pad touches.
 
     Args:
-        mesh: what they close on.
-        jaws: the tool.
-        T_mesh_tool: where it is.
         opening_m: between the open pads; left out: as far as they open.
 
     Returns:
@@ -247,8 +239,7 @@ def _in_the_way(
     return bool((finger | palm).any())
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _far_side(origin, way, a, ab, ac, most_m):
     """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)

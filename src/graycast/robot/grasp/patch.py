@@ -7,13 +7,12 @@ rests on, and what fingers meet. Meshes and measured depth give the same kind of
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
+from ...base.kernels import kernel
 from ...rig.optics import Optics, project, rays
 from ...world.parts import Mesh
 
@@ -76,7 +75,6 @@ def patch_of_depth(
 
     Args:
         depth_m: z of each pixel, NaN where it is missing.
-        camera: its optics.
         steepest_rad: between a triangle's normal and the line of sight.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
@@ -113,18 +111,13 @@ def _patch(height: Float[np.ndarray, "n n"], step_m: float) -> Patch:
     return Patch(height_m=height, step_m=step_m)
 
 
-# The tests' type checker would wrap compiled functions, which numba cannot compile.
-
-
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _highest_of_mesh(corner, step_m, height):
     for f in range(len(corner)):
         _raise(corner[f, 0], corner[f, 1], corner[f, 2], step_m, height)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _highest_of_depth(points, here, least_facing, step_m, height):
     """The two triangles of each four neighbouring pixels, where they are one surface.
 
@@ -140,8 +133,7 @@ def _highest_of_depth(points, here, least_facing, step_m, height):
                     _raise(here[ai, aj], here[bi, bj], here[ci, cj], step_m, height)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _is_surface(a, b, c, least_facing):
     """Whether a triangle is known, and not steep to the line of sight, in the camera's frame."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
@@ -152,8 +144,7 @@ def _is_surface(a, b, c, least_facing):
     return abs(nx * x + ny * y + nz * z) > least_facing * length  # false where depth is missing
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _raise(a, b, c, step_m, height):
     """Raise the nodes below a triangle to it; a node on an edge belongs to both."""
     n = len(height) // 2

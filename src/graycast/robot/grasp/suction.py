@@ -9,13 +9,13 @@ uneven spread.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, no_type_check
+from typing import Annotated
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from ...base.kernels import kernel
 from .patch import Patch
 
 LIP_POINTS = 32  # This many springs form the lip: a groove of half their length opens the seal.
@@ -98,7 +98,6 @@ def seals(
     """The two numbers of `Seal` for a cup that deviates from the tool's axis.
 
     Args:
-        cup: what is laid on.
         patch: the surface about the tool's axis.
         aside_m: where the cup's middle is instead, along x and y.
         lean: slopes of the lip's plane along x and y, small ones.
@@ -115,8 +114,7 @@ def seals(
     return strain, open_share
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
     radius_m, points = lip_m[0, 0], len(lip_m)
     side = math.hypot(radius_m, cup_m)
@@ -140,8 +138,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
         open_share[k] = max(missing, _open_share(height_m, radius_m / step_m, aside_m[k] / step_m))
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _between(height_m, place):
     """Bilinear between nodes, in steps from the middle; NaN beyond the grid or beside a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
@@ -153,8 +150,7 @@ def _between(height_m, place):
     return (1 - v) * low + v * ((1 - u) * height_m[i + 1, j] + u * height_m[i + 1, j + 1])
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _open_share(height_m, radius, about):
     """The share of missing nodes within a radius about a place; both in steps."""
     missing, inside, n = 0, 0, len(height_m) // 2
@@ -185,7 +181,6 @@ def load_factor(
     - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
 
     Args:
-        cup: which holds.
         force_n: that pulls at the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
         friction: left out: the cup's.

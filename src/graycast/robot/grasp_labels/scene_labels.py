@@ -66,7 +66,7 @@ def label_scene(
     labels = [
         _label(world, heap, still, number, grip)
         for number in range(len(heap.part_index))
-        for grip in _chosen(world, heap, labelling, number, rng)
+        for grip in _selection(world, heap, labelling, number, rng)
     ]
     free = [i for i, label in enumerate(labels) if label.reach == "free"]
     scores = [labels[i].grip.score for i in free]
@@ -76,7 +76,7 @@ def label_scene(
     return tuple(labels)
 
 
-def _chosen(
+def _selection(
     world: GraspWorld, heap: ScenePoses, labelling: Labelling, number: int, rng: np.random.Generator
 ) -> list[Grip]:
     """Places of one instance whose axis does not lean too much."""

@@ -1,6 +1,5 @@
 """A stored dataset as a world: its bin and parts as they were, and where a tool holds these."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,9 +109,8 @@ def make_world(
         progress.stage(f"{part.name}: searching for grasps")
         places.append(tuple(labelling.tool.places(part, body, count=labelling.places)))
     if not any(places):
-        raise ConfigError(
-            f"tool: its jaws fit around none of {_named(stock.parts)}: increase opening_m"
-        )
+        names = ", ".join(part.name for part in stock.parts)
+        raise ConfigError(f"tool: its jaws fit around none of {names}: increase opening_m")
     return GraspWorld(
         stock=stock,
         tool=labelling.tool,
@@ -122,10 +120,6 @@ def make_world(
         ),
         places=tuple(places),
     )
-
-
-def _named(parts: Sequence[Part]) -> str:
-    return ", ".join(part.name for part in parts)
 
 
 def read_heap(scene: StoredScene) -> ScenePoses:

@@ -3,10 +3,10 @@
 pick_sections, robot_cell, ready, arms, robot   the cell that is written, read, and prepared
 tools, suction_tool, jaw_tool, contact          grippers: what is asked of them, and which are
 bin_scan, aim, choose      a scan, the grips on it, and the one that is taken
-obstacles, heap_obstacle, motion, ways          paths of the arm
+obstacles, motion, ways    paths of the arm
 touch, carry, episode      what then happens, pick after pick
 outcome, pick_files, pick_run, clock            results, their folder, many bins
-summary, success_plots, attempt_picture, replay, solids   results for people
+summary, replay, solids    results for people
 """
 
 from .outcome import Attempt, Outcome
@@ -14,8 +14,7 @@ from .pick_files import StoredEpisode, read_episodes
 from .pick_run import pick
 from .pick_sections import PickConfig, load_pick_config
 from .robot_cell import PickCell, resolve_pick_cell
-from .success_plots import plot_runs
-from .summary import Paired, PickSummary, compared, pair, summarize
+from .summary import Paired, PickSummary, compared, pair, plot_runs, summarize
 
 __all__ = [
     "Attempt",

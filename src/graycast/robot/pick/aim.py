@@ -1,6 +1,6 @@
 """From a scan to grips: the choice of parts, and the candidate places of the tool on them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.frames import inverse, transform_points
-from ...rig.optics import Optics, points, project
+from ...rig.optics import points, project
 from ...world.scene import Bin
-from ..grasp import Doubt, Grip, GripEstimate
+from ..grasp import DepthView, Grip, SuctionSearch
 from ..pose import PoseModel, find_pose, find_pose_in_box
-from .heap_obstacle import FLOOR_M, WALL_M
+from .obstacles import FLOOR_M, WALL_M
 
 LEAST_AREA = 0.3  # A detection must have at least this share of the largest one's pixels.
 LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
@@ -63,15 +63,6 @@ class Aim:
     @property
     def place_m(self) -> Float[np.ndarray, "3"]:
         return self.T_world_tool[:3, 3]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DepthView:
-    """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
-
-    depth_m: Float[np.ndarray, "h w"]
-    camera: Optics
-    T_world_cam: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,45 +177,24 @@ def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndar
     # right from its boxes (docs/measurements/pose.md). Truth has masks alone.
     if target.box_px is not None:
         box_px = np.asarray(target.box_px)
-        found = find_pose_in_box(model, view.depth_m, view.camera, box_px)
+        match = find_pose_in_box(model, view.depth_m, view.camera, box_px)
     else:
-        found = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
-    return None if found.score < LEAST_POSE else found.T_cam_part
+        match = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
+    return None if match.score < LEAST_POSE else match.T_cam_part
 
 
 def aims_in_depth(
-    targets: Sequence[Candidate],
-    view: DepthView,
-    search: Callable[..., list[GripEstimate]],
-    *,
-    weight_n: float,
-    doubt: Doubt,
-    most_lean_rad: float,
-    places: int,
-    one_part: bool,
-    seed: int,
+    targets: Sequence[Candidate], search: SuctionSearch, *, one_part: bool, count: int, seed: int
 ) -> list[Aim]:
-    """Grips on the measured surface, without a model; `search` is the tool's `in_depth`."""
-    down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
-    aims = []
-    for number, target in enumerate(targets):
-        grips = search(
-            view.depth_m,
-            view.camera,
-            target.inside(view.depth_m.shape),
-            down=down,
-            weight_n=weight_n,
-            doubt=doubt,
-            one_part=one_part,
-            most_lean_rad=most_lean_rad,
-            count=places,
-            seed=seed + number,
+    """Grips on the measured surface, without a model."""
+    view = search.view
+    return [
+        Aim(T_world_tool=view.T_world_cam @ grip.T_cam_tool, score=grip.score, target=target)
+        for number, target in enumerate(targets)
+        for grip in search.grips(
+            target.inside(view.depth_m.shape), one_part=one_part, count=count, seed=seed + number
         )
-        aims += [
-            Aim(T_world_tool=view.T_world_cam @ grip.T_cam_tool, score=grip.score, target=target)
-            for grip in grips
-        ]
-    return aims
+    ]
 
 
 def best_first(aims: Sequence[Aim]) -> list[Aim]:

@@ -8,14 +8,14 @@ Accelerations are ours: neither maker states them.
 
 from dataclasses import dataclass
 from math import atan2, hypot, pi, sqrt
+from typing import NamedTuple
 from xml.etree import ElementTree as xml
 
 Real = float | int
 Triple = tuple[Real, Real, Real]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Capsule:
+class _Capsule(NamedTuple):
     """Between two points of a link's frame [m]."""
 
     start: Triple
@@ -46,37 +46,33 @@ class Arm:
     home: tuple[Real, ...]
 
 
-def _capsule(start: Triple, end: Triple, radius: float) -> _Capsule:
-    return _Capsule(start=start, end=end, radius=radius)
-
-
 _UR5E = Arm(
     name="ur5e",
-    base=(_capsule((0, 0, 0.03), (0, 0, 0.06), 0.07),),
+    base=(_Capsule((0, 0, 0.03), (0, 0, 0.06), 0.07),),
     joints=(
         _Joint(
             origin=(0, 0, 0.1625), low=-2 * pi, high=2 * pi, speed=pi,
-            link=(_capsule((0, 0, -0.03), (0, -0.09, 0.0), 0.06),),
+            link=(_Capsule((0, 0, -0.03), (0, -0.09, 0.0), 0.06),),
         ),
         _Joint(
             origin=(0, 0, 0), rpy=(pi / 2, 0, 0), low=-2 * pi, high=2 * pi, speed=pi,
-            link=(_capsule((0, 0, 0.138), (-0.425, 0, 0.138), 0.055),),
+            link=(_Capsule((0, 0, 0.138), (-0.425, 0, 0.138), 0.055),),
         ),
         _Joint(
             origin=(-0.425, 0, 0), low=-pi, high=pi, speed=pi,
-            link=(_capsule((0, 0, 0.02), (-0.3922, 0, 0.02), 0.045),),
+            link=(_Capsule((0, 0, 0.02), (-0.3922, 0, 0.02), 0.045),),
         ),
         _Joint(
             origin=(-0.3922, 0, 0.1333), low=-2 * pi, high=2 * pi, speed=pi,
-            link=(_capsule((0, 0, -0.03), (0, -0.02, 0.0), 0.042),),
+            link=(_Capsule((0, 0, -0.03), (0, -0.02, 0.0), 0.042),),
         ),
         _Joint(
             origin=(0, 0, 0), rpy=(pi / 2, 0, 0), low=-2 * pi, high=2 * pi, speed=pi,
-            link=(_capsule((0, 0, 0.06), (0, 0, 0.0997), 0.042),),
+            link=(_Capsule((0, 0, 0.06), (0, 0, 0.0997), 0.042),),
         ),
         _Joint(
             origin=(0, 0, 0.0997), rpy=(-pi / 2, 0, 0), low=-2 * pi, high=2 * pi, speed=pi,
-            link=(_capsule((0, 0, 0.05), (0, 0, 0.06), 0.038),),
+            link=(_Capsule((0, 0, 0.05), (0, 0, 0.06), 0.038),),
         ),
     ),
     flange=(0, 0, 0.0996),
@@ -86,35 +82,35 @@ _UR5E = Arm(
 _SIDE = 3.12
 _DIANA7 = Arm(
     name="diana7",
-    base=(_capsule((0, 0, 0.05), (0, 0, 0.15), 0.085),),
+    base=(_Capsule((0, 0, 0.05), (0, 0, 0.15), 0.085),),
     joints=(
         _Joint(
             origin=(0, 0, 0.2856), low=-_SIDE, high=_SIDE, speed=2.618,
-            link=(_capsule((0, 0, -0.1), (0, 0, 0), 0.075),),
+            link=(_Capsule((0, 0, -0.1), (0, 0, 0), 0.075),),
         ),
         _Joint(
             origin=(0, 0, 0), rpy=(-pi / 2, 0, 0), low=-pi / 2, high=pi / 2, speed=2.618,
-            link=(_capsule((0, 0, 0), (0, -0.2, 0), 0.075),),
+            link=(_Capsule((0, 0, 0), (0, -0.2, 0), 0.075),),
         ),
         _Joint(
             origin=(0, -0.4586, 0), rpy=(pi / 2, 0, 0), low=-_SIDE, high=_SIDE, speed=2.618,
-            link=(_capsule((0, 0, -0.2), (0, 0, 0), 0.065),),
+            link=(_Capsule((0, 0, -0.2), (0, 0, 0), 0.065),),
         ),
         _Joint(
             origin=(0.065, 0, 0), rpy=(-pi / 2, 0, 0), low=0.0, high=3.05, speed=2.618,
-            link=(_capsule((0, 0, 0), (-0.05, -0.2, 0), 0.065),),
+            link=(_Capsule((0, 0, 0), (-0.05, -0.2, 0), 0.065),),
         ),
         _Joint(
             origin=(-0.0528, -0.47702, 0), rpy=(pi / 2, 0, 0), low=-_SIDE, high=_SIDE, speed=pi,
-            link=(_capsule((0, 0, -0.22), (0, 0, -0.02), 0.055),),
+            link=(_Capsule((0, 0, -0.22), (0, 0, -0.02), 0.055),),
         ),
         _Joint(
             origin=(-0.0122, 0, -0.0216), rpy=(-pi / 2, 0, 0), low=-_SIDE, high=_SIDE, speed=pi,
-            link=(_capsule((0, 0, 0), (0.087, 0, 0), 0.05),),
+            link=(_Capsule((0, 0, 0), (0.087, 0, 0), 0.05),),
         ),
         _Joint(
             origin=(0.087, 0.1169, 0), rpy=(-pi / 2, 0, 0), low=-_SIDE, high=_SIDE, speed=pi,
-            link=(_capsule((0, 0, -0.06), (0, 0, -0.04), 0.045),),
+            link=(_Capsule((0, 0, -0.06), (0, 0, -0.04), 0.045),),
         ),
     ),
     flange=(0, 0, 0),

@@ -15,7 +15,8 @@ from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...rendering import Renderer, Rendering
 from ...world.scene import Layout
-from .aim import Candidate, DepthView, whole_bin
+from ..grasp import DepthView
+from .aim import Candidate, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # The truth has no target for a part of which less is visible.
@@ -104,48 +105,46 @@ def targets(
     picking = cell.config.picking
     if picking.detector == "none":
         return (Candidate(kind=None, score=1.0, mask=whole_bin(shot.view, cell.box)),)
-    found = _true_targets(shot, layout) if detector is None else _detected(cell, shot, detector)
+    if detector is None:
+        candidates = _true_targets(shot, layout)
+    else:
+        candidates = _detected(cell, shot, detector)
     if picking.pose == "truth":
-        found = [_with_true_pose(target, shot, layout) for target in found]
-    return tuple(found)
+        candidates = [_with_true_pose(target, shot, layout) for target in candidates]
+    return tuple(candidates)
 
 
 def _true_targets(shot: BinScan, layout: Layout) -> list[Candidate]:
-    found = []
-    for number, kind in enumerate(layout.part_index.tolist()):
-        mask = shot.instance == number
-        if mask.sum() >= LEAST_VISIBLE_PX:
-            found.append(Candidate(kind=kind, score=1.0, mask=mask))
-    return found
+    masks = ((kind, shot.instance == i) for i, kind in enumerate(layout.part_index.tolist()))
+    return [
+        Candidate(kind=kind, score=1.0, mask=mask)
+        for kind, mask in masks
+        if mask.sum() >= LEAST_VISIBLE_PX
+    ]
 
 
 def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
+    from pycocotools import mask as coco_mask
+
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
     # What the detector calls by another name; ids below 0 would be left out.
     another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
+    depth_m = shot.view.depth_m.astype(np.float32)
     example = Example(
-        scene_id=0,
-        rgb=shot.rgb,
-        gray=shot.gray,
-        scanner_depth_m=shot.view.depth_m.astype(np.float32),
-        depth_m=shot.view.depth_m.astype(np.float32),
+        scene_id=0, rgb=shot.rgb, gray=shot.gray, scanner_depth_m=depth_m, depth_m=depth_m
     )
-    found: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
-    return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
-
-
-def _target(found: Detections, i: int, *, kinds: int) -> Candidate:
-    from pycocotools import mask as coco_mask
-
-    mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
-    kind = int(found.obj_id[i])
-    return Candidate(
-        kind=kind if kind < kinds else None,
-        score=float(found.score[i]),
-        mask=mask,
-        box_px=found.box_px[i],
-    )
+    detections: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
+    coded = detections.mask
+    return [
+        Candidate(
+            kind=kind if kind < len(ids) else None,
+            score=float(detections.score[i]),
+            mask=None if coded is None else coco_mask.decode(dict(coded[i])).astype(bool),
+            box_px=detections.box_px[i],
+        )
+        for i, kind in enumerate(detections.obj_id.tolist())
+    ]
 
 
 def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
@@ -155,10 +154,8 @@ def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candida
     if not len(inside):
         return target
     number = int(np.bincount(inside).argmax())
-    return Candidate(
+    return replace(
+        target,
         kind=int(layout.part_index[number]),
-        score=target.score,
-        mask=target.mask,
-        box_px=target.box_px,
         T_cam_part=inverse(shot.view.T_world_cam) @ layout.T_world_part[number],
     )

@@ -143,11 +143,11 @@ def _path(
 
 
 def _settled(
-    ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
+    ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], keep: np.ndarray
 ) -> BinState:
     """The remaining parts, at rest again, without those that fell out of the bin."""
     box, limits = ready.cell.box, ready.cell.config.drop
-    numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
+    numbers, index, poses = world.numbers[keep], world.layout.part_index[keep], T_world_part[keep]
     if not len(numbers):
         return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))
     rested = simulate(box, ready.bodies, poses, index, simulated_s=limits.simulated_s)

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
-from ..grasp import Doubt, patch_of_depth
+from ..grasp import DepthView, Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
     Candidate,
-    DepthView,
     aims_by_pose,
     aims_in_depth,
     best_first,
@@ -20,12 +19,11 @@ from .aim import (
     spread,
 )
 from .clock import Clock
-from .heap_obstacle import measured_heap, measured_points
-from .obstacles import heap_obstacle
+from .obstacles import heap_obstacle, measured_heap, measured_points
 from .outcome import Outcome
 from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
-from .ways import Blocked, Load, Ways, ways
+from .ways import Blocked, Load, Ways, WaySearch
 
 TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
 BLOCKED_M = 0.04  # Grips this near to one without a way to it wait until others had their turn.
@@ -55,7 +53,7 @@ class Choice:
 def choose(
     ready: Ready,
     view: DepthView,
-    found: Sequence[Candidate],
+    targets: Sequence[Candidate],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
     blocked: Sequence[Float[np.ndarray, "3"]],
@@ -76,13 +74,13 @@ def choose(
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
-    heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(found))
+    heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(targets))
 
     def aims() -> Iterator[Aim]:
         """In the order in which they are tried; the places that are sought decide it, too."""
         nonlocal why, reached
         later = []
-        for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
+        for together in _together(ranked(targets, view, (*tabu, *blocked)), picking.targets):
             with clock("grips"):
                 all_of_them = _aims(ready, together, view, seed, posed)
                 candidates = [aim for aim in all_of_them if aim.score >= picking.least_score]
@@ -128,24 +126,22 @@ def _near(
 
 
 def _aims(
-    ready: Ready, found: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
+    ready: Ready, targets: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
     """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     search = ready.tool.in_depth
     if search is None or picking.knows == "part":
-        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
-    posed += found
+        return aims_by_pose(targets, view, ready.known, most_lean_rad=lean_rad, posed=posed)
+    posed += targets
+    doubt = Doubt(center_m=UNKNOWN_CENTER_M)
+    one_part = picking.detector != "none"
     return aims_in_depth(
-        found,
-        view,
-        search,
-        weight_n=ready.weight_n,
-        doubt=Doubt(center_m=UNKNOWN_CENTER_M),
-        most_lean_rad=lean_rad,
-        places=PLACES * (picking.targets if picking.detector == "none" else 1),
-        one_part=picking.detector != "none",
+        targets,
+        search(view=view, weight_n=ready.weight_n, doubt=doubt, most_lean_rad=lean_rad),
+        one_part=one_part,
+        count=PLACES * (1 if one_part else picking.targets),
         seed=seed,
     )
 
@@ -165,20 +161,16 @@ class _Heaps:
         self._heaps: dict[int, _Heap] = {}
 
     def of(self, aim: Aim) -> _Heap:
-        # Targets outlive the choice.
-        key = id(aim.target) if self._ready.tool.reaches_round else -1
-        if key not in self._heaps:
-            self._heaps[key] = self._make(aim)
-        return self._heaps[key]
-
-    def _make(self, aim: Aim) -> _Heap:
         own = self._ready.tool.reaches_round
-        without = aim.target.inside(self._shape) if own else None
-        heap = measured_heap(self._points, without=without)
-        return _Heap(
-            obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
-            highest_m=float(heap.height_m.max()),
-        )
+        key = id(aim.target) if own else -1  # targets outlive the choice
+        if key not in self._heaps:
+            without = aim.target.inside(self._shape) if own else None
+            heap = measured_heap(self._points, without=without)
+            self._heaps[key] = _Heap(
+                obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
+                highest_m=float(heap.height_m.max()),
+            )
+        return self._heaps[key]
 
 
 def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
@@ -222,17 +214,16 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
     highest_m = max(ready.cell.box.inner_m[2], heap.highest_m)
     clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
     tool = ready.tool
-    return ways(
-        ready.bare.mount(tool.pieces(aim.opening_m)) if tool.reaches_round else ready.robot,
-        ready.here,
-        q,
-        aim.T_world_tool,
-        heap.obstacle,
+    around = tool.reaches_round
+    search = WaySearch(
+        robot=ready.bare.mount(tool.pieces(aim.opening_m)) if around else ready.robot,
+        here=ready.here,
+        obstacles=(*ready.here.standing, heap.obstacle),
         up_m=max(clear_m - float(aim.place_m[2]), LEAST_UP_M),
         load=load,
-        round_tool=tool.is_round,
         seed=seed,
     )
+    return search.ways(q, aim.T_world_tool, round_tool=tool.is_round)
 
 
 def _load(ready: Ready, aim: Aim) -> Load:

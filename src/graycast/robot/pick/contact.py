@@ -34,9 +34,6 @@ class PartGrip:
         """A part in a tool with the law that gives the safety factor of a load.
 
         Args:
-            part: its place among the parts.
-            T_world_part: where it lies.
-            T_world_tool: where the tip came to rest.
             law: safety factors of forces [N] and moments [Nm] in the tool's frame, each (k, 3).
             stiffness_n_m: of the tool along each axis.
         """

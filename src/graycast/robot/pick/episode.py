@@ -7,17 +7,19 @@ where it fell.
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from ...base.frames import rigid
+from ...base.color import srgb_of_bytes
+from ...base.frames import inverse, rigid, transform_points
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import EMPTIED_BIN
 from ...cell.simulate import mixed_counts
 from ...rendering import Renderer
+from ...rig.optics import project
 from ...world.drop import drop
-from .attempt_picture import picture
 from .bin_scan import BinScan, scan, targets
 from .carry import BinState, carry_out
 from .choose import choose
@@ -28,6 +30,8 @@ from .ready import Ready
 from .ways import Blocked, Ways
 
 POSE_STEP_S = 0.05
+_GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)
+AXIS_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,13 +95,12 @@ def empty_bin(
     while len(world.numbers) and failures < config.picking.failures:
         left = len(world.numbers)
         progress.stage(f"bin {bin_id}, scan {len(attempts) + 1}: {left} parts are left")
-        before = len(world.numbers)
         attempt, bin_scan, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
         attempts.append(attempt)
-        pictures.append(picture(bin_scan, attempt))
+        pictures.append(_picture(bin_scan, attempt))
         depths_m.append(bin_scan.view.depth_m)
         if attempt.outcome is Outcome.TWO_AT_ONCE:
-            taken += before - len(world.numbers)
+            taken += left - len(world.numbers)
         else:
             taken += attempt.outcome is Outcome.PICKED
         failures = 0 if attempt.outcome in TAKEN else failures + 1
@@ -127,11 +130,11 @@ def _attempt(
     with clock("scan"):
         bin_scan = scan(ready.cell, renderer, world.layout, seed=scan_seed)
     with clock("detect"):
-        found = targets(ready.cell, bin_scan, world.layout, ready.detector)
+        candidates = targets(ready.cell, bin_scan, world.layout, ready.detector)
     choice = choose(
         ready,
         bin_scan.view,
-        found,
+        candidates,
         world.q,
         world.tabu,
         world.blocked,
@@ -142,7 +145,7 @@ def _attempt(
         outcome=Outcome.NOTHING_FOUND,
         T_world_part=world.layout.T_world_part,
         present=tuple(world.numbers.tolist()),
-        targets=len(found),
+        targets=len(candidates),
         seconds={"scan": bin_scan.seconds, "motion": 0.0},
         work_s=clock.seconds,
     )
@@ -181,3 +184,33 @@ def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 
             angles.append(way.at(float(t)))
         before += way.seconds
     return np.array([*times, before]), np.stack([*angles, ways.away.q[-1]])
+
+
+def _picture(bin_scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
+    """The white frame with the part's outline, the tool's axis and the outcome (RGB)."""
+    image = np.ascontiguousarray(np.repeat(srgb_of_bytes(bin_scan.gray)[..., None], 3, axis=-1))
+    ink = _GOOD if attempt.outcome in TAKEN else _BAD
+    if attempt.part is not None:
+        mask = (bin_scan.instance == attempt.present.index(attempt.part)).astype(np.uint8)
+        lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, lines, -1, _PART, 1, cv2.LINE_AA)
+    if attempt.T_world_tool is not None:
+        tip = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, AXIS_M]])
+        world = transform_points(attempt.T_world_tool, tip)
+        at = project(
+            bin_scan.view.camera, transform_points(inverse(bin_scan.view.T_world_cam), world)
+        )
+        (x, y), (u, v) = np.rint(at).astype(int).tolist()
+        cv2.line(image, (x, y), (u, v), ink, 2, cv2.LINE_AA)
+        cv2.circle(image, (x, y), 5, ink, 2, cv2.LINE_AA)
+    _label(image, str(attempt.outcome))
+    return image
+
+
+def _label(image: UInt8[np.ndarray, "h w 3"], text: str) -> None:
+    """Write white words on a dark ground, at the top left."""
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    (width_px, height_px), below_px = cv2.getTextSize(text, font, size, 1)
+    corner = (width_px + 11, height_px + below_px + 7)
+    cv2.rectangle(image, (0, 0), corner, (0, 0, 0), cv2.FILLED)
+    cv2.putText(image, text, (6, height_px + 5), font, size, (255, 255, 255), 1, cv2.LINE_AA)

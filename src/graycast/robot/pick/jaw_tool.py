@@ -88,9 +88,10 @@ class JawTool(Settings):
         met = []
         for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
             if is_near(T_world_tool, T, parts[kind], jaws.opening_m):
-                found = closing(parts[kind].mesh, jaws, inverse(T) @ T_world_tool, opening_m=open_m)
-                if found is not None:
-                    met.append((i, found))
+                T_part_tool = inverse(T) @ T_world_tool
+                contact = closing(parts[kind].mesh, jaws, T_part_tool, opening_m=open_m)
+                if contact is not None:
+                    met.append((i, contact))
         if not met:
             return NoGrip(outcome=Outcome.MISSED, detail="nothing is between the pads")
         if len(met) > 1:

@@ -8,7 +8,7 @@ path on any machine.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -117,25 +117,12 @@ def _connected(
     return np.stack([_angles(state, len(start)) for state in setup.getSolutionPath().getStates()])
 
 
-@runtime_checkable
-class _State(Protocol):
-    """Joint angles as OMPL keeps them; its types are imported with it alone."""
-
-    def __getitem__(self, i: int, /) -> float: ...
-
-    def __setitem__(self, i: int, angle: float, /) -> None: ...
-
-
-@runtime_checkable
-class _Space(Protocol):
-    def allocState(self) -> _State: ...
-
-
-def _angles(state: _State, count: int) -> Joints:
+def _angles(state: Any, count: int) -> Joints:
+    """Joint angles of a state of OMPL, whose types are imported with it alone."""
     return np.array([state[i] for i in range(count)])
 
 
-def _state(space: _Space, q: Joints) -> _State:
+def _state(space: Any, q: Joints) -> Any:
     state = space.allocState()
     for i, angle in enumerate(q):
         state[i] = float(angle)

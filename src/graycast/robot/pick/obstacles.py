@@ -1,16 +1,37 @@
-"""The obstacles of the arm as shapes of Coal: bin, table, rig, and the measured heap."""
+"""The obstacles of the arm as shapes of Coal: bin, table, rig, and the measured heap.
 
+Measured points become heights over a grid on the bin's floor. Where the scanner saw nothing there
+may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
+of the nearest place that was seen. So a shadow beside a part is as high as the part, and
+the middle of a dark, wide hole as high as its rim. An isolated point, such as a spike, is
+ignored. What was measured of the bin's walls is left out, since the bin is an obstacle of its own:
+else a part that is left out beside a wall would be guessed to be as high as the wall. Each place
+gets the height of its highest neighbour, because a scanner loses the rim of
+a part and the grid rounds. A tool therefore keeps a distance of `CELL_M`.
+"""
+
+from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy import ndimage
 
-from ...base.frames import rigid
+from ...base.frames import inverse, rigid, transform_points
+from ...rig.meshdepth import visible_surface
+from ...rig.optics import Optics, picture_rays, points
 from ...world.parts import Mesh
-from ...world.scene import TABLE_HALF_M, Scene, bin_mesh, bin_of
-from .heap_obstacle import BELOW_M, CELL_M, MeasuredHeap
+from ...world.scene import TABLE_HALF_M, Bin, Scene, bin_mesh, bin_of
 from .robot import Obstacle
 
+CELL_M = 4e-3
+BESIDE = ndimage.generate_binary_structure(2, 1)  # A node is as high as the four beside it.
+GUESSED_M = 8e-3
+NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
+FLOOR_M = 3e-3  # What is less than this above the bin's floor counts as the floor.
+WALL_M = 5e-3  # What is nearer than this to a wall counts as the wall.
+BELOW_M = 0.05  # The heap is solid to this depth under the floor, and the table is as thick.
 RIG_M = 0.06  # The box around camera, projector and what joins them is twice as thick as this.
 
 
@@ -39,19 +60,6 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
     )
 
 
-def heap_obstacle(heap: MeasuredHeap, T_base_world: Float[np.ndarray, "4 4"]) -> Obstacle:
-    """Solid from `BELOW_M` under the floor up to the measured heights."""
-    import coal
-
-    rows, columns = heap.height_m.shape
-    # Coal's rows run from the far side of y to the near one.
-    field = coal.HeightFieldOBBRSS(
-        (columns - 1) * CELL_M, (rows - 1) * CELL_M, np.ascontiguousarray(heap.height_m[::-1]),
-        -BELOW_M,
-    )  # fmt: skip
-    return Obstacle(name="the heap", shape=field, T_base_shape=T_base_world)
-
-
 def triangles(mesh: Mesh) -> Any:
     """A mesh's surface; what is wholly inside touches nothing."""
     import coal
@@ -77,3 +85,119 @@ def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
     for vertex in vertices_m.astype(np.float64):
         points.append(vertex)
     return coal.Convex.convexHull(points, False, "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredHeap:
+    """Heights [m] above the bin's inner floor, in the world.
+
+    Node [i, j] stands at x = (j - (columns - 1) / 2) * CELL_M, and y likewise from i.
+    `is_measured` says where a point was.
+    """
+
+    height_m: Float[np.ndarray, "rows columns"]
+    is_measured: Bool[np.ndarray, "rows columns"]
+
+    def __post_init__(self) -> None:
+        self.height_m.flags.writeable = False
+        self.is_measured.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredPoints:
+    """The points [m, in the world] of a scan that may be of parts, and the pixel of each."""
+
+    point_m: Float[np.ndarray, "n 3"]
+    pixel: Bool[np.ndarray, "h w"]  # in rows, as `point_m` has them
+    box: Bin
+
+
+def measured_points(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    box: Bin,
+) -> MeasuredPoints:
+    """What is neither a spike nor a wall of the bin.
+
+    Args:
+        depth_m: z of each pixel, NaN where it is missing.
+    """
+    pixel = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
+    point_m = transform_points(T_world_cam, points(camera, depth_m)[pixel])
+    return MeasuredPoints(point_m=point_m, pixel=pixel, box=box)
+
+
+def measured_heap(
+    points: MeasuredPoints, *, without: Bool[np.ndarray, "h w"] | None = None
+) -> MeasuredHeap:
+    """Heights over the bin's inside.
+
+    Args:
+        without: pixels that are left out: the part that fingers are to close round.
+    """
+    size_m = points.box.inner_m
+    keep = np.s_[:] if without is None else ~without[points.pixel]
+    point = points.point_m[keep]
+    columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in size_m[:2])
+    j = np.rint(point[:, 0] / CELL_M + (columns - 1) / 2).astype(np.int64)
+    i = np.rint(point[:, 1] / CELL_M + (rows - 1) / 2).astype(np.int64)
+    inside = (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
+    height = np.full((rows, columns), -np.inf)
+    np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
+    is_measured = np.isfinite(height)
+    return MeasuredHeap(height_m=_guessed(height, is_measured, size_m[2]), is_measured=is_measured)
+
+
+def heap_obstacle(heap: MeasuredHeap, T_base_world: Float[np.ndarray, "4 4"]) -> Obstacle:
+    """Solid from `BELOW_M` under the floor up to the measured heights."""
+    import coal
+
+    rows, columns = heap.height_m.shape
+    # Coal's rows run from the far side of y to the near one.
+    field = coal.HeightFieldOBBRSS(
+        (columns - 1) * CELL_M, (rows - 1) * CELL_M, np.ascontiguousarray(heap.height_m[::-1]),
+        -BELOW_M,
+    )  # fmt: skip
+    return Obstacle(name="the heap", shape=field, T_base_shape=T_base_world)
+
+
+def _of_wall(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    box: Bin,
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose point lies on a wall of the bin, or on its rim."""
+    mesh = bin_mesh(box)
+    face, z = visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)
+    ray = picture_rays(camera)
+    height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
+    normal = mesh.face_normal @ inverse(T_world_cam)[:3, :3].T
+    off_m = np.abs((depth_m - z) * (ray * normal[face]).sum(axis=-1))
+    with np.errstate(invalid="ignore"):
+        above = height_m.reshape(z.shape) > FLOOR_M
+    return (face >= 0) & above & (off_m < WALL_M)
+
+
+def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels of which `NEIGHBOURS` of the eight around them are about as deep."""
+    padded = np.pad(depth_m, 1, constant_values=np.nan)
+    h, w = depth_m.shape
+    count = np.zeros(depth_m.shape, np.int64)
+    for i, j in product(range(3), range(3)):
+        if (i, j) != (1, 1):
+            count += np.abs(padded[i : i + h, j : j + w] - depth_m) < STEP_M  # False for NaN
+    return count >= NEIGHBOURS
+
+
+def _guessed(
+    height: Float[np.ndarray, "r c"], valid: Bool[np.ndarray, "r c"], rim_m: float
+) -> Float[np.ndarray, "r c"]:
+    if not valid.any():
+        return np.full(height.shape, rim_m)  # nothing is known, so nothing is free
+    reach = int(np.ceil(GUESSED_M / CELL_M))
+    around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
+    nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    whole = np.where(valid, height, around[tuple(nearest)])
+    return np.asarray(ndimage.maximum_filter(whole, footprint=BESIDE, mode="nearest"))

@@ -20,7 +20,7 @@ class BinEmptier:
 
     def __init__(self, task: "PickTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
-        self._kept = WorkerRenderer(device=task.device, threads=threads, progress=progress)
+        self._renderers = WorkerRenderer(device=task.device, threads=threads, progress=progress)
         self._ready: Ready | None = None
 
     def make(self, scene_id: int) -> TaskResult:
@@ -32,7 +32,7 @@ class BinEmptier:
         """
         start = time.perf_counter()
         task = self._task
-        with self._kept.of(task.cell.cell.config.render) as renderer:
+        with self._renderers.of(task.cell.cell.config.render) as renderer:
             if self._ready is None:
                 self._ready = make_ready(task.cell, progress=self._progress)
             episode = empty_bin(
@@ -48,7 +48,7 @@ class BinEmptier:
         )
 
     def close(self) -> None:
-        self._kept.close()
+        self._renderers.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,18 +93,18 @@ def pick(
         GraycastError, ValueError: nothing came out, for this reason.
     """
     out = Path(out)
-    chosen = workers.device(cell.config.render.backend, device)
-    task = PickTask(cell=cell, seed=seed, device=chosen)
+    device = workers.device(cell.config.render.backend, device)
+    task = PickTask(cell=cell, seed=seed, device=device)
 
     def keep(result: TaskResult) -> None:
         folder.write(result.scene_id, result.files)
         on_result(result)
 
     with open_picks(out, cell, seed=seed) as folder:
-        found = folder.finished()
+        finished = folder.finished()
         return make_missing(
             task,
-            [bin_id for bin_id in range(bins) if bin_id not in found],
+            [bin_id for bin_id in range(bins) if bin_id not in finished],
             what="bins",
             total=bins,
             workers=workers,

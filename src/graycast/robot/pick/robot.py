@@ -128,12 +128,12 @@ class Robot:
         """
         rng = np.random.default_rng(seed)
         starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
-        found: list[Joints] = []
+        solutions: list[Joints] = []
         for start in starts:
             q = self._solve(T_base_flange, start, near)
-            if q is not None and all(np.abs(q - other).max() > _ALIKE_RAD for other in found):
-                found.append(q)
-        return sorted(found, key=lambda q: float(np.abs(q - near).max()))
+            if q is not None and all(np.abs(q - other).max() > _ALIKE_RAD for other in solutions):
+                solutions.append(q)
+        return sorted(solutions, key=lambda q: float(np.abs(q - near).max()))
 
     def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
         """Joint angles for a pose near the present one; None if Newton's method fails."""

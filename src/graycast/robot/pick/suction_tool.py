@@ -17,20 +17,18 @@ from ..grasp import (
     Cup,
     Doubt,
     Grip,
-    GripEstimate,
     Patch,
+    SuctionSearch,
     load_factor,
     patch_of_mesh,
     seal,
-    suction_in_depth,
     suction_places,
 )
+from ..grasp.patch import STEP_M
 from .contact import NoGrip, PartGrip, is_near
 from .outcome import Outcome
 from .robot import Mounted
 from .solids import ROUND
-
-STEP_M = 0.5e-3  # The nodes of the surface under a cup lie this far apart.
 
 
 class SuctionTool(Settings):
@@ -56,8 +54,8 @@ class SuctionTool(Settings):
     reaches_round: ClassVar[bool] = False
 
     @property
-    def in_depth(self) -> Callable[..., list[GripEstimate]]:
-        return partial(suction_in_depth, cup=self.cup)
+    def in_depth(self) -> Callable[..., SuctionSearch]:
+        return partial(SuctionSearch, cup=self.cup)
 
     @property
     def ground_m(self) -> float:

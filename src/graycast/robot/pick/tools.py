@@ -14,7 +14,7 @@ from pydantic import Field
 from ...base.frames import rigid
 from ...world.drop import Body
 from ...world.parts import Mesh, Part
-from ..grasp import Grip, GripEstimate
+from ..grasp import Grip, SuctionSearch
 from .contact import NoGrip, PartGrip
 from .jaw_tool import JawTool
 from .outcome import Outcome
@@ -49,10 +49,10 @@ class Tool(Protocol):
         ...
 
     @property
-    def in_depth(self) -> Callable[..., list[GripEstimate]] | None:
+    def in_depth(self) -> Callable[..., SuctionSearch] | None:
         """The search for grips on a measured surface; None for a tool that needs a known part.
 
-        Its arguments are those of `grasp.suction_in_depth` without the cup.
+        Its arguments are those of `SuctionSearch` without the cup.
         """
         ...
 
@@ -96,7 +96,6 @@ class Tool(Protocol):
 
         Args:
             T_world_tool: where the tip is sent.
-            parts: the kinds.
             T_world_part, part_index: where parts lie, and their kinds.
             opening_m: that of the grip; left out: the tool is as open as it can be.
         """

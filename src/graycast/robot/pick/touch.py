@@ -47,26 +47,9 @@ def touch(
 
     Args:
         T_world_tool: where its tip is sent.
-        kinds: of parts.
         T_world_part, part_index: where parts lie, and their kinds.
         opening_m: that of the grip; left out: the tool is as open as it can be.
     """
-    pushed = _pushed(tool, T_world_tool, kinds, T_world_part, part_index, opening_m)
-    if pushed is not None:
-        return pushed
-    parts = [kind.part for kind in kinds]
-    return tool.meet(T_world_tool, parts, T_world_part, part_index, opening_m)
-
-
-def _pushed(
-    tool: Tool,
-    T_world_tool: Float[np.ndarray, "4 4"],
-    kinds: Sequence[ContactPart],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
-    opening_m: float | None,
-) -> NoGrip | None:
-    """Collisions of the rigid shapes of a tool with the parts; None if there is none."""
     import coal
 
     T_world_flange = T_world_tool @ inverse(T_flange_tip(tool))
@@ -88,4 +71,5 @@ def _pushed(
                         detail=f"the {piece.name} is pressed {1e3 * deep_m:.0f} mm into a part",
                         part=i,
                     )
-    return None
+    parts = [kind.part for kind in kinds]
+    return tool.meet(T_world_tool, parts, T_world_part, part_index, opening_m)

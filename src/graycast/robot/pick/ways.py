@@ -88,50 +88,18 @@ class Surroundings:
         return self.T_base_world @ T_world_tip @ inverse(self.T_flange_tip)
 
 
-def ways(
-    robot: Robot,
-    here: Surroundings,
-    q: Joints,
-    T_world_tip: Float[np.ndarray, "4 4"],
-    heap: Obstacle,
-    *,
-    up_m: float,
-    load: Load,
-    round_tool: bool,
-    seed: int,
-) -> Ways | Blocked:
-    """From joint angles to a grip and away with the part; or why not.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaySearch:
+    """A search of paths to grips and away with the part.
 
-    Args:
+    Attributes:
         robot: with its tool.
-        T_world_tip: the grip.
-        heap: what was measured; the way down and up again must keep out of it, too.
+        obstacles: what stands still, and the measured heap, out of which the way down and up again
+            must keep, too.
         up_m: how far the tip is raised before it is carried away.
         load: the part on its way.
-        round_tool: whether it may be turned about its axis.
         seed: of starts and planner.
     """
-    search = _Search(
-        robot=robot,
-        here=here,
-        obstacles=(*here.standing, heap),
-        up_m=up_m,
-        load=load,
-        seed=seed,
-    )
-    turns = TURNS if round_tool else 2
-    found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
-    for turn in range(turns):
-        turned = rigid(axis_rotation("z", 2 * np.pi * turn / turns), np.zeros(3))
-        found = search.ways(q, T_world_tip @ turned)
-        if isinstance(found, Ways):
-            break
-    return found
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Search:
-    """The values common to all arm configurations and tool rotations; see `ways`."""
 
     robot: Robot
     here: Surroundings
@@ -140,7 +108,23 @@ class _Search:
     load: Load
     seed: int
 
-    def ways(self, q: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
+    def ways(
+        self, q: Joints, T_world_tip: Float[np.ndarray, "4 4"], *, round_tool: bool
+    ) -> Ways | Blocked:
+        """From joint angles to a grip and away with the part; or why not.
+
+        A round tool may be turned about its axis as one likes, another one by half a turn.
+        """
+        turns = TURNS if round_tool else 2
+        result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+        for turn in range(turns):
+            turned = rigid(axis_rotation("z", 2 * np.pi * turn / turns), np.zeros(3))
+            result = self._without_turn(q, T_world_tip @ turned)
+            if isinstance(result, Ways):
+                break
+        return result
+
+    def _without_turn(self, q: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
         here, robot = self.here, self.robot
         before = tip.copy()
         before[:3, 3] += here.approach_m * tip[:3, 2]
@@ -156,12 +140,12 @@ class _Search:
             return Blocked(
                 outcome=Outcome.COLLISION_SEEN, detail=f"the arm would collide with {hits[0]}"
             )
-        found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+        result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
         for q_before in free[:ELBOWS]:
-            found = self._by(q, q_before, tip)
-            if isinstance(found, Ways):
+            result = self._by(q, q_before, tip)
+            if isinstance(result, Ways):
                 break
-        return found
+        return result
 
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
         """Plan with this arm configuration at the approach."""

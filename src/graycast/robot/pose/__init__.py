@@ -1,10 +1,10 @@
 """Pose estimation of a part from a detection and the scanner's depth."""
 
-from .finding import PoseFound, find_pose, find_pose_in_box, find_poses
+from .finding import PoseMatch, find_pose, find_pose_in_box, find_poses
 from .model import PoseModel, pose_model
 
 __all__ = [
-    "PoseFound",
+    "PoseMatch",
     "PoseModel",
     "find_pose",
     "find_pose_in_box",

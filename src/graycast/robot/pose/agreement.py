@@ -1,10 +1,8 @@
 """Comparison of a pose with the measured depth: pixels that agree and that contradict."""
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 
+from ...base.kernels import kernel
 from .drawing import draw
 
 VISIBLE, TOUCHING, HIDDEN, CONTRADICTED, UNKNOWN, MISSED, MISSED_UNKNOWN = range(7)
@@ -28,21 +26,20 @@ GOING_ON = 3.0  # A pixel beside the part takes this off where the part's surfac
 OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share of the box's pixels.
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count(drawn, z, inside, tolerance_m):
+@kernel(nogil=True, error_model="numpy")
+def count(depth, z, inside, tolerance_m):
     """The number of pixels of each kind, and the first and last visible column and row."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
     for i in range(h):
         for j in range(w):
-            covered, known = drawn[i, j] < np.inf, z[i, j] > 0
+            covered, known = depth[i, j] < np.inf, z[i, j] > 0
             if not covered:
                 if inside[i, j]:
                     number[MISSED if known else MISSED_UNKNOWN] += 1
                 continue
-            off = z[i, j] - drawn[i, j]
+            off = z[i, j] - depth[i, j]
             if not known:
                 kind = UNKNOWN
             elif abs(off) <= tolerance_m:
@@ -56,20 +53,18 @@ def count(drawn, z, inside, tolerance_m):
     return number, edge
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def misfits(drawn, z, inside, tolerance_m):
+@kernel(nogil=True, error_model="numpy")
+def misfits(depth, z, inside, tolerance_m):
     """Pixels within an outline that are measured off the part, before or behind."""
     number = 0
     for i in range(z.shape[0]):
         for j in range(z.shape[1]):
-            if inside[i, j] and drawn[i, j] < np.inf and drawn[i, j] - z[i, j] > tolerance_m:
+            if inside[i, j] and depth[i, j] < np.inf and depth[i, j] - z[i, j] > tolerance_m:
                 number += 1
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def tight_score(number, misfit):
     """The share of agreeing pixels among those of the outline or of the part at its pose.
 
@@ -81,8 +76,7 @@ def tight_score(number, misfit):
     return number[VISIBLE] / max(number[VISIBLE] + against, 1)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def loose_score(number, edge, box, going_on):
     """Agreeing minus contradicting pixels, divided by the pixels of the box.
 
@@ -96,18 +90,17 @@ def loose_score(number, edge, box, going_on):
     return worth / (wide * high) - OFF_CENTRE * (x * x + y * y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def going_on(drawn, z, tolerance_m):
-    """Pixels just outside the drawn part where what is measured goes on as its surface does."""
+@kernel(nogil=True, error_model="numpy")
+def going_on(depth, z, tolerance_m):
+    """Pixels just outside the part where what is measured goes on as its surface does."""
     number = 0
     h, w = z.shape
     for i in range(2, h - 2):
         for j in range(2, w - 2):
-            if drawn[i, j] < np.inf:
+            if depth[i, j] < np.inf:
                 continue
             for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-                near, far = drawn[i + di, j + dj], drawn[i + 2 * di, j + 2 * dj]
+                near, far = depth[i + di, j + dj], depth[i + 2 * di, j + 2 * dj]
                 if not near < np.inf:
                     continue
                 slope = near - far if far < np.inf else 0.0
@@ -117,12 +110,12 @@ def going_on(drawn, z, tolerance_m):
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def score(T, vertex, faces, lens, ray, left, top, z, inside, tight, box, tolerance_m, drawn, face):
+@kernel(nogil=True, error_model="numpy")
+def score(T, part, window, box, tolerance_m, canvas):
     """A pose's score, 0 to 1, with the counts it is from."""
-    draw(T, vertex, faces, lens, ray, left, top, drawn, face)
-    number, edge = count(drawn, z, inside, tolerance_m)
-    if tight:
-        return tight_score(number, misfits(drawn, z, inside, tolerance_m)), number
-    return loose_score(number, edge, box, going_on(drawn, z, tolerance_m)), number
+    draw(T, part, window, canvas)
+    depth, z, inside = canvas.depth, window.z, window.inside
+    number, edge = count(depth, z, inside, tolerance_m)
+    if window.tight:
+        return tight_score(number, misfits(depth, z, inside, tolerance_m)), number
+    return loose_score(number, edge, box, going_on(depth, z, tolerance_m)), number

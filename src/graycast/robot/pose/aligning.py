@@ -1,76 +1,73 @@
 """Final alignment of a pose: surface and outline of the part are fitted to the measured ones."""
 
 import math
-from typing import no_type_check
 
-import numba
 import numpy as np
 
-from .closest import add_row, solved, turn_by
+from ...base.kernels import kernel
+from .closest import add_row, fill_row, solved, turn_by
 from .drawing import draw
 
 REACH_PX = 4.0  # An outline is looked for within this distance of its drawn place.
 LINE_STEP_PX = 0.5
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def align(T, vertex, faces, face_normal, lens, ray, left, top, z, inside, tight, gates_m, edge_m,
-          outline_weight, drawn, face):  # fmt: skip
+@kernel(nogil=True, error_model="numpy")
+def align(T, part, window, gates_m, edge_m, canvas):
     """Move a pose by Gauss-Newton steps, one for each gate.
 
     The measured point of a pixel is to lie in the plane of the face that is drawn there; where the
-    drawn outline and the measured one differ along its normal, both are to coincide. Source of
-    the outline's part: C. Harris, C. Stennett, "RAPID: a video rate object tracker", 1990.
+    drawn outline and the measured one differ along its normal, both are to coincide. A pixel of
+    the outline weighs as much as one of the surface. Source of the outline's part: C. Harris,
+    C. Stennett, "RAPID: a video rate object tracker", 1990.
     """
     for gate in gates_m:
-        draw(T, vertex, faces, lens, ray, left, top, drawn, face)
+        draw(T, part, window, canvas)
         A, b = np.zeros((6, 6)), np.zeros(6)
-        surface = _surface_rows(A, b, T, face_normal, ray, z, inside, tight, gate, drawn, face)
-        if outline_weight > 0:
-            _outline_rows(A, b, T, lens, ray, z, inside, tight, edge_m, outline_weight, drawn)
+        surface = _surface_rows(A, b, T, part.normal, window, gate, canvas)
+        _outline_rows(A, b, T, window, edge_m, canvas.depth)
         if surface < 6:
             return
         turn_by(T, solved(A, b))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _surface_rows(A, b, T, face_normal, ray, z, inside, tight, gate, drawn, face):
+@kernel(nogil=True, error_model="numpy")
+def _surface_rows(A, b, T, face_normal, window, gate, canvas):
+    z, ray, depth = window.z, window.ray, canvas.depth
     h, w = z.shape
     row, p, q = np.empty(6), np.empty(3), np.empty(3)
     count = 0
     for i in range(h):
         for j in range(w):
-            off_z = z[i, j] - drawn[i, j]
-            if not abs(off_z) < gate or (tight and not inside[i, j]):
+            off_z = z[i, j] - depth[i, j]
+            if not abs(off_z) < gate or (window.tight and not window.inside[i, j]):
                 continue
             _into_part(T, ray[i, j, 0], ray[i, j, 1], z[i, j], p)
-            _into_part(T, ray[i, j, 0], ray[i, j, 1], drawn[i, j], q)
-            m = face_normal[face[i, j]]
+            _into_part(T, ray[i, j, 0], ray[i, j, 1], depth[i, j], q)
+            m = face_normal[canvas.face[i, j]]
             off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
-            _fill(row, q, m[0], m[1], m[2])
+            fill_row(row, q, m[0], m[1], m[2])
             add_row(A, b, row, off, (1 - (off_z / gate) ** 2) ** 2)
             count += 1
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _outline_rows(A, b, T, lens, ray, z, inside, tight, edge_m, weight, drawn):
-    h, w = z.shape
+@kernel(nogil=True, error_model="numpy")
+def _outline_rows(A, b, T, window, edge_m, depth):
+    lens, ray = window.lens, window.ray
+    h, w = depth.shape
     row, p = np.empty(6), np.empty(3)
     f = math.sqrt(lens[0] * lens[1])
     for i in range(2, h - 2):
         for j in range(2, w - 2):
-            zc = drawn[i, j]
-            if not zc < np.inf or not _on_outline(drawn, i, j):
+            zc = depth[i, j]
+            if not zc < np.inf or not _on_outline(depth, i, j):
                 continue
-            nx, ny = _outwards(drawn, i, j)
+            nx, ny = _outwards(depth, i, j)
             if nx == 0 and ny == 0:
                 continue
-            here = _drawn_end(drawn, i, j, nx, ny)
-            off_px = _measured_end(z, inside, tight, i, j, nx, ny, zc, edge_m, here) - here
+            here = _end(depth, i, j, nx, ny)
+            off_px = _measured_end(window, i, j, nx, ny, zc, edge_m, here) - here
             if not abs(off_px) < REACH_PX:
                 continue
             gx, gy = nx * lens[0] / f, ny * lens[1] / f
@@ -79,46 +76,34 @@ def _outline_rows(A, b, T, lens, ray, z, inside, tight, edge_m, weight, drawn):
             mx = T[0, 0] * gx + T[1, 0] * gy + T[2, 0] * gz
             my = T[0, 1] * gx + T[1, 1] * gy + T[2, 1] * gz
             mz = T[0, 2] * gx + T[1, 2] * gy + T[2, 2] * gz
-            _fill(row, p, mx, my, mz)
-            sure = (1 - (off_px / REACH_PX) ** 2) ** 2
-            add_row(A, b, row, off_px * zc / f, weight * sure)
+            fill_row(row, p, mx, my, mz)
+            add_row(A, b, row, off_px * zc / f, (1 - (off_px / REACH_PX) ** 2) ** 2)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _into_part(T, x, y, z, p):
     dx, dy, dz = x * z - T[0, 3], y * z - T[1, 3], z - T[2, 3]
     for j in range(3):
         p[j] = T[0, j] * dx + T[1, j] * dy + T[2, j] * dz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _fill(row, p, mx, my, mz):
-    """How a place p of the part moves along m when the part turns and shifts."""
-    row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
-    row[3], row[4], row[5] = mx, my, mz
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _on_outline(drawn, i, j):
+@kernel(nogil=True, error_model="numpy")
+def _on_outline(depth, i, j):
     return (
-        drawn[i - 1, j] == np.inf
-        or drawn[i + 1, j] == np.inf
-        or drawn[i, j - 1] == np.inf
-        or drawn[i, j + 1] == np.inf
+        depth[i - 1, j] == np.inf
+        or depth[i + 1, j] == np.inf
+        or depth[i, j - 1] == np.inf
+        or depth[i, j + 1] == np.inf
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _outwards(drawn, i, j):
+@kernel(nogil=True, error_model="numpy")
+def _outwards(depth, i, j):
     """The outline's normal in the picture: away from what is covered in a window of five."""
     x, y = 0.0, 0.0
     for di in range(-2, 3):
         for dj in range(-2, 3):
-            if drawn[i + di, j + dj] < np.inf:
+            if depth[i + di, j + dj] < np.inf:
                 x -= dj
                 y -= di
     length = math.sqrt(x * x + y * y)
@@ -127,28 +112,27 @@ def _outwards(drawn, i, j):
     return x / length, y / length
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _drawn_end(drawn, i, j, nx, ny):
+@kernel(nogil=True, error_model="numpy")
+def _end(depth, i, j, nx, ny):
     """The position along the normal at which the drawn part ends."""
     s = 0.0
     while s < 3:
         r, c = round(i + s * ny), round(j + s * nx)
-        if r < 0 or c < 0 or r >= drawn.shape[0] or c >= drawn.shape[1]:
+        if r < 0 or c < 0 or r >= depth.shape[0] or c >= depth.shape[1]:
             break
-        if drawn[r, c] == np.inf:
+        if depth[r, c] == np.inf:
             break
         s += LINE_STEP_PX
     return s - LINE_STEP_PX / 2
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _measured_end(z, inside, tight, i, j, nx, ny, zc, edge_m, near):
+@kernel(nogil=True, error_model="numpy")
+def _measured_end(window, i, j, nx, ny, zc, edge_m, near):
     """Where along that normal the measured part ends, the place nearest to `near`; NaN if nowhere.
 
     An edge in front of which something nearer lies is not an edge of the part.
     """
+    z, inside, tight = window.z, window.inside, window.tight
     best, before = np.nan, -1
     s = near - REACH_PX - LINE_STEP_PX
     while s < near + REACH_PX + LINE_STEP_PX:

@@ -1,13 +1,13 @@
 """The nearest place on a part's surface for any point near it, and ICP by it."""
 
 import math
-from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
+
+from ...base.kernels import kernel
 
 CELLS = 60  # The grid has this many cells along the diameter.
 BEYOND = 0.2  # The grid reaches beyond the part's box by this share of the diameter.
@@ -15,46 +15,42 @@ ALIKE = 0.5  # Places may correspond if the cosine between their normals is at l
 DAMPING = 1e-3  # This share of the mean curvature keeps still what the points do not determine.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Closest:
-    """For each cell of a grid around a part, the nearest of its surface's points.
-
-    Attributes:
-        point, normal: of the surface, in the part's frame.
-        low_m: the middle of the first cell.
-        cell_m: the width of a cell.
-        nearest: the place in `point` of the one nearest to the cell's middle.
-    """
+class OrientedPoints(NamedTuple):
+    """Points of a surface with its normals there."""
 
     point: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
+
+
+class Closest(NamedTuple):
+    """For each cell of a grid around a part, the nearest of its surface's points.
+
+    Attributes:
+        points: of the surface, in the part's frame.
+        low_m: the middle of the first cell.
+        cell_m: the width of a cell.
+        nearest: the place in `points` of the one nearest to the cell's middle.
+    """
+
+    points: OrientedPoints
     low_m: Float[np.ndarray, "3"]
     cell_m: float
     nearest: Int[np.ndarray, "x y z"]
 
-    def __post_init__(self) -> None:
-        for name in ("point", "normal", "low_m", "nearest"):
-            getattr(self, name).flags.writeable = False
 
-
-def closest(
-    point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], diameter_m: float
-) -> Closest:
+def closest(points: OrientedPoints, diameter_m: float) -> Closest:
     """The grid of a surface that is given by dense points."""
     cell_m = diameter_m / CELLS
-    low = point.min(axis=0) - BEYOND * diameter_m
-    size = np.ceil((point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
+    low = points.point.min(axis=0) - BEYOND * diameter_m
+    size = np.ceil((points.point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
     axes = [low[k] + cell_m * np.arange(size[k]) for k in range(3)]
     middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    nearest = cKDTree(point).query(middles.reshape(-1, 3))[1].astype(np.int32)
-    return Closest(
-        point=point, normal=normal, low_m=low, cell_m=cell_m, nearest=nearest.reshape(size)
-    )
+    nearest = cKDTree(points.point).query(middles.reshape(-1, 3))[1].astype(np.int32)
+    return Closest(points=points, low_m=low, cell_m=cell_m, nearest=nearest.reshape(size))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def settle(T, point, normal, near, near_normal, low, cell, nearest, gates_m, rounds):
+@kernel(nogil=True, error_model="numpy")
+def settle(T, scene, surface, gates_m, rounds):
     """Poses moved so that the scene's points lie on the part: ICP, point to plane.
 
     The gate, beyond which a point is taken for another thing's, narrows from round to round.
@@ -64,16 +60,17 @@ def settle(T, point, normal, near, near_normal, low, cell, nearest, gates_m, rou
     for k in range(len(T)):
         for gate in gates_m:
             for _ in range(rounds):
-                shares[k] = _round(T[k], point, normal, near, near_normal, low, cell, nearest, gate)
+                shares[k] = _round(T[k], scene, surface, gate)
                 if shares[k] == 0:
                     break
     return shares
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
+@kernel(nogil=True, error_model="numpy")
+def _round(T, scene, surface, gate):
     """One step; the share of the points that have a place on the part within the gate."""
+    point, normal = scene.point, scene.normal
+    low, cell, nearest = surface.low_m, surface.cell_m, surface.nearest
     A, b = np.zeros((6, 6)), np.zeros(6)
     row, p, n = np.empty(6), np.empty(3), np.empty(3)
     nx, ny, nz = nearest.shape
@@ -90,7 +87,7 @@ def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
         if x < 0 or y < 0 or z < 0 or x >= nx or y >= ny or z >= nz:
             continue
         at = nearest[x, y, z]
-        m, q = near_normal[at], near[at]
+        m, q = surface.points.normal[at], surface.points.point[at]
         if n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < ALIKE:
             continue
         away2 = (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
@@ -98,21 +95,24 @@ def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
             continue
         off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
         weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's
-        row[0], row[1] = p[1] * m[2] - p[2] * m[1], p[2] * m[0] - p[0] * m[2]
-        row[2] = p[0] * m[1] - p[1] * m[0]
-        row[3], row[4], row[5] = m[0], m[1], m[2]
+        fill_row(row, p, m[0], m[1], m[2])
         add_row(A, b, row, off, weight)
         count += 1
     if count < 6:
         return 0.0
-    step = solved(A, b)
     # The scene moves by -step in the part's frame, so the part moves by +step in its own.
-    turn_by(T, step)
+    turn_by(T, solved(A, b))
     return count / len(point)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
+def fill_row(row, p, mx, my, mz):
+    """How a place p of the part moves along m when the part turns and shifts."""
+    row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
+    row[3], row[4], row[5] = mx, my, mz
+
+
+@kernel(nogil=True, error_model="numpy")
 def add_row(A, b, row, off, weight):
     for j in range(6):
         b[j] += weight * row[j] * off
@@ -120,8 +120,7 @@ def add_row(A, b, row, off, weight):
             A[j, k] += weight * row[j] * row[k]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def solved(A, b):
     """The damped step of a system whose lower half is filled; lengths scaled to like size."""
     scale = np.empty(6)
@@ -139,8 +138,7 @@ def solved(A, b):
     return step * scale
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def turn_by(T, step):
     """T times the motion of a small turn (step[:3]) and shift (step[3:]) in the part's frame."""
     x, y, z = step[0], step[1], step[2]

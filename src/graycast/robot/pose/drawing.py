@@ -1,12 +1,40 @@
 """A closed mesh drawn into the window of a picture: depth and face of each pixel, quickly."""
 
 import math
-from typing import no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
+from ...base.kernels import kernel
 from ...rig.optics import Optics
+
+
+class Facets(NamedTuple):
+    """A closed mesh in the part's frame."""
+
+    vertex: Float[np.ndarray, "v 3"]
+    face: Int[np.ndarray, "f 3"]
+    normal: Float[np.ndarray, "f 3"]
+
+
+class Window(NamedTuple):
+    """What compiled code needs of a detection's `Crop`; `lens` is the camera's."""
+
+    lens: Float[np.ndarray, "9"]
+    ray: Float[np.ndarray, "h w 2"]
+    left_px: int
+    top_px: int
+    z: Float[np.ndarray, "h w"]
+    inside: Bool[np.ndarray, "h w"]
+    tight: bool
+
+
+class Canvas(NamedTuple):
+    """What is drawn in a window: depth (infinite where there is nothing) and face (-1)."""
+
+    depth: Float[np.ndarray, "h w"]
+    face: Int[np.ndarray, "h w"]
 
 
 def lens(camera: Optics) -> np.ndarray:
@@ -15,20 +43,20 @@ def lens(camera: Optics) -> np.ndarray:
     return np.array([*focal, *camera.distortion], dtype=np.float64)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def draw(T, vertex, faces, lens, ray, left, top, z, face):
-    """Fill z (infinite where there is nothing) and face (-1) with what the pixels' rays meet.
+@kernel(nogil=True, error_model="numpy")
+def draw(T, part, window, canvas):
+    """Fill a canvas with what the pixels' rays meet.
 
     Faces turned away are left out: the mesh is closed. A face that reaches behind the lens is too.
     The same equation as in `graycast.rig.meshdepth`, in one pass.
     """
+    lens, ray, vertex, faces = window.lens, window.ray, part.vertex, part.face
+    z, face = canvas.depth, canvas.face
     h, w = z.shape
     z[:], face[:] = np.inf, -1
     n = len(vertex)
@@ -43,7 +71,8 @@ def draw(T, vertex, faces, lens, ray, left, top, z, face):
         radial = 1 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
         u = x * radial + 2 * lens[6] * x * y + lens[7] * (r2 + 2 * x * x)
         v = y * radial + lens[6] * (r2 + 2 * y * y) + 2 * lens[7] * x * y
-        pixel[i, 0], pixel[i, 1] = u * lens[0] + lens[2] - left, v * lens[1] + lens[3] - top
+        pixel[i, 0] = u * lens[0] + lens[2] - window.left_px
+        pixel[i, 1] = v * lens[1] + lens[3] - window.top_px
     bent = 0.01
     if lens[4] != 0 or lens[5] != 0 or lens[6] != 0 or lens[7] != 0 or lens[8] != 0:
         bent = 1.0  # straight edges bend a little

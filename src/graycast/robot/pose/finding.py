@@ -11,7 +11,7 @@ from ...camera.crop import Crop, crop
 from ...rig.optics import Optics
 from ...world.parts.symmetry import nearest_member
 from . import agreement
-from .closest import settle
+from .closest import OrientedPoints, settle
 from .model import PoseModel
 from .pairs import votes
 from .trying import PoseTrial, Trials
@@ -24,8 +24,8 @@ REFERENCES = 90  # This many of these points are references, which vote for pose
 CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
 PEAKS = 6  # Each reference point gives this many poses.
 ALIKE = 0.15  # Poses whose key points are nearer than this share of the diameter are one.
-KEPT = 200  # ICP lays this many poses on the depth, and they are drawn.
-CHOSEN = 16  # This many poses are aligned.
+GUESSES = 200  # ICP lays this many poses on the depth, and they are drawn.
+ALIGNED = 16  # This many poses are aligned.
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
 SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
@@ -33,7 +33,7 @@ TRIES = 3  # The other ways of the best pose are tried anew at most this many ti
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PoseFound:
+class PoseMatch:
     """A part's pose and its evidence: counts of pixels of the drawn part, except `missed`.
 
     Attributes:
@@ -61,7 +61,7 @@ class PoseFound:
             self.T_cam_part.flags.writeable = False
 
 
-NOTHING = PoseFound(T_cam_part=None, score=0.0)
+NOTHING = PoseMatch(T_cam_part=None, score=0.0)
 
 
 def find_pose(
@@ -71,7 +71,7 @@ def find_pose(
     mask: Bool[np.ndarray, "h w"],
     *,
     near: Float[np.ndarray, "4 4"] | None = None,
-) -> PoseFound:
+) -> PoseMatch:
     """The pose of the part whose visible outline is known.
 
     Of the poses that the symmetry of `pose_model` makes alike, the result is the one nearest to
@@ -85,7 +85,7 @@ def find_pose(
     Raises:
         ValueError: depth, camera and mask are not of one size.
     """
-    return _found(model, depth_m, camera, mask, tight=True, near=near)
+    return _match(model, depth_m, camera, mask, tight=True, near=near)
 
 
 def find_pose_in_box(
@@ -95,7 +95,7 @@ def find_pose_in_box(
     box_px: Float[np.ndarray, "4"],
     *,
     near: Float[np.ndarray, "4 4"] | None = None,
-) -> PoseFound:
+) -> PoseMatch:
     """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`.
 
     `near` is that of `find_pose`.
@@ -104,7 +104,7 @@ def find_pose_in_box(
     left, top = np.maximum(np.rint(box_px[:2]).astype(int), 0)
     right, bottom = np.maximum(np.rint(box_px[:2] + box_px[2:]).astype(int), 0)
     inside[top:bottom, left:right] = True
-    return _found(model, depth_m, camera, inside, tight=False, near=near)
+    return _match(model, depth_m, camera, inside, tight=False, near=near)
 
 
 def find_poses(
@@ -114,7 +114,7 @@ def find_poses(
     masks: Sequence[Bool[np.ndarray, "h w"]] | Bool[np.ndarray, "n h w"],
     *,
     threads: int = 1,
-) -> list[PoseFound]:
+) -> list[PoseMatch]:
     """The poses of several instances of a part in one picture, each found by itself.
 
     The slow steps are compiled and run in parallel threads; the result does not depend on their
@@ -124,7 +124,7 @@ def find_poses(
         return list(pool.map(lambda mask: find_pose(model, depth_m, camera, mask), masks))
 
 
-def _found(
+def _match(
     model: PoseModel,
     depth_m: np.ndarray,
     camera: Optics,
@@ -132,7 +132,7 @@ def _found(
     *,
     tight: bool,
     near: Float[np.ndarray, "4 4"] | None,
-) -> PoseFound:
+) -> PoseMatch:
     if depth_m.shape != (camera.height_px, camera.width_px) or inside.shape != depth_m.shape:
         raise ValueError(
             f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask {inside.shape[1]} "
@@ -149,36 +149,32 @@ def _found(
     )
     if patch is None:
         return NOTHING
-    point, normal = _scene_points(patch)
-    if len(point) < LEAST_POINTS:
+    scene = _scene_points(patch)
+    if len(scene.point) < LEAST_POINTS:
         return NOTHING
-    guesses = _guesses(model, patch, point, normal)
-    surface = model.surface
-    settle(
-        guesses, point, normal, surface.point, surface.normal, surface.low_m, surface.cell_m,
-        surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
-    )  # fmt: skip
+    guesses = _guesses(model, patch, scene)
+    settle(guesses, scene, model.surface, np.array(GATES) * model.diameter_m, ROUNDS)
     best = _best(model, patch, guesses)
     return _estimate(best, nearest_member(best.T, model.symmetry, near=near))
 
 
-def _scene_points(patch: Crop) -> tuple[np.ndarray, np.ndarray]:
+def _scene_points(patch: Crop) -> OrientedPoints:
     """Places of the detection with normals, spread evenly over its pixels."""
     usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
-    chosen = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
+    index = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
     stride = max(int(np.sqrt(len(i) / SCENE_POINTS)), 1)
     even = np.flatnonzero((i % stride == 0) & (j % stride == 0))
-    chosen = even if len(even) >= LEAST_POINTS else chosen
-    i, j = i[chosen], j[chosen]
+    index = even if len(even) >= LEAST_POINTS else index
+    i, j = i[index], j[index]
     z = patch.smooth[i, j]
     point = np.column_stack([patch.ray[i, j] * z[:, None], z])
-    return point, np.ascontiguousarray(patch.normal[i, j])
+    return OrientedPoints(point=point, normal=np.ascontiguousarray(patch.normal[i, j]))
 
 
-def _guesses(model: PoseModel, patch: Crop, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _guesses(model: PoseModel, patch: Crop, scene: OrientedPoints) -> np.ndarray:
     """Poses by votes, the best of each bundle of like ones, best bundle first."""
-    references = np.arange(len(point))
+    point, references = scene.point, np.arange(len(scene.point))
     if not patch.tight:
         i, j = np.nonzero(patch.inside)
         middle = patch.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
@@ -187,14 +183,9 @@ def _guesses(model: PoseModel, patch: Crop, point: np.ndarray, normal: np.ndarra
         away = (point[:, :2] / point[:, 2:] - middle) / half
         core = np.flatnonzero(np.square(away).sum(axis=1) < CORE**2)
         references = core if len(core) >= 10 else references
-    chosen = np.linspace(0, len(references) - 1, min(REFERENCES, len(references))).astype(int)
-    references = references[chosen]
-    pairs = model.pairs
-    T, weight = votes(
-        point, normal, references, model.point, model.normal, pairs.start, pairs.first,
-        pairs.turn_rad, pairs.step_m, pairs.distances, PEAKS,
-    )  # fmt: skip
-    return _bundled(model, T, weight)[:KEPT]
+    index = np.linspace(0, len(references) - 1, min(REFERENCES, len(references))).astype(int)
+    T, weight = votes(scene, references[index], model.points, model.pairs, PEAKS)
+    return _bundled(model, T, weight)[:GUESSES]
 
 
 def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -222,26 +213,26 @@ def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) ->
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
-    tried = (
+    both = (
         trials.judge(T)
-        for k in np.argsort(-first, kind="stable")[:CHOSEN]
+        for k in np.argsort(-first, kind="stable")[:ALIGNED]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(tried, key=lambda candidate: candidate.worth)  # the first of equals
+    best = max(both, key=lambda trial: trial.worth)  # the first of equals
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:
             T = trials.placed(before.T @ turn)
             if T is not None:
-                best = trials.judge(trials.align(T)).better_of(best)
+                best = max(best, trials.judge(trials.align(T)), key=lambda trial: trial.worth)
         if best is before or best.worth > SURE:
             break
     return best
 
 
-def _estimate(best: PoseTrial, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
+def _estimate(best: PoseTrial, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseMatch:
     number = best.number
-    return PoseFound(
+    return PoseMatch(
         T_cam_part=T_cam_part,
         score=float(np.clip(best.worth, 0, 1)),
         visible=int(number[agreement.VISIBLE]),

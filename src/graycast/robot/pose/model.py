@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ...base.frames import rigid
 from ...world.parts import Mesh, Symmetry
 from ...world.parts.sampling import dense_points, surface_points
 from ...world.parts.symmetry import axis_rotations, motions
-from .closest import Closest, closest
+from .closest import Closest, OrientedPoints, closest
+from .drawing import Facets
 from .pairs import PairTable, pair_table
 
 STEP = 0.05  # This share of the diameter is the spacing of pairs' points and a bin of distance.
@@ -24,7 +25,7 @@ class PoseModel:
 
     Attributes:
         diameter_m: the largest distance between two of its vertices, but for a little.
-        point, normal: for pairs, far apart.
+        points: for pairs, far apart.
         pairs: the table of their features.
         surface: the nearest place for any point near.
         key_m: points that a motion moves unless it leaves the part as it is.
@@ -32,12 +33,9 @@ class PoseModel:
         symmetry: all motions that leave it.
     """
 
-    vertices_m: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    face_normal: Float[np.ndarray, "f 3"]
+    facets: Facets
     diameter_m: float
-    point: Float[np.ndarray, "n 3"]
-    normal: Float[np.ndarray, "n 3"]
+    points: OrientedPoints
     pairs: PairTable
     surface: Closest
     key_m: Float[np.ndarray, "k 3"]
@@ -46,8 +44,11 @@ class PoseModel:
     turns: Float[np.ndarray, "t 4 4"]
 
     def __post_init__(self) -> None:
-        for name in ("vertices_m", "faces", "face_normal", "point", "normal", "key_m", "alike"):
-            getattr(self, name).flags.writeable = False
+        surface, pairs = self.surface, self.pairs
+        of_surface = (*surface.points, surface.low_m, surface.nearest)
+        of_pairs = (*self.points, pairs.start, pairs.first, pairs.turn_rad)
+        for array in (*self.facets, *of_surface, *of_pairs, self.key_m, self.alike):
+            array.flags.writeable = False
 
 
 def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
@@ -56,17 +57,18 @@ def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
     used = mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64)
     middle = corners.mean(axis=0)
     diameter_m = 2 * float(np.linalg.norm(used - middle, axis=1).max())
-    point, normal = surface_points(mesh, STEP * diameter_m, most=MOST_POINTS)
-    dense, dense_normal = dense_points(mesh, DENSE_STEP * diameter_m, most=MOST_DENSE)
+    points = OrientedPoints(*surface_points(mesh, STEP * diameter_m, most=MOST_POINTS))
+    dense = OrientedPoints(*dense_points(mesh, DENSE_STEP * diameter_m, most=MOST_DENSE))
     return PoseModel(
-        vertices_m=np.ascontiguousarray(mesh.vertices_m, dtype=np.float64),
-        faces=np.ascontiguousarray(mesh.faces),
-        face_normal=mesh.face_normal,
+        facets=Facets(
+            vertex=np.ascontiguousarray(mesh.vertices_m, dtype=np.float64),
+            face=np.ascontiguousarray(mesh.faces),
+            normal=mesh.face_normal,
+        ),
         diameter_m=diameter_m,
-        point=point,
-        normal=normal,
-        pairs=pair_table(point, normal, STEP * diameter_m),
-        surface=closest(dense, dense_normal, diameter_m),
+        points=points,
+        pairs=pair_table(points, STEP * diameter_m),
+        surface=closest(dense, diameter_m),
         key_m=_keys(symmetry, middle, diameter_m),
         alike=motions(Symmetry(discrete=symmetry.discrete)),
         symmetry=symmetry,

@@ -10,19 +10,19 @@ that the many like pairs of a plane do not drown the few that tell.
 """
 
 import math
-from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float32, Int
+
+from ...base.kernels import kernel
+from .closest import OrientedPoints
 
 ANGLES = 15  # Each angle of a feature has bins of 12 degrees.
 TURNS = 30  # The turn about the normal has bins of 12 degrees.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairTable:
+class PairTable(NamedTuple):
     """The pairs of a model's points by feature, in rows one after another.
 
     Attributes:
@@ -39,23 +39,16 @@ class PairTable:
     first: Int[np.ndarray, " pairs"]
     turn_rad: Float32[np.ndarray, " pairs"]
 
-    def __post_init__(self) -> None:
-        for name in ("start", "first", "turn_rad"):
-            getattr(self, name).flags.writeable = False
 
-
-def pair_table(
-    point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], step_m: float
-) -> PairTable:
+def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
     """All ordered pairs of a model's points."""
-    longest = float(np.linalg.norm(np.ptp(point, axis=0)))
+    longest = float(np.linalg.norm(np.ptp(points.point, axis=0)))
     distances = int(longest / step_m) + 1
-    start, first, turn = _filled(point, normal, step_m, distances)
+    start, first, turn = _filled(*points, step_m, distances)
     return PairTable(step_m=step_m, distances=distances, start=start, first=first, turn_rad=turn)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def feature_of(p, n, q, m, step_m, distances):
     """The feature's number of two points with normals; -1 if they coincide or are too far."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -73,8 +66,7 @@ def feature_of(p, n, q, m, step_m, distances):
     return number
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def frame_of(n):
     """The rotation that turns a normal onto the x axis, by the shortest way."""
     R = np.empty((3, 3))
@@ -90,8 +82,7 @@ def frame_of(n):
     return R
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def turn_of(R, p, q):
     """The angle of q about the x axis once the point p with its normal lies along it."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -100,8 +91,7 @@ def turn_of(R, p, q):
     return math.atan2(z, y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _filled(point, normal, step_m, distances):
     n = len(point)
     count = np.zeros(distances * ANGLES**3 + 1, np.int64)
@@ -125,17 +115,16 @@ def _filled(point, normal, step_m, distances):
     return start, first, turn
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def votes(point, normal, references, model_point, model_normal, start, first, turn, step_m,
-          distances, peaks):  # fmt: skip
+@kernel(nogil=True, error_model="numpy")
+def votes(scene, references, model, pairs, peaks):
     """The best poses of each reference point, and how many votes each has.
 
     Args:
         references: places of the reference points among the scene's.
         peaks: how many poses are taken from each.
     """
-    n = len(model_point)
+    point, normal, start = scene.point, scene.normal, pairs.start
+    n = len(model.point)
     T = np.zeros((len(references) * peaks, 4, 4))
     weight = np.zeros(len(references) * peaks)
     ballot = np.empty((n, TURNS), np.float32)
@@ -144,30 +133,28 @@ def votes(point, normal, references, model_point, model_normal, start, first, tu
         ballot[:] = 0.0
         R = frame_of(normal[i])
         for j in range(len(point)):
-            f = feature_of(point[i], normal[i], point[j], normal[j], step_m, distances)
+            f = feature_of(point[i], normal[i], point[j], normal[j], pairs.step_m, pairs.distances)
             if i == j or f < 0 or start[f] == start[f + 1]:
                 continue
             mine = turn_of(R, point[i], point[j])
             one = 1 / math.sqrt(start[f + 1] - start[f])
             for e in range(start[f], start[f + 1]):
-                share = (mine - turn[e]) / (2 * math.pi)
+                share = (mine - pairs.turn_rad[e]) / (2 * math.pi)
                 share -= math.floor(share)
-                ballot[first[e], min(int(share * TURNS), TURNS - 1)] += one
+                ballot[pairs.first[e], min(int(share * TURNS), TURNS - 1)] += one
         for peak in range(peaks):
             at = np.argmax(ballot)
             m, t = at // TURNS, at % TURNS
             before, after = ballot[m, t - 1], ballot[m, (t + 1) % TURNS]
             weight[k * peaks + peak] = ballot[m, t] + 0.5 * (before + after)
             angle = (t + 0.5) / TURNS * 2 * math.pi
-            _pose(
-                T[k * peaks + peak], R, point[i], frame_of(model_normal[m]), model_point[m], angle
-            )
+            R_model = frame_of(model.normal[m])
+            _pose(T[k * peaks + peak], R, point[i], R_model, model.point[m], angle)
             ballot[m, t] = ballot[m, t - 1] = ballot[m, (t + 1) % TURNS] = 0.0
     return T, weight
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _pose(T, R_scene, p_scene, R_model, p_model, angle):
     """Scene point and normal over the model's, the model turned by the angle about them."""
     c, s = math.cos(angle), math.sin(angle)

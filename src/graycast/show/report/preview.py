@@ -33,7 +33,6 @@ from ...rig.pair import depth_per_line_m
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from ...world.scene import Scene
-from .rig_picture import depth_per_line_m
 
 DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400

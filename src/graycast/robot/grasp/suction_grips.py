@@ -1,0 +1,183 @@
+"""Where a suction cup holds a part: one whose mesh is known, or what a scanner saw.
+
+Places on a mesh are found once and carried to wherever the part lies by its pose.
+
+Without a model, after Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: places are drawn in the
+mask, judged by how surely the cup seals and holds on the measured surface, and drawn again about
+the best ones (the cross-entropy method). Holes in the depth are unknown ground, on which no cup is
+taken to seal.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...rig.optics import Optics, rays
+from ...world.parts import Mesh
+from ...world.parts.sampling import spread_points
+from .grip import Grip, downs, frame_on
+from .patch import STEP_M, patch_of_depth, patch_of_mesh
+from .robust import Burden, Doubt, patch_radius_m, robustness
+from .suction import Cup
+
+ROUNDS = 3
+ELITE_SHARE = 0.25
+
+
+def suction_places(
+    mesh: Mesh,
+    cup: Cup,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    seed: int = 0,
+) -> list[Grip]:
+    """Every place that is tried, also where a cup does not hold, in the order over the surface.
+
+    A place's score is its robustness with the tool's axis upright and leaning by up to
+    30 degrees to four sides, the least of the five: how the part will lie is not known yet.
+
+    Args:
+        center_m: the part's centre of mass.
+        count: places that are tried, evenly over the surface.
+        seed: of the doubts.
+    """
+    points, normals = spread_points(mesh, count)
+    places = []
+    for point, normal in zip(points, normals, strict=True):
+        T_part_tool = frame_on(point, normal)
+        patch = patch_of_mesh(mesh, T_part_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M)
+        center = T_part_tool[:3, :3].T @ (center_m - point)
+        burdens = [Burden(weight_n=weight_n, center_m=center, down=down) for down in downs()]
+        score = robustness(cup, patch, burdens, doubt, seed=seed)
+        places.append(Grip(T_part_tool=T_part_tool, score=score))
+    return places
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthView:
+    """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
+
+    depth_m: Float[np.ndarray, "h w"]
+    camera: Optics
+    T_world_cam: Float[np.ndarray, "4 4"]
+
+    @property
+    def down(self) -> Float[np.ndarray, "3"]:
+        """Which way weights pull, in the camera's frame."""
+        return self.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripEstimate:
+    """Where a tool goes, in the camera's frame, and how sure it is to hold there (0 to 1)."""
+
+    T_cam_tool: Float[np.ndarray, "4 4"]
+    score: float
+
+    def __post_init__(self) -> None:
+        self.T_cam_tool.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuctionSearch:
+    """A search on the measured surface, without a model of the part.
+
+    The cup stands along the normal of the plane through what lies under it.
+
+    Attributes:
+        weight_n: of what is lifted.
+        doubt: what is not known.
+        most_lean_rad: between the tool's axis and the vertical.
+    """
+
+    view: DepthView
+    cup: Cup
+    weight_n: float
+    doubt: Doubt
+    most_lean_rad: float = np.radians(45)
+
+    def grips(
+        self,
+        mask: Bool[np.ndarray, "h w"],
+        *,
+        one_part: bool = True,
+        count: int = 60,
+        seed: int = 0,
+    ) -> list[GripEstimate]:
+        """Grips within a mask, best first; none where nothing would hold.
+
+        Args:
+            mask: where the cup's middle may go: one part, or the whole bin.
+            one_part: whether the mask is of one part: then its centre of mass is taken to be in
+                the middle of the mask's points, else under the cup, wherever that is.
+            count: places in each of three rounds.
+            seed: of places and doubts.
+        """
+        rng, depth_m = np.random.default_rng(seed), self.view.depth_m
+        rows, columns = np.nonzero(mask & np.isfinite(depth_m))
+        if len(rows) == 0:
+            return []
+        pixel = np.stack([columns, rows], axis=-1).astype(np.float64)
+        point = rays(self.view.camera, pixel) * depth_m[rows, columns, None]
+        center = np.broadcast_to(point.mean(axis=0), point.shape) if one_part else point
+        estimates: dict[int, GripEstimate | None] = {}
+        index = rng.choice(len(point), size=min(count, len(point)), replace=False)
+        for _ in range(ROUNDS):
+            for i in dict.fromkeys(index.tolist()):
+                if i not in estimates:
+                    estimates[i] = self._grip(point[i], center[i], seed)
+            score = {i: grip.score for i, grip in estimates.items() if grip is not None}
+            best = sorted(score, key=score.__getitem__, reverse=True)
+            best = best[: max(int(ELITE_SHARE * count), 1)]
+            if not best:
+                index = rng.choice(len(point), size=min(count, len(point)), replace=False)
+                continue
+            near = pixel[rng.choice(best, size=count)] + rng.normal(size=(count, 2)) * (
+                pixel[best].std(axis=0) / 2 + 1
+            )
+            index = np.array([np.argmin(((pixel - place) ** 2).sum(axis=1)) for place in near])
+        holding = [grip for grip in estimates.values() if grip is not None and grip.score > 0]
+        return sorted(holding, key=lambda grip: -grip.score)
+
+    def _grip(
+        self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], seed: int
+    ) -> GripEstimate | None:
+        """A grip on a point, along the normal there; None where the cup cannot stand."""
+        view, down = self.view, self.view.down
+        normal = _normal(point, view, self.cup.radius_m)
+        if normal is None or -normal @ down < np.cos(self.most_lean_rad):
+            return None
+        T_cam_tool = frame_on(point, normal)
+        radius_m = patch_radius_m(self.cup, self.doubt)
+        patch = patch_of_depth(
+            view.depth_m, view.camera, T_cam_tool, radius_m=radius_m, step_m=STEP_M
+        )
+        R = T_cam_tool[:3, :3]
+        burden = Burden(weight_n=self.weight_n, center_m=R.T @ (center - point), down=R.T @ down)
+        score = robustness(self.cup, patch, [burden], self.doubt, seed=seed)
+        return GripEstimate(T_cam_tool=T_cam_tool, score=score)
+
+
+def _normal(
+    point: Float[np.ndarray, "3"], view: DepthView, radius_m: float
+) -> Float[np.ndarray, "3"] | None:
+    """Of the plane of least squares through what is measured within the cup's radius.
+
+    It looks at the camera. None where fewer than ten points lie there.
+    """
+    T_cam_eye = frame_on(point, -point / np.linalg.norm(point))
+    patch = patch_of_depth(
+        view.depth_m, view.camera, T_cam_eye, radius_m=radius_m, step_m=radius_m / 8
+    )
+    x, y = np.moveaxis(patch.node_m, -1, 0)
+    inside = np.isfinite(patch.height_m) & (np.hypot(x, y) <= radius_m)
+    if inside.sum() < 10:
+        return None
+    at = np.stack([x[inside], y[inside], np.ones(inside.sum())], axis=-1)
+    slope_x, slope_y, _ = np.linalg.lstsq(at, patch.height_m[inside], rcond=None)[0]
+    normal = T_cam_eye[:3, :3] @ np.array([-slope_x, -slope_y, 1.0])
+    return normal / np.linalg.norm(normal)

@@ -226,6 +226,7 @@ def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
     assert "already renders with llvm_ad_rgb; start another process" in said["refused"]
 
 
+@pytest.mark.slow
 @NEEDS_LLVM
 def test_opening_after_drjit_came_up_without_llvm_says_so():
     program = (

@@ -87,7 +87,7 @@ def test_the_lobe_is_that_of_a_walk_through_the_film(cpu_device, roughness, angl
     """In 12 x 12 cells of the hemisphere without those where the film itself mirrors: 1 %
     and four times the noise of the walk."""
     wi = leaning(angle_deg)
-    above, weight = walked(wi, roughness**2, 2_000_000)
+    above, weight = walked(wi, roughness**2, 1_000_000)
     fine, cells = 480, 12
     z, turn = (np.arange(fine) + 0.5) / fine, 2 * np.pi * (np.arange(fine) + 0.5) / fine
     across = np.sqrt(1 - z * z)[:, None]

@@ -72,9 +72,12 @@ def test_published_weights_give_the_maps_of_the_published_classifier(name):
 @pytest.mark.parametrize(
     ("name", "channels"),
     [
-        ("mobilenet-v3-small", 1), ("mobilenet-v3-small", 5), slow("resnet18", 1), slow("resnet18", 5)
+        ("mobilenet-v3-small", 1),
+        ("mobilenet-v3-small", 5),
+        slow("resnet18", 1),
+        slow("resnet18", 5),
     ],
-)  # fmt: skip
+)
 def test_grey_in_any_number_of_channels_is_answered_as_grey_in_three(name, channels):
     network = classifier(name)
     body = open_backbone(name, channels=channels).eval()

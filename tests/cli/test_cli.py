@@ -304,6 +304,7 @@ def test_the_installed_command_is_this_one_and_states_its_version():
     assert said == f"graycast {__version__}\n"
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
     """As `graycast ... | head -1` is: `head` closes the pipe after its line."""
     read, write = os.pipe()

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from backends import slow
 from plain_decoder import decode_plain
 
 from graycast.camera.decode import DecodeSpec, Mark, Reason, decode
@@ -103,10 +102,7 @@ def test_settled_places_scatter_by_their_sigma():
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [name if "three" in name or name == "micro phase" else slow(name) for name in WEAK_CODES],
-)
+@pytest.mark.parametrize("name", WEAK_CODES)
 def test_the_plain_decoder_settles_the_same(name):
     """Sums in float32 and in float64 differ next to a limit, and in what follows from it."""
     code, frames = weak(name, 90.0)

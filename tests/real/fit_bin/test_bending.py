@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from backends import slow
 from drawn import no_pixels
 from small_cell import shrunk, write_cell
 
@@ -168,7 +167,8 @@ def cell(tmp_path, monkeypatch):
     return path
 
 
-@pytest.mark.parametrize("box", [slow(False), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("box", [False, True])
 def test_the_new_configuration_names_the_bent_mesh_and_sees_what_was_scanned(cell, box, capsys):
     folder = cell.parent
     if box:

@@ -226,6 +226,7 @@ def test_what_comes_next_breaks_off_what_is_being_made(watched):
     watched.assert_finished()
 
 
+@pytest.mark.slow
 def test_a_free_change_on_a_rough_picture_goes_on_with_it(watched):
     watched.show(seed=6)
     lit = watched.line._lit

@@ -283,6 +283,7 @@ def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(
     assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(children, tmp_path):
     with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
         prepare(

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from matplotlib import colormaps
+from matplotlib.figure import Figure
+from PIL import Image
 from scipy.spatial import cKDTree
 
 
@@ -20,6 +22,18 @@ def drawn_by(module):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "save_png", save)
         yield figures
+
+
+@contextmanager
+def no_pixels():
+    """Figures are made, and one black pixel is written: for tests of the files beside pictures."""
+
+    def write(figure, file, **how):
+        Image.new("L", (1, 1)).save(file, format="PNG")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", write)
+        yield
 
 
 def axes_of(figure):

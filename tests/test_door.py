@@ -75,6 +75,7 @@ def test_a_shot_is_one_line(made):
     assert re.fullmatch(r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% decoded\)", str(made[1]))
 
 
+@pytest.mark.slow
 def test_python_runs_the_package():
     command = [sys.executable, "-m", "graycast", "--version"]
     told = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -17,6 +17,7 @@ PAGE = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
     """On a small cell in the place of the demo: the scene that `generate` makes."""
     assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) < 10

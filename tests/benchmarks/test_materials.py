@@ -23,6 +23,7 @@ def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
     assert figures["error_over_sigma"] == pytest.approx(np.median(ratios) / 0.6745)
 
 
+@pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
     """The preset's pictures have those of the scanner without guards among them."""
     scanners = _scanners("phoxi-m", preset("phoxi-m", "small"))

@@ -35,6 +35,7 @@ def test_a_childs_time_and_memory_count(worker):
     assert 80e6 < children_peak_rss_bytes() < 400e6
 
 
+@pytest.mark.slow
 def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
     """A process of 600 MB has ended: its memory was left out, and a small parent's was stated."""
     words = "x = bytearray(600_000_000); x[::4096] = x[::4096]"

@@ -34,7 +34,7 @@ def returns(measured, spec):
     ],
 )
 def test_photon_transfer_returns_the_parameters_that_went_in(spec):
-    measured = photon_transfer(spec, seed=1)
+    measured = photon_transfer(spec, seed=1, side_px=128)
     assert returns(measured, spec)
     assert abs(measured.dark_current_e_s / spec.dark_current_e_s - 1) < 0.05
     assert abs(measured.offset_dn - spec.offset_dn) < 0.1

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import slow
 from scipy import ndimage
 
 from graycast.base.frames import pixel_grid, transform_points
@@ -22,7 +23,7 @@ PATCH_PX = 16  # the other place and its share are the same within a patch
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 
 
-@pytest.fixture(scope="module", params=["phoxi-s", "phoxi-m", "phoxi-l"])
+@pytest.fixture(scope="module", params=[slow("phoxi-s"), "phoxi-m", slow("phoxi-l")])
 def scanner(request):
     """A window of the preset's picture."""
     whole = preset(request.param, "small")

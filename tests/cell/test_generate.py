@@ -81,6 +81,7 @@ def test_what_is_made_is_a_sound_dataset(undisturbed):
     assert finished(undisturbed) == 3
 
 
+@pytest.mark.slow
 def test_the_same_command_in_another_folder_gives_the_same_files(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=3)
     assert content(tmp_path / "out") == content(undisturbed)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 import yaml
 from camera.stack import simulated
-from drawn import axes_of, drawn_by, lines_of, shares_of
+from drawn import axes_of, drawn_by, lines_of, no_pixels, shares_of
 from matplotlib.colors import to_rgb
 from PIL import Image
 from real.calibrate.test_calibrate import (  # noqa: F401 (fixtures)
@@ -53,7 +53,7 @@ def decoded(tmp_path_factory):
     stack = simulated.save(folder, simulated.describe(code), simulated.shoot(rig, code))
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     out = folder / "out"
-    with drawn_by(stack_sheet) as figures:
+    with no_pixels(), drawn_by(stack_sheet) as figures:
         words = ["rig", "decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
         assert main(words) == 0
     return rig, folder, out, *figures
@@ -127,8 +127,9 @@ def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path,
 
 def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
     _, folder, out, _ = decoded
-    printed = run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
-                  "--average", "--out", tmp_path)  # fmt: skip
+    with no_pixels():
+        printed = run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
+                      "--average", "--out", tmp_path)  # fmt: skip
     assert "epipolar residual" in printed
     averaged = len(trimesh.load(tmp_path / "cloud.ply").vertices)
     codes = np.load(out / "code.npz")
@@ -141,8 +142,9 @@ def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
     faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0))
     save_scanner(faulty, tmp_path / "rig.yaml")
-    run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
-        "--out", tmp_path / "out")  # fmt: skip
+    with no_pixels():
+        run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+            "--out", tmp_path / "out")  # fmt: skip
     for name in ("depth.npy", "sigma_depth.npy", "cloud.ply"):
         assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
@@ -166,7 +168,7 @@ def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
     made = tmp_path / "measured"
-    with drawn_by(depth_curves) as figures:
+    with no_pixels(), drawn_by(depth_curves) as figures:
         printed = run(
             capsys, "real", "measure", out / "depth.npy", "--intrinsics", K, "--out", made
         )

@@ -12,11 +12,19 @@ from graycast.dataset.plain_scene import transform_of
 JAWS = {"kind": "jaws", "jaws": {"opening_m": 0.06}}
 
 
+@pytest.fixture(scope="module")
+def copy(dataset, tmp_path_factory):
+    return shutil.copytree(dataset, tmp_path_factory.mktemp("labelled") / "out")
+
+
 @pytest.fixture
-def labelled(dataset, tmp_path):
-    """A copy with one label on every instance of scene 3, in the middle of its model's top."""
-    out = tmp_path / "out"
-    shutil.copytree(dataset, out)
+def labelled(copy):
+    """A copy with one label on every instance of scene 3, in the middle of its model's top.
+
+    The tests change nothing but the labels.
+    """
+    out = copy
+    shutil.rmtree(out / "grasps", ignore_errors=True)
     told = json.loads((out / "graycast.json").read_bytes())
     write(out, "grasps.json", claim(told["fingerprint"]))
     infos = json.loads((out / "models/models_info.json").read_bytes())

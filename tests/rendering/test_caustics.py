@@ -251,10 +251,10 @@ def test_a_matt_room_is_the_same_from_both_sides(mitsuba_renderer, monkeypatch):
     stays.
     """
     scene = room(CAMERA, PROJECTOR, lambert(0.7))
-    plain = pictures(mitsuba_renderer, scene, samples=512, seeds=range(8))
+    plain = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
     monkeypatch.setattr("graycast.rendering.mitsuba_scene._is_shiny", lambda material: True)
     mitsuba_renderer.close()  # so that the world is built again
-    both = pictures(mitsuba_renderer, scene, samples=512, seeds=range(8))
+    both = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
     mitsuba_renderer.close()
     assert not np.array_equal(plain, both)
     assert np.abs(z_of(plain.sum(axis=(2, 3)), both.sum(axis=(2, 3)))).max() < 4
@@ -308,6 +308,7 @@ def test_one_seed_gives_one_picture(mitsuba_renderer):
     assert not np.array_equal(a, pictures(mitsuba_renderer, scene, samples=64, seeds=[4]))
 
 
+@pytest.mark.slow
 def test_a_mirror_s_light_has_a_hundredth_of_the_variance(mitsuba_renderer, from_the_camera_alone):
     """At roughness 0.1, paths from the camera find the strip's light by chance."""
 
@@ -322,6 +323,7 @@ def test_a_mirror_s_light_has_a_hundredth_of_the_variance(mitsuba_renderer, from
     assert both < 0.01 * variance()
 
 
+@pytest.mark.slow
 def test_stray_light_of_caustics_is_in_the_path_noise(mitsuba_renderer):
     """The stated deviation is that of many renderings, where a caustic lies on lit wall."""
     pattern = plain_pattern(RIG, 0)

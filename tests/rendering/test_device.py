@@ -210,6 +210,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 @NEEDS_LLVM
 def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
     """With LLVM 15 these two abort the process (AVX-512); sums by hand for n = 1000 around 500."""
@@ -226,6 +227,7 @@ def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
     assert "already renders with llvm_ad_rgb; start another process" in said["refused"]
 
 
+@pytest.mark.slow
 @NEEDS_LLVM
 def test_opening_after_drjit_came_up_without_llvm_says_so():
     program = (

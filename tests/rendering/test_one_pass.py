@@ -141,12 +141,7 @@ def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any(mitsuba_rend
         assert abs(images[a].mean() / images[b].mean() - 1) < 0.053
 
 
-def test_the_footprint_leaves_direct_light_alone_and_keeps_the_sum_of_a_reflection(
-    mitsuba_renderer,
-):
-    """One wall is lit by stripes, the other sees it alone: the stripes' reflection is blurred,
-    by which its mean brightness may not change.
-    """
+def test_the_footprint_leaves_direct_light_alone(mitsuba_renderer):
     rig = askew_rig()
     flat = in_camera(rig, leaning_wall([0.2, 0.1, 1.0], 0.8, lambert(0.7)))
     stripes = np.zeros((1, 48, 64), dtype=np.uint8)
@@ -163,6 +158,12 @@ def test_the_footprint_leaves_direct_light_alone_and_keeps_the_sum_of_a_reflecti
     ]
     assert np.array_equal(*direct)
 
+
+@pytest.mark.slow
+def test_the_footprint_keeps_the_sum_of_a_reflection(mitsuba_renderer):
+    """One wall is lit by stripes, the other sees it alone: the stripes' reflection is blurred,
+    by which its mean brightness may not change.
+    """
     scene, layout = corner_scene()
     stripes = np.zeros((1, 36, 48), dtype=np.uint8)
     stripes[:, :, 1::2] = 255

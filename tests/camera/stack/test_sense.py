@@ -67,7 +67,7 @@ def test_a_wrong_sense_or_origin_is_named_with_the_right_one(code, sign, by, tmp
     assert any(ways in warning for warning in result.warnings)
 
 
-@pytest.mark.parametrize("code", [FOUR, THREE, EIGHT, LINE])
+@pytest.mark.parametrize("code", [slow(FOUR), THREE, slow(EIGHT), LINE])
 def test_phases_that_run_as_they_should_are_not_warned_of(code, tmp_path):
     for k, look in enumerate((HARD, Look(gain=0.4, read_dn=3.0, blur_px=1.0))):
         folder = tmp_path / str(k)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from backends import slow
 from PIL import Image
 
 from graycast.base.errors import DecodeError
@@ -55,7 +56,7 @@ def decoded(tmp_path, content):
     return decode_stack(path)
 
 
-@pytest.mark.parametrize("complementary", [False, True])
+@pytest.mark.parametrize("complementary", [slow(False), True])
 def test_the_author_s_places_are_found(kamino, complementary, tmp_path):
     """He gives places modulo 256, columns in blue and rows in green, where red is 128. A
     complementary bit of 200 px is another statement of the finest bit, so it is no less right.

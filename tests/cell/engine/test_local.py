@@ -75,6 +75,7 @@ def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
     assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)
 
 
+@pytest.mark.slow
 def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
     """Before it, Python starts a process of its own, and lets Ctrl-C through again."""
     program = (
@@ -89,6 +90,7 @@ def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
     assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), told.stderr
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_waiting():
     pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=1, threads=1), []
     try:

@@ -43,16 +43,21 @@ def test_every_format_says_what_it_holds_and_reports_each_scene(master, samples,
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FORMATS)
 
 
-@pytest.mark.parametrize("form", list(FORMATS))
-def test_a_truncated_picture_is_named_and_nothing_is_left(master, tmp_path, form):
-    if form == "parquet":
-        pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
-    copy = shutil.copytree(master, tmp_path / "copy")
+@pytest.fixture(scope="module")
+def truncated(master, tmp_path_factory):
+    copy = shutil.copytree(master, tmp_path_factory.mktemp("truncated") / "copy")
     picture = copy / "train" / "000003" / "rgb" / "000000.png"
     picture.write_bytes(picture.read_bytes()[:-200])
+    return copy
+
+
+@pytest.mark.parametrize("form", list(FORMATS))
+def test_a_truncated_picture_is_named_and_nothing_is_left(truncated, tmp_path, form):
+    if form == "parquet":
+        pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
     with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
-        export(copy, tmp_path / "out", Options(format=form))
-    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+        export(truncated, tmp_path / "out", Options(format=form))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_missing_or_contradicting_labels_are_told(master, tmp_path):

@@ -161,6 +161,7 @@ def test_clouds_and_other_folders_are_no_examples(exported, tmp_path, master):
         open_examples(empty)
 
 
+@pytest.mark.slow
 def test_a_dataset_and_its_exports_are_read_alike_where_little_is_installed(
     master, exported, tmp_path
 ):

@@ -7,6 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
+from backends import slow
+
 from graycast.base.errors import GraycastError
 from graycast.learn.detect.network import Network, NetworkOutput
 from graycast.learn.detect.networks import MODELS, network_class
@@ -24,6 +26,7 @@ BACKBONES = {
 LIBRARIES = {"yolov7": "libreyolo", "rf-detr": "rfdetr"}
 SIZE_PX = (64, 96)
 EVERY = pytest.mark.parametrize("model", MODELS)
+FIRST = pytest.mark.parametrize("model", [m if m == "yolov3" else slow(m) for m in MODELS])
 # rfdetr imports libraries that warn of what they will stop to offer.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::FutureWarning"),
@@ -119,7 +122,7 @@ def test_nothing_found_has_the_form_too(model, ready):
         assert found.mask is None or found.mask.shape == (0, *SIZE_PX)
 
 
-@EVERY
+@FIRST
 def test_one_seed_gives_one_network_and_one_loss(model):
     images, targets = pictures()
     first, second = opened(model, seed=3), opened(model, seed=3)
@@ -153,7 +156,7 @@ def test_pictures_without_parts_teach_that_there_is_nothing(model):
         assert any(slope.any() for slope in slopes)
 
 
-@EVERY
+@FIRST
 def test_saved_weights_find_the_same(model, ready, tmp_path):
     first, second = ready(model), opened(model, seed=9).eval()
     torch.save(first.state_dict(), tmp_path / "weights.pt")
@@ -172,8 +175,7 @@ def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
     network = opened(model).eval()
     if model == "solov2":  # fresh, it is so sure of nothing that single precision hides the law
         torch.nn.init.zeros_(network.judges[-1].bias)
-    images, targets = pictures()
-    first = targets[0]
+    images, (first, _) = pictures()
     assert len(first.label) == 3
     hidden = torch.tensor([False, True, False])
     one = replace(first, ignored=hidden)
@@ -185,9 +187,7 @@ def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
         mask=first.mask[~hidden],
         ignored=first.ignored[~hidden],
     )
-    values = [
-        total(network, images, [target, targets[1]])[1] for target in (one, other, without, first)
-    ]
+    values = [total(network, images[:1], [target])[1] for target in (one, other, without, first)]
     for name in values[0]:
         ignored, relabelled, unlabelled, _ = (float(v[name].detach()) for v in values)
         assert ignored == relabelled
@@ -201,8 +201,8 @@ def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
         assert ignored < unlabelled
 
 
-@pytest.mark.parametrize("channels", [pytest.param(1, marks=pytest.mark.slow), 4])
-@EVERY
+@pytest.mark.parametrize("channels", [slow(1), 4])
+@FIRST
 def test_every_channel_of_a_picture_is_seen(model, channels):
     network = opened(model, channels=channels).eval()
     images, targets = pictures(channels=channels)

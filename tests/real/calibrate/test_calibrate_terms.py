@@ -88,6 +88,7 @@ def test_terms_that_a_long_lens_does_not_show_are_left_out_and_told(seed):
     assert np.abs(away - true).max() < 2.0  # at the picture's corners
 
 
+@pytest.mark.slow
 def test_terms_that_a_wide_lens_shows_are_kept():
     camera = projector = lens(750.0, (-0.21, 0.13, -0.0009, 0.0012, -0.04))
     fit = adjust(
@@ -100,6 +101,7 @@ def test_terms_that_a_wide_lens_shows_are_kept():
             assert off < 5 * fit.deviation[f"camera.{name}"]
 
 
+@pytest.mark.slow
 def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
     """The code is a hundred times finer than the corners: it knows how the devices stand.
 

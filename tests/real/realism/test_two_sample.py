@@ -88,6 +88,7 @@ def test_the_same_seed_gives_the_same_table():
     assert tests[0].row == tests[1].row
 
 
+@pytest.mark.slow
 def test_files_in_coarse_steps_are_not_what_gives_a_set_away(monkeypatch):
     """Both sets are brought to the coarser step first."""
     monkeypatch.setattr(patches, "_DRAWS", 200)  # all that there is is the floor

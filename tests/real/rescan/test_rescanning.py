@@ -280,9 +280,8 @@ def test_a_source_is_sent_to_workers(made):
     ],
 )
 def test_validate_finds_what_was_changed(made, tmp_path, file, damage, words):
-    _, split, _ = made
-    out = tmp_path / "out"
-    rescan(open_source(split), RIG, out, spec(images=2))
+    root, _, _ = made
+    out = shutil.copytree(root / "out", tmp_path / "out", symlinks=True)
     assert validate(out) == () == validate(out, fast=True)
     path = out / "train_pbr/000000" / file
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

@@ -21,8 +21,13 @@ from stage import centred, in_camera, lambert, make_rig, plain_pattern, wall
 from graycast.world.scene import Quad, Sphere
 
 
-@pytest.mark.parametrize("z_m", [0.35, slow(0.5), slow(0.8), 1.5])
-@pytest.mark.parametrize("device", ["camera", "projector"])
+@pytest.mark.parametrize(
+    ("device", "z_m"),
+    [
+        ("camera", 0.35), slow("camera", 0.5), slow("camera", 0.8), slow("camera", 1.5),
+        slow("projector", 0.35), slow("projector", 0.5), slow("projector", 0.8), ("projector", 1.5),
+    ],
+)  # fmt: skip
 def test_an_edge_spreads_by_half_the_radius_of_the_thin_lens(path_tracer, device, z_m):
     """The line spread of a disc of radius R has the standard deviation R / 2. R by similar
     triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, apart by

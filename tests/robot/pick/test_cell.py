@@ -115,6 +115,7 @@ def test_a_detector_of_one_class_serves_where_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts
 ):
     """With one part its class is that part; with two it is none of them, which needs `depth`."""
+    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is looked for
     detect = SimpleNamespace(load_detector=lambda path: OneClass())  # without PyTorch
     monkeypatch.setitem(sys.modules, "graycast.learn.detect", detect)
     (tmp_path / "run").mkdir()

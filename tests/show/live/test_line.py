@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from backends import slow
 from small_cell import write_cell
 
 from graycast.cell.config import Config, load_config
@@ -150,8 +151,8 @@ def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sec
     [
         {"exposure": {"target": 0.3, "factors": [1.0, 0.25]}},
         {"sensor": {"read_noise_e": 12.0, "bit_depth": 10}},
-        {"decode": {"min_contrast": 0.1}, "filters": {"island_px": 20, "smoothing_px": 0.5}},
-        {"faults": {"raster_px": 0.3, "raster_limit_m": 0.0005}},
+        slow({"decode": {"min_contrast": 0.1}, "filters": {"island_px": 20, "smoothing_px": 0.5}}),
+        slow({"faults": {"raster_px": 0.3, "raster_limit_m": 0.0005}}),
     ],
 )
 def test_a_free_change_is_measured_again_without_rendering(watched, sections):
@@ -225,6 +226,7 @@ def test_what_comes_next_breaks_off_what_is_being_made(watched):
     watched.assert_finished()
 
 
+@pytest.mark.slow
 def test_a_free_change_on_a_rough_picture_goes_on_with_it(watched):
     watched.show(seed=6)
     lit = watched.line._lit

@@ -24,7 +24,8 @@ from graycast.show.live.session import Session
 
 
 @pytest.fixture
-def server(tmp_path):
+def server(tmp_path, monkeypatch):
+    monkeypatch.setattr("graycast.show.live.server._BEAT_S", 0.01)  # it is asked to end after each
     with serve(write_cell(tmp_path), port=0, scene_id=0, device="cpu") as running:
         yield running
 

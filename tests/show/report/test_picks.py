@@ -150,9 +150,9 @@ def test_the_page_holds_the_bins_and_is_made_anew_where_they_change(copied, tmp_
 def test_the_film_lasts_as_long_as_the_motion(picks, tmp_path):
     """Law: the pictures' times add up to the motions, at the speed asked for, and the outcomes."""
     count = write_film(
-        picks, 0, tmp_path / "bin.gif", cell_folder=picks.parent, speed=6.0, width_px=280
+        picks, 0, tmp_path / "bin.gif", cell_folder=picks.parent, speed=12.0, width_px=280
     )
-    moving_s = 2 * STEP_S * (STEPS - 1) / 6.0
+    moving_s = 2 * STEP_S * (STEPS - 1) / 12.0
     with Image.open(tmp_path / "bin.gif") as gif:
         assert gif.size == (280, 210 + 26)
         lasts_ms, inks = 0, set()

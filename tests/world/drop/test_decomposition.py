@@ -275,6 +275,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
     assert len(list((tmp_path / "cache").iterdir())) == 4 and len(children) == 3
 
 
+@pytest.mark.slow
 def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(children, tmp_path):
     parts = [box_part((0.04, 0.05, 0.06)), *map(zoo_part, ("washer", "nut", "hex_bolt"))]
 
@@ -288,6 +289,7 @@ def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(
     assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(children, tmp_path):
     with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
         prepare(

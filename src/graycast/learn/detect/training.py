@@ -121,7 +121,7 @@ def train(
             or the disk is full.
     """
     device = choose_device(spec.device)
-    train_sets, val_sets = (
+    train_sets, val_sets = (  # of exports, those into which they were divided
         [sets_of(Path(folder), split, spec.split)[0][0] for folder in datasets]
         for split in ("train", "val")
     )

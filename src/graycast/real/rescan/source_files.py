@@ -7,11 +7,10 @@ from typing import Any, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
-from ...dataset.safe_reading import Unreadable, read_json
+from ...dataset.safe_reading import Form, Unreadable, read_json
 from ...rig.optics import Optics, optics_of
 from ...world.parts import Material, Part
 from ..depth_file import in_metres, read_image
@@ -21,7 +20,7 @@ from .source import SourceImage
 REPAIR = "repair the file, or download it again"
 _ROUNDED = 2e-3  # Files with three digits have rotations that are off by half of it.
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 
 @final
@@ -48,7 +47,7 @@ class FileSource:
         return self.image_of(scene_id, image_id)
 
 
-def record_of(path: Path, form: type[R]) -> R:
+def record_of(path: Path, form: Form[R]) -> R:
     """A JSON file as the record that it must be, or a DatasetError."""
     try:
         return read_json(path, form)

@@ -161,14 +161,11 @@ class Options:
             known = {"depth": "perfect", "depth_sl": "scanner"}
             settings["depth"] = next((known[n] for n in known if n in holds), "none")
         if self.format in ("coco", "yolo"):
-            if "masks" not in holds:
-                raise GraycastError(
-                    f"{stored.folder}: has no masks, which the format {self.format} needs"
-                )
-            if settings["image"] is None:
-                raise GraycastError(
-                    f"{stored.folder}: has no pictures, which the format {self.format} needs"
-                )
+            for what, there in (("masks", "masks" in holds), ("pictures", settings["image"])):
+                if not there:
+                    raise GraycastError(
+                        f"{stored.folder}: has no {what}, which the format {self.format} needs"
+                    )
         return replace(self, **settings)
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:

@@ -85,11 +85,8 @@ def rig_for(room: Bin) -> tuple[str, bool]:
     Returns:
         Its name, and whether it does; otherwise it is the rig with the largest field.
     """
-    for name in RIGS:
-        rig = preset(name).rig
-        if _sees(rig, room):
-            return name, True
-    return RIGS[-1], False
+    fit = next((name for name in RIGS if _sees(preset(name).rig, room)), None)
+    return fit or RIGS[-1], fit is not None
 
 
 def _sees(rig: Rig, room: Bin) -> bool:

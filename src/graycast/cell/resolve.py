@@ -273,16 +273,12 @@ def reach_m(cell: Cell) -> float:
     It covers the rig's working range and the deepest corner of the bin for every pose of the
     rig that the domain allows. Only the table, which is infinite, lies deeper.
     """
-    return max(
-        max(scene.rig.far_m, deepest_m(cell.config.domain, scene)) for scene in _farthest(cell)
-    )
-
-
-def _farthest(cell: Cell) -> Iterator[Scene]:
-    """The cell's scene before each scanner, from where it may see the bin the deepest."""
+    depths_m = []
     for station, poses in _stations(cell, farthest):
         rig = cell.scanners[station][1].rig
-        yield from (replace(cell.scene, rig=rig, T_world_cam=T) for T in poses)
+        scenes = (replace(cell.scene, rig=rig, T_world_cam=T) for T in poses)
+        depths_m += [rig.far_m, *(deepest_m(cell.config.domain, scene) for scene in scenes)]
+    return max(depths_m)
 
 
 def open_cell_renderer(

@@ -350,10 +350,10 @@ def _parts(options: argparse.Namespace) -> int:
 
     if options.config is None:
         parts = tuple(builtin_part(name) for name in BUILTIN)
-        print(describe_parts(parts))
     else:
         parts = cell_of(options).scene.parts
-        print(describe_parts(parts))
+    print(describe_parts(parts))
+    if options.config is not None:
         _describe_hulls(parts)
     if options.out is not None:
         from ..rendering import open_renderer

@@ -25,7 +25,7 @@ from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
 
-_Problem = tuple[int | None, str]  # They are scene, if it is of one, and what is wrong.
+_Finding = tuple[int | None, str]  # The scene, None for the whole dataset, and what is wrong.
 _MODEL_MM = 1e-3  # A PLY has nine digits, which are read back in single precision.
 
 
@@ -64,7 +64,7 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
     return tuple(Problem(scene=scene, what=what) for scene, what in _problems(Path(out), fast=fast))
 
 
-def _problems(out: Path, *, fast: bool) -> Iterator[_Problem]:
+def _problems(out: Path, *, fast: bool) -> Iterator[_Finding]:
     if is_rescanned(out):
         yield from rescan_problems(out, fast=fast)
         return
@@ -108,11 +108,11 @@ def _problems(out: Path, *, fast: bool) -> Iterator[_Problem]:
     yield from _of_dataset(grasp_problems(out, claim.fingerprint, models))
 
 
-def _of_dataset(problems: Iterable[str]) -> Iterator[_Problem]:
+def _of_dataset(problems: Iterable[str]) -> Iterator[_Finding]:
     return ((None, what) for what in problems)
 
 
-def _sum_problems(out: Path, finished: Iterable[int]) -> Iterator[_Problem]:
+def _sum_problems(out: Path, finished: Iterable[int]) -> Iterator[_Finding]:
     """Files that are not what was written."""
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"

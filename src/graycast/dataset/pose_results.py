@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from ..base.errors import GraycastError
 from ..base.frames import is_rigid, rigid
+from .records import MM_PER_M
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 ROTATION_TOLERANCE = 1e-3  # R's entries may be off by this, since files hold few digits.
-_MM_PER_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ def pose_results_text(estimates: Sequence[PoseEstimate]) -> str:
     writer.writerow(HEADER)
     for one in estimates:
         R = " ".join(repr(float(x)) for x in one.T_cam_part[:3, :3].ravel())
-        t = " ".join(repr(float(x) * _MM_PER_M) for x in one.T_cam_part[:3, 3])
+        t = " ".join(repr(float(x) * MM_PER_M) for x in one.T_cam_part[:3, 3])
         row = [one.scene_id, one.im_id, one.obj_id, repr(float(one.score)), R, t]
         writer.writerow([*row, repr(float(one.time_s))])
     return text.getvalue()
@@ -95,7 +95,7 @@ def _estimate(row: list[str], where: str) -> PoseEstimate:
             f"{where}: time is {time_s}; give seconds, or -1 if the time is not known"
         )
     R = np.array(_numbers(cell["R"], 9, f"{where}: R")).reshape(3, 3)
-    t_m = np.array(_numbers(cell["t"], 3, f"{where}: t")) / _MM_PER_M
+    t_m = np.array(_numbers(cell["t"], 3, f"{where}: t")) / MM_PER_M
     T = rigid(R, t_m)
     if not is_rigid(T, ROTATION_TOLERANCE):
         raise GraycastError(

@@ -76,9 +76,9 @@ class Store:
             DatasetError: the disk refuses, or the scene is there already.
         """
         place = self.out / "train" / f"{scene_id:06d}"
-        if place.exists():  # nobody else writes: the folder is locked
-            raise DatasetError(f"{place} exists already: remove it to make it again")
         with _disk_errors(self.out), beside(place) as aside:
+            if place.exists():  # nobody else writes: the folder is locked
+                raise DatasetError(f"{place} exists already: remove it to make it again")
             aside.mkdir()
             for taker in self.takers:
                 for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):

@@ -77,7 +77,7 @@ FORMATS: Mapping[str, Format] = {
     )
 }  # fmt: skip
 _PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
-_DEPTHS = {
+DEPTHS = {
     "perfect": ("depth",), "scanner": ("depth_sl",), "both": ("depth", "depth_sl"), "none": ()
 }  # fmt: skip
 
@@ -156,19 +156,16 @@ class Options:
         if "image" in settings and _PICTURE[settings["image"]] not in holds:
             self._refuse("image", settings["image"], stored)
             settings["image"] = "gray" if "gray_sl" in holds else None
-        if not set(_DEPTHS[settings.get("depth", "none")]) <= holds:
+        if not set(DEPTHS[settings.get("depth", "none")]) <= holds:
             self._refuse("depth", settings["depth"], stored)
             known = {"depth": "perfect", "depth_sl": "scanner"}
             settings["depth"] = next((known[n] for n in known if n in holds), "none")
         if self.format in ("coco", "yolo"):
-            if "masks" not in holds:
-                raise GraycastError(
-                    f"{stored.folder}: has no masks, which the format {self.format} needs"
-                )
-            if settings["image"] is None:
-                raise GraycastError(
-                    f"{stored.folder}: has no pictures, which the format {self.format} needs"
-                )
+            for what, there in (("masks", "masks" in holds), ("pictures", settings["image"])):
+                if not there:
+                    raise GraycastError(
+                        f"{stored.folder}: has no {what}, which the format {self.format} needs"
+                    )
         return replace(self, **settings)
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
@@ -189,7 +186,7 @@ class Options:
     @property
     def depths(self) -> tuple[str, ...]:
         """The folders of the dataset's depth pictures."""
-        return _DEPTHS[self.depth or "none"]
+        return DEPTHS[self.depth or "none"]
 
 
 def settled(value: Value | None) -> Value:

@@ -29,10 +29,6 @@ def draw_statistics(statistics: Statistics, path: Path) -> None:
     save_png(figure, path, dpi=120)
 
 
-def _color(k: int) -> str:
-    return _CLASS_COLORS[k % len(_CLASS_COLORS)]
-
-
 def _counts(ax: Axes, s: Statistics) -> None:
     ax.bar(list(s.instances), list(s.instances.values()), width=0.9, color=ACCENT)
     ax.set_xlim(min(s.instances) - 3, max(s.instances) + 3)
@@ -45,8 +41,8 @@ def _counts(ax: Axes, s: Statistics) -> None:
 def _stacked(ax: Axes, edges: np.ndarray, counts: list[np.ndarray], names: list[str]) -> None:
     base = np.zeros(len(edges) - 1)
     for k, (count, name) in enumerate(zip(counts, names, strict=True)):
-        width = np.diff(edges)
-        ax.bar(edges[:-1], count, width, bottom=base, align="edge", color=_color(k), label=name)
+        width, color = np.diff(edges), _CLASS_COLORS[k % len(_CLASS_COLORS)]
+        ax.bar(edges[:-1], count, width, bottom=base, align="edge", color=color, label=name)
         base = base + count
     if 1 < len(names) <= 6:
         ax.legend(fontsize=7, frameon=False)

@@ -26,17 +26,15 @@ def picture(data: bytes, name: str) -> np.ndarray:
         raise DatasetError(f"{error}: export again") from error
 
 
-def image_fields(kind: str, data: bytes, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
+def image_fields(kind: str, image: np.ndarray, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
     """The picture as the field of an `Example` that its kind, rgb or gray, belongs to."""
-    image = picture(data, name)
     if (image.ndim == 3) != (kind == "rgb") or image.dtype != np.uint8:
         raise DatasetError(f"{name}: is {image.dtype} {image.shape}, not 8-bit {kind}")
     return {kind: np.ascontiguousarray(image[..., ::-1]) if kind == "rgb" else image}
 
 
-def depth_m(data: bytes, scale_mm: float, name: str) -> Float32[np.ndarray, "h w"]:
+def depth_m(steps: np.ndarray, scale_mm: float, name: str) -> Float32[np.ndarray, "h w"]:
     """A 16-bit depth picture in metres."""
-    steps = picture(data, name)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise DatasetError(
             f"{name}: is {steps.dtype} {steps.shape}, but depth must have one channel of 16 bits"

@@ -11,7 +11,7 @@ from ...base.errors import DatasetError
 from ..example import Example
 from ..export.parquet import schema  # says what to install where pyarrow is missing
 from ..export.record import ExportRecord
-from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks
+from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks, picture
 
 # Where it is missing, `export.parquet` has raised before this.
 # isort: split
@@ -59,10 +59,11 @@ def _example(
     fields: dict[str, Any] = {}
     for kind in ("rgb", "gray"):
         if line[kind] is not None:
-            fields |= image_fields(kind, line[kind]["bytes"], name)
+            fields |= image_fields(kind, picture(line[kind]["bytes"], name), name)
     for column, field in DEPTH_FIELDS.items():
         if line[column] is not None:
-            fields[field] = depth_m(line[column]["bytes"], line["depth_scale"], name)
+            steps = picture(line[column]["bytes"], name)
+            fields[field] = depth_m(steps, line["depth_scale"], name)
     for column, (field, dtype, shape) in _LABELS.items():
         if line[column] is not None:
             fields[field] = np.array(line[column], dtype).reshape(shape)

@@ -12,6 +12,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ..example import Example, pose_m
+from ..export.options import DEPTHS
 from ..export.record import ExportRecord
 from ..safe_reading import Unreadable, read_png
 from .from_bytes import DEPTH_FIELDS, boxes, compressed, depth_m, image_fields, masks
@@ -103,24 +104,16 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
     """The picture and the depths that an export holds."""
-    depths = {"both": ("depth", "depth_sl"), "perfect": ("depth",), "scanner": ("depth_sl",)}
-    fields: dict[str, Any] = {}
     image = folder / "images" / name
-    fields |= image_fields(record.options["image"], _bytes(image), str(image))
-    for depth in depths.get(record.options.get("depth", "none"), ()):
+    fields: dict[str, Any] = image_fields(record.options["image"], _read(image), str(image))
+    for depth in DEPTHS[record.options.get("depth", "none")]:
         path = folder / depth / name
-        fields[DEPTH_FIELDS[depth]] = depth_m(_bytes(path), scale_mm, str(path))
+        fields[DEPTH_FIELDS[depth]] = depth_m(_read(path), scale_mm, str(path))
     return fields
 
 
-def _bytes(path: Path) -> bytes:
-    """A PNG that is whole.
-
-    Raises:
-        DatasetError: it is missing or cut off.
-    """
+def _read(path: Path) -> np.ndarray:
     try:
-        read_png(path)
+        return read_png(path)
     except Unreadable as error:
         raise DatasetError(f"{path.parent.parent}: {error}: export again") from error
-    return path.read_bytes()

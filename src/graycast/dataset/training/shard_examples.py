@@ -14,7 +14,7 @@ from ...base.file_limits import parse_json
 from ..example import Example, metres, pose_m
 from ..export.placing import bop_key
 from ..export.record import ExportRecord
-from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks
+from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks, picture
 
 Files = Mapping[str, bytes]
 Place = tuple[Path, int, int]  # They are file, offset and length of a member.
@@ -74,10 +74,11 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
     fields: dict[str, Any] = {}
     for kind, ending in (("rgb", "rgb.png"), ("gray", "gray.tiff")):
         if ending in files:
-            fields |= image_fields(kind, files[ending], name)
+            fields |= image_fields(kind, picture(files[ending], name), name)
     if "depth.png" in files:
         field = DEPTH_FIELDS["depth_sl" if record.options["depth"] == "scanner" else "depth"]
-        fields[field] = depth_m(files["depth.png"], camera["depth_scale"], name)
+        steps = picture(files["depth.png"], name)
+        fields[field] = depth_m(steps, camera["depth_scale"], name)
     K = np.array(camera["cam_K"], float).reshape(3, 3)
     if record.options.get("pixel_origin") == "corner":
         K[:2, 2] -= 0.5
@@ -112,7 +113,7 @@ def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
     fields: dict[str, Any] = {}
     for kind in ("rgb", "gray"):
         if f"{kind}.png" in files:
-            fields |= image_fields(kind, files[f"{kind}.png"], name)
+            fields |= image_fields(kind, picture(files[f"{kind}.png"], name), name)
     for ending, field in DEPTH_FIELDS.items():
         if f"{ending}.npy" in files:
             fields[field] = metres(_npy(files[f"{ending}.npy"]), info["depth_scale"])

@@ -17,7 +17,7 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from pydantic import BaseModel, ConfigDict, RootModel
+from pydantic import BaseModel, ConfigDict
 
 from ...base.errors import ConfigError, DatasetError
 from ...base.frames import UNITS_M
@@ -76,10 +76,6 @@ class _ModelInfo(BaseModel):
     symmetries_continuous: list[Continuous] = []
 
 
-class _ModelsInfo(RootModel[dict[Count, _ModelInfo]]):
-    pass
-
-
 def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
     """The models of a dataset in BOP's form, none of them read yet.
 
@@ -103,7 +99,7 @@ def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
         raise DatasetError(f"{models}: has no models obj_000001.ply and so on: {_REMEDY}")
     infos: Mapping[int, _ModelInfo] = {}
     if (models / "models_info.json").is_file():
-        infos = record_of(models / "models_info.json", _ModelsInfo).root
+        infos = record_of(models / "models_info.json", dict[Count, _ModelInfo])
     names = _own_names(root)
     return {
         i: _bop_model(path, infos.get(i, _ModelInfo()), names.get(i)) for i, path in files.items()

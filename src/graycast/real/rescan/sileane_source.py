@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import BaseModel, ConfigDict, Field
 
 from ...base.errors import DatasetError
 from ...base.frames import inverse, rigid, rotation_from_quaternion
@@ -74,10 +74,6 @@ class _Parameter(_Record):
 class _Pose(BaseModel):
     R: Annotated[list[Vector], Field(min_length=3, max_length=3)]
     t: Vector
-
-
-class _Poses(RootModel[list[_Pose]]):
-    pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +127,7 @@ def _rgb_of_sileane(depth: Path) -> Path:
 
 def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
     file = depth.parents[1] / "gt" / f"{depth.stem}.json"
-    stored = enumerate(record_of(file, _Poses).root)
+    stored = enumerate(record_of(file, list[_Pose]))
     return [T_cam_world @ pose_of(one.R, one.t, f"{file}, instance {i}") for i, one in stored]
 
 

@@ -6,11 +6,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
-from ...dataset.safe_reading import Unreadable, read_json
+from ...dataset.safe_reading import Form, Unreadable, read_json
 from ...rig.optics import Optics, optics_of
 from ..depth_file import in_metres, read_image
 from ..picture_pairs import refuse_damaged
@@ -19,10 +18,10 @@ from .source import SourceImage
 REPAIR = "repair the file, or download it again"
 _ROUNDED = 2e-3  # Files with three digits have rotations that are off by half of it.
 
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 
-def record_of(path: Path, form: type[R]) -> R:
+def record_of(path: Path, form: Form[R]) -> R:
     """A JSON file as the record that it must be, or a DatasetError."""
     try:
         return read_json(path, form)

@@ -121,8 +121,8 @@ class CyclesRenderer(Renderer):
             bands = bands if measured is look else GREY
         frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
-        settings = {"samples": quality.samples, "depth": quality.depth, "denoise": quality.denoise}
-        settings |= {"device": self.device, "threads": self.threads}
+        settings: dict[str, object] = {"device": self.device, "threads": self.threads}
+        settings |= {name: getattr(quality, name) for name in ("samples", "depth", "denoise")}
 
         def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
             own = (

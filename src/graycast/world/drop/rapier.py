@@ -80,7 +80,7 @@ class RapierPart:
         )
 
 
-Pieces = Float[np.ndarray, "p c 3"]
+Pieces = Float[np.ndarray, "_ _ 3"]
 """A fixed obstacle: the corners [m] of its convex pieces."""
 
 

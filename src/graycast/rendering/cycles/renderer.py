@@ -125,10 +125,9 @@ class CyclesRenderer(Renderer):
         settings |= {name: getattr(quality, name) for name in ("samples", "depth", "denoise")}
 
         def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
-            own = (
-                np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
-            )  # Cycles' are signed
-            orders = [frame.order(bands, int(n)) for frame, n in zip(frames, own, strict=True)]
+            # Cycles' seeds are signed.
+            seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
+            orders = [frame.order(bands, int(n)) for frame, n in zip(frames, seeds, strict=True)]
             with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
                 folder = Path(name)
                 write_job(folder, scene, layout, pattern, settings | {"frames": orders})

@@ -15,13 +15,10 @@ from jaxtyping import Float
 
 from .radiance import Denoiser, Radiance
 
+Image = Float[np.ndarray, "h w 3"]
 
-def denoise(
-    rgb: Float[np.ndarray, "h w 3"],
-    albedo: Float[np.ndarray, "h w 3"],
-    normal: Float[np.ndarray, "h w 3"],
-    by: Denoiser,
-) -> Float[np.ndarray, "h w 3"]:
+
+def denoise(rgb: Image, albedo: Image, normal: Image, by: Denoiser) -> Image:
     """A clean copy of a linear colour picture, of any scale, by the renderer's own denoiser.
 
     Albedo and unit normal are of what each pixel sees; normals are NaN where there is nothing.
@@ -31,7 +28,7 @@ def denoise(
     return by(*images)
 
 
-def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoiser) -> Radiance:
+def denoised(radiance: Radiance, normal: Image, by: Denoiser) -> Radiance:
     """Every picture of a stack cleaned by itself, as a program that renders them singly would."""
 
     def clean(picture: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -90,12 +87,7 @@ class OpenImageDenoise:
         self._check()
         self._last: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
 
-    def __call__(
-        self,
-        rgb: Float[np.ndarray, "h w 3"],
-        albedo: Float[np.ndarray, "h w 3"],
-        normal: Float[np.ndarray, "h w 3"],
-    ) -> Float[np.ndarray, "h w 3"]:
+    def __call__(self, rgb: Image, albedo: Image, normal: Image) -> Image:
         """See `Denoiser`; RuntimeError where the device refuses, as it does without memory."""
         network, buffers = self._network(rgb.shape)
         for name, image in (("color", rgb), ("albedo", albedo), ("normal", normal)):

@@ -15,6 +15,8 @@ from .radiance import GroundTruth, Silhouette
 
 STEP_THROUGH_M = 2e-5  # Float32 errs by less past a surface, and parts that touch overlap by less.
 OUTLINE_POINTS = 33  # Each side of a part's box has so many, because distortion bends it.
+Box = tuple[int, int, int, int]
+"""Pixels (left, top, right, bottom), ends excluded."""
 
 
 def truth(
@@ -23,7 +25,7 @@ def truth(
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
     boxes = [_silhouette_box(scene, layout, i) for i in range(len(layout.part_index))]
-    ray = _centre_rays(scene, left=0, top=0, width=w, height=h)
+    ray = _centre_rays(scene, (0, 0, w, h))
     si = world.ray_intersect(ray)
     hit = si.is_valid()
     R_cam_world = mi.Matrix3f(scene.T_world_cam[:3, :3].T)
@@ -48,25 +50,25 @@ def centre_places(stage: Stage, scene: Scene) -> mi.Point2f:
     Thin walls of glass are looked through; what is on or behind solid glass has NaN.
     """
     camera = scene.rig.camera
-    ray = _centre_rays(scene, left=0, top=0, width=camera.width_px, height=camera.height_px)
+    ray = _centre_rays(scene, (0, 0, camera.width_px, camera.height_px))
     si, solid = stage.sight.centre(ray)
     q = stage.light.in_own_frame(mi.Point3f(si.t * ray.d + ray.o))
     place, _, ahead = picture_place(stage.light.optics, q)
     return dr.select(si.is_valid() & ~solid & ahead, place, dr.nan)
 
 
-def _centre_rays(scene: Scene, *, left: int, top: int, width: int, height: int) -> mi.Ray3f:
-    """Rays through the pixel centres of a canvas whose first pixel is (left, top)."""
-    camera = scene.rig.camera
-    x, y = _canvas(left=left, top=top, width=width, height=height)
-    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ camera_ray(camera, x, y)
+def _centre_rays(scene: Scene, canvas: Box) -> mi.Ray3f:
+    """Rays through the pixel centres of a canvas."""
+    x, y = _places(canvas)
+    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ camera_ray(scene.rig.camera, x, y)
     return mi.Ray3f(mi.Point3f(scene.T_world_cam[:3, 3]), direction)
 
 
-def _canvas(*, left: int, top: int, width: int, height: int) -> tuple[mi.Float, mi.Float]:
+def _places(canvas: Box) -> tuple[mi.Float, mi.Float]:
     """Pixel positions; the corner and width, other in each scene, stay out of the kernel's text."""
-    lane = dr.arange(mi.Int32, width * height)
-    columns = dr.opaque(mi.Int32, width)
+    left, top, right, bottom = canvas
+    lane = dr.arange(mi.Int32, (right - left) * (bottom - top))
+    columns = dr.opaque(mi.Int32, right - left)
     x = lane % columns + dr.opaque(mi.Int32, left)
     return mi.Float(x), mi.Float(lane // columns + dr.opaque(mi.Int32, top))
 
@@ -82,11 +84,8 @@ def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -
     return instance
 
 
-def _silhouette_box(scene: Scene, layout: Layout, index: int) -> tuple[int, int, int, int]:
-    """Pixels (left, top, right, bottom; ends excluded) that can meet an instance.
-
-    Reaches at most one image size beyond each border.
-    """
+def _silhouette_box(scene: Scene, layout: Layout, index: int) -> Box:
+    """Pixels that can meet an instance, at most one image size beyond each border."""
     camera = scene.rig.camera
     part = scene.parts[layout.part_index[index]]
     T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
@@ -115,9 +114,7 @@ def _outline(point: np.ndarray) -> np.ndarray:
 
 
 def _amodal_bits(
-    part_shapes: tuple[PartShape, ...],
-    scene: Scene,
-    boxes: list[tuple[int, int, int, int]],
+    part_shapes: tuple[PartShape, ...], scene: Scene, boxes: list[Box]
 ) -> tuple[np.ndarray, int, int]:
     """One bit per instance and pixel, uint32 (words, rows, columns), and the canvas's first pixel.
 
@@ -127,12 +124,12 @@ def _amodal_bits(
     if not boxes:
         return np.zeros((0, 0, 0), dtype=np.uint32), 0, 0
     box = np.array(boxes)
-    left, top = (int(e) for e in box[:, :2].min(axis=0))
-    width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
+    (left, top), (right, bottom) = box[:, :2].min(axis=0).tolist(), box[:, 2:].max(axis=0).tolist()
+    canvas, width, height = (left, top, right, bottom), right - left, bottom - top
     if width <= 0 or height <= 0:  # no part comes near the picture
         return np.zeros(((len(boxes) + 31) // 32, 0, 0), dtype=np.uint32), left, top
-    ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
-    going = _exists(scene, ray, *_canvas(left=left, top=top, width=width, height=height))
+    ray = _centre_rays(scene, canvas)
+    going = _exists(scene, ray, *_places(canvas))
     parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}
     world = mi.load_dict({"type": "scene"} | parts_alone)
     needed = (len(boxes) + 31) // 32
@@ -185,9 +182,7 @@ def _follow(
     return words
 
 
-def _silhouette(
-    bits: np.ndarray, left: int, top: int, index: int, box: tuple[int, int, int, int]
-) -> Silhouette:
+def _silhouette(bits: np.ndarray, left: int, top: int, index: int, box: Box) -> Silhouette:
     x0, y0, x1, y1 = box
     word = bits[index // 32, y0 - top : y1 - top, x0 - left : x1 - left]
     mask = (word >> np.uint32(index % 32)) & np.uint32(1) == 1

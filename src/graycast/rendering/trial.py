@@ -43,19 +43,20 @@ def try_device(device: str, *, program: Sequence[str] = ("-m", _CHILD)) -> Trial
     Args:
         program: the child's arguments to Python, before the device.
     """
-    start = time.perf_counter()
+    start, denoiser, problem = time.perf_counter(), None, None
     command = [sys.executable, *program, device]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
         child = subprocess.run(command, env=env, capture_output=True, text=True, timeout=_LIMIT_S)
     except subprocess.TimeoutExpired:
         problem = f"a small picture was not finished in {_LIMIT_S:.0f} s"
-        return Trial(device=device, seconds=time.perf_counter() - start, problem=problem)
+    else:
+        if child.returncode == 0:
+            denoiser = parse_json(child.stdout.splitlines()[-1])["denoiser"]
+        else:
+            problem = _obituary(child)
     seconds = time.perf_counter() - start
-    if child.returncode == 0:
-        denoiser = parse_json(child.stdout.splitlines()[-1])["denoiser"]
-        return Trial(device=device, seconds=seconds, denoiser=denoiser)
-    return Trial(device=device, seconds=seconds, problem=_obituary(child))
+    return Trial(device=device, seconds=seconds, denoiser=denoiser, problem=problem)
 
 
 def tried_before(device: str, machine: object) -> Trial:

@@ -116,10 +116,10 @@ def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, 
 
     seen, real = [], settle.simulate
 
-    def first_two_tremble(box, bodies, start, index, *, simulated_s, attempt):
+    def first_two_tremble(box, bodies, start, index, *, simulated_s):
         seen.append(start)
-        short = 0.08 if attempt < 2 else simulated_s
-        return real(box, bodies, start, index, simulated_s=short, attempt=attempt)
+        short = 0.08 if len(seen) <= 2 else simulated_s
+        return real(box, bodies, start, index, simulated_s=short)
 
     monkeypatch.setattr(settle, "simulate", first_two_tremble)
     layout = drop(

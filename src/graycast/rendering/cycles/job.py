@@ -170,7 +170,7 @@ def _placed(scene: Scene, layout: Layout) -> list[_Placed]:
 
 
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
-    arrays = {
+    arrays: dict[str, Any] = {
         "vertices_m": placed.mesh.vertices_m.astype(np.float32),
         "faces": placed.mesh.faces.astype(np.int32),
         "T_world": placed.T_world,

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -102,11 +103,9 @@ class CyclesProcess:
             CyclesDied: the process ended; frames that were written are there.
             GraycastError: Cycles refused the job.
         """
-        try:
+        with suppress(OSError):  # it has ended: the answer says how
             self._jobs.write(f"{folder}\n")
             self._jobs.flush()
-        except OSError:
-            pass  # it has ended: the answer says how
         while "done" not in (answer := self._answer()):
             if "error" in answer:
                 raise GraycastError(f"Blender Cycles: {answer['error']}")
@@ -117,10 +116,8 @@ class CyclesProcess:
         self._child.kill()
         self._child.wait()
         for stream in (self._jobs, self._answers, self._log):
-            try:
+            with suppress(OSError):  # what was not sent is not wanted any more
                 stream.close()
-            except OSError:
-                pass  # what was not sent is not wanted any more
 
     def _answer(self) -> dict[str, Any]:
         line = self._answers.readline()

@@ -121,14 +121,13 @@ class CyclesRenderer(Renderer):
             bands = bands if measured is look else GREY
         frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
-        settings = {"samples": quality.samples, "depth": quality.depth, "denoise": quality.denoise}
-        settings |= {"device": self.device, "threads": self.threads}
+        settings: dict[str, object] = {"device": self.device, "threads": self.threads}
+        settings |= {name: getattr(quality, name) for name in ("samples", "depth", "denoise")}
 
         def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
-            own = (
-                np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
-            )  # Cycles' are signed
-            orders = [frame.order(bands, int(n)) for frame, n in zip(frames, own, strict=True)]
+            # Cycles' seeds are signed.
+            seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
+            orders = [frame.order(bands, int(n)) for frame, n in zip(frames, seeds, strict=True)]
             with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
                 folder = Path(name)
                 write_job(folder, scene, layout, pattern, settings | {"frames": orders})

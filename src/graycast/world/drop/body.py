@@ -10,6 +10,9 @@ from ..parts import Part
 from ..scene import Bin
 from .decomposition import Hull
 
+Poses = Float[np.ndarray, "n 4 4"]  # of parts in the world
+Kinds = Int[np.ndarray, " n"]  # the kind of each
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
@@ -83,10 +86,7 @@ def motion_m(
 
 
 def parts_outside(
-    box: Bin,
-    bodies: tuple[Body, ...],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
+    box: Bin, bodies: tuple[Body, ...], T_world_part: Poses, part_index: Kinds
 ) -> Bool[np.ndarray, " n"]:
     """Which parts are not in the bin.
 

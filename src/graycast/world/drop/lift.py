@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..scene import Bin
-from .body import Body
+from .body import Body, Kinds, Poses
 from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
@@ -69,8 +69,8 @@ class Lift:
 def lift(
     box: Bin,
     bodies: tuple[Body, ...],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
+    T_world_part: Poses,
+    part_index: Kinds,
     number: int,
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],

@@ -15,14 +15,14 @@ from itertools import product
 
 import numpy as np
 import rapier3d
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import rotation_from_quaternion
 from ..parts import Mesh
 from ..scene import Bin
-from .body import Body
+from .body import Body, Kinds, Poses
 
 SCALE = 20.0
 GRAVITY_M_S2 = 9.81
@@ -80,7 +80,7 @@ class RapierPart:
         )
 
 
-Pieces = Float[np.ndarray, "p c 3"]
+Pieces = Float[np.ndarray, "_ _ 3"]
 """A fixed obstacle: the corners [m] of its convex pieces."""
 
 
@@ -125,11 +125,7 @@ class RapierHeap:
 
 
 def open_heap(
-    terms: Terms,
-    box: Bin,
-    kinds: list[RapierPart],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
+    terms: Terms, box: Bin, kinds: list[RapierPart], T_world_part: Poses, part_index: Kinds
 ) -> RapierHeap:
     """Open a new world without speeds, forces or contacts of an earlier stage."""
     world = _world(terms)
@@ -209,8 +205,8 @@ def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, labe
 def _add_parts(
     world: rapier3d.PhysicsWorld,
     kinds: list[RapierPart],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
+    T_world_part: Poses,
+    part_index: Kinds,
     terms: Terms,
     *,
     first_label: int,

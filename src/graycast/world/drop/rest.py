@@ -13,11 +13,11 @@ grows, so that rocking parts come to rest. Parts fall no faster than 1 m/s, as i
 from collections import deque
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ...base.frames import transform_points
 from ..scene import Bin, Layout
-from .body import Body, motion_m, parts_outside
+from .body import Body, Kinds, Poses, motion_m, parts_outside
 from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_heap
 
 LOOK_S = 0.04  # Poses are read this often.
@@ -49,11 +49,10 @@ MOST_DAMPING = 64.0
 def simulate(
     box: Bin,
     bodies: tuple[Body, ...],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, " n"],
+    T_world_part: Poses,
+    part_index: Kinds,
     *,
     simulated_s: float,
-    attempt: int = 0,
 ) -> Layout:
     """Lets parts fall from their start poses until they rest, or for `simulated_s`.
 
@@ -82,7 +81,6 @@ def simulate(
         deepest_penetration_m=deepest_penetration_m(heap.world, solids),
         outside=int(parts_outside(box, bodies, end, part_index).sum()),
         simulated_s=fall_s + rest_s,
-        attempt=attempt,
     )
 
 

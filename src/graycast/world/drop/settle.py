@@ -142,11 +142,9 @@ def drop(
         start, index = start_poses(
             scene.bin, corners_m, number, rng, opening_share=limits.opening_share
         )
-        layout = simulate(
-            scene.bin, bodies, start, index, simulated_s=limits.simulated_s, attempt=attempt
-        )
+        layout = simulate(scene.bin, bodies, start, index, simulated_s=limits.simulated_s)
         if not flaws(layout, limits):
-            return replace(layout, part_index=kinds[index])
+            return replace(layout, part_index=kinds[index], attempt=attempt)
         tried.append(layout)
     raise DropError(_failure(scene.bin, sum(counts), tried, limits))
 
@@ -286,9 +284,7 @@ def _orientation(
         rotation = rotation_from_quaternion(random_quaternions(1, rng)[0])
         if (np.abs(points @ rotation[:2].T).max(axis=0) * 2 <= width_m).all():
             return rotation
-    size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(points, axis=0))
-    opening = " x ".join(f"{1e3 * w:.0f}" for w in width_m)
     raise ValueError(
-        f"a part of {size} mm found no orientation between walls {opening} mm apart: check its "
-        "unit, or use a larger bin"
+        f"a part of {_mm(np.ptp(points, axis=0))} found no orientation between walls "
+        f"{_mm(width_m)} apart: check its unit, or use a larger bin"
     )

@@ -18,7 +18,6 @@ from ...base.file_limits import check_runs
 from ..depth_file import load_json
 
 _REMEDY = "give a COCO file or LabelMe files"
-_RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # Its corners pick of (x0, x1) and of (y0, y1).
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +160,8 @@ def _labelme_points(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "_
         case "polygon":
             return points
         case "rectangle":
-            return np.array([[points[i, 0], points[j, 1]] for i, j in _RECTANGLE])
+            (x0, y0), (x1, y1) = points[:2]
+            return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         case kind:
             raise DatasetError(f"{name}: is a {kind}: draw instances as polygons or rectangles")
 

@@ -1,6 +1,5 @@
 """A folder of real pictures, its labels and its camera, written as a dataset in BOP's form."""
 
-import hashlib
 import json
 import platform
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from ...dataset.coco import coco_categories, run_lengths, scene_annotation, scen
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
 from ...dataset.records import FORMAT_VERSION, split_annotation
-from ...dataset.seal import sealed
+from ...dataset.seal import sealed, sha256
 from ...rendering.radiance import Silhouette
 from ..depth_file import NO_OPTIONS, FileOptions
 from ..depth_sense import filled_holes, refuse_beyond
@@ -185,7 +184,8 @@ class _Writer:
     ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
-        suffixes = _suffixes(self.holds)
+        # BOP's plain names always, the scanner's where it saw something.
+        suffixes = ("", "_sl") if {"gray_sl", "depth_sl"} & set(self.holds) else ("",)
         for suffix in suffixes:
             files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
         if images.rgb is not None:
@@ -196,7 +196,11 @@ class _Writer:
             files["depth_sl/000000.png"] = _png(depth_steps(images.depth_m, self.step_mm))
         if labels is not None:
             files |= self._label_files(shot, images, labels, suffixes)
-        manifest = {"stem": shot.stem, "files": _digests(shot)}
+        originals = {
+            name: {"file": path.name, "sha256": sha256(path.read_bytes())}
+            for name, path in shot.files.items()
+        }
+        manifest = {"stem": shot.stem, "files": originals}
         for name, content in sealed(files.items(), manifest):
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(content)
@@ -277,20 +281,8 @@ class _Writer:
         return files
 
 
-def _suffixes(holds: Sequence[str]) -> tuple[str, ...]:
-    """BOP's plain names always, the scanner's where it saw something."""
-    return ("", "_sl") if {"gray_sl", "depth_sl"} & set(holds) else ("",)
-
-
 def _picture(holds: Sequence[str]) -> str:
     return next(name for name in ("gray_sl", "rgb", "depth_sl") if name in holds)
-
-
-def _digests(shot: RealPicture) -> dict[str, Any]:
-    return {
-        name: {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        for name, path in shot.files.items()
-    }
 
 
 def _png(image: np.ndarray) -> bytes:

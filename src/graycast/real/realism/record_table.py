@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from .realism_record import BinRecord, Realism
+from .realism_record import Autocorrelation, BinRecord, Pairs, Realism
 
 _UNKNOWN = "-"
 _PERCENTILES = ("5 %", "25 %", "median", "75 %", "95 %")
@@ -27,15 +27,13 @@ def figures(record: Realism) -> Iterator[Figure]:
     section = f"noise about planes ({noise.patch_px} x {noise.patch_px} px patches)"
     yield Figure(section, "flat patches", f"{noise.patches}")
     yield Figure(section, "left out as bent", _percent(noise.bent))
-    percentiles: Sequence[float | None] = noise.percentiles_m or [None] * 5
-    for name, value in zip(_PERCENTILES, percentiles, strict=True):
-        yield Figure(section, f"sigma of z, {name}", _mm(value))
+    yield from _percentiles(section, noise.percentiles_m)
     relative = _UNKNOWN if noise.relative is None else f"{1e6 * noise.relative:.0f} ppm"
     yield Figure(section, "median over depth", relative)
     yield Figure(section, "pixels beyond 5 sigma", _percent(noise.outliers, 2))
     yield from _fine(record)
     yield from _pairs(record)
-    yield from _autocorrelation(record)
+    yield from _lags("autocorrelation of the noise", "along", record.autocorrelation)
     section = "jumps between valid neighbours, per map"
     yield Figure(section, "left near, right far", f"{jumps.right_farther:.1f}")
     yield Figure(section, "left far, right near", f"{jumps.left_farther:.1f}")
@@ -100,9 +98,7 @@ def _fine(record: Realism) -> Iterator[Figure]:
     section = f"fine noise (second differences, {fine.tile_px} x {fine.tile_px} px tiles)"
     yield Figure(section, "smooth tiles", f"{fine.tiles}")
     yield Figure(section, "left out as rough", _percent(fine.rough))
-    percentiles: Sequence[float | None] = fine.percentiles_m or [None] * 5
-    for name, value in zip(_PERCENTILES, percentiles, strict=True):
-        yield Figure(section, f"sigma of z, {name}", _mm(value))
+    yield from _percentiles(section, fine.percentiles_m)
     section = "fine noise against brightness (share of the range, under 45 deg)"
     yield from _bins(section, fine.by_brightness, 100.0, "%", _mm)
     yield Figure(section, "darkest over brightest", _plain(fine.dark_to_bright))
@@ -116,19 +112,18 @@ def _pairs(record: Realism) -> Iterator[Figure]:
     section = "noise between each map and the next, where they show the same"
     yield Figure(section, "pairs of maps", f"{pairs.pairs}")
     yield Figure(section, "sigma of z", _mm(pairs.sigma_m))
-    for name, values in (("rows", pairs.along_rows), ("columns", pairs.along_columns)):
-        for lag, value in enumerate(values or [None] * 3, start=1):
-            yield Figure(section, f"common along {name}, lag {lag}", _plain(value))
+    yield from _lags(section, "common along", pairs)
 
 
-def _autocorrelation(record: Realism) -> Iterator[Figure]:
-    section = "autocorrelation of the noise"
-    for name, values in (
-        ("along rows", record.autocorrelation.along_rows),
-        ("along columns", record.autocorrelation.along_columns),
-    ):
+def _percentiles(section: str, values_m: Sequence[float] | None) -> Iterator[Figure]:
+    for name, value in zip(_PERCENTILES, values_m or [None] * 5, strict=True):
+        yield Figure(section, f"sigma of z, {name}", _mm(value))
+
+
+def _lags(section: str, along: str, noise: Pairs | Autocorrelation) -> Iterator[Figure]:
+    for name, values in (("rows", noise.along_rows), ("columns", noise.along_columns)):
         for lag, value in enumerate(values or [None] * 3, start=1):
-            yield Figure(section, f"{name}, lag {lag}", _plain(value))
+            yield Figure(section, f"{along} {name}, lag {lag}", _plain(value))
 
 
 def _baseline(record: Realism) -> Iterator[Figure]:

@@ -101,9 +101,17 @@ def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
     if (models / "models_info.json").is_file():
         infos = record_of(models / "models_info.json", dict[Count, _ModelInfo])
     names = _own_names(root)
-    return {
-        i: _bop_model(path, infos.get(i, _ModelInfo()), names.get(i)) for i, path in files.items()
-    }
+    objects = {}
+    for obj_id, path in files.items():
+        info = infos.get(obj_id, _ModelInfo())
+        objects[obj_id] = ModelFile(
+            path=path,
+            name=names.get(obj_id) or info.name or path.stem,
+            unit="mm",
+            diameter_m=None if info.diameter is None else info.diameter / MM_PER_M,
+            symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
+        )
+    return objects
 
 
 def _own_names(root: Path) -> Mapping[int, str]:
@@ -111,16 +119,6 @@ def _own_names(root: Path) -> Mapping[int, str]:
     if not (root / CLAIM).is_file() or claim_kind(root) is not None:
         return {}
     return {part.obj_id: part.name for part in read_claim(root).parts}
-
-
-def _bop_model(path: Path, info: _ModelInfo, name: str | None) -> ModelFile:
-    return ModelFile(
-        path=path,
-        name=name or info.name or path.stem,
-        unit="mm",
-        diameter_m=None if info.diameter is None else info.diameter / MM_PER_M,
-        symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
-    )
 
 
 def read_models(

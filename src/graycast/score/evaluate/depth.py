@@ -90,22 +90,14 @@ def incidence_rad(
     k1, k2, p1, p2, k3 = distortion
     ideal = undistort(direction, (k1, k2, p1, p2, k3))
     ray = np.concatenate([ideal, np.ones((*depth_m.shape, 1))], axis=-1)
-    point = depth_m[..., None].astype(float) * ray
-    normal = np.cross(_slope(point, 1), _slope(point, 0))
+    point = _with_border(depth_m[..., None].astype(float) * ray)
+    # From the pixel before to the pixel after; NaN at the border.
+    across, down = point[1:-1, 2:] - point[1:-1, :-2], point[2:, 1:-1] - point[:-2, 1:-1]
+    normal = np.cross(across, down)
     length = np.linalg.norm(normal, axis=-1) * np.linalg.norm(ray, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = np.abs((normal * ray).sum(axis=-1)) / length
     return np.where(_smooth(depth_m, K), np.arccos(np.minimum(cosine, 1.0)), np.nan)
-
-
-def _slope(point: Float[np.ndarray, "h w 3"], axis: int) -> Float[np.ndarray, "h w 3"]:
-    """From the pixel before to the pixel after; NaN at the border."""
-    slope = np.full_like(point, np.nan)
-    if axis == 0:
-        slope[1:-1] = point[2:] - point[:-2]
-    else:
-        slope[:, 1:-1] = point[:, 2:] - point[:, :-2]
-    return slope
 
 
 def _smooth(
@@ -116,16 +108,19 @@ def _smooth(
     How far 1/z lies off the mean of its neighbours is told as a depth and compared with their
     spacing on a facing surface, z / f.
     """
-    inverse = 1 / depth_m.astype(float)
+    inverse = _with_border(1 / depth_m.astype(float))
     middle = inverse[1:-1, 1:-1]
     beside = (inverse[1:-1, :-2] + inverse[1:-1, 2:]) / 2
     above = (inverse[:-2, 1:-1] + inverse[2:, 1:-1]) / 2
     spacing_m = 1 / (middle * K[0, 0]), 1 / (middle * K[1, 1])
-    smooth = np.zeros(depth_m.shape, dtype=bool)
-    smooth[1:-1, 1:-1] = (np.abs(middle - beside) / middle**2 < _KINK * spacing_m[0]) & (
+    return (np.abs(middle - beside) / middle**2 < _KINK * spacing_m[0]) & (
         np.abs(middle - above) / middle**2 < _KINK * spacing_m[1]
     )
-    return smooth
+
+
+def _with_border(image: Float[np.ndarray, "h w *n"]) -> Float[np.ndarray, "h2 w2 *n"]:
+    """The image with a border of NaN, one pixel wide."""
+    return np.pad(image, ((1, 1), (1, 1), *[(0, 0)] * (image.ndim - 2)), constant_values=np.nan)
 
 
 def _count(

@@ -58,6 +58,11 @@ def view_record(camera: Optics, T_world_cam: Float[np.ndarray, "4 4"]) -> dict[s
     }
 
 
+def plain_text(array: np.ndarray) -> str:
+    """The bytes of an array as base64, not compressed."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+
+
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
     """A map of bytes, row by row."""
     return _text(np.ascontiguousarray(values).tobytes())

@@ -1,6 +1,6 @@
 """Scores of detections, poses and depth; it imports nothing that it scores."""
 
-from .depth_files import DEPTH, evaluate_depth, write_depth
+from .depth import DEPTH, evaluate_depth, write_depth
 from .judgement_files import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
 from .judging import Judgement, Protocol
 from .labels import Labels, labels_of

@@ -1,4 +1,4 @@
-"""Pictures and maps as a script can carry them.
+"""Pictures, maps and records as a script can carry them.
 
 A page opened from the disk may not read files: neither fetch nor the pixels of an image beside it.
 It may run scripts, so everything a script needs is text in one: pictures as data URLs, maps of

@@ -12,8 +12,14 @@ from graycast.base.errors import GraycastError
 from graycast.dataset.scene_content import SceneContent
 from graycast.dataset.stored import StoredScene
 from graycast.rig.optics import Optics, rays
-from graycast.score.evaluate.depth import EDGE, depth_rows, incidence_rad
-from graycast.score.evaluate.depth_files import depth_markdown, evaluate_depth, write_depth
+from graycast.score.evaluate.depth import (
+    EDGE,
+    depth_markdown,
+    depth_rows,
+    evaluate_depth,
+    incidence_rad,
+    write_depth,
+)
 
 K = np.array([[300.0, 0, 79.5], [0, 280.0, 59.5], [0, 0, 1]])
 LENS = (-0.05, 0.02, 0.001, -0.002, 0.0)
@@ -139,9 +145,9 @@ def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
 
 
 def test_a_dataset_without_perfect_depth_is_refused(master, monkeypatch):
-    from graycast.score.evaluate import depth_files
+    from graycast.score.evaluate import depth
 
     bare = SimpleNamespace(holds=frozenset({"rgb", "depth_sl"}), scenes=())
-    monkeypatch.setattr(depth_files, "open_dataset", lambda _: bare)
+    monkeypatch.setattr(depth, "open_dataset", lambda _: bare)
     with pytest.raises(GraycastError, match="has no depth: "):
         evaluate_depth(master)

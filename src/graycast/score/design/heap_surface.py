@@ -60,13 +60,10 @@ class HeapSurface:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacles:
-    """Everything that can hide a point, as one mesh; `is_bin` marks the faces of the bin."""
+    """Everything that can hide a point, as one mesh; its first faces are the bin's."""
 
     mesh: Mesh
-    is_bin: Bool[np.ndarray, " f"]
-
-    def __post_init__(self) -> None:
-        self.is_bin.flags.writeable = False
+    bin_faces: int
 
 
 def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> HeapSurface:
@@ -95,7 +92,7 @@ def obstacles_of(scene: Scene, layout: Layout) -> Obstacles:
         faces.append(mesh.faces + first)
         first += len(mesh.vertices_m)
     whole = Mesh(vertices_m=np.concatenate(vertices), faces=np.concatenate(faces))
-    return Obstacles(mesh=whole, is_bin=np.arange(len(whole.faces)) < len(box.faces))
+    return Obstacles(mesh=whole, bin_faces=len(box.faces))
 
 
 def sight(
@@ -122,7 +119,7 @@ def sight(
     hit, own = face[row, column], at[inside]
     nearest_m = np.maximum(z_m[row, column], _on_plane(vertices, obstacles, hit, own))
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
-    by_bin = hidden & obstacles.is_bin[hit]
+    by_bin = hidden & (hit < obstacles.bin_faces)
     towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
     # What looks away would be hidden by its own part without any bin.
     cases = [by_bin & (towards > 0), hidden | (towards <= 0)]

@@ -1,8 +1,8 @@
 """Scores of detections, poses and depth; it imports nothing that it scores."""
 
-from .depth_files import DEPTH, evaluate_depth, write_depth
+from .depth import DEPTH, evaluate_depth, write_depth
 from .judgement_files import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
-from .judging import GroupRow, Judgement, Protocol, judge
+from .judging import Judgement, Protocol
 from .labels import Labels, labels_of
 from .mistakes import AT_HALF, false_alarms
 from .pose_errors import mspd, mssd, rotation_translation, vsd
@@ -17,7 +17,6 @@ __all__ = [
     "EVALUATION",
     "POSES",
     "Evaluation",
-    "GroupRow",
     "Judgement",
     "Labels",
     "Protocol",
@@ -28,7 +27,6 @@ __all__ = [
     "evaluate_poses",
     "evaluation_json",
     "false_alarms",
-    "judge",
     "labels_of",
     "mcnemar",
     "mspd",

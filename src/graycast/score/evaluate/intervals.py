@@ -70,38 +70,6 @@ def draw_scenes(
     return np.random.default_rng(seed).multinomial(len(ids), even, size=draws)[:, place]
 
 
-def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
-    """`FIGURES` of the scores, each with its interval."""
-    return {
-        name: interval_of(getattr(scores, name), values, scores.scenes)
-        for name, values in figures_of_draws(scores.matches, times).items()
-    }
-
-
-def differences(
-    scores: Scores, other: Scores, times: Int[np.ndarray, "draws pictures"]
-) -> dict[str, Interval]:
-    """`FIGURES` of the scores less the other's, both of the same scenes in every draw.
-
-    Raises:
-        GraycastError: they are of different scenes.
-    """
-    if scores.scene_ids != other.scene_ids:
-        raise GraycastError(
-            f"results of {len(scores.scene_ids)} scenes cannot be compared with results of "
-            f"{len(other.scene_ids)} other scenes: give results of the same scenes"
-        )
-    mine, its = (figures_of_draws(one.matches, times) for one in (scores, other))
-    return {
-        name: interval_of(
-            getattr(scores, name) - getattr(other, name),
-            mine[name] - its[name],
-            scores.scenes,
-        )
-        for name in mine
-    }
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootstrapFigure:
     """A figure with its value in each draw, so that sums of figures also get intervals.
@@ -129,14 +97,41 @@ class BootstrapFigure:
         return interval_of(self.value, self.draws, self.scenes)
 
 
+def figures_with_draws(
+    scores: Scores, times: Int[np.ndarray, "draws pictures"]
+) -> dict[str, BootstrapFigure]:
+    """`FIGURES` of the scores, each with its draws."""
+    return {
+        name: BootstrapFigure(value=getattr(scores, name), draws=draws, scenes=scores.scenes)
+        for name, draws in figures_of_draws(scores.matches, times).items()
+    }
+
+
+def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
+    """`FIGURES` of the scores, each with its interval."""
+    return {name: figure.interval for name, figure in figures_with_draws(scores, times).items()}
+
+
+def differences(
+    scores: Scores, other: Scores, times: Int[np.ndarray, "draws pictures"]
+) -> dict[str, Interval]:
+    """`FIGURES` of the scores less the other's, both of the same scenes in every draw.
+
+    Raises:
+        GraycastError: they are of different scenes.
+    """
+    if scores.scene_ids != other.scene_ids:
+        raise GraycastError(
+            f"results of {len(scores.scene_ids)} scenes cannot be compared with results of "
+            f"{len(other.scene_ids)} other scenes: give results of the same scenes"
+        )
+    mine, its = (figures_with_draws(one, times) for one in (scores, other))
+    return {name: (mine[name] - its[name]).interval for name in mine}
+
+
 def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
     """One of `FIGURES` of the scores with its draws."""
-    times = draw_scenes(scores.scene_of, seed=seed)
-    return BootstrapFigure(
-        value=getattr(scores, figure),
-        draws=figures_of_draws(scores.matches, times)[figure],
-        scenes=scores.scenes,
-    )
+    return figures_with_draws(scores, draw_scenes(scores.scene_of, seed=seed))[figure]
 
 
 def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:

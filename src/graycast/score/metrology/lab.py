@@ -15,7 +15,7 @@ from ...camera.light import camera_light
 from ...camera.scanner import Scanner, measure, take
 from ...camera.sensor import auto_exposure_s
 from ...rendering import Quality, Renderer, Rendering
-from ...rig.optics import Optics, blur_radius_px, picture_rays
+from ...rig.optics import blur_radius_px, picture_rays
 from ...rig.pair import Rig, grey_levels
 from ...rig.pattern import Code
 from ...world.parts import Material
@@ -210,23 +210,14 @@ def fields_m(lab: Lab) -> dict[str, tuple[float, float]]:
 
 
 def rig_figures(rig: Rig) -> dict[str, Any]:
-    def optics(one: Optics) -> dict[str, Any]:
-        return {
-            "width_px": one.width_px,
-            "height_px": one.height_px,
-            "fx_px": one.fx_px,
-            "aperture_m": one.aperture_m,
-            "focus_m": one.focus_m,
-            "psf_px": one.psf_px,
-        }
-
+    names = ("width_px", "height_px", "fx_px", "aperture_m", "focus_m", "psf_px")
     return {
         "name": rig.name,
         "baseline_m": rig.baseline_m,
         "axes_angle_rad": rig.axes_angle_rad,
         "projector_m": rig.T_cam_proj[:3, 3].tolist(),
-        "camera": optics(rig.camera),
-        "projector": optics(rig.projector),
+        "camera": {name: getattr(rig.camera, name) for name in names},
+        "projector": {name: getattr(rig.projector, name) for name in names},
     }
 
 

@@ -193,8 +193,8 @@ class Line:
     def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
         """From light to what the page shows; the colour picture follows where it takes longer."""
         scanner, ask = run.cell.scanner, run.ask
-        light = (lit.number, ask.power / lit.power, ask.ambient / (lit.ambient or 1.0))
-        rendering = _scaled(lit, ask)
+        power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
+        light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
         key = (light, scanner.sensor, scanner.exposure, run.seeds["noise"])
         if self._taken is None or self._taken[0] != key:
             capture = take(scanner, rendering.radiance, seed=run.seeds["noise"])
@@ -276,16 +276,15 @@ def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:
     return [*rough, wanted]
 
 
-def _scaled(lit: LightState, ask: Ask) -> Rendering:
+def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
     """The rendering under another power of the projector and another ambient light.
 
     A light that was dark says nothing of a brighter one: what it would add is left out until it
     is rendered.
     """
-    power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
     if power == ambient == 1:
-        return lit.rendering
-    light = lit.rendering.radiance
+        return rendering
+    light = rendering.radiance
     radiance = replace(
         light,
         pattern=_times(light.pattern, power),
@@ -294,7 +293,7 @@ def _scaled(lit: LightState, ask: Ask) -> Rendering:
         white_rgb=_times(light.white_rgb, power),
         ambient_rgb=_times(light.ambient_rgb, ambient),
     )
-    return replace(lit.rendering, radiance=radiance)
+    return replace(rendering, radiance=radiance)
 
 
 def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:

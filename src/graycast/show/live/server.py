@@ -23,7 +23,8 @@ from typing import Any
 from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
 from ..report.page.packing import color_table, reason_records, report_script
-from .session import LatestAnswer, Message, Session
+from .asking import Answer
+from .session import Message, Session
 
 HOST = "127.0.0.1"
 GRACE_S = 2.0  # A page may take this time to load again before all that it needs is given back.
@@ -92,8 +93,8 @@ class Server:
                 self._pause.cancel()
             self.session.open()
             queue.put(Message(kind="state", content=self.session.state()))
-            for latest in self.session.newer(0):
-                queue.put(Message(kind=latest.answer.kind, content={"version": latest.version}))
+            for version, answer in self.session.newer(0):
+                queue.put(Message(kind=answer.kind, content={"version": version}))
             if (refusal := self.session.refusal) is not None:
                 queue.put(refusal)
             with self._lock:
@@ -292,7 +293,7 @@ def _is_gone(connection: socket.socket) -> bool:
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 
 
-def _packed(answers: list[LatestAnswer]) -> bytes:
+def _packed(answers: list[tuple[int, Answer]]) -> bytes:
     """Answers as one piece: the length of a head, the head as JSON, and every array's bytes.
 
     Arrays begin at multiples of 8 bytes, so that a browser looks at them where they are.
@@ -300,15 +301,14 @@ def _packed(answers: list[LatestAnswer]) -> bytes:
     places: list[dict[str, Any]] = []
     pieces: list[bytes] = []
     at = 0
-    for latest in answers:
+    for version, answer in answers:
         arrays = {}
-        for name, data in latest.answer.arrays.items():
+        for name, data in answer.arrays.items():
             arrays[name] = [at, len(data)]
             pieces += [data, b"\0" * (-len(data) % 8)]
             at += len(data) + (-len(data) % 8)
-        header = latest.answer.header
-        places.append({"kind": latest.answer.kind, "version": latest.version, "arrays": arrays,
-                       "header": header})  # fmt: skip
+        place = {"kind": answer.kind, "version": version}
+        places.append({**place, "arrays": arrays, "header": answer.header})
     head = json.dumps(places).encode()
     head += b" " * (-(len(head) + 4) % 8)
     return struct.pack("<I", len(head)) + head + b"".join(pieces)

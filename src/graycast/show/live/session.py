@@ -32,14 +32,6 @@ class Message:
     content: Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LatestAnswer:
-    """The last answer of a kind, for pages to fetch."""
-
-    version: int
-    answer: Answer
-
-
 class Session:
     """The state behind the page. Its methods may be called by any thread."""
 
@@ -69,7 +61,7 @@ class Session:
         self._number = self._version = 0
         self._requests: dict[int, Document] = {}
         self._request_s: dict[int, float] = {}
-        self._latest: dict[str, LatestAnswer] = {}
+        self._latest: dict[str, tuple[int, Answer]] = {}  # by kind, with a version
         self._refusal: Message | None = None
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
@@ -223,10 +215,10 @@ class Session:
         except (GraycastError, ValueError, OSError):
             return {"controls": [], "values": {}}
 
-    def newer(self, version: int) -> list[LatestAnswer]:
-        """The last answers of each kind that are newer than a version."""
+    def newer(self, version: int) -> list[tuple[int, Answer]]:
+        """The last answers of each kind that are newer than a version, with their versions."""
         with self._lock:
-            return [latest for latest in self._latest.values() if latest.version > version]
+            return [latest for latest in self._latest.values() if latest[0] > version]
 
     @property
     def refusal(self) -> Message | None:
@@ -296,7 +288,7 @@ class Session:
             self._has_finished |= content.get("exact", False)
             if answer.arrays:
                 self._version += 1
-                self._latest[answer.kind] = LatestAnswer(version=self._version, answer=answer)
+                self._latest[answer.kind] = self._version, answer
                 keys = ("number", "kind", "first", "samples", "of", "exact")
                 content = {name: content[name] for name in keys if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -152,10 +152,9 @@ def _capture(page: PageContent) -> dict[str, Any]:
 
 
 def _rig(rig: Rig) -> dict[str, Any]:
-    lens = asdict(rig.projector)
     names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
     return {
-        "projector": {name: lens[name] for name in names},
+        "projector": {name: getattr(rig.projector, name) for name in names},
         "T_cam_proj": rig.T_cam_proj.tolist(),
         "baseline_mm": MM_PER_M * rig.baseline_m,
         "axes_deg": float(np.degrees(rig.axes_angle_rad)),

@@ -1,6 +1,5 @@
 """Builds the page: only scenes that are new or changed, each whole or not at all."""
 
-import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from ....score.evaluate import Evaluation, Task, evaluate
 from ....score.merge import FusedCloud, fuse, read_view
 from .detection_scripts import DETECTIONS, detection_index, detection_scripts
 from .index import index_script
-from .packing import receiving
+from .packing import plain_text, receiving
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
 
@@ -179,15 +178,11 @@ def _packed(cloud: FusedCloud, stride: int) -> dict[str, Any]:
         "low": low.tolist(),
         "step": step,
         "sigma_step_mm": _SIGMA_STEP_MM,
-        "place": _base64(np.rint((place_mm - low) / step).astype("<u2")),
-        "normal": _base64(normal),
-        "color": _base64(cloud.color[::stride]),
-        "sigma": _base64(sigma.astype(np.uint8)),
-        "views": _base64(cloud.views[::stride]),
-        "view": _base64(cloud.view[::stride]),
-        "first": _base64(cloud.first_reason[::stride]),
+        "place": plain_text(np.rint((place_mm - low) / step).astype("<u2")),
+        "normal": plain_text(normal),
+        "color": plain_text(cloud.color[::stride]),
+        "sigma": plain_text(sigma.astype(np.uint8)),
+        "views": plain_text(cloud.views[::stride]),
+        "view": plain_text(cloud.view[::stride]),
+        "first": plain_text(cloud.first_reason[::stride]),
     }
-
-
-def _base64(array: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

@@ -1,6 +1,5 @@
 """What all pages share, as one script: the dataset, its statistics, a row per scene."""
 
-import base64
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -14,7 +13,7 @@ from ....dataset.stats.gather import error_figures
 from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
 from ....dataset.stored import StoredDataset
 from ....rig.pattern import Code, CodeSpec
-from .packing import color_table, reason_records, report_script
+from .packing import color_table, plain_text, reason_records, report_script
 from .scene_files import MISSING_COLOR
 
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
@@ -136,5 +135,4 @@ def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
 def _frames(code: Code) -> Iterator[dict[str, Any]]:
     for frame, image in zip(code.frames, code.render(), strict=True):
         level = image[:, 0] if frame.axis == "row" else image[0]
-        text = base64.b64encode(np.ascontiguousarray(level).tobytes()).decode()
-        yield {"name": frame.name, "axis": frame.axis, "levels": text}
+        yield {"name": frame.name, "axis": frame.axis, "levels": plain_text(level)}

@@ -1,4 +1,4 @@
-"""Pictures and maps as a script can carry them.
+"""Pictures, maps and records as a script can carry them.
 
 A page opened from the disk may not read files: neither fetch nor the pixels of an image beside it.
 It may run scripts, so everything a script needs is text in one: pictures as data URLs, maps of
@@ -56,6 +56,11 @@ def view_record(camera: Optics, T_world_cam: Float[np.ndarray, "4 4"]) -> dict[s
         "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
         "cam_t_w2c": (1000.0 * T_cam_world[:3, 3]).tolist(),
     }
+
+
+def plain_text(array: np.ndarray) -> str:
+    """The bytes of an array as base64, not compressed."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:

@@ -17,6 +17,7 @@ from graycast.robot.pick.clock import Clock
 from graycast.robot.pick.obstacles import standing
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.ready import Ready
+from graycast.robot.pick.robot import Robot
 from graycast.robot.pick.tools import T_flange_tip
 from graycast.robot.pick.ways import Blocked, Load, Surroundings, Ways, WaySearch
 from graycast.robot.pose import pose_model
@@ -63,7 +64,7 @@ def ready(tmp_path_factory):
         known={0: KnownPart(model=model, grips=grips(0.9, 0.8, 0.7))},
         load=Load(below_m=0.08, aside_m=0.04),
         bodies=(SimpleNamespace(mass_kg=0.05),),
-        robot=None,
+        robot=bare(Robot),
     )
 
 

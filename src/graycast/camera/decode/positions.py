@@ -77,7 +77,7 @@ def decode(
     places = {axis: _read(cues, plan, spec, fine_error) for axis, plan in plans.items()}
     why, strength = cues.why, cues.strength
     _judge(cues.light, strength, cues.top, why, cues.law, cues.dark)
-    for place, sigma, _ in places.values():
+    for place, sigma in places.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
     column, row = (
@@ -142,7 +142,7 @@ def _cues(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels)
     )
 
 
-def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> Places:
+def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> tuple:
     """Places and their standard deviations along one axis; `Reason`s go to `cues.why`."""
     shape = cues.why.shape
     place = np.empty(shape, dtype=np.float32)
@@ -163,7 +163,7 @@ def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> P
     else:
         _within_cell(np.float32(plan.cell_px**2 / 12), places.sigma)
     _outside(np.float32(plan.size_px), place, cues.why)
-    return places
+    return place, places.sigma
 
 
 def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, places: Places) -> None:

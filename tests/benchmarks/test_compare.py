@@ -73,6 +73,7 @@ def test_a_row_that_fails_does_not_speak_for_its_neighbours():
     assert second["note"] == "there: deep" and "ratio" not in second
 
 
+@pytest.mark.slow
 def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     """Neither the real stages nor their packages: this tree's `graycast` is empty."""
     (tmp_path / "graycast").mkdir()

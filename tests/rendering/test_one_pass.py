@@ -3,6 +3,7 @@
 import mitsuba_alone
 import numpy as np
 import pytest
+from backends import slow
 from corner import corner_scene
 from noisy_pictures import agree, blocks
 from stage import askew_rig, in_camera, lambert, leaning_wall, plain_pattern
@@ -85,7 +86,7 @@ def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_rend
         assert not agree(1.003 * together[:, k], alone[:, k])
 
 
-@pytest.mark.parametrize("levels", [2, 256])
+@pytest.mark.parametrize("levels", [slow(2), 256])
 def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsuba_renderer, levels):
     """The stack's patterns see the same paths; 34 of them fill more than one word of bits."""
     scene, layout = corner_scene()

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from backends import slow
 from pycocotools import mask as coco_mask
 
 from graycast.dataset.export.outline import INSET_PX, path, polygons, rings
@@ -85,7 +86,7 @@ def test_painted_outlines_of_small_parts_are_their_masks():
     assert min(overlap) == 1.0
 
 
-@pytest.mark.parametrize("density", [0.3, 0.7])
+@pytest.mark.parametrize("density", [slow(0.3), 0.7])
 def test_painted_outlines_of_masks_full_of_holes_are_hardly_more(density):
     """What cuts between a hole and the border cross is all that is painted beside the mask."""
     rng = np.random.default_rng(2)

@@ -68,6 +68,7 @@ def test_without_pytorch_it_says_what_to_install(monkeypatch):
         importlib.import_module(NAME)
 
 
+@pytest.mark.slow
 def test_a_loader_of_pytorch_reads_it_in_its_own_processes(master):
     torch = pytest.importorskip("torch", reason="PyTorch is not installed: run pip install torch")
     from graycast.dataset.training.torch_dataset import TorchExamples

@@ -168,7 +168,7 @@ def test_saved_weights_find_the_same(model, ready, tmp_path):
         assert ours.mask is None or torch.equal(ours.mask, theirs.mask)
 
 
-@EVERY
+@pytest.mark.parametrize("model", [slow(m) if m == "mask-rcnn" else m for m in MODELS])
 def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
     """Laws: its class does not matter; nothing is asked of the network where it is, so that the
     loss is smaller than were it not labelled at all, and the terms of positives are the same."""

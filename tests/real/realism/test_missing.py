@@ -43,6 +43,7 @@ def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
     assert drop.missing_above == pytest.approx(0.02, abs=4 * 0.14 / np.sqrt(0.26 / 0.3 * 240_000))
 
 
+@pytest.mark.slow
 def test_a_gradual_drop_out_is_told_by_its_width():
     """The missing share falls linearly from 0.05 to 0.15: three quarters of it from 1 to 1/4."""
     rng = np.random.default_rng(2)

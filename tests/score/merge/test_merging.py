@@ -87,6 +87,7 @@ def test_real_pictures_are_refused(tmp_path, monkeypatch, master):  # noqa: F811
         merge(master, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noqa: F811
     """Oracle: the parts and the floor as they lie, and what each picture sees of them."""
     out, taken = several

@@ -33,7 +33,8 @@ class CoatedDiffuse(ggx.GlossyBSDF):
     """Properties: `reflectance` (texture), `eta` (index of the coat), `alpha` or `roughness`."""
 
     def __init__(self, props: mi.Properties):
-        super().__init__(props)
+        lobes = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.DiffuseReflection
+        super().__init__(props, *lobes)
         eta = float(props["eta"])
         cosine = np.linspace(0, 1, ggx.TABLE)
         self.eta = dr.opaque(mi.Float, eta)  # opaque, as alpha is
@@ -46,15 +47,8 @@ class CoatedDiffuse(ggx.GlossyBSDF):
             means = np.trapezoid(2 * cosine * table, cosine)
             self.mean = mi.Float(means.astype(np.float32))
         self.table = mi.Float(table.astype(np.float32).ravel())
-        coat = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
-        base = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
-        self.m_components = [int(coat), int(base)]
-        self.m_flags = coat | base
 
-    def eval_pdf(self, context, si, wo, active):
-        """Value times cosine, and solid-angle density."""
-        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
-        active &= (cos_i > 0) & (cos_o > 0)
+    def reflected(self, si, wo, cos_i, cos_o, active):
         alpha = self.alpha_at(si, active)
         half = dr.normalize(si.wi + wo)
         shape, coat_pdf = ggx.single_reflection(si.wi, wo, half, alpha)
@@ -64,7 +58,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         matte = base * ((1 - share_in) * left * self._base_scale(alpha) * cos_o)
         share = ggx.layer_share(share_in, base)
         pdf = dr.lerp(mi.warp.square_to_cosine_hemisphere_pdf(wo), coat_pdf, share)
-        return dr.select(active, coat + matte, 0), dr.select(active, pdf, 0)
+        return coat + matte, pdf
 
     def sample(self, context, si, sample1, sample2, active):
         cos_i = mi.Frame3f.cos_theta(si.wi)

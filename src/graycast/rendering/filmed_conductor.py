@@ -39,20 +39,15 @@ class FilmedConductor(ggx.GlossyBSDF):
     """Properties: `reflectance` (texture) and `alpha` of the metal; `film_alpha` and `eta`."""
 
     def __init__(self, props: mi.Properties):
-        super().__init__(props)
+        super().__init__(props, mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyReflection)
         alpha, film_alpha, eta = (float(props[key]) for key in ("alpha", "film_alpha", "eta"))
         coat, later, second = film_shares(alpha, film_alpha, eta)
         self.coat, self.later = mi.Float(coat), mi.Float(later)
         self.film_alpha, self.eta, self.second = (
             dr.opaque(mi.Float, value) for value in (film_alpha, eta, second)
         )
-        self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
-        self.m_components = [int(self.m_flags), int(self.m_flags)]
 
-    def eval_pdf(self, context, si, wo, active):
-        """Value times cosine, and solid-angle density."""
-        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
-        active &= (cos_i > 0) & (cos_o > 0)
+    def reflected(self, si, wo, cos_i, cos_o, active):
         half = dr.normalize(si.wi + wo)
         film, film_pdf = ggx.single_reflection(si.wi, wo, half, self.film_alpha)
         film *= mi.fresnel(dr.dot(si.wi, half), self.eta)[0]
@@ -65,8 +60,7 @@ class FilmedConductor(ggx.GlossyBSDF):
         normal = self.reflectance.eval(si, active)
         share = ggx.layer_share(ggx.interpolated(self.coat, cos_i), normal)
         value = self._returned(normal, dr.dot(inside_i, half), cos_i) * metal + film
-        pdf = dr.lerp(metal_pdf * narrower, film_pdf, share)
-        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+        return value, dr.lerp(metal_pdf * narrower, film_pdf, share)
 
     def sample(self, context, si, sample1, sample2, active):
         cos_i = mi.Frame3f.cos_theta(si.wi)

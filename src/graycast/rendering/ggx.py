@@ -12,7 +12,8 @@ J. Dupuy & A. Benyoub, "Sampling Visible GGX Normals with Spherical Caps", CGF 4
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import or_
 from typing import TypeAlias
 
 import drjit as dr
@@ -105,13 +106,16 @@ def layer_share(reflected: mi.Float, below: mi.Color3f) -> mi.Float:
 
 
 class GlossyBSDF(mi.BSDF):
-    """What our BSDFs share; `eval_pdf` and `sample` are each one's own.
+    """What our BSDFs share; `reflected` and `sample` are each one's own.
 
+    The surface reflects on its front alone, in one or two lobes.
     Properties: `reflectance` (texture), `alpha` (GGX) or `roughness` (texture), its square root.
     """
 
-    def __init__(self, props: mi.Properties):
+    def __init__(self, props: mi.Properties, *lobes: mi.BSDFFlags):
         super().__init__(props)
+        flags = [lobe | mi.BSDFFlags.FrontSide for lobe in lobes]
+        self.m_components, self.m_flags = [int(flag) for flag in flags], reduce(or_, flags)
         self.reflectance = props.get_texture("reflectance")
         varied = "roughness" in props
         self.roughness = props.get_texture("roughness") if varied else None
@@ -121,6 +125,13 @@ class GlossyBSDF(mi.BSDF):
     def alpha_at(self, si, active) -> Alpha:
         varied = self.roughness
         return self.alpha if varied is None else dr.square(varied.eval_1(si, active))
+
+    def eval_pdf(self, context, si, wo, active):
+        """Value times cosine, and solid-angle density; both 0 where a direction is below."""
+        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+        active &= (cos_i > 0) & (cos_o > 0)
+        value, pdf = self.reflected(si, wo, cos_i, cos_o, active)
+        return dr.select(active, value, 0), dr.select(active, pdf, 0)
 
     def eval(self, context, si, wo, active):
         return self.eval_pdf(context, si, wo, active)[0]

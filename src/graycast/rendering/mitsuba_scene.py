@@ -15,7 +15,6 @@ from ..world.scene import (
     Layout,
     Quad,
     Scene,
-    Sphere,
     bin_surfaces,
     lamp_quad,
     quad_mesh,
@@ -77,7 +76,12 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
         if isinstance(surface, Quad):
             world[name] = _flat_surface(name, surface)
         else:
-            world[name] = _ball(surface)
+            world[name] = {
+                "type": "sphere",
+                "center": list(surface.center_m),
+                "radius": surface.radius_m,
+                "bsdf": _bsdf(surface.material),
+            }
     environment = _environment(scene)
     if environment is not None:
         world["environment"] = environment
@@ -218,15 +222,6 @@ def _quad(quad: Quad) -> dict[str, object]:
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f(matrix),
         "bsdf": _bsdf(quad.material),
-    }
-
-
-def _ball(sphere: Sphere) -> dict[str, object]:
-    return {
-        "type": "sphere",
-        "center": list(sphere.center_m),
-        "radius": sphere.radius_m,
-        "bsdf": _bsdf(sphere.material),
     }
 
 

@@ -52,9 +52,7 @@ class RoughConductor(ggx.GlossyBSDF):
     """
 
     def __init__(self, props: mi.Properties):
-        super().__init__(props)
-        self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
-        self.m_components = [int(self.m_flags)]
+        super().__init__(props, mi.BSDFFlags.GlossyReflection)
         if self.roughness is not None:
             self.energy, self.mean = map(mi.Float, energy_shares())
             return
@@ -66,16 +64,12 @@ class RoughConductor(ggx.GlossyBSDF):
         self.mean = dr.opaque(mi.Float, mean)
         self.lost = [mi.Float(table) for table in lost.astype(np.float32)]
 
-    def eval_pdf(self, context, si, wo, active):
-        """Value times cosine, and solid-angle density."""
-        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
-        active &= (cos_i > 0) & (cos_o > 0)
+    def reflected(self, si, wo, cos_i, cos_o, active):
         alpha = self.alpha_at(si, active)
         half = dr.normalize(si.wi + wo)
         shape, pdf = ggx.single_reflection(si.wi, wo, half, alpha)
         length_i = dr.norm(ggx.stretched(si.wi, alpha))
-        value = self._reflected(si, alpha, dr.dot(si.wi, half), length_i, active) * shape
-        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+        return self._returned(si, alpha, dr.dot(si.wi, half), length_i, active) * shape, pdf
 
     def sample(self, context, si, sample1, sample2, active):
         alpha = self.alpha_at(si, active)
@@ -92,10 +86,10 @@ class RoughConductor(ggx.GlossyBSDF):
         bs.wo, bs.eta = wo, 1.0
         bs.pdf = dr.select(active, 0.5 * ggx.distribution(half, alpha) / both, 0)
         bs.sampled_type, bs.sampled_component = mi.UInt32(self.m_components[0]), mi.UInt32(0)
-        weight = self._reflected(si, alpha, cos_half, length_i, active) * passed
+        weight = self._returned(si, alpha, cos_half, length_i, active) * passed
         return bs, dr.select(active, weight, 0)
 
-    def _reflected(
+    def _returned(
         self, si, alpha: ggx.Alpha, cos_half: mi.Float, length_i: mi.Float, active
     ) -> mi.Color3f:
         """Fresnel's share, and what comes back after the first reflection."""
@@ -125,9 +119,8 @@ class BrushedConductor(ggx.GlossyBSDF):
     """A metal with grooves. Properties: as of `RoughConductor`, `alpha` along the grain."""
 
     def __init__(self, props: mi.Properties):
-        super().__init__(props)
+        super().__init__(props, mi.BSDFFlags.GlossyReflection)
         self.metal = RoughConductor(props)
-        self.m_flags, self.m_components = self.metal.m_flags, self.metal.m_components
 
     def eval_pdf(self, context, si, wo, active):
         si, cosine, sine = self._along_grain(si, active)

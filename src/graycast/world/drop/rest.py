@@ -5,9 +5,9 @@ moves far. Then they **rest** in a new world without speeds, forces or contacts 
 the walls, with nine tenths of the friction, and without damping. Only a part that leaves its place
 is damped, until it has come to another. So what a heap holds by, it holds by itself.
 
-Rest is defined by positions over time, not by an instantaneous speed: see `_rest`. Damping replaces
-what the engine does not model (rolling friction, bending, air). It is small at first and then
-grows, so that rocking parts come to rest. Parts fall no faster than 1 m/s, as if let down by hand.
+Rest is defined by positions over time, not by an instantaneous speed. Damping replaces what the
+engine does not model (rolling friction, bending, air). It is small at first and then grows, so that
+rocking parts come to rest. Parts fall no faster than 1 m/s, as if let down by hand.
 """
 
 from collections import deque
@@ -104,10 +104,7 @@ def _rest(
     """Poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 
     The motion is that of the last 0.6 s, or of the last 0.2 s if these showed that all parts rest.
-
-    They rest where, with no part damped, none moved farther than `REST_MOTION_M` in `REST_LOOKS`,
-    or `STILL_MOTION_M` in `PLACE_LOOKS`. A part is damped from when it has left its place until it
-    has come to another.
+    A part is damped from when it has left its place until it has come to another.
     """
     poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
     damped_looks = np.zeros(len(box_m))  # for how many looks each part has been damped

@@ -115,7 +115,7 @@ def _pairs(record: Realism) -> Iterator[Figure]:
     yield from _lags(section, "common along", pairs)
 
 
-def _percentiles(section: str, values_m: Sequence[float] | None) -> Iterator[Figure]:
+def _percentiles(section: str, values_m: Sequence[float | None] | None) -> Iterator[Figure]:
     for name, value in zip(_PERCENTILES, values_m or [None] * 5, strict=True):
         yield Figure(section, f"sigma of z, {name}", _mm(value))
 

@@ -264,7 +264,10 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """Values of the free blocks, each the mean of its neighbours; the border is mirrored."""
+    """Values of the free blocks, each the mean of its neighbours; the border is mirrored.
+
+    The Laplacian is that of the differences between neighbours: none crosses the border.
+    """
     rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in free.shape)
     laplacian = sparse.kronsum(columns.T @ columns, rows.T @ rows).tocsr()[free.ravel()]
     right_side = -laplacian[:, ~free.ravel()] @ value[~free]

@@ -177,17 +177,15 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
         sum(getattr(c, f"{side}_farther") for c in counts) / len(counts)
         for side in ("right", "left", "below", "above")
     )
-    pairs = {"right and left": (right, left), "below and above": (below, above)}
-    shares = {
-        name: min(pair) / max(pair) for name, pair in pairs.items() if max(pair) >= _LEAST_JUMPS
-    }
+    pairs = (right, left), (below, above)
+    shares = [min(pair) / max(pair) for pair in pairs if max(pair) >= _LEAST_JUMPS]
     if not shares:
         raise GraycastError(
             f"the scans have {max(right, left, below, above):.0f} depth steps per map, which are "
             f"too few to identify the kind of scanner (at least {_LEAST_JUMPS} are needed): give "
             "scans with parts that stand out"
         )
-    if min(shares.values()) > _MOST_SHARE:
+    if min(shares) > _MOST_SHARE:
         raise GraycastError(
             "the scans have no shadow side: of the depth steps between valid neighbours "
             f"{right:.0f} a map fall to the right, {left:.0f} to the left, {below:.0f} downwards "

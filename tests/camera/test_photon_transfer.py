@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import photon_transfer as laboratory
 import pytest
+from backends import slow
 from photon_transfer import photon_transfer
 from scipy import stats
 
@@ -20,21 +21,19 @@ def returns(measured, spec):
 
 
 @pytest.mark.parametrize(
-    "spec",
+    ("spec", "side_px"),
     [
-        SPEC,
-        pytest.param(
-            SensorSpec(bit_depth=16, gain_dn_per_e=3.0, full_well_e=18_000.0, read_noise_e=7.0),
-            marks=pytest.mark.slow,
+        (SPEC, 128),
+        slow(
+            SensorSpec(bit_depth=16, gain_dn_per_e=3.0, full_well_e=18_000.0, read_noise_e=7.0), 256
         ),
-        pytest.param(
-            SensorSpec(f_number=2.8, gain_dn_per_e=1.5, full_well_e=2500.0, read_noise_e=2.0),
-            marks=pytest.mark.slow,
+        slow(
+            SensorSpec(f_number=2.8, gain_dn_per_e=1.5, full_well_e=2500.0, read_noise_e=2.0), 256
         ),
     ],
 )
-def test_photon_transfer_returns_the_parameters_that_went_in(spec):
-    measured = photon_transfer(spec, seed=1, side_px=128)
+def test_photon_transfer_returns_the_parameters_that_went_in(spec, side_px):
+    measured = photon_transfer(spec, seed=1, side_px=side_px)
     assert returns(measured, spec)
     assert abs(measured.dark_current_e_s / spec.dark_current_e_s - 1) < 0.05
     assert abs(measured.offset_dn - spec.offset_dn) < 0.1

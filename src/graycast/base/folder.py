@@ -1,12 +1,10 @@
 """Files and folders that are written completely or not at all."""
 
-import csv
 import fcntl
-import io
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -50,20 +48,6 @@ def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise GraycastError(
             f"{path}: cannot be written ({why}): give a path in an existing folder with free space"
         ) from error
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write a table, whole or not at all; each key of a row is a column, the earliest first.
-
-    Raises:
-        GraycastError: the folder is missing or the operating system refuses.
-    """
-    text = io.StringIO()
-    names = dict.fromkeys(name for row in rows for name in row)
-    table = csv.DictWriter(text, list(names), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    write_whole(path, text.getvalue().encode())
 
 
 @contextmanager

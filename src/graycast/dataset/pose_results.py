@@ -1,7 +1,6 @@
 """Estimated poses, and BOP's results files, which hold them."""
 
 import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from jaxtyping import Float
 
 from ..base.errors import GraycastError
 from ..base.frames import is_rigid, rigid
+from ..base.tables import csv_text
 from .records import MM_PER_M
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
@@ -43,15 +43,13 @@ def pose_results_text(estimates: Sequence[PoseEstimate]) -> str:
 
     Source: https://bop.felk.cvut.cz/challenges, "Formatting guidelines" of the localization task.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(HEADER)
+    rows = []
     for one in estimates:
         R = " ".join(repr(float(x)) for x in one.T_cam_part[:3, :3].ravel())
         t = " ".join(repr(float(x) * MM_PER_M) for x in one.T_cam_part[:3, 3])
-        row = [one.scene_id, one.im_id, one.obj_id, repr(float(one.score)), R, t]
-        writer.writerow([*row, repr(float(one.time_s))])
-    return text.getvalue()
+        score, time_s = repr(float(one.score)), repr(float(one.time_s))
+        rows.append([one.scene_id, one.im_id, one.obj_id, score, R, t, time_s])
+    return csv_text(HEADER, rows)
 
 
 def read_pose_results(path: Path) -> list[PoseEstimate]:

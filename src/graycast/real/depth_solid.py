@@ -5,13 +5,13 @@ nobody looks at it from below.
 """
 
 import math
-from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from ..base.kernels import kernel
 from ..rig.optics import Optics, rays
 from ..world.parts import Mesh
 
@@ -46,8 +46,7 @@ def surfaces(
     return fitted[..., :3].copy()
 
 
-@numba.njit(cache=True, parallel=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel(parallel=True)
 def _fitted(value, before, radius, terms, near_m):
     """A round of `surfaces`: weighted least squares about each pixel that has a value."""
     height, width = value.shape
@@ -87,8 +86,7 @@ def _fitted(value, before, radius, terms, near_m):
     return fitted
 
 
-@numba.njit(cache=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _solve(A, b):
     """Solve `A x = b` by Cholesky's factors in place; `A` has its lower half, `b` becomes x."""
     n = len(b)

@@ -1,15 +1,14 @@
 """The inverse of Brown-Conrady distortion, point by point, compiled."""
 
-from typing import no_type_check
-
 import numba
+
+from ..base.kernels import kernel
 
 ITERATIONS = 20  # Newton's method needs four or five where there is an inverse.
 RESIDUAL = 1e-14  # Newton's steps end at this error in normalised image coordinates.
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(parallel=True, error_model="numpy")
 def undistort_in_place(xy, k1, k2, p1, p2, k3):
     """Distorted to ideal points (n, 2) of normalised image coordinates; whether all came home."""
     lost = 0

@@ -1,13 +1,12 @@
 """Depth of a mesh at pixel centres, for checking; it shares no code with any renderer."""
 
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..base.frames import inverse, transform_points
+from ..base.kernels import kernel
 from ..base.mask_box import overlap
 from .optics import Optics, project, rays
 
@@ -93,8 +92,7 @@ def rasterize(
     return Raster(left_px=int(origin[0]), top_px=int(origin[1]), z=z, face=face)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _nearest(edge, volume, number, first, last, ray, z, face):
     for f in range(len(edge)):
         for i in range(first[f, 1], last[f, 1] + 1):

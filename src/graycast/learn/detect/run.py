@@ -12,8 +12,9 @@ import torch
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_csv, write_whole
+from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.tables import records_csv
 from ...dataset.json_text import json_bytes
 
 RUN = "run.json"
@@ -150,7 +151,7 @@ class RunFolder:
     def tell(self, rows: Sequence[Row]) -> None:
         """Write the history as CSV and as a picture, from the rows."""
         texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
-        write_csv(self.path / _HISTORY, texts)
+        write_whole(self.path / _HISTORY, records_csv(texts).encode())
         _draw(rows, self.path / _CURVES)
 
 

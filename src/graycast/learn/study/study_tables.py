@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...base.folder import write_csv, write_whole
+from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.tables import records_csv
 from ...dataset.json_text import json_bytes
 from ..study_file import StudySpec
 from .study_runs import Result
@@ -28,7 +29,7 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
         for row in _rows(spec, result, (number, name))
     ]
     write_whole(out / "table.md", _markdown(spec, means, parts).encode())
-    write_csv(out / "table.csv", means + parts)
+    write_whole(out / "table.csv", records_csv(means + parts).encode())
     write_whole(out / "table.tex", _latex(spec, means).encode())
     content = {"title": spec.title, "figure": "AP50", "rows": means + parts}
     write_whole(out / "study.json", json_bytes(content))

@@ -4,12 +4,12 @@ World frame: origin in the middle of the inner floor, z up, so every rectangle l
 """
 
 from dataclasses import dataclass
-from typing import final, no_type_check
+from typing import final
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.kernels import kernel
 from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
@@ -153,8 +153,7 @@ def _outside(x: float, y: float, height: float, wall_m: float) -> list[tuple]:
     return faces
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _nearest(point, normal, low_m, high_m, axis, side, facing):
     face, distance_m = np.full(len(point), NO_FACE), np.full(len(point), np.inf)
     for i in range(len(point)):
@@ -170,8 +169,7 @@ def _nearest(point, normal, low_m, high_m, axis, side, facing):
     return face, np.sqrt(distance_m)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _evidence(T_world_cam, ray, depth_m, corner_m, axis, tolerance_m, inner_m, content):
     low_m, high_m = corner_m[0], corner_m[1]
     score = np.zeros(len(T_world_cam))
@@ -205,8 +203,7 @@ def _evidence(T_world_cam, ray, depth_m, corner_m, axis, tolerance_m, inner_m, c
     return score / len(ray)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _raised_within(T, way, depth_m, inner_m):
     """Whether a point stands above the floor, no higher than the rim, within or on the walls."""
     x, y = abs(T[0, 3] + depth_m * way[0]), abs(T[1, 3] + depth_m * way[1])

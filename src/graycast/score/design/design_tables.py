@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
-from ...base.tables import csv_text, markdown_table
+from ...base.tables import markdown_table, records_csv
 from ...dataset.json_text import json_bytes
 from ..evaluate.intervals import Interval
 from .choosing import FIGURES, SettingFigures, choose, cost, on_front, row_of, sentences
@@ -41,8 +41,7 @@ def write_design(spec: DesignSpec, out: Path) -> str:
     conclusion = sentences(spec, rows)
     write_whole(out / "table.md", _markdown(spec, rows, conclusion).encode())
     records = [_record(row) for row in rows]
-    table = csv_text(list(records[0]), ([*record.values()] for record in records))
-    write_whole(out / "table.csv", table.encode())
+    write_whole(out / "table.csv", records_csv(records).encode())
     content = {"title": spec.title, "says": conclusion, "rows": records}
     write_whole(out / "design.json", json_bytes(content))
     _draw_pareto(spec, rows, out / "pareto.png")

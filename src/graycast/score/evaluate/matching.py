@@ -9,14 +9,14 @@ them out, and intervals and pictures of mistakes need them.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, no_type_check
+from typing import Any, Literal
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
+from ...base.kernels import kernel
 from ...dataset.detections import Detections
 from .labels import Labels
 
@@ -238,8 +238,7 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
     )
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _take(overlap, ignored, shared, thresholds):
     """Place of the instance that each detection takes, for each threshold; -1 for none.
 

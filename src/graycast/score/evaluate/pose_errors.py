@@ -5,12 +5,10 @@ Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2
 and their thresholds for localization.
 """
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 from jaxtyping import Float
 
+from ...base.kernels import kernel
 from ...rig.optics import Optics
 
 DELTA_M = 0.015  # For VSD a surface is visible up to so far behind the measured one.
@@ -109,8 +107,7 @@ def _visible(surface_m: np.ndarray, measured_m: np.ndarray) -> np.ndarray:
     return np.isfinite(surface_m) & (unknown | near)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel(nogil=True, error_model="numpy")
 def _least_greatest(apart, vertex):
     """A motion is given up once a vertex is farther than the best motion's farthest."""
     least = np.inf
@@ -128,8 +125,7 @@ def _least_greatest(apart, vertex):
     return np.sqrt(least)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
+@kernel(nogil=True, error_model="numpy")
 def _least_greatest_px(mine, alike, vertex, focal):
     least = np.inf
     for s in range(len(alike)):

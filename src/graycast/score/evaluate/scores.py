@@ -11,12 +11,11 @@ takes is the highest precision at a recall or above.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.kernels import kernel
 from ...dataset.detections import Detections
 from .labels import Labels
 from .matching import ClassMatches, Kind, Overlaps, match, overlaps
@@ -153,8 +152,7 @@ def class_figures(
     return _figures(matches.hit, matches.counted, scene, runs, to_find, often, RECALLS)
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _figures(hit, counted, scene, runs, to_find, times, recalls):
     draws, thresholds = len(times), len(hit)
     precision = np.full((draws, thresholds), np.nan)
@@ -171,8 +169,7 @@ def _figures(hit, counted, scene, runs, to_find, times, recalls):
     return precision, recall
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel()
 def _curve(hit, counted, runs, times, wanted, recalls, curve):
     """Fill `curve`; returns the recall of all detections. Precision matters at hits alone."""
     hits, mistakes, steps = 0, 0, 0

@@ -1,11 +1,9 @@
 """Points spread evenly over a part's surface."""
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 from jaxtyping import Float
 
+from ...base.kernels import kernel
 from .part import Mesh
 
 DENSITY = 8  # So many candidates are drawn for each point that is kept.
@@ -61,8 +59,7 @@ def _candidates(mesh: Mesh, area: np.ndarray, count: int) -> tuple[np.ndarray, n
     return corner[:, 0] + u[:, None] * edge[:, 0] + v[:, None] * edge[:, 1], face
 
 
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+@kernel()
 def _farthest(point, step_m, most):
     away2 = np.full(len(point), np.inf)
     index = np.empty(min(most, len(point)), np.int64)

@@ -5,14 +5,13 @@ that size could enter), and must reach to the surface within it (no corner is lo
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
+from ....base.kernels import kernel
 from ...parts import Mesh
 from ...parts.surface import surface_of
 from .solid import Hull, bodies_of, height_m
@@ -162,8 +161,7 @@ def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-@numba.njit(cache=True, error_model="numpy")  # no shape of triangle raises
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+@kernel(error_model="numpy")  # no shape of triangle raises
 def _nearest_m(point, faces, corner):
     """Distance of each point to the nearest of its faces.
 

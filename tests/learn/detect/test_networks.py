@@ -26,6 +26,7 @@ BACKBONES = {
 LIBRARIES = {"yolov7": "libreyolo", "rf-detr": "rfdetr"}
 SIZE_PX = (64, 96)
 EVERY = pytest.mark.parametrize("model", MODELS)
+MASKS_ONCE = pytest.mark.parametrize("model", [slow(m) if m == "mask-rcnn" else m for m in MODELS])
 FIRST = pytest.mark.parametrize("model", [m if m == "yolov3" else slow(m) for m in MODELS])
 # rfdetr imports libraries that warn of what they will stop to offer.
 pytestmark = [
@@ -78,7 +79,7 @@ def total(network, images, targets, *, seed=0):
     return sum(losses.values()), losses
 
 
-@EVERY
+@MASKS_ONCE
 def test_what_is_found_has_the_form_that_is_promised(model, ready):
     network = ready(model)
     assert isinstance(network, Network)
@@ -113,7 +114,7 @@ def test_fewer_or_better_are_the_first_of_all(model, ready):
         torch.testing.assert_close(few.box, all_of_it.box[: len(few.box)])
 
 
-@EVERY
+@MASKS_ONCE
 def test_nothing_found_has_the_form_too(model, ready):
     network = ready(model)
     for found in network.find(pictures()[0], most=5, least_score=1.0):
@@ -168,7 +169,7 @@ def test_saved_weights_find_the_same(model, ready, tmp_path):
         assert ours.mask is None or torch.equal(ours.mask, theirs.mask)
 
 
-@pytest.mark.parametrize("model", [slow(m) if m == "mask-rcnn" else m for m in MODELS])
+@MASKS_ONCE
 def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
     """Laws: its class does not matter; nothing is asked of the network where it is, so that the
     loss is smaller than were it not labelled at all, and the terms of positives are the same."""

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
+from small_cell import shrunk
 
 from graycast.base.errors import ConfigError, DatasetError, GraycastError
 from graycast.camera.scanner import preset
@@ -231,7 +232,8 @@ def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     np.save(tmp_path / "in/depth/a.npy", true_depth_m().astype(np.float32))
     K = ",".join(str(v) for v in (CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px))
     source = open_source(tmp_path / "in", SourceOptions(intrinsics=K))
-    rescan(source, RIG, tmp_path / "out", spec(camera="rig", copies=True))
+    rig = replace(RIG, rig=replace(RIG.rig, camera=shrunk(RIG.rig.camera, 172, 129)))
+    rescan(source, rig, tmp_path / "out", spec(camera="rig", copies=True))
     scene = tmp_path / "out/depth/000000"
     plain = json.loads((scene / "scene_camera.json").read_text())["0"]
     assert plain["cam_K"] == pytest.approx(CAMERA.K.ravel())
@@ -241,11 +243,11 @@ def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     example = open_foreign(tmp_path / "same/depth").read(0)
     np.testing.assert_allclose(example.depth_m, true_depth_m(), atol=2e-5)
     depth_m, view = scanned(scene, 0)
-    assert depth_m.shape == (386, 516)
-    assert view["cam_K"] == pytest.approx(RIG.rig.camera.K.ravel())
+    assert depth_m.shape == (129, 172)
+    assert view["cam_K"] == pytest.approx(rig.rig.camera.K.ravel())
     assert np.isfinite(depth_m).mean() > 0.2  # the image shows less than the rig's camera
     assert validate(tmp_path / "out") == ()
-    assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (386, 516)
+    assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (129, 172)
 
 
 def test_the_page_has_every_image_before_and_after(made, tmp_path):

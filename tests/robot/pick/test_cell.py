@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from backends import slow
 from small_cell import write_cell
 
 from graycast.base.errors import GraycastError
@@ -110,7 +111,7 @@ class OneClass:
         return Detections(scene_id=0, score=np.array([0.9])[kept], obj_id=kind[kept], box_px=box)
 
 
-@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("parts", [1, slow(2)])
 def test_a_detector_of_one_class_serves_where_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts
 ):

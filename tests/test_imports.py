@@ -55,7 +55,6 @@ FORBIDDEN = {
     },
 }
 # Rooms of one thing: their docstrings name few files or none.
-UNORDERED = {"rendering", "dataset", "real", "cli"}
 WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
 MITSUBA = {"rendering", "cli.doctor"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
@@ -150,8 +149,7 @@ def test_every_module_has_its_place():
     assert tops == set(ROOMS), f"give {sorted(tops ^ set(ROOMS))} a line in ROOMS, or none"
     for room in ROOMS:
         inside = {name[1] for name, _, _ in modules() if name[:1] == (room,) and name[1:]}
-        assert set(order_in(room)) <= inside, room
-        assert room in UNORDERED or inside == set(order_in(room)), f"complete {room}/__init__.py"
+        assert inside == set(order_in(room)), f"complete {room}/__init__.py"
 
 
 def test_a_module_imports_only_from_modules_above_it():

@@ -16,7 +16,7 @@ The rooms in order; the docstring of each has a line for each of its modules. A 
 from those above it, which `tests/test_imports.py` checks. CONTRIBUTING.md says where a new code,
 renderer, detector, exporter or gripper goes.
 
-    base       what every room uses: errors, settings, whole files, frames, plots
+    base       what every room uses: errors, settings, whole files, frames, random streams, plots
     rig        optics, codes, and the pair of camera and projector
     world      parts, bins, the scene, and the drop: Scene -> Layout
     rendering  light: Layout -> Radiance, and the ground truth

@@ -5,9 +5,11 @@ Each imports only from those above it:
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
     speckle     laser speckle, its patches, and its effect on decoded positions
-    decode      from pictures to projector positions and depth: Capture -> DepthMap
-    line_noise  uneven projector lines, and their effect on decoded positions
-    faults      depth of points beside their pixels, for simulated scans
+    decode      from pictures to projector positions and depth: Capture -> DepthMap; the reason of
+                each pixel without depth (`maps.Reason`); periods that are in doubt (`phases`,
+                `settling`, `positions`)
+    line_noise  projector lines that are brighter or darker in each picture, and their noise
+    faults      errors of depth that grow with the slope of the surface and stay from scan to scan
     scanner     a rig with its code, sensor, exposure, decoder, filters and faults
     picture     the colour picture and the grey picture of the measuring camera
     rig_file    scanners in files, and imported calibrations

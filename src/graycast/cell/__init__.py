@@ -7,7 +7,8 @@ Each imports only from those above it:
     config           the configuration in YAML, and the values that it resolves to
     new_cell         a commented configuration for one part
     resolve          a configuration with all its files read, shared by all scenes
-    simulate         one scene, from its seeds to its sample
+    simulate         one scene, from its seeds (`base.streams`) to its sample
     engine           where scenes are made: this process, other processes, or a cluster
-    generate         many scenes of a cell, written to the folder of a dataset
+    generate         many scenes of a cell, written to the folder of a dataset (`dataset.store`),
+                     and those that are missing after a stop
 """

@@ -1,17 +1,19 @@
 """The command `graycast`: files in, files out.
 
-arguments            the table of the flags that several commands share
-bars                 progress and the time that is left
-start_commands       demo, new, doctor, schema
-scene_commands       preview, generate, live, validate, report, parts
-rescan_command       rescan
-dataset_commands     the group dataset
-detector_commands    the group detector
-robot_commands       the group robot
-rig_commands         the group rig
-real_commands        the group real
-doctor               what this machine has
-command              the program: groups, help and errors
+Each imports only from those above it:
+
+    bars               progress and the time that is left
+    doctor             what this machine has
+    arguments          the table of the flags that several commands share, and what reads them
+    dataset_commands   the group dataset
+    detector_commands  the group detector
+    real_commands      the group real
+    rescan_command     rescan
+    rig_commands       the group rig
+    start_commands     demo, new, doctor, schema
+    scene_commands     preview, generate, live, validate, report, parts
+    robot_commands     the group robot
+    command            the program: groups, help and errors
 """
 
 from .command import main

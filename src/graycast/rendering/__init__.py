@@ -2,6 +2,33 @@
 
 `mitsuba.py` and what it imports load Mitsuba, so they are imported after `open_device` has set its
 variant.
+
+Each imports only from those above it:
+
+    ggx                the distribution of microfacets of all rough materials
+    radiance           what a renderer returns, and the protocol `Renderer`
+    wavelength         the scene in the light of the projector's wavelength
+    trial              a small picture, rendered by a process that a broken driver may end
+    dielectric         clear glass and plastic
+    mitsuba_patterns   patterns in few bits, and sums over them
+    mitsuba_lens       lenses in Dr.Jit
+    coated_diffuse     plastic and paint: a clear coat over a diffuse base
+    rough_conductor    metal, also brushed or turned
+    denoise            denoising by Open Image Denoise
+    path_noise         the error that a finite number of light paths leaves in a pixel
+    device             render devices: found, chosen, opened
+    mitsuba_sight      what rays meet where there may be glass
+    mitsuba_projector  the projector as a light
+    filmed_conductor   metal under oil or lacquer
+    reference          planes and spheres in direct light, exact, in NumPy
+    cycles             Blender Cycles in a process of its own, a render for each pattern
+    mitsuba_scene      a scene as Mitsuba has it: materials, meshes, lights
+    mitsuba_stage      what all light paths through a scene share
+    mitsuba_caustics   light paths from the projector over shiny surfaces: caustics
+    mitsuba_truth      depth, normals and silhouettes at pixel centres
+    mitsuba_paths      light paths from the camera, for all patterns at once
+    mitsuba            the renderer of one pass for all patterns
+    trial_picture      the process of `trial`
 """
 
 import numpy as np

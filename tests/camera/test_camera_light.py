@@ -104,8 +104,8 @@ def test_coarse_stripes_lose_less_than_fine_ones():
     for period_px in (1024, 512, 256, 128, 64, 32):
         line = ((x // (period_px // 2)) % 2).astype(np.float32)
         image = np.broadcast_to(line, (768, 1024)).copy()
-        seen, inverse = veiled(image, 0.1)[384], veiled(1 - image, 0.1)[384]
-        modulation.append(float(np.abs(seen - inverse).mean()))
+        picture, inverse = veiled(image, 0.1)[384], veiled(1 - image, 0.1)[384]
+        modulation.append(float(np.abs(picture - inverse).mean()))
     losses = -np.diff(modulation)
     assert modulation[0] > 0.92 and modulation[-1] == pytest.approx(0.9, abs=0.005)
     assert (losses > -1e-6).all() and losses.max() < 0.03

@@ -13,10 +13,12 @@ SHAPE = (400, 420)
 
 def test_an_uneven_amplitude_has_its_spread_and_its_patches_and_no_more_power():
     mean, patch_px = 0.1, 8.0
-    drawn = [uneven(np.full(SHAPE, mean), 0.3, patch_px=patch_px, seed=seed) for seed in range(6)]
-    log = np.log(np.stack(drawn))
+    amplitudes = [
+        uneven(np.full(SHAPE, mean), 0.3, patch_px=patch_px, seed=seed) for seed in range(6)
+    ]
+    log = np.log(np.stack(amplitudes))
     assert log.std() == pytest.approx(0.3, rel=1e-3)
-    assert np.mean(np.square(drawn)) == pytest.approx(mean**2, rel=0.03)
+    assert np.mean(np.square(amplitudes)) == pytest.approx(mean**2, rel=0.03)
     rest = log - log.mean()
     for lag in (4, 8, 12):
         expected = math.exp(-((lag / patch_px) ** 2))

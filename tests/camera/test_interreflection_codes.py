@@ -87,8 +87,8 @@ class Radiosity:
         light = []
         for frame in code.frames:
             share = level_share(frame, code.width_px if frame.axis else 1)
-            shown = share[at] if frame.axis else share
-            light.append(self.solve @ (self.direct * shown))
+            pattern = share[at] if frame.axis else share
+            light.append(self.solve @ (self.direct * pattern))
         light = np.array(light)
         frames = np.round(64 + 3000 * light / light[0].max()).astype(np.uint16)[:, None]
         levels = Levels(offset_dn=64.0, saturation_dn=4095.0, floor_dn2=0.1, slope_dn=0.0)
@@ -100,7 +100,7 @@ def shots(rig, mitsuba_renderer):
     """Per code: errors of decoded and of predicted columns, pixel by pixel of both walls."""
     theory = Radiosity(rig)
     scene = in_camera(rig, *groove())
-    found = {}
+    errors = {}
     for name, spec in CODES.items():
         scanner = Scanner(
             rig=rig,
@@ -117,15 +117,15 @@ def shots(rig, mitsuba_renderer):
         point = ray * rendering.truth.depth_m[..., None].astype(float)
         column = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))[..., 0]
         strips = theory.decoded(code) - theory.column
-        seen, predicted = [], []
+        measured, predicted = [], []
         for i in (0, 1):
             on = np.abs((point - APEX_M) @ NORMALS[i]) < 1e-4
             on[:15], on[45:] = False, False  # the middle of the groove: radiosity has no ends
             strip = ((point[on] - APEX_M) @ DIRECTIONS[i] / WALL_M * STRIPS).astype(int)
-            seen.append((codes.column - column)[on])
+            measured.append((codes.column - column)[on])
             predicted.append(strips[i * STRIPS : (i + 1) * STRIPS][np.clip(strip, 0, STRIPS - 1)])
-        found[name] = np.concatenate(seen), np.concatenate(predicted)
-    return found
+        errors[name] = np.concatenate(measured), np.concatenate(predicted)
+    return errors
 
 
 def wrong(error):
@@ -135,10 +135,10 @@ def wrong(error):
 
 @pytest.mark.slow
 def test_plain_gray_fails_where_radiosity_says(shots):
-    seen, predicted = shots["gray"]
-    known = np.isfinite(seen) & np.isfinite(predicted)
+    measured, predicted = shots["gray"]
+    known = np.isfinite(measured) & np.isfinite(predicted)
     assert wrong(predicted) > 0.25
-    agree = (np.abs(seen[known]) > 2) == (np.abs(predicted[known]) > 2)
+    agree = (np.abs(measured[known]) > 2) == (np.abs(predicted[known]) > 2)
     assert agree.mean() > 0.9  # the rest lies at the borders of what fails
 
 

@@ -35,21 +35,21 @@ def radiance(scanner):
 
 
 def light_of(scanner):
-    made = ReferenceRenderer().render(
+    rendering = ReferenceRenderer().render(
         in_camera(scanner.rig, wall(1.0, lambert(0.6))),
         EMPTY_LAYOUT,
         scanner.light_code().render(),
         quality=Quality(samples=1, depth=1),
         seed=0,
     )
-    return made.radiance
+    return rendering.radiance
 
 
 def places(scanner, radiance, seeds):
     """Decoded columns and their stated depth sigma over the code's own, of several captures."""
-    found = [measure(scanner, take(scanner, radiance, seed=seed)) for seed in seeds]
+    scans = [measure(scanner, take(scanner, radiance, seed=seed)) for seed in seeds]
     inner = np.s_[2:-2, 2:-2]
-    return np.stack([codes.column[inner] for codes, _ in found]), found
+    return np.stack([codes.column[inner] for codes, _ in scans]), scans
 
 
 def test_each_pixel_s_line_is_the_one_that_its_ray_meets(scanner, radiance):
@@ -122,10 +122,10 @@ def test_several_periods_scatter_less_by_their_mean(scanner, words):
 
 
 def test_sigma_tells_the_error(scanner, radiance):
-    _, found = places(scanner, radiance, range(12))
+    _, scans = places(scanner, radiance, range(12))
     inner = np.s_[2:-2, 2:-2]
-    depth_m = np.stack([depth.depth_m[inner] for _, depth in found])
-    sigma_m = np.stack([depth.sigma_m[inner] for _, depth in found])
+    depth_m = np.stack([depth.depth_m[inner] for _, depth in scans])
+    sigma_m = np.stack([depth.sigma_m[inner] for _, depth in scans])
     noise_m = np.sqrt(depth_m.var(axis=0, ddof=1).mean())
     assert 0.9 < noise_m / np.sqrt((sigma_m**2).mean()) < 1.1
 

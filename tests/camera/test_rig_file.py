@@ -153,8 +153,8 @@ def test_a_calibration_means_what_opencv_means_by_it(tmp_path, name):
     expected, _ = cv2.projectPoints(
         1e3 * point_m, rotation, translation, K, np.array(CALIBRATION["pro_kc"])
     )
-    seen = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point_m))
-    assert np.abs(seen - expected[:, 0]).max() < 1e-7
+    pixel = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point_m))
+    assert np.abs(pixel - expected[:, 0]).max() < 1e-7
     camera = (np.zeros(3), np.zeros(3), np.array(CALIBRATION["cam_K"]))
     expected, _ = cv2.projectPoints(point_m, *camera, np.array(CALIBRATION["cam_kc"]))
     assert np.abs(project(rig.camera, point_m) - expected[:, 0]).max() < 1e-7
@@ -258,8 +258,8 @@ def test_the_sea_shell_scanner_has_a_baseline_of_195_mm(tmp_path):
     assert (rig.camera.width_px, rig.camera.height_px) == (2592, 1944)
     assert (rig.projector.width_px, rig.projector.height_px) == (1280, 800)
     assert rig.T_cam_proj[0, 3] > 0.1  # the projector stands to the camera's right
-    told = read(SEA_SHELL, projector_size_px=(1280, 720))
-    assert (told.projector.width_px, told.projector.height_px) == (1280, 720)
+    sized = read(SEA_SHELL, projector_size_px=(1280, 720))
+    assert (sized.projector.width_px, sized.projector.height_px) == (1280, 720)
     save_scanner(Scanner(rig=rig), tmp_path / "rig.yaml")
     assert same(load_scanner(tmp_path / "rig.yaml").rig, rig)
 
@@ -504,9 +504,9 @@ def test_an_unknown_rig_word_lists_what_there_is(tmp_path, text, resolution, mes
 def test_the_schema_knows_exactly_the_keys_of_a_saved_rig(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content, schema = yaml.safe_load((tmp_path / "rig.yaml").read_text()), rig_schema()
-    unsaid = {"contrast_ratio", "line_noise_length_m"}, {"focus_m", "falloff"}  # infinite, off
-    assert set(schema["properties"]) == set(content) | unsaid[0]
+    omitted = {"contrast_ratio", "line_noise_length_m"}, {"focus_m", "falloff"}  # infinite, off
+    assert set(schema["properties"]) == set(content) | omitted[0]
     optics = schema["$defs"]["OpticsModel"]["properties"]
-    assert set(optics) == set(content["camera"]) | unsaid[1]
+    assert set(optics) == set(content["camera"]) | omitted[1]
     assert schema["additionalProperties"] is False
     json.dumps(schema)

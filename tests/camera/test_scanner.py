@@ -49,7 +49,7 @@ def shots(rig, mitsuba_renderer):
     wall = leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, grey, half_m=0.4)
     scene = in_camera(rig, wall, ball)
     sensor = replace(preset("phoxi-m").sensor, read_noise_e=5.0)
-    found = {}
+    scans = {}
     for codec in CODECS:
         code = CodeSpec(codec=codec, axes=("column",))
         scanner = Scanner(rig=rig, code=code, sensor=sensor, exposure=ExposureSpec(target=0.35))
@@ -65,8 +65,8 @@ def shots(rig, mitsuba_renderer):
         truth_m = rendering.truth.depth_m
         step_m = ndimage.maximum_filter(truth_m, 5) - ndimage.minimum_filter(truth_m, 5)
         error_m = np.where(step_m < 0.02, depth.depth_m - truth_m, np.nan)
-        found[codec] = depth, error_m
-    return found
+        scans[codec] = depth, error_m
+    return scans
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def flat_light():
     """Light of a scanner's code on two flat halves, each pixel seeing column 100."""
     from graycast.rendering import Radiance
 
-    def made(scanner, *, dim, bright):
+    def flat(scanner, *, dim, bright):
         code = scanner.light_code()
         level = code.render()[:, 100, 100].astype(np.float32) / 255
         camera = scanner.rig.camera
@@ -190,7 +190,7 @@ def flat_light():
             albedo=np.zeros((*shape, 3), dtype=np.float32),
         )
 
-    return made
+    return flat
 
 
 def test_a_scan_lasts_as_long_as_its_frames():

@@ -88,10 +88,10 @@ def test_uneven_finish_makes_tails_and_no_more_noise(scanner, light, monkeypatch
         power_m2[name] = np.nanmean(noise_m**2)
         kurtosis[name] = np.nanmean(noise_m**4) / np.nanmean(noise_m**2) ** 2
     share = 1 - power_m2["lamp"] / power_m2["even"]
-    kept = ((n - 1) ** 3 + 1) / (n**2 * (n - 1))  # of a fourth cumulant, less the mean of n
+    remainder = ((n - 1) ** 3 + 1) / (n**2 * (n - 1))  # of a fourth cumulant, less the mean of n
     assert share > 0.8
     assert power_m2["uneven"] / power_m2["even"] == pytest.approx(1, abs=0.03)
-    more = (kurtosis["uneven"] - kurtosis["even"]) / kept
+    more = (kurtosis["uneven"] - kurtosis["even"]) / remainder
     assert more == pytest.approx(3 * share**2 * (np.exp(4 * u**2) - 1), rel=0.15)
 
 
@@ -141,9 +141,9 @@ def test_all_exposures_and_frames_have_one_pattern_and_another_capture_another(
 
 def test_other_light_has_no_speckle(scanner, light):
     """All of it ambient, and much: what is left is the photons' noise."""
-    told = light[0.03].radiance
-    dark = {name: getattr(told, name) for name in told.__dataclass_fields__}
-    lit = Radiance(**dark | {"pattern": told.pattern * 0, "ambient": told.white * 0 + 1e3})
+    radiance = light[0.03].radiance
+    dark = {name: getattr(radiance, name) for name in radiance.__dataclass_fields__}
+    lit = Radiance(**dark | {"pattern": radiance.pattern * 0, "ambient": radiance.white * 0 + 1e3})
     white = take(scanner, lit, seed=1).frames[scanner.light_code().brightest]
     noise_dn = np.sqrt(scanner.sensor.variance_dn2(float(white.mean())))
     assert white.std() == pytest.approx(noise_dn, rel=0.05)

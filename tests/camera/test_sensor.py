@@ -91,8 +91,8 @@ def test_low_counts_are_exactly_poisson(mean_e):
         stats.poisson.cdf(low, mean_e),
         stats.poisson.sf(high - 1, mean_e),
     )
-    seen = np.bincount(np.clip(counts, low, high) - low, minlength=len(edges))
-    assert stats.chisquare(seen, expected * counts.size).pvalue > 1e-3
+    observed = np.bincount(np.clip(counts, low, high) - low, minlength=len(edges))
+    assert stats.chisquare(observed, expected * counts.size).pvalue > 1e-3
     normal = np.rint(np.random.default_rng(0).normal(mean_e, math.sqrt(mean_e), counts.size))
     wrong = np.bincount(np.clip(normal, low, high).astype(int) - low, minlength=len(edges))
     assert stats.chisquare(wrong, expected * counts.size).pvalue < 1e-6  # the test can fail
@@ -109,12 +109,12 @@ def test_photons_and_read_noise_are_independent_of_each_other():
     below = (stats.norm.cdf(upper) * stats.poisson.pmf(count, mean_e)).sum(axis=1)
     expected = np.diff(below, prepend=0.0)
     expected[-1] += 1 - below[-1]
-    seen = np.bincount(np.clip(dn, 70, 160) - 70, minlength=len(edges))
+    observed = np.bincount(np.clip(dn, 70, 160) - 70, minlength=len(edges))
     enough = expected * dn.size > 20
     rest = 1 - expected[enough].sum()
     assert rest * dn.size > 5
-    seen = np.append(seen[enough], dn.size - seen[enough].sum())
-    assert stats.chisquare(seen, np.append(expected[enough], rest) * dn.size).pvalue > 1e-3
+    observed = np.append(observed[enough], dn.size - observed[enough].sum())
+    assert stats.chisquare(observed, np.append(expected[enough], rest) * dn.size).pvalue > 1e-3
 
 
 def test_many_electrons_are_normal_and_their_tails_are_there():

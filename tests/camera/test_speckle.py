@@ -93,8 +93,8 @@ def test_neighbours_agree_as_far_as_a_speckle_lies_on_both(sensor):
         for lag in (1, 2):
             expected = shared_light(sensor, lag) / shared_light(sensor, 0)
             for a, b in ((image[lag:], image[:-lag]), (image[:, lag:], image[:, :-lag])):
-                found = (a * b).mean() / (image**2).mean()
-                assert found == pytest.approx(expected, abs=0.02)
+                correlation = (a * b).mean() / (image**2).mean()
+                assert correlation == pytest.approx(expected, abs=0.02)
 
 
 def test_a_seed_is_one_pattern_and_seeds_are_unrelated():
@@ -119,8 +119,8 @@ def test_weights_of_many_specks_move_a_pixels_centre_as_stated():
     place = (np.arange(24) - 11.5) / 24
     centre = (weight.sum(axis=1) @ place) / weight.sum(axis=(1, 2))
     coarse = replace(RED, pixel_pitch_m=1e-3)  # lambda N / pi is nothing beside it
-    drawn = draw_speckle(np.full(SHAPE, 1 / 24), coarse, seed=2).right_px
-    assert drawn.std() == pytest.approx(centre.std(), rel=3 / math.sqrt(2 * 4000))
+    shift_px = draw_speckle(np.full(SHAPE, 1 / 24), coarse, seed=2).right_px
+    assert shift_px.std() == pytest.approx(centre.std(), rel=3 / math.sqrt(2 * 4000))
 
 
 def test_a_tiny_pixels_centre_is_uncertain_by_the_law_of_dorsch_and_others():
@@ -180,9 +180,9 @@ def ramp_speckle(right, down, bright=1.0):
 def test_a_slope_is_seen_where_the_light_is_centred():
     y, x = np.mgrid[:12, :14].astype(np.float32)
     stack = np.stack([5 + 3 * x, 90 - 2 * y, 0 * x + 7])
-    seen = speckled(stack, ramp_speckle(0.2, -0.3, 1.1))[:, 1:-1, 1:-1] / 1.1
+    picture = speckled(stack, ramp_speckle(0.2, -0.3, 1.1))[:, 1:-1, 1:-1] / 1.1
     inner = stack[:, 1:-1, 1:-1]
-    assert np.allclose(seen, inner + np.array([0.6, 0.6, 0])[:, None, None], atol=1e-4)
+    assert np.allclose(picture, inner + np.array([0.6, 0.6, 0])[:, None, None], atol=1e-4)
 
 
 def test_no_light_comes_over_a_silhouette_and_none_is_negative():
@@ -219,10 +219,10 @@ def test_sigma_of_a_displaced_plane_is_that_of_its_errors():
             reason=np.full(column.shape, int(Reason.DECODED), dtype=np.uint8),
             camera=rig.camera,
         )
-        told = with_displacement(plain, codes, rig, spread + np.float32(off_px))
+        displaced = with_displacement(plain, codes, rig, spread + np.float32(off_px))
         error = depth - 0.9 / (1 - slope * x)
         inside = np.s_[2:-2, 2:-2]
-        assert np.std((error / told.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
+        assert np.std((error / displaced.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
 
 
 def _codes(column):
@@ -244,5 +244,5 @@ def test_a_pixel_that_senses_with_a_half_is_every_second_one_of_a_finer_sensor()
             shared_light(finer, 2 * lag), rel=1e-9, abs=1e-12
         )
     assert 2 * footprint_px(RED, side=0.5) == pytest.approx(footprint_px(finer), rel=1e-9)
-    drawn = draw_speckle(np.full(SHAPE, 0.1), RED, seed=1, side=0.5).right_px
-    assert drawn.std() == pytest.approx(0.1 * footprint_px(finer) / 2, rel=0.05)
+    shift_px = draw_speckle(np.full(SHAPE, 0.1), RED, seed=1, side=0.5).right_px
+    assert shift_px.std() == pytest.approx(0.1 * footprint_px(finer) / 2, rel=0.05)

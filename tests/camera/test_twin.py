@@ -65,7 +65,7 @@ def test_the_twin_of_the_sea_shell_s_scanner_has_its_modulation(twin, mitsuba_re
         scene, EMPTY_LAYOUT, code.render(), quality=Quality(samples=16, depth=3), seed=1
     )
     shot = scan(scanner, rendering.radiance, seed=2)
-    found = figures_of(shot.capture.frames, code, shot.codes, None).modulation
-    got = np.array([found[f"column_bit{bit:02d}"] for bit in range(10, -1, -1)])
+    modulation = figures_of(shot.capture.frames, code, shot.codes, None).modulation
+    got = np.array([modulation[f"column_bit{bit:02d}"] for bit in range(10, -1, -1)])
     np.testing.assert_allclose(got[:7], REAL[:7], atol=0.06)
     np.testing.assert_allclose(got[-3:], REAL[-3:], atol=0.06)

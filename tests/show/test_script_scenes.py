@@ -22,26 +22,26 @@ def cell(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(cell):
+def scenes(cell):
     return list(graycast.scenes(cell, 2, seed=5, device="cpu"))
 
 
-def test_saved_scenes_are_the_dataset_that_generate_makes(cell, made, tmp_path):
-    for scene in made:
+def test_saved_scenes_are_the_dataset_that_generate_makes(cell, scenes, tmp_path):
+    for scene in scenes:
         scene.save(tmp_path / "saved")
     graycast.generate(cell, tmp_path / "generated", scenes=2, seed=5, device="cpu")
     assert content(tmp_path / "saved") == content(tmp_path / "generated")
 
 
-def test_the_cloud_is_what_the_pixels_with_depth_see(made):
+def test_the_cloud_is_what_the_pixels_with_depth_see(scenes):
     """Each point projects to the middle of its pixel, and its z is the depth there."""
-    depth = made[0].depth
+    depth = scenes[0].depth
     row, column = np.nonzero(np.isfinite(depth.depth_m))
     cloud = depth.points()
     assert cloud.shape == (len(row), 3)
     assert len(row) > 1000
     np.testing.assert_allclose(cloud[:, 2], depth.depth_m[row, column])
-    pixel = project(made[0].shots[0].sample.scene.rig.camera, cloud)
+    pixel = project(scenes[0].shots[0].sample.scene.rig.camera, cloud)
     np.testing.assert_allclose(pixel, np.stack([column, row], axis=-1), atol=1e-4)
 
 
@@ -56,10 +56,10 @@ def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
     assert closed
 
 
-def test_the_seed_is_the_configurations_unless_one_is_given(cell, made):
+def test_the_seed_is_the_configurations_unless_one_is_given(cell, scenes):
     first = next(graycast.scenes(cell, 1, device="cpu"))
     assert first.shots[0].sample.manifest["dataset_seed"] == cell.config.seed == 0
-    assert not np.array_equal(first.layout.T_world_part, made[0].layout.T_world_part)
+    assert not np.array_equal(first.layout.T_world_part, scenes[0].layout.T_world_part)
 
 
 def test_a_scene_that_cannot_be_made_is_its_own_error(tmp_path):
@@ -68,17 +68,17 @@ def test_a_scene_that_cannot_be_made_is_its_own_error(tmp_path):
         next(graycast.scenes(cell, 1, device="cpu"))
 
 
-def test_a_sheet_needs_a_viewer_only_to_be_shown(made, monkeypatch):
+def test_a_sheet_needs_a_viewer_only_to_be_shown(scenes, monkeypatch):
     monkeypatch.setattr(ImageShow, "_viewers", [])
-    sheet = made[0].sheet()
+    sheet = scenes[0].sheet()
     assert np.asarray(sheet).std() > 20  # It is not one flat colour.
-    monkeypatch.setattr(type(made[0]), "sheet", lambda scene: sheet)  # Drawn once.
+    monkeypatch.setattr(type(scenes[0]), "sheet", lambda scene: sheet)  # Drawn once.
     with pytest.raises(GraycastError, match=r"sheet\.png"):
-        made[0].show()
+        scenes[0].show()
 
 
 @pytest.mark.slow
-def test_workers_serve_a_script_without_a_guard_and_keep_the_order(cell, made, tmp_path):
+def test_workers_serve_a_script_without_a_guard_and_keep_the_order(cell, scenes, tmp_path):
     """`spawn` would run the script again in each worker."""
     script = tmp_path / "script.py"
     script.write_text(
@@ -91,7 +91,7 @@ def test_workers_serve_a_script_without_a_guard_and_keep_the_order(cell, made, t
         [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     assert done.stdout == "0 000000\n1 000001\n", done.stderr
-    for scene in made:
+    for scene in scenes:
         scene.save(tmp_path / "here")
     assert content(tmp_path / "out") == content(tmp_path / "here")
 

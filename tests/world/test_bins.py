@@ -34,16 +34,16 @@ def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has
 ):
     """Oracle: the crate as it was made, and its walls half way down in closed form."""
     path = CRATE.write(tmp_path / "crate.stl", unit_m=unit_m, turn=TURNS[up].T)
-    found = load_bin(path, unit=unit, up=up)
-    assert found.inner_m == pytest.approx(CRATE.middle_m, abs=2e-6)  # STL has single precision
-    made = CRATE.solid()
-    placed = trimesh.Trimesh(found.mesh.vertices_m, found.mesh.faces)
-    assert found.mesh.bounds_m == pytest.approx(made.bounds, abs=2e-6)
-    assert placed.volume == pytest.approx(made.volume, rel=1e-4)  # not inside out
-    across = np.einsum("fi,fci->fc", placed.face_normals, found.mesh.corner_normals)
+    loaded = load_bin(path, unit=unit, up=up)
+    assert loaded.inner_m == pytest.approx(CRATE.middle_m, abs=2e-6)  # STL has single precision
+    solid = CRATE.solid()
+    placed = trimesh.Trimesh(loaded.mesh.vertices_m, loaded.mesh.faces)
+    assert loaded.mesh.bounds_m == pytest.approx(solid.bounds, abs=2e-6)
+    assert placed.volume == pytest.approx(solid.volume, rel=1e-4)  # not inside out
+    across = np.einsum("fi,fci->fc", placed.face_normals, loaded.mesh.corner_normals)
     assert across.min() > 0.99  # a crate's faces are flat
-    assert cKDTree(made.vertices).query(placed.vertices)[0].max() < 2e-6
-    assert "its floor is 10.0 mm above the table" in found.notes[-1]
+    assert cKDTree(solid.vertices).query(placed.vertices)[0].max() < 2e-6
+    assert "its floor is 10.0 mm above the table" in loaded.notes[-1]
 
 
 def test_the_crate_of_the_configurations_is_this_one(tmp_path):
@@ -55,9 +55,9 @@ def test_a_box_as_a_mesh_is_the_box(tmp_path):
     box = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
     own = bin_mesh(box)
     trimesh.Trimesh(own.vertices_m, own.faces, process=False).export(tmp_path / "box.ply")
-    found = load_bin(tmp_path / "box.ply", unit="m", up="z")
-    assert found.inner_m == pytest.approx(box.inner_m, abs=1e-7)
-    as_mesh = Bin(inner_m=found.inner_m, mesh=found.mesh)
+    loaded = load_bin(tmp_path / "box.ply", unit="m", up="z")
+    assert loaded.inner_m == pytest.approx(box.inner_m, abs=1e-7)
+    as_mesh = Bin(inner_m=loaded.inner_m, mesh=loaded.mesh)
     assert as_mesh.bounds_m == pytest.approx(box.bounds_m, abs=1e-7)
     assert as_mesh.floor_m == pytest.approx(box.floor_m, abs=1e-7)
 
@@ -86,9 +86,9 @@ def test_a_foot_as_high_as_the_inner_floor_is_no_floor(tmp_path):
     foot.apply_translation((0.0, 0.0, -0.005))
     body = trimesh.boolean.union([crate.solid(), foot], engine="manifold")
     body.export(tmp_path / "crate.stl")
-    found = load_bin(tmp_path / "crate.stl", unit="m", up="z")
+    loaded = load_bin(tmp_path / "crate.stl", unit="m", up="z")
     material = Material()
-    box = Bin(inner_m=found.inner_m, mesh=found.mesh, floor=material)
+    box = Bin(inner_m=loaded.inner_m, mesh=loaded.mesh, floor=material)
     _, (_, floor, _) = bin_surfaces(box)
     reach_m = np.abs(floor.vertices_m[floor.faces][..., :2]).max(axis=(0, 1))
     assert reach_m == pytest.approx(np.array(crate.inner_m[:2]) / 2, abs=1e-4)
@@ -153,10 +153,10 @@ def test_real_bins_have_the_size_that_their_drawings_show(shared):
     nist = shared / "data" / "meshes" / "nist"
     liner = trimesh.load_mesh(nist / "parts_bin" / "bin_interior.stl")
     outer = trimesh.load_mesh(nist / "parts_bin" / "bin_exterior.stl")
-    found = load_bin(nist / "parts_bin" / "bin_exterior.stl", unit="m", up="z")
-    assert -found.mesh.bounds_m[0, 2] == pytest.approx(liner.bounds[0, 2], abs=1e-3)
+    loaded = load_bin(nist / "parts_bin" / "bin_exterior.stl", unit="m", up="z")
+    assert -loaded.mesh.bounds_m[0, 2] == pytest.approx(liner.bounds[0, 2], abs=1e-3)
     for axis in (0, 1):
-        assert liner.extents[axis] < found.inner_m[axis]
-        assert found.inner_m[axis] == pytest.approx(outer.extents[axis] - 0.033, abs=2e-3)
+        assert liner.extents[axis] < loaded.inner_m[axis]
+        assert loaded.inner_m[axis] == pytest.approx(outer.extents[axis] - 0.033, abs=2e-3)
     disposal = load_bin(nist / "disposal_bin" / "disposal_bin.stl", unit="m", up="z")
     assert disposal.inner_m == pytest.approx((0.530, 0.530, 0.475), abs=1e-3)

@@ -52,7 +52,7 @@ def decode_plain(
     high, low = stack.max(axis=0), stack.min(axis=0)
     strength = high - low
     why = np.zeros(high.shape, dtype=np.uint8)
-    found = {}
+    by_axis = {}
     plans = plan_axes(code, spec.fine_bits)
     full = stack >= levels.saturation_dn
     top = full[read_frames(plans, len(frames))].any(axis=0)
@@ -71,25 +71,25 @@ def decode_plain(
             place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
         if plan.periods:
 
-            def judged(amplitude, wrong=False, strength=strength):
-                said = why.copy()
-                _say(said, wrong, Reason.INTERREFLECTION)
+            def reason_of(amplitude, wrong=False, strength=strength):
+                reasons = why.copy()
+                _say(reasons, wrong, Reason.INTERREFLECTION)
                 weakest = np.minimum(strength, 2 * amplitude)
-                return _judge(said, high, low, weakest, top, spec, levels)
+                return _judge(reasons, high, low, weakest, top, spec, levels)
 
             place, sigma, amplitude, wrong, by_others = _phase(
-                stack, plan, levels, coarse, variance, rival, judged, free, spec.settling_votes
+                stack, plan, levels, coarse, variance, rival, reason_of, free, spec.settling_votes
             )
             strength = np.minimum(strength, 2 * amplitude)
             mark[by_others] |= Mark.SETTLED
             why[by_others] = Reason.DECODED
             _say(why, wrong, Reason.INTERREFLECTION if plan.bits else Reason.CONTRADICTORY)
         _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
-        found[axis] = place, sigma
+        by_axis[axis] = place, sigma
     reason = _judge(why, high, low, strength, top, spec, levels)
     maps = []
     for axis in AXES:
-        for values in found.get(axis, (np.full(high.shape, np.nan),) * 2):
+        for values in by_axis.get(axis, (np.full(high.shape, np.nan),) * 2):
             maps.append(np.where(reason == Reason.DECODED, values, np.nan).astype(np.float32))
     return CodeMap(
         column=maps[0],
@@ -199,7 +199,7 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judged, free, votes):
+def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, reason_of, free, votes):
     mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
     first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
@@ -209,9 +209,9 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
         wrong = np.abs((k + turn) * first - coarse) > far
         wrong |= np.floor((coarse + rival) / first - turn + 0.5) != k
         if votes:
-            said = judged(amplitude, wrong)
-            refused = free & np.isin(said, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
-            k, settled = _vote(turn, k, refused, said == Reason.DECODED, votes)
+            reasons = reason_of(amplitude, wrong)
+            refused = free & np.isin(reasons, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
+            k, settled = _vote(turn, k, refused, reasons == Reason.DECODED, votes)
             wrong &= ~settled
     else:
         slack = np.minimum(SLACK_SIGMAS * np.sqrt(noise2), np.pi) * first / (2 * np.pi)
@@ -220,7 +220,9 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
         choice, cost, state = _count(
             stack, plan, turn, noise2, others, mean, amplitude, light, bounds
         )
-        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == Reason.DECODED)
+        k, settled, wrong = _settle(
+            turn, choice, cost, state, reason_of(amplitude) == Reason.DECODED
+        )
     u = (k + turn) * first
     weight = (2 * np.pi / first) ** 2 / noise2
     summed, beyond = weight * u, np.zeros(u.shape)
@@ -286,7 +288,7 @@ def _settle(turn, choice, cost, state, lit):
     was_open = state == OPEN
     state, k = state.copy(), choice[0].copy()
     for _ in range(PASSES):
-        against, said = np.zeros(choice.shape), np.zeros(state.shape, dtype=int)
+        against, speakers = np.zeros(choice.shape), np.zeros(state.shape, dtype=int)
         for dy, dx in product(range(-REACH_PX, REACH_PX + 1), repeat=2):
             if dy or dx:
                 there, (its_turn, its_k, its_state, its_lit, its_choice, its_cost) = _beside(
@@ -296,7 +298,7 @@ def _settle(turn, choice, cost, state, lit):
                 step = np.rint(apart)
                 speaks = there & its_lit & (its_state != REFUSED)
                 speaks &= np.abs(apart - step) <= STEP_PERIODS
-                said += speaks
+                speakers += speaks
                 for n in range(len(choice)):
                     wanted = choice[n] + step
                     clear = np.where(wanted == its_k, 0.0, MOST_AGAINST)
@@ -309,9 +311,9 @@ def _settle(turn, choice, cost, state, lit):
         total = np.where(own < MIN_LEAD, own + against, np.inf)
         ordered = np.sort(total, axis=0)
         best = total.argmin(axis=0)[None]
-        agreed = (state == OPEN) & lit & (said >= MIN_NEIGHBOURS)
+        agreed = (state == OPEN) & lit & (speakers >= MIN_NEIGHBOURS)
         agreed &= ordered[1] - ordered[0] >= MIN_LEAD
-        agreed &= np.take_along_axis(against, best, 0)[0] <= MAX_AGAINST * MOST_AGAINST * said
+        agreed &= np.take_along_axis(against, best, 0)[0] <= MAX_AGAINST * MOST_AGAINST * speakers
         if not agreed.any():
             break
         k = np.where(agreed, np.take_along_axis(choice, best, 0)[0], k)
@@ -321,18 +323,18 @@ def _settle(turn, choice, cost, state, lit):
 
 def _vote(turn, k, refused, clear, votes):
     """`settling.settle_refused`, over whole pictures: the period of each pixel, and the settled."""
-    said = []
+    proposals = []
     for dy, dx in product(range(-REACH_PX, REACH_PX + 1), repeat=2):
         if dy or dx:
             there, (its_turn, its_k, its_clear) = _beside(dy, dx, turn, k, clear)
             apart = turn - its_turn
             step = np.rint(apart)
             speaks = there & its_clear & (np.abs(apart - step) <= STEP_PERIODS)
-            said.append(np.where(speaks, its_k - step, np.nan))
-    counts = np.array([np.sum(np.array(said) == one, axis=0) for one in said])
+            proposals.append(np.where(speaks, its_k - step, np.nan))
+    counts = np.array([np.sum(np.array(proposals) == one, axis=0) for one in proposals])
     most = counts.max(axis=0)
-    best = np.take_along_axis(np.array(said), counts.argmax(axis=0)[None], 0)[0]
-    others = np.isfinite(said).sum(axis=0) - most
+    best = np.take_along_axis(np.array(proposals), counts.argmax(axis=0)[None], 0)[0]
+    others = np.isfinite(proposals).sum(axis=0) - most
     settled = refused & (most >= votes) & (others <= AGAINST_SHARE * most)
     return np.where(settled, best, k), settled
 

@@ -120,8 +120,10 @@ def test_gray_bits_are_off_by_sigma_whatever_blur_leaves_of_them(
     error, which these frames do not have, makes it 0.8 where the bit is there.
     """
     code = gray(512, 384, axes=("column",), inverses=inverses)
-    ratio, found = scatter_over_sigma(code, white_dn=white_dn, disc_px=disc_px, camera_px=camera_px)
-    assert found == pytest.approx(left, abs=0.01)
+    ratio, contrast = scatter_over_sigma(
+        code, white_dn=white_dn, disc_px=disc_px, camera_px=camera_px
+    )
+    assert contrast == pytest.approx(left, abs=0.01)
     assert 0.78 < ratio < 1.55
 
 
@@ -131,8 +133,8 @@ def test_gray_bits_whose_frames_differ_by_6_percent_are_off_by_sigma(disc_px, le
     code = gray(512, 384, axes=("column",), inverses=True)
     error = 0.06 / np.sqrt(2)
     words = {"white_dn": 1500.0, "disc_px": disc_px, "camera_px": 1.5}
-    ratio, found = scatter_over_sigma(code, frame_error=error, **words)
-    assert found == pytest.approx(left, abs=0.01)
+    ratio, contrast = scatter_over_sigma(code, frame_error=error, **words)
+    assert contrast == pytest.approx(left, abs=0.01)
     assert 0.8 < ratio < 1.3
 
 

@@ -276,10 +276,10 @@ def test_edges_go_as_far_as_their_distance_and_the_picture_s_border_stays(edge_p
     near = column < 120 + 10 * np.sin(row / 9)
     hole = np.hypot(row - 60, column - 60) < 5
     z_m = np.where(hole, np.nan, np.where(near, 0.8, 0.83))
-    kept = np.isfinite(filter_depth(depth_map(z_m), FilterSpec(edge_px=edge_px), RIG).depth_m)
+    valid = np.isfinite(filter_depth(depth_map(z_m), FilterSpec(edge_px=edge_px), RIG).depth_m)
     for surface in (near & ~hole, ~near):
         inner = ndimage.distance_transform_edt(surface) > edge_px
-        assert np.array_equal(kept[surface], inner[surface])
+        assert np.array_equal(valid[surface], inner[surface])
 
 
 # --- islands -----------------------------------------------------------------------------------

@@ -115,6 +115,6 @@ def test_kernels_are_compiled_once_for_each_type_of_value():
     kernels = [phases.read_phases, bits.read_gray, bits.lose_bits, bits._read_bits]
     kernels += [positions._range, positions._range_row, positions._reach]
     for kernel in kernels:
-        held = [str(signature[0].dtype) for signature in kernel.signatures]
-        assert len(held) == len(set(held)), kernel
+        types = [str(signature[0].dtype) for signature in kernel.signatures]
+        assert len(types) == len(set(types)), kernel
     assert len(phases.fuse.signatures) == 1

@@ -39,9 +39,9 @@ def test_a_sharp_mixture_comes_apart_into_its_parts(name):
     """
     code = CODES[name]
     direct, around, light = groove(code)
-    found_direct, found_around = separate(frames_of(light), code, LEVELS)
-    assert np.abs(found_direct - direct).max() < 0.02 * 1300 + 2
-    assert np.abs(found_around - around).max() < 0.04 * 1300 + 4
+    direct_estimate, around_estimate = separate(frames_of(light), code, LEVELS)
+    assert np.abs(direct_estimate - direct).max() < 0.02 * 1300 + 2
+    assert np.abs(around_estimate - around).max() < 0.04 * 1300 + 4
 
 
 @pytest.mark.parametrize("name", ["phase", "combined"])
@@ -50,20 +50,20 @@ def test_light_that_is_not_the_projector_s_counts_as_global_only_without_a_black
     _, around, light = groove(code)
     blackless = replace(code, frames=tuple(f for f in code.frames if f.kind != "black"))
     keep = [k for k, f in enumerate(code.frames) if f.kind != "black"]
-    found = separate(frames_of(light), code, LEVELS)[1]
-    found_blackless = separate(frames_of(light[keep]), blackless, LEVELS)[1]
-    assert np.allclose(found_blackless - found, 2 * 150, atol=4)
-    assert np.abs(found - around).max() < 60
+    estimate = separate(frames_of(light), code, LEVELS)[1]
+    blackless_estimate = separate(frames_of(light[keep]), blackless, LEVELS)[1]
+    assert np.allclose(blackless_estimate - estimate, 2 * 150, atol=4)
+    assert np.abs(estimate - around).max() < 60
 
 
 def test_blur_moves_direct_light_to_global_by_the_contrast_that_it_takes():
     """A box of 4 px takes 1 - sinc(4 / 16) of a cosine of 16 px; what is lost comes back."""
     code = CODES["phase"]
     direct, around, light = groove(code, camera_px=4.0)
-    found_direct, found_around = separate(frames_of(light), code, LEVELS)
+    direct_estimate, around_estimate = separate(frames_of(light), code, LEVELS)
     contrast = np.sinc(4 / 16) * np.sinc(1 / 16)
-    assert np.allclose(found_direct / direct, contrast, atol=0.015)
-    assert np.allclose(found_direct + found_around, direct + around, atol=45)
+    assert np.allclose(direct_estimate / direct, contrast, atol=0.015)
+    assert np.allclose(direct_estimate + around_estimate, direct + around, atol=45)
 
 
 def test_wide_stripes_alone_cannot_take_light_apart():

@@ -118,14 +118,14 @@ def test_threads_settle_the_same():
     code, frames = weak("micro phase", 60.0)
     before = numba.get_num_threads()
     try:
-        found = []
+        results = []
         for threads in (1, before):
             numba.set_num_threads(threads)
-            found.append(decode(frames, code, SPEC, LEVELS))
+            results.append(decode(frames, code, SPEC, LEVELS))
     finally:
         numba.set_num_threads(before)
-    assert np.array_equal(found[0].column, found[1].column, equal_nan=True)
-    assert np.array_equal(found[0].mark, found[1].mark)
+    assert np.array_equal(results[0].column, results[1].column, equal_nan=True)
+    assert np.array_equal(results[0].mark, results[1].mark)
 
 
 VOTES = 14

@@ -57,20 +57,20 @@ def test_depth_solves_the_three_linear_equations_of_the_paper(seed, vertical):
     Mc = rig.camera.K @ T_cam_world[:3]
     Mp = rig.projector.K @ (np.linalg.inv(rig.T_cam_proj) @ T_cam_world)[:3]
     i = int(vertical)
-    found = 0
+    decoded = 0
     for y in range(18):
         for x in range(24):
             rows = np.stack([Mc[0] - x * Mc[2], Mc[1] - y * Mc[2], Mp[i] - code[y, x] * Mp[2]])
             point = np.linalg.solve(rows[:, :3], -rows[:, 3])
             z = T_cam_world[2] @ [*point, 1.0]
             if rig.near_m <= z <= rig.far_m:
-                found += 1
+                decoded += 1
                 assert abs(depth.depth_m[y, x] / z - 1) < 1e-5
                 assert depth.reason[y, x] == Reason.DECODED
             else:
                 assert np.isnan(depth.depth_m[y, x])
                 assert depth.reason[y, x] == Reason.OUT_OF_RANGE
-    assert found > 50
+    assert decoded > 50
 
 
 @pytest.mark.parametrize("wall_m", [0.4, 0.9, 2.0])

@@ -38,10 +38,10 @@ def hidden(z_m, side, sigmas=3.0, sigma_m=1e-4):
         reason=np.where(known, Reason.DECODED, Reason.SHADOW).astype(np.uint8),
         camera=rig_of(side).camera,
     )
-    seen = without_hidden(depth, rig_of(side), sigmas=sigmas)
-    gone = seen.reason == Reason.OUTLIER
-    assert np.array_equal(np.isnan(seen.depth_m), gone | ~known)
-    assert np.array_equal(np.isnan(seen.sigma_m), gone | ~known)
+    filtered = without_hidden(depth, rig_of(side), sigmas=sigmas)
+    gone = filtered.reason == Reason.OUTLIER
+    assert np.array_equal(np.isnan(filtered.depth_m), gone | ~known)
+    assert np.array_equal(np.isnan(filtered.sigma_m), gone | ~known)
     return gone
 
 

@@ -46,7 +46,7 @@ def small_rig(*, vertical: bool = False, projector=(128, 96), distortion=(0.0,) 
 
 
 @dataclass(frozen=True)
-class Seen:
+class View:
     """What every camera pixel sees: its depth [m] and its place on the projector [px]."""
 
     depth_m: np.ndarray
@@ -54,7 +54,7 @@ class Seen:
     row: np.ndarray
 
 
-def seen(rig: Rig) -> Seen:
+def seen(rig: Rig) -> View:
     """Ray against plane and sphere; nothing shadows anything."""
     ray = rays(rig.camera, pixel_grid(rig.camera.height_px, rig.camera.width_px))
     a = np.square(ray).sum(axis=-1)
@@ -64,7 +64,7 @@ def seen(rig: Rig) -> Seen:
         ball = (b - np.sqrt(under)) / a
     depth_m = np.where(under > 0, ball, WALL_M)
     uv = project(rig.projector, transform_points(inverse(rig.T_cam_proj), ray * depth_m[..., None]))
-    return Seen(depth_m, uv[..., 0], uv[..., 1])
+    return View(depth_m, uv[..., 0], uv[..., 1])
 
 
 def shoot(

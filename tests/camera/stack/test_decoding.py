@@ -44,9 +44,9 @@ def without(code, keep):
 
 def misses_px(result, scene):
     """Distance from the true place, of the decoded pixels that a pixel's border does not cut."""
-    for axis, found in (("column", result.codes.column), ("row", result.codes.row)):
+    for axis, place in (("column", result.codes.column), ("row", result.codes.row)):
         if axis in result.code.axes:
-            yield np.abs(found - getattr(scene, axis))[result.codes.reason == Reason.DECODED]
+            yield np.abs(place - getattr(scene, axis))[result.codes.reason == Reason.DECODED]
 
 
 @pytest.mark.parametrize("name", CODES)
@@ -202,9 +202,9 @@ def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_do
     residual_px = epipolar_residual_px(codes, depth, rig)
     limit_px = _epipolar_limit_px(None, residual_px)
     assert limit_px < 6
-    found = _less_outliers(codes, depth, residual_px, rig, limit_px)
+    filtered = _less_outliers(codes, depth, residual_px, rig, limit_px)
     known = depth.reason == Reason.DECODED
-    gone = (found.reason == Reason.OUTLIER)[known]
+    gone = (filtered.reason == Reason.OUTLIER)[known]
     assert gone[~wrong[known]].mean() < 2e-3  # beyond the limit and 3 sigma
     sharp = (sigma_px < 1)[known]
     assert gone[wrong[known] & sharp].all()

@@ -30,14 +30,14 @@ def test_the_range_left_out_is_where_both_see_a_place_in_common(tmp_path):
     """Oracle: the borders of the two fields, in the plane of both optical axes, cut each other."""
     rig = small_rig()
     write(tmp_path / "rig.yaml", rig, inverse(rig.T_cam_proj))
-    found = import_opencv(tmp_path / "rig.yaml", **sizes())
+    imported = import_opencv(tmp_path / "rig.yaml", **sizes())
     camera_right = (rig.camera.width_px - 1) / 2 / rig.camera.fx_px
     edge = (rig.projector.width_px / 2) / rig.projector.fx_px
     # Projector at x = 0.2 m, turned by 0.25 rad towards the camera; its left border's slope:
     left = np.tan(np.arctan(-edge) - 0.25)
     nearest_m = 0.2 / (camera_right - left)
-    assert found.near_m == pytest.approx(nearest_m, rel=0.03)
-    assert found.near_m < found.far_m <= 20 * 0.2 + 1e-9
+    assert imported.near_m == pytest.approx(nearest_m, rel=0.03)
+    assert imported.near_m < imported.far_m <= 20 * 0.2 + 1e-9
     stated = import_opencv(tmp_path / "rig.yaml", near_m=0.3, far_m=0.9, **sizes())
     assert (stated.near_m, stated.far_m) == (0.3, 0.9)
 

@@ -38,19 +38,19 @@ def test_the_noise_law_comes_out_of_phases_alone(name, gain):
     """
     code, why = CODES[name]
     frames = shoot(small_rig(), alone(code), gain=gain)
-    found = measure_levels(frames, alone(code), LevelsSection())
-    assert why in found.source
+    estimate = measure_levels(frames, alone(code), LevelsSection())
+    assert why in estimate.source
     for light_dn in (60.0, 100.0):
         true = 0.25 + 1 / 12 + gain * light_dn
-        assert variance_dn2(found.levels, light_dn) == pytest.approx(true, rel=0.17)
+        assert variance_dn2(estimate.levels, light_dn) == pytest.approx(true, rel=0.17)
 
 
 def test_a_lone_period_of_three_steps_says_it_by_its_mean_s_texture():
     """Of the smoother half of the pixels: a fifth too low where there is no texture at all."""
     code = alone(micro_phase(128, 96))
-    found = measure_levels(shoot(small_rig(), code, gain=0.05), code, LevelsSection())
-    assert TEXTURE in found.source
-    assert 0.75 < np.sqrt(variance_dn2(found.levels, 80.0) / (0.25 + 1 / 12 + 0.05 * 80)) < 1.3
+    estimate = measure_levels(shoot(small_rig(), code, gain=0.05), code, LevelsSection())
+    assert TEXTURE in estimate.source
+    assert 0.75 < np.sqrt(variance_dn2(estimate.levels, 80.0) / (0.25 + 1 / 12 + 0.05 * 80)) < 1.3
 
 
 @pytest.mark.parametrize("power", [1.0, 1.1, 1.3, 2.0])

@@ -49,8 +49,8 @@ def test_a_rig_whose_R_and_T_are_inverted_is_named(name, shots, tmp_path):
     """With one axis coded nothing but the edge of the projector's picture tells."""
     rig, code, stack = shots[name]
     assert misfits(tmp_path, code, stack, rig) == []
-    (told,) = misfits(tmp_path, code, stack, inverted(rig))
-    assert "invert R and T of the rig" in told
+    (message,) = misfits(tmp_path, code, stack, inverted(rig))
+    assert "invert R and T of the rig" in message
 
 
 @pytest.mark.parametrize(
@@ -65,8 +65,8 @@ def test_a_rig_whose_R_and_T_are_inverted_is_named(name, shots, tmp_path):
 )
 def test_turned_pictures_are_named_with_the_turn_that_undoes_it(name, turn, says, shots, tmp_path):
     rig, code, stack = shots[name]
-    (told,) = misfits(tmp_path, code, np.ascontiguousarray(stack[turn]), rig)
-    assert says in told
+    (message,) = misfits(tmp_path, code, np.ascontiguousarray(stack[turn]), rig)
+    assert says in message
 
 
 @pytest.mark.parametrize(
@@ -111,5 +111,5 @@ def test_a_real_rig_that_is_inverted_is_named_with_columns_alone(shared, tmp_pat
         scan / "calibration.yaml", unit=None, camera_size_px=None, projector_size_px=(1280, 720)
     )
     assert decode_stack(path, rig).warnings == ()
-    (told,) = decode_stack(path, inverted(rig)).warnings
-    assert "invert R and T of the rig" in told
+    (message,) = decode_stack(path, inverted(rig)).warnings
+    assert "invert R and T of the rig" in message

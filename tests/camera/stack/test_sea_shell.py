@@ -86,8 +86,8 @@ def test_its_modulation_per_bit_is_the_known_one(result):
     """Figures of the project's design, taken independently: coarse to fine."""
     known = [0.97, 0.96, 0.96, 0.94, 0.93, 0.90, 0.87, 0.80, 0.61, 0.30, 0.06]
     for axis in ("column", "row"):
-        found = [result.figures.modulation[f"{axis}_bit{bit:02d}"] for bit in range(10, -1, -1)]
-        np.testing.assert_allclose(found, known, atol=0.06)
+        estimate = [result.figures.modulation[f"{axis}_bit{bit:02d}"] for bit in range(10, -1, -1)]
+        np.testing.assert_allclose(estimate, known, atol=0.06)
 
 
 def test_its_epipolar_residual_is_the_known_one(result):

@@ -29,14 +29,14 @@ def decoded(folder, code, stack, renumber=None):
     return decode_stack(write_yaml(folder, content))
 
 
-def said(result):
+def proposal(result):
     """Proposed and stated steps, px by which the first are off, px by which places move."""
     (warning,) = [w for w in result.warnings if "do not fit the Gray code of the columns" in w]
-    found = re.search(
+    match = re.search(
         r"With step (.*) of \d+ instead of (.*) they .* within (\S+) px, .* by (\S+) px", warning
     )
-    after, before = ([float(n) for n in found[k].split(", ")] for k in (1, 2))
-    return after, before, float(found[3]), float(found[4])
+    after, before = ([float(n) for n in match[k].split(", ")] for k in (1, 2))
+    return after, before, float(match[3]), float(match[4])
 
 
 HARD = Look(squares=0.05, shadow=0.2, indirect=0.1, gain=0.1, read_dn=1.5)
@@ -58,7 +58,7 @@ def test_a_wrong_sense_or_origin_is_named_with_the_right_one(code, sign, by, tmp
     stack = shoot_cluttered(code, HARD)
     steps, period_px = next((f.steps, f.period_px) for f in code.frames if f.steps)
     result = decoded(tmp_path, code, stack, lambda k: sign * k + by)
-    after, before, off_px, moved_px = said(result)
+    after, before, off_px, moved_px = proposal(result)
     for stated, proposed in zip(before, after, strict=True):
         true = sign * (stated - by)
         assert abs((proposed - true + steps / 2) % steps - steps / 2) <= 0.02 * steps

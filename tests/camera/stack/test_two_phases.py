@@ -41,11 +41,11 @@ def described(folder: Path, *, phases_px=PHASES_PX, complementary=False) -> dict
             frames += [what, what | {"inverse": True}]
     frames += [{"kind": "white"}, {"kind": "black"}]
     frames = [f | {"file": str(folder / f"pat{k:02d}.png")} for k, f in enumerate(frames)]
-    kept = [f for f in frames if f["kind"] != "phase" or f["period_px"] in phases_px]
+    selected = [f for f in frames if f["kind"] != "phase" or f["period_px"] in phases_px]
     stride_px = 200.0 if complementary else 100.0
     return {
         "projector": {"width_px": 1920, "height_px": 1080},
-        "frames": kept,
+        "frames": selected,
         "stride_px": {"column": stride_px, "row": stride_px},
     }
 

@@ -33,10 +33,10 @@ def placed(setting: Setting) -> Placed:
         config=SimpleNamespace(view=view),
         scene=SimpleNamespace(rig=SimpleNamespace(name="phoxi-m")),
     )
-    made = object.__new__(Placed)
-    object.__setattr__(made, "setting", setting)
-    object.__setattr__(made, "cell", cell)
-    return made
+    placement = object.__new__(Placed)
+    object.__setattr__(placement, "setting", setting)
+    object.__setattr__(placement, "cell", cell)
+    return placement
 
 
 def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> SettingFigures:
@@ -82,11 +82,11 @@ def test_the_interval_of_a_mean_holds_it_19_times_in_20():
     """Oracle: the meaning of 95 %; 2000 experiments of 4 normal values have a standard error of
     0.5 %. A heap that could not be made is left out."""
     rng = np.random.default_rng(2)
-    held = 0
+    inside = 0
     for _ in range(2000):
         interval = mean_interval(np.append(rng.normal(0.4, 0.1, 4), math.nan))
-        held += interval.low <= 0.4 <= interval.high
-    assert held / 2000 == pytest.approx(0.95, abs=0.015)
+        inside += interval.low <= 0.4 <= interval.high
+    assert inside / 2000 == pytest.approx(0.95, abs=0.015)
     assert math.isnan(mean_interval(np.array([0.3])).low)
 
 
@@ -118,15 +118,15 @@ def test_the_best_is_the_one_that_measures_most_within_the_needs():
 
 def test_the_sentence_says_what_to_buy_and_where_to_put_it():
     rows = [row("fine", [0.92, 0.91, 0.93]), row("gray", [0.80, 0.79, 0.81])]
-    said = sentences(spec(layouts=3), rows)
-    assert said.startswith(
+    text = sentences(spec(layouts=3), rows)
+    assert text.startswith(
         "PhoXi-M at 0.85 m tilted 8 degrees with the code fine measures 92.0% (95 % interval 89.5% "
         "to 94.5%) of the open surface of the parts, with a sigma of 0.20 mm and a bias of "
         "-0.03 mm. It resolves features from 3.0 mm and takes 0.50 s a scan. "
         "Most of what it misses is "
         "6.0% in the shadow of parts and 2.0% too dark. Of the 2 settings it measures most."
     )
-    assert "not significant" not in said
+    assert "not significant" not in text
     like = [*rows, row("twin", [0.92, 0.92, 0.915])]
     assert "On these 3 heaps its difference is not significant from twin." in sentences(
         spec(layouts=3), like
@@ -135,8 +135,8 @@ def test_the_sentence_says_what_to_buy_and_where_to_put_it():
 
 def test_the_sentence_says_when_nothing_meets_the_needs():
     rows = [row("a", [0.9], sigma_m=0.0004), row("b", [0.8], sigma_m=0.0006)]
-    said = sentences(spec(needs=NeedsSection(sigma_m=0.0001), layouts=1), rows)
-    assert said == (
+    text = sentences(spec(needs=NeedsSection(sigma_m=0.0001), layouts=1), rows)
+    assert text == (
         "None of the 2 settings has a sigma of at most 0.1 mm. The least sigma is 0.4 mm, of a."
         " Warning: One heap gives no interval. Give at least 4 as layouts before you decide."
     )

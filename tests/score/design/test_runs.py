@@ -45,12 +45,14 @@ def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
     printed = capsys.readouterr().out
     names = {"table.md", "table.csv", "design.json", "pareto.png", "missing.png"}
     assert names <= set(content(out))
-    held = json.loads((out / "design.json").read_bytes())
-    assert held["says"] in (out / "table.md").read_text()
-    assert printed.count(held["says"]) == 1 and "of the open surface of the parts" in held["says"]
+    record = json.loads((out / "design.json").read_bytes())
+    assert record["says"] in (out / "table.md").read_text()
+    assert (
+        printed.count(record["says"]) == 1 and "of the open surface of the parts" in record["says"]
+    )
     assert "|" not in printed  # the table of Markdown is for the file
-    assert len(held["rows"]) == 4
-    for row in held["rows"]:
+    assert len(record["rows"]) == 4
+    for row in record["rows"]:
         lost = sum(row[name] for name in ("part_shadow", "dark", "edge", "hidden_by_parts"))
         assert 0 < row["measured"] <= 1 - lost + 1e-9
         assert row["measured_low"] < row["measured"] < row["measured_high"]
@@ -120,8 +122,10 @@ def test_more_settings_and_heaps_are_added_and_what_is_there_stays(tmp_path, cap
     capsys.readouterr()
     write_study(tmp_path, wrong_m=0.001, sweeps=[{"distance_m": [0.6]}])
     assert run(path, tmp_path / "out") == 1
-    said = capsys.readouterr().err
-    assert "measured with other values" in said and "study.wrong_m (0.005 there, 0.001" in said
+    message = capsys.readouterr().err
+    assert (
+        "measured with other values" in message and "study.wrong_m (0.005 there, 0.001" in message
+    )
 
 
 def test_two_runs_do_not_write_one_folder(study):

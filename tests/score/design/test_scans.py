@@ -30,8 +30,8 @@ def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
     _, depth_map = measure(scanner, take(scanner, rendering.radiance, seed=4))
     surface = spread_surface(scene, layout, points=20_000, cone_deg=0.0)
     view = view_of(scene, layout, surface)
-    judged = judge(view, surface, rendering.truth, depth_map, wrong_m=0.005)
-    return figures(scene, view, surface, judged, seconds=1.0), depth_map, rendering.truth
+    fates = judge(view, surface, rendering.truth, depth_map, wrong_m=0.005)
+    return figures(scene, view, surface, fates, seconds=1.0), depth_map, rendering.truth
 
 
 @pytest.mark.slow
@@ -54,12 +54,12 @@ def test_what_a_wall_shades_is_not_measured_and_all_else_is(mitsuba_renderer):
     baseline_m, height_m, rim_m = 0.4, 0.8, 0.06
     rig = make_rig(centred(400, 300, 500), centred(900, 700, 600), baseline_m=(baseline_m, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=rim_m)
-    told, *_ = scanned(mitsuba_renderer, scene)
+    record, *_ = scanned(mitsuba_renderer, scene)
     dark = rim_m * (baseline_m - LENGTH_M / 2) / (height_m - rim_m) / LENGTH_M
     pixel = height_m / 500 / LENGTH_M
-    assert told["share"]["wall_shadow"] == pytest.approx(dark, abs=pixel)
-    assert told["measured"] == pytest.approx(1 - dark, abs=2 * pixel)
-    assert told["of_seen"] == pytest.approx(1 - dark, abs=2 * pixel)
+    assert record["share"]["wall_shadow"] == pytest.approx(dark, abs=pixel)
+    assert record["measured"] == pytest.approx(1 - dark, abs=2 * pixel)
+    assert record["of_seen"] == pytest.approx(1 - dark, abs=2 * pixel)
 
 
 @pytest.mark.slow
@@ -69,18 +69,18 @@ def test_a_cube_of_the_smallest_features_side_is_seen_and_one_of_a_third_is_not(
     height_m = 0.6
     rig = make_rig(centred(320, 240, 400), centred(800, 600, 700), baseline_m=(0.1, 0, 0))
     bare = plate_in_bin(rig, (-0.05, 0.0, THICK_M + height_m), rim_m=0.0065)
-    told, *_ = scanned(mitsuba_renderer, bare)
+    record, *_ = scanned(mitsuba_renderer, bare)
     raised = {}
     for share in (1.0, 1 / 3):
-        side_m = share * told["feature_m"]
+        side_m = share * record["feature_m"]
         cube = replace(plate(side_m, side_m, side_m), name="cube")
         scene = replace(bare, parts=(*bare.parts, cube))
         poses = np.stack([np.eye(4), rigid(np.eye(3), np.array([0.004, 0.003, THICK_M]))])
         layout = Layout(T_world_part=poses, part_index=np.array([0, 1]))
         _, depth, truth = scanned(mitsuba_renderer, scene, layout)
         above_m = height_m - depth.depth_m
-        raised[share] = int((above_m[truth.instance == 1] > 3 * told["sigma_m"]).sum())
+        raised[share] = int((above_m[truth.instance == 1] > 3 * record["sigma_m"]).sum())
         flat = above_m[truth.instance == 0]
-        assert (flat > 3 * told["sigma_m"]).mean() < 0.01  # so that what stands out is the cube
+        assert (flat > 3 * record["sigma_m"]).mean() < 0.01  # so that what stands out is the cube
     assert raised[1.0] >= 4
     assert raised[1 / 3] <= 2

@@ -29,9 +29,9 @@ def write_study(folder: Path, *without: str, cell=None, **changes) -> Path:
         "exposures": {"one": {"factors": [1]}, "two": {"factors": [1, 4]}},
         "sweeps": [{"distance_m": [0.6, 0.9], "tilt_deg": [0, 20]}],
     }
-    kept = {key: value for key, value in (content | changes).items() if key not in without}
+    record = {key: value for key, value in (content | changes).items() if key not in without}
     path = folder / "study.yaml"
-    path.write_text(yaml.safe_dump(kept), encoding="utf-8")
+    path.write_text(yaml.safe_dump(record), encoding="utf-8")
     return path
 
 
@@ -194,9 +194,9 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
 
 def assert_refused(capsys, path, out, words, *, untouched=True):
     assert main(["rig", "design", str(path), "--out", str(out)]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("graycast: error: ") and said.count("\n") == 1, said
-    assert all(word in said for word in words), said
+    message = capsys.readouterr().err
+    assert message.startswith("graycast: error: ") and message.count("\n") == 1, message
+    assert all(word in message for word in words), message
     assert not (untouched and out.exists())
 
 

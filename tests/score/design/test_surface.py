@@ -98,9 +98,9 @@ def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
     rig = make_rig(camera, centred(900, 700, 300), baseline_m=(0.05, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=0.01)
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
-    seen = share_of(view_of(scene, ON_THE_FLOOR, surface).camera, surface, Visibility.VISIBLE)
+    share = share_of(view_of(scene, ON_THE_FLOOR, surface).camera, surface, Visibility.VISIBLE)
     field_m2 = (150 * height_m / 300) * (90 * height_m / 300)
-    assert seen == pytest.approx(field_m2 / (LENGTH_M * WIDTH_M), rel=0.01)
+    assert share == pytest.approx(field_m2 / (LENGTH_M * WIDTH_M), rel=0.01)
 
 
 def test_the_open_surface_weighs_what_it_shows_from_above():
@@ -148,9 +148,9 @@ def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
         T_world_part=rigid(turn, np.array([0.0, 0.0, 0.4]))[None], part_index=np.array([0])
     )
     surface = spread_surface(scene, layout, points=POINTS, cone_deg=0.0)
-    seen = view_of(scene, layout, surface).camera == Visibility.VISIBLE
+    visible = view_of(scene, layout, surface).camera == Visibility.VISIBLE
     towards = ((scene.T_world_cam[:3, 3] - surface.point_m) * surface.normal).sum(axis=-1) > 0
-    assert (seen == towards).mean() > 0.999
+    assert (visible == towards).mean() > 0.999
 
 
 def test_small_pictures_are_enlarged_about_the_same_field():
@@ -160,18 +160,18 @@ def test_small_pictures_are_enlarged_about_the_same_field():
         rig = make_rig(camera, centred(900, 700, 500), baseline_m=(0.05, 0, 0))
         scene = plate_in_bin(rig, (0.06, 0.0, THICK_M + 0.4), rim_m=0.05)
         surface = spread_surface(scene, ON_THE_FLOOR, points=5000, cone_deg=0.0)
-        seen = view_of(scene, ON_THE_FLOOR, surface).camera
+        visibility = view_of(scene, ON_THE_FLOOR, surface).camera
         if times == 1:
-            first = seen
+            first = visibility
     assert LEAST_PX > 300
-    assert (first == seen).mean() > 0.998
+    assert (first == visibility).mean() > 0.998
 
 
 # --- what became of it -------------------------------------------------------------------------
 
 
 @cache
-def seen_plate(projector_px: int):
+def plate_in_view(projector_px: int):
     """A plate that a camera and a projector see whole, its surface and what becomes of it."""
     projector = centred(300, 250, projector_px)
     rig = make_rig(centred(120, 100, 200), projector, baseline_m=(0.05, 0, 0))
@@ -180,11 +180,11 @@ def seen_plate(projector_px: int):
     return scene, surface, view_of(scene, ON_THE_FLOOR, surface)
 
 
-def judged_plate(
+def plate_figures(
     error_m: float = 0.0, reason=Reason.DECODED, *, noise_m: float = 0.0, projector_px: int = 400
 ):
     """A plate seen whole and flat, its depth off by so much: the figures' words for it."""
-    scene, surface, view = seen_plate(projector_px)
+    scene, surface, view = plate_in_view(projector_px)
     shape = (100, 120)
     true_m = np.full(shape, 0.7)
     nan = np.full(shape, np.nan)
@@ -201,8 +201,8 @@ def judged_plate(
         instance=np.zeros(shape, dtype=np.int64),
         amodal=(),
     )
-    judged = judge(view, surface, truth, depth, wrong_m=0.005)
-    return figures(scene, view, surface, judged, seconds=1.0)
+    point_fates = judge(view, surface, truth, depth, wrong_m=0.005)
+    return figures(scene, view, surface, point_fates, seconds=1.0)
 
 
 @pytest.mark.parametrize(
@@ -221,26 +221,26 @@ def judged_plate(
     ],
 )
 def test_every_place_has_one_fate(error_m, reason, fate):
-    told = judged_plate(error_m, reason)
-    assert told["share"][fate] == pytest.approx(1.0)
-    assert sum(told["share"].values()) == pytest.approx(1.0)
-    assert list(told["share"]) == list(FATES)
+    record = plate_figures(error_m, reason)
+    assert record["share"][fate] == pytest.approx(1.0)
+    assert sum(record["share"].values()) == pytest.approx(1.0)
+    assert list(record["share"]) == list(FATES)
     if fate is Fate.MEASURED:
-        assert told["bias_m"] == pytest.approx(error_m)
-        assert told["of_seen"] == pytest.approx(1.0)
+        assert record["bias_m"] == pytest.approx(error_m)
+        assert record["of_seen"] == pytest.approx(1.0)
     else:
-        assert told["sigma_m"] is None and told["feature_m"] is None
+        assert record["sigma_m"] is None and record["feature_m"] is None
 
 
 def test_sigma_bias_and_feature_are_those_of_the_errors():
     """Oracle: normal errors; the standard error of a quantile's sigma over 12 000 pixels is 1.2 %,
     of the median 0.0125 sigma."""
-    told = judged_plate(0.0003, noise_m=0.0004)
-    assert told["sigma_m"] == pytest.approx(0.0004, rel=0.05)
-    assert told["bias_m"] == pytest.approx(0.0003, abs=2e-5)
-    assert told["pixel_m"] == pytest.approx(0.7 / 200)  # the camera's, coarser than 0.7 / 400
-    assert told["feature_m"] == pytest.approx(3 * 0.7 / 200)
-    assert judged_plate(projector_px=100)["pixel_m"] == pytest.approx(0.7 / 100)
+    record = plate_figures(0.0003, noise_m=0.0004)
+    assert record["sigma_m"] == pytest.approx(0.0004, rel=0.05)
+    assert record["bias_m"] == pytest.approx(0.0003, abs=2e-5)
+    assert record["pixel_m"] == pytest.approx(0.7 / 200)  # the camera's, coarser than 0.7 / 400
+    assert record["feature_m"] == pytest.approx(3 * 0.7 / 200)
+    assert plate_figures(projector_px=100)["pixel_m"] == pytest.approx(0.7 / 100)
 
 
 VISIBLE, OUTSIDE, BY_PARTS, BY_BIN = (
@@ -276,8 +276,8 @@ def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reas
         depth_m=np.where(decoded, 1.0, np.full((1, 1), np.nan)), sigma_m=np.ones((1, 1)),
         reason=np.array([[int(reason)]], np.uint8), camera=centred(1, 1, 1.0),
     )  # fmt: skip
-    judged = judge(view, surface, truth, depth, wrong_m=0.005)
-    assert FATES[judged.fate[0]] is fate
+    point_fates = judge(view, surface, truth, depth, wrong_m=0.005)
+    assert FATES[point_fates.fate[0]] is fate
 
 
 def one_point(camera, projector, *, weight=(1.0,)):
@@ -299,16 +299,16 @@ def test_places_count_by_what_they_show_from_above():
     """By hand: of the weight 0.7 is seen and 0.5 measured, 0.4 of it 0.2 mm too far."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
-    judged = PointFates(
+    point_fates = PointFates(
         fate=np.array([FATES.index(fate) for fate in fates]),
         error_m=np.array([2e-4, 9e-4, np.nan, np.nan, 1.0]),
     )
     scene = plate_in_bin(
         make_rig(centred(120, 100, 200), centred(300, 250, 400)), (0.0, 0.0, 0.7), rim_m=0.01
     )
-    told = figures(scene, view, surface, judged, seconds=1.0)
-    assert told["points"] == 4
-    assert told["measured"] == pytest.approx(0.5)
-    assert told["of_seen"] == pytest.approx(0.5 / 0.7)
-    assert told["share"][Fate.DARK] == pytest.approx(0.2)
-    assert told["bias_m"] == 2e-4 and told["sigma_m"] == pytest.approx(0.7e-3 / 2)
+    record = figures(scene, view, surface, point_fates, seconds=1.0)
+    assert record["points"] == 4
+    assert record["measured"] == pytest.approx(0.5)
+    assert record["of_seen"] == pytest.approx(0.5 / 0.7)
+    assert record["share"][Fate.DARK] == pytest.approx(0.2)
+    assert record["bias_m"] == 2e-4 and record["sigma_m"] == pytest.approx(0.7e-3 / 2)

@@ -31,7 +31,7 @@ def squares(scene_id, places, *, visible=None, obj_id=1, side=8, masked=True):
     )
 
 
-def found_squares(scene_id, places, scores, *, obj_id=1, side=8, masked=True):
+def detected_squares(scene_id, places, scores, *, obj_id=1, side=8, masked=True):
     """Detections of such squares, best first."""
     return Detections(
         scene_id=scene_id,
@@ -61,33 +61,33 @@ class RandomSet:
     """
 
     labels: list
-    found: list
+    detections: list
 
     @classmethod
-    def drawn(cls, seed, scenes=4):
+    def of_seed(cls, seed, scenes=4):
         rng = np.random.default_rng(seed)
-        labels, found = [], []
+        labels, detections = [], []
         for scene_id in range(scenes):
             disks = [_disk(rng) for _ in range(rng.integers(0, 8))]
             there = np.array(disks, bool).reshape(-1, *SIZE_PX)
             obj_id = rng.integers(1, 4, len(there))
             visible = rng.uniform(0, 1, len(there))
             labels.append(_labels(scene_id, there, obj_id, visible))
-            seen, what = [_disk(rng) for _ in range(3)], list(rng.integers(1, 5, 3))
+            masks, what = [_disk(rng) for _ in range(3)], list(rng.integers(1, 5, 3))
             for mask, obj in zip(there, obj_id, strict=True):
                 for _ in range(rng.integers(0, 3)):
-                    seen.append(np.roll(mask, rng.normal(0, 1.5, 2).astype(int), (0, 1)))
+                    masks.append(np.roll(mask, rng.normal(0, 1.5, 2).astype(int), (0, 1)))
                     what.append(obj if rng.random() < 0.9 else rng.integers(1, 4))
-            found.append(
-                _found(scene_id, np.array(seen), np.array(what), rng, digits=1 + seed % 2 * 5)
+            detections.append(
+                _detections(scene_id, np.array(masks), np.array(what), rng, digits=1 + seed % 2 * 5)
             )
-        return cls(labels, found)
+        return cls(labels, detections)
 
     def coco(self, kind, scenes=None):
         """Truth and results as COCO's files have them; `scenes` are places, also several times."""
         images, annotations, results = [], [], []
         for image_id, place in enumerate(range(len(self.labels)) if scenes is None else scenes):
-            there, seen = self.labels[place], self.found[place]
+            there, detected = self.labels[place], self.detections[place]
             images.append({"id": image_id, "height": SIZE_PX[0], "width": SIZE_PX[1]})
             annotations += [
                 {
@@ -104,15 +104,15 @@ class RandomSet:
             results += [
                 {
                     "image_id": image_id,
-                    "category_id": int(seen.obj_id[i]),
-                    "score": float(seen.score[i]),
+                    "category_id": int(detected.obj_id[i]),
+                    "score": float(detected.score[i]),
                 }
                 | (
-                    {"segmentation": seen.mask[i]}  # with a box its area would be the box's
+                    {"segmentation": detected.mask[i]}  # with a box its area would be the box's
                     if kind == "mask"
-                    else {"bbox": seen.box_px[i].astype(float).tolist()}
+                    else {"bbox": detected.box_px[i].astype(float).tolist()}
                 )
-                for i in range(len(seen))
+                for i in range(len(detected))
             ]
         classes = [{"id": i, "name": str(i)} for i in range(1, 5)]
         return {"images": images, "annotations": annotations, "categories": classes}, results
@@ -173,11 +173,11 @@ def _labels(scene_id, there, obj_id, visible):
     )
 
 
-def _found(scene_id, seen, obj_id, rng, *, digits):
-    masks = run_lengths_of(seen.astype(bool))
-    score = rng.random(len(seen)).round(digits)
+def _detections(scene_id, disks, obj_id, rng, *, digits):
+    masks = run_lengths_of(disks.astype(bool))
+    score = rng.random(len(disks)).round(digits)
     order = np.argsort(-score, kind="stable")
-    box = _box_of(masks)[order] + rng.normal(0, 0.5, (len(seen), 4)).astype(np.float32)
+    box = _box_of(masks)[order] + rng.normal(0, 0.5, (len(disks), 4)).astype(np.float32)
     box[:, 2:] = np.maximum(box[:, 2:], 1)
     return Detections(
         scene_id=scene_id,

@@ -106,9 +106,9 @@ def test_bias_noise_spikes_and_holes_come_out_as_put_in():
     error[rng.random(SIZE) < 0.02] = 80
     missing = rng.random(SIZE) < 0.1
     rows = depth_rows([scene(55, error_steps=error, missing=missing)])
-    held = [row for row in rows[:EDGE] if row.pixels > 3000]
-    assert {row.name for row in held} <= {"40 to 50 deg", "50 to 60 deg", "60 to 70 deg"}
-    for row in held:
+    large = [row for row in rows[:EDGE] if row.pixels > 3000]
+    assert {row.name for row in large} <= {"40 to 50 deg", "50 to 60 deg", "60 to 70 deg"}
+    for row in large:
         n = row.error.pixels
         assert row.reason["shadow"] == pytest.approx(0.1, abs=4 * (0.09 / row.pixels) ** 0.5)
         assert row.error.beyond_5mm == pytest.approx(0.02, abs=4 * (0.0196 / n) ** 0.5)
@@ -138,8 +138,8 @@ def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
     assert {file.name for file in tmp_path.iterdir()} == {
         "depth.json", "depth.csv", "depth.md", "depth.png"
     }  # fmt: skip
-    told = depth_markdown(tables)
-    assert "## All pixels" in told
+    text = depth_markdown(tables)
+    assert "## All pixels" in text
     lines = (tmp_path / "depth.csv").read_text().splitlines()
     assert len(lines) == 1 + 2 * (EDGE + 1)
 

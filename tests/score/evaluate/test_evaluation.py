@@ -22,11 +22,11 @@ SCENES = (0, 3, 4, 5)
 
 def perfect(dataset, scene_ids=SCENES, masked=True):
     """The truth as detections; the surer, the more is visible."""
-    found = []
+    detections = []
     for scene_id in scene_ids:
         example = open_examples(dataset).read(scene_id)
         order = np.argsort(-example.visib_fract, kind="stable")
-        found.append(
+        detections.append(
             Detections(
                 scene_id=scene_id,
                 score=(0.5 + 0.49 * example.visib_fract[order]).astype(np.float32),
@@ -35,7 +35,7 @@ def perfect(dataset, scene_ids=SCENES, masked=True):
                 mask=tuple(run_lengths_of(example.mask[order])) if masked else None,
             )
         )
-    return found
+    return detections
 
 
 @pytest.fixture
@@ -45,18 +45,18 @@ def results(master, tmp_path):
     return path
 
 
-def written_run(folder, found, **said):
+def written_run(folder, detections, **fields):
     folder.mkdir()
-    (folder / "results.json").write_bytes(results_bytes(found))
-    told = {
-        "scene_ids": [one.scene_id for one in found],
+    (folder / "results.json").write_bytes(results_bytes(detections))
+    record = {
+        "scene_ids": [one.scene_id for one in detections],
         "split": "train",
         "division": None,
         "model": "by hand",
         "input": "rgb",
-        "ms_per_picture": [4.0] * len(found),
+        "ms_per_picture": [4.0] * len(detections),
     }
-    (folder / "detect.json").write_text(json.dumps(told | said))
+    (folder / "detect.json").write_text(json.dumps(record | fields))
     return folder
 
 
@@ -64,9 +64,9 @@ def evaluated(*arguments):
     return main(["detector", "score", *map(str, arguments)])
 
 
-def judged(results, on, **said):
+def evaluation_of(results, on, **options):
     """Without the files, whose plots take most of the command's time."""
-    task = Task(results=results, dataset=on, protocol=Protocol(draws=20), **said)
+    task = Task(results=results, dataset=on, protocol=Protocol(draws=20), **options)
     return evaluate(task)[0]
 
 
@@ -90,14 +90,14 @@ def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_p
         "groups.png",
         "precision_recall.png",
     }  # fmt: skip - no sheets: nothing is missed and nothing is false
-    held = json.loads((out / "evaluation.json").read_bytes())
+    record = json.loads((out / "evaluation.json").read_bytes())
     for kind in ("box", "mask"):
-        first = held["kinds"][kind]["figures"][0]
+        first = record["kinds"][kind]["figures"][0]
         assert first["by"] == "all"
         for name in ("ap", "ap50", "ap75", "ar"):
             assert first[name] == {"value": 1.0, "low": 1.0, "high": 1.0}
-        assert held["kinds"][kind]["working_point"]["missed"] == 0
-    assert held["instances"] - held["ignored"] == first["to_find"]
+        assert record["kinds"][kind]["working_point"]["missed"] == 0
+    assert record["instances"] - record["ignored"] == first["to_find"]
     with (out / "figures.csv").open() as file:
         rows = list(csv.DictReader(file))
     known = [row for row in rows if row["value"]]
@@ -108,27 +108,27 @@ def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_p
 
 @pytest.mark.slow
 def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
-    found = perfect(master)
-    one = found[0]
+    detections = perfect(master)
+    one = detections[0]
     moved = one.box_px + np.array([[40, 0, 0, 0]], np.float32)
     odd = Detections(scene_id=0, score=one.score, obj_id=one.obj_id, box_px=moved)
     rest = [
         Detections(scene_id=f.scene_id, score=f.score, obj_id=f.obj_id, box_px=f.box_px)
-        for f in found[1:]
+        for f in detections[1:]
     ]
     path = tmp_path / "results.json"
     path.write_bytes(results_bytes([odd, *rest]))
     out = tmp_path / "out"
     assert evaluated(path, "--on", master, "--out", out, "--resamples", 20) == 0
     assert {"misses_box.png", "false_alarms_box.png"} <= {file.name for file in out.iterdir()}
-    held = json.loads((out / "evaluation.json").read_bytes())["kinds"]
-    assert list(held) == ["box"]  # no masks were given
-    scenes = {scene["scene_id"]: scene for scene in held["box"]["scenes"]}
+    kinds = json.loads((out / "evaluation.json").read_bytes())["kinds"]
+    assert list(kinds) == ["box"]  # no masks were given
+    scenes = {scene["scene_id"]: scene for scene in kinds["box"]["scenes"]}
     assert scenes[0]["missed"] > 0 and scenes[0]["false"] > 0
     assert scenes[3] == {
         "scene_id": 3, "found": scenes[3]["found"], "missed": 0, "false": 0
     }  # fmt: skip
-    assert sum(held["box"]["working_point"]["false_alarms"].values()) == scenes[0]["false"]
+    assert sum(kinds["box"]["working_point"]["false_alarms"].values()) == scenes[0]["false"]
 
 
 def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_path):
@@ -136,18 +136,18 @@ def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_pat
     division = Split(shares=(0.5, 0.0, 0.5), seed=1)
     test = open_examples(master, split="test", division=division).scene_ids
     assert 0 < len(test) < len(whole)
-    said = {"split": "test", "division": {"shares": [0.5, 0.0, 0.5], "seed": 1}}
-    run = written_run(tmp_path / "run", perfect(master, test), **said)
-    held = evaluation_json(judged(run, master))
-    assert held["scene_ids"] == list(test)
-    assert held["model"] == "by hand"
-    assert held["median_ms_per_picture"] == 4.0
+    fields = {"split": "test", "division": {"shares": [0.5, 0.0, 0.5], "seed": 1}}
+    run = written_run(tmp_path / "run", perfect(master, test), **fields)
+    record = evaluation_json(evaluation_of(run, master))
+    assert record["scene_ids"] == list(test)
+    assert record["model"] == "by hand"
+    assert record["median_ms_per_picture"] == 4.0
 
 
 def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp_path):
     fewer = tmp_path / "results.json"
     fewer.write_bytes(results_bytes(perfect(master, SCENES[:3])))
-    own, export = (judged(fewer, on, kind="mask") for on in (master, exported("coco")))
+    own, export = (evaluation_of(fewer, on, kind="mask") for on in (master, exported("coco")))
     assert 0 < own.judgements[0].scores.ap < 1
     assert own.judgements[0].rows[0].figures == export.judgements[0].rows[0].figures
 
@@ -155,10 +155,10 @@ def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp
 def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_path):
     export = exported("coco", split=Split(shares=(0.5, 0.0, 0.5), seed=1))
     run = written_run(tmp_path / "run", perfect(master), split=None)
-    held = evaluation_json(judged(run, export))
-    assert held["scene_ids"] == list(SCENES)
-    assert sorted(held["split"].split(", ")) == ["test", "train"]
-    assert held["kinds"]["mask"]["figures"][0]["ap"]["value"] == 1.0
+    record = evaluation_json(evaluation_of(run, export))
+    assert record["scene_ids"] == list(SCENES)
+    assert sorted(record["split"].split(", ")) == ["test", "train"]
+    assert record["kinds"]["mask"]["figures"][0]["ap"]["value"] == 1.0
 
 
 def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master, results, tmp_path):
@@ -167,20 +167,20 @@ def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master,
         entry["category_id"] = 3 - entry["category_id"]  # the dataset's parts are 1 and 2
     other = tmp_path / "swapped.json"
     other.write_text(json.dumps(swapped))
-    told = summary(judged(results, master, kind="mask", against=results))
-    assert "difference: AP +0.000 (+0.000 to +0.000)" in told
-    assert "AP 0.000" in summary(judged(other, master, kind="mask"))
-    assert "AP 1.000" in summary(judged(other, master, kind="mask", one_class=True))
-    gap = judged(results, master, kind="mask", against=other).judgements[0].against
+    text = summary(evaluation_of(results, master, kind="mask", against=results))
+    assert "difference: AP +0.000 (+0.000 to +0.000)" in text
+    assert "AP 0.000" in summary(evaluation_of(other, master, kind="mask"))
+    assert "AP 1.000" in summary(evaluation_of(other, master, kind="mask", one_class=True))
+    gap = evaluation_of(results, master, kind="mask", against=other).judgements[0].against
     assert gap["ap"].value == gap["ap"].low == gap["ap"].high == 1.0
 
 
 def test_no_detections_score_zero_and_not_nothing(master, tmp_path):
     path = tmp_path / "results.json"
     path.write_bytes(results_bytes([]))
-    told = summary(judged(path, master))
-    assert "AP 0.000 (0.000 to 0.000)" in told
-    assert "nothing was found in 4" in told
+    text = summary(evaluation_of(path, master))
+    assert "AP 0.000 (0.000 to 0.000)" in text
+    assert "nothing was found in 4" in text
 
 
 def entry(**changed):
@@ -222,50 +222,52 @@ def test_a_file_that_is_no_results_of_the_dataset_is_named_with_the_reason(
 ):
     path, out = tmp_path / "results.json", tmp_path / "out"
     path.write_text(text if isinstance(text, str) else json.dumps(text))
-    told = refusal(capsys, path, "--on", master, "--out", out)
-    assert words in told
+    message = refusal(capsys, path, "--on", master, "--out", out)
+    assert words in message
     assert not out.exists()
 
 
 def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys):
     out = tmp_path / "out"
-    found = perfect(master)
+    detections = perfect(master)
 
-    def told(run, *more):
+    def message_of(run, *more):
         return refusal(capsys, run, "--on", master, "--out", out, *more)
 
-    assert "cannot be read" in told(tmp_path / "none.json")
+    assert "cannot be read" in message_of(tmp_path / "none.json")
     (tmp_path / "empty").mkdir()
-    assert "has no results.json" in told(tmp_path / "empty")
-    bare = written_run(tmp_path / "bare", found)
+    assert "has no results.json" in message_of(tmp_path / "empty")
+    bare = written_run(tmp_path / "bare", detections)
     (bare / "detect.json").unlink()
-    assert "has no detect.json" in told(bare)
+    assert "has no detect.json" in message_of(bare)
     (bare / "detect.json").write_text("{}")
-    assert "lacks 'division': run graycast detector find again" in told(bare)
+    assert "lacks 'division': run graycast detector find again" in message_of(bare)
     (bare / "detect.json").write_text('{"division": null, "scene_ids": ["x"]}')
-    assert "is damaged ('x' is not a whole number)" in told(bare)
-    elsewhere = written_run(tmp_path / "elsewhere", found, scene_ids=[*SCENES, 50])
-    assert "has detections in scene 50" in told(elsewhere)
-    fewer = written_run(tmp_path / "fewer", found[:2])
-    assert "scene 4 was not used" in told(bare.parent / "fewer", "--split", "train")
-    assert "scene 4 was not used" in told(written_run(tmp_path / "run", found), "--against", fewer)
+    assert "is damaged ('x' is not a whole number)" in message_of(bare)
+    elsewhere = written_run(tmp_path / "elsewhere", detections, scene_ids=[*SCENES, 50])
+    assert "has detections in scene 50" in message_of(elsewhere)
+    fewer = written_run(tmp_path / "fewer", detections[:2])
+    assert "scene 4 was not used" in message_of(bare.parent / "fewer", "--split", "train")
+    assert "scene 4 was not used" in message_of(
+        written_run(tmp_path / "run", detections), "--against", fewer
+    )
     boxes = written_run(tmp_path / "boxes", perfect(master, masked=False))
-    assert "detections have no masks" in told(boxes, "--kind", "mask")
-    assert "has no set 'test'" in told(boxes, "--split", "test")
-    assert "--split-seed applies only with --shares" in told(boxes, "--split-seed", "3")
-    assert "min_visibility is 1.0" in told(boxes, "--min-visibility", "1")
+    assert "detections have no masks" in message_of(boxes, "--kind", "mask")
+    assert "has no set 'test'" in message_of(boxes, "--split", "test")
+    assert "--split-seed applies only with --shares" in message_of(boxes, "--split-seed", "3")
+    assert "min_visibility is 1.0" in message_of(boxes, "--min-visibility", "1")
     assert not out.exists()
-    assert "holds poses: use graycast robot score-poses" in told(tmp_path / "poses.csv")
+    assert "holds poses: use graycast robot score-poses" in message_of(tmp_path / "poses.csv")
     assert "not a Graycast dataset" in refusal(capsys, boxes, "--on", tmp_path, "--out", out)
     (out / "mine").mkdir(parents=True)
-    assert "holds no earlier result of this command" in told(boxes)
+    assert "holds no earlier result of this command" in message_of(boxes)
 
 
 def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
     """Scores and edges in single precision are written with as many digits as tell them apart."""
     rng = np.random.default_rng(0)
     score = np.sort(rng.random(200, np.float32))[::-1].copy()
-    found = Detections(
+    detections = Detections(
         scene_id=7,
         score=score,
         obj_id=rng.integers(1, 5, 200),
@@ -273,12 +275,12 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
         mask=tuple(run_lengths_of(rng.random((200, 9, 11)) < 0.5)),
     )
     path = tmp_path / "results.json"
-    path.write_bytes(results_bytes([found]))
+    path.write_bytes(results_bytes([detections]))
     (read,) = read_results(path, [7])
-    assert (read.score.astype(np.float32) == found.score).all()
-    assert (read.box_px.astype(np.float32) == found.box_px).all()
-    assert (read.obj_id == found.obj_id).all()
-    assert list(read.mask) == list(found.mask)
+    assert (read.score.astype(np.float32) == detections.score).all()
+    assert (read.box_px.astype(np.float32) == detections.box_px).all()
+    assert (read.obj_id == detections.obj_id).all()
+    assert list(read.mask) == list(detections.mask)
 
 
 def test_uncompressed_masks_without_boxes_are_read_as_others_write_them(tmp_path):
@@ -290,6 +292,6 @@ def test_uncompressed_masks_without_boxes_are_read_as_others_write_them(tmp_path
     path.write_text(
         json.dumps([{"image_id": 0, "category_id": 1, "score": 1, "segmentation": runs}])
     )
-    (found,) = read_results(path, [0])
-    assert list(found.mask) == list(run_lengths_of(mask))
-    assert found.box_px.tolist() == [[1, 2, 3, 3]]
+    (detections,) = read_results(path, [0])
+    assert list(detections.mask) == list(run_lengths_of(mask))
+    assert detections.box_px.tolist() == [[1, 2, 3, 3]]

@@ -11,7 +11,7 @@ from graycast.score.evaluate import score
 from graycast.score.evaluate.intervals import differences, draw_scenes, interval_of, with_intervals
 from graycast.score.evaluate.scores import figures_of_draws
 
-from .drawn_sets import RandomSet, figures, found_squares, squares
+from .drawn_sets import RandomSet, detected_squares, figures, squares
 
 PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 
@@ -20,22 +20,23 @@ PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 @pytest.mark.parametrize("seed", [1, 10, 16])
 def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
     """The drawn scenes as pictures of their own, some of them several times."""
-    drawn = RandomSet.drawn(seed)  # scores of one digit, many of them equal, where it is even
-    scores = score(drawn.labels, drawn.found, kind=kind)
+    # Scores are of one digit, many of them equal, where the seed is even.
+    random_set = RandomSet.of_seed(seed)
+    scores = score(random_set.labels, random_set.detections, kind=kind)
     rng = np.random.default_rng(4)
-    chosen = [np.sort(rng.integers(0, 4, 4)) for _ in range(3)]
-    times = np.array([np.bincount(places, minlength=4) for places in chosen])
+    draws = [np.sort(rng.integers(0, 4, 4)) for _ in range(3)]
+    times = np.array([np.bincount(places, minlength=4) for places in draws])
     got = np.array(list(figures_of_draws(scores.matches, times).values())).T
-    expected = [figures(*drawn.by_pycocotools(kind, scenes=places)) for places in chosen]
+    expected = [figures(*random_set.by_pycocotools(kind, scenes=places)) for places in draws]
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
 
 
 def bin_of(scene_id, rng, *, share, parts=15):
     """A scene of which a share of the parts is found; no mistakes, and boxes alone."""
-    found = np.flatnonzero(rng.random(parts) < share)
-    score = rng.uniform(0.5, 1, len(found))
+    hits = np.flatnonzero(rng.random(parts) < share)
+    score = rng.uniform(0.5, 1, len(hits))
     labels = squares(scene_id, PLACES[:parts], masked=False)
-    return labels, found_squares(scene_id, [PLACES[i] for i in found], score, masked=False)
+    return labels, detected_squares(scene_id, [PLACES[i] for i in hits], score, masked=False)
 
 
 def interval(scenes, *, seed, name="ar"):
@@ -58,14 +59,14 @@ def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
     """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
     s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
     spread = np.sqrt((scenes - 1) / scenes / scenes)  # of s = 1
-    drawn = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
-    found = interval_of(0.7, drawn, scenes)
+    draws = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
+    limits = interval_of(0.7, draws, scenes)
     half = t / np.sqrt(scenes)
     z = half / spread
     share, density = stats.norm.sf(z), stats.norm.pdf(z)
     error = 5 * spread * np.sqrt(share / 200_000) / density
-    assert found.high - 0.7 == pytest.approx(half, abs=error)
-    assert 0.7 - found.low == pytest.approx(half, abs=error)
+    assert limits.high - 0.7 == pytest.approx(half, abs=error)
+    assert 0.7 - limits.low == pytest.approx(half, abs=error)
 
 
 def test_an_estimate_aside_of_its_draws_has_the_bias_corrected_interval():
@@ -74,24 +75,24 @@ def test_an_estimate_aside_of_its_draws_has_the_bias_corrected_interval():
     z = np.sqrt(30 / 29) * stats.t.ppf(0.975, 29)
     for b in (-0.8, 0.0, 0.5):
         value = 0.6 - 0.05 * b
-        found = interval_of(value, draws, 30)
-        assert found.low == pytest.approx(value + 0.05 * (-b - z), abs=1e-3)
-        assert found.high == pytest.approx(value + 0.05 * (-b + z), abs=1e-3)
+        limits = interval_of(value, draws, 30)
+        assert limits.low == pytest.approx(value + 0.05 * (-b - z), abs=1e-3)
+        assert limits.high == pytest.approx(value + 0.05 * (-b + z), abs=1e-3)
 
 
 @pytest.mark.parametrize("value", [0.2, 0.9])
 def test_an_interval_contains_its_estimate_even_beyond_all_draws(value):
-    found = interval_of(value, np.linspace(0.4, 0.6, 500), 10)
-    assert found.low <= value <= found.high
-    assert found.high - found.low == pytest.approx(abs(value - 0.5))  # from the draws' median
+    limits = interval_of(value, np.linspace(0.4, 0.6, 500), 10)
+    assert limits.low <= value <= limits.high
+    assert limits.high - limits.low == pytest.approx(abs(value - 0.5))  # from the draws' median
 
 
 def alike(scene_id, rng):
     """Scores that are all equal: hits come first in each scene, then up to six false alarms."""
-    labels, found = bin_of(scene_id, rng, share=0.9, parts=8)
+    labels, detections = bin_of(scene_id, rng, share=0.9, parts=8)
     wrong = [(x + 5, y + 5) for x, y in PLACES[: rng.integers(0, 7)]]
-    every = [*found.box_px[:, :2].astype(int).tolist(), *wrong]
-    return labels, found_squares(scene_id, every, np.ones(len(every)), masked=False)
+    every = [*detections.box_px[:, :2].astype(int).tolist(), *wrong]
+    return labels, detected_squares(scene_id, every, np.ones(len(every)), masked=False)
 
 
 def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
@@ -106,14 +107,14 @@ def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
 
 
 def test_draws_with_nothing_to_find_are_left_out():
-    drawn = np.where(np.arange(400) % 2 == 0, np.nan, np.linspace(0, 1, 400))
-    assert interval_of(0.5, drawn, 30) == interval_of(0.5, drawn[1::2], 30)
+    draws = np.where(np.arange(400) % 2 == 0, np.nan, np.linspace(0, 1, 400))
+    assert interval_of(0.5, draws, 30) == interval_of(0.5, draws[1::2], 30)
     assert np.isnan(interval_of(0.5, np.full(9, np.nan), 30).low)
 
 
 def test_equal_results_differ_by_exactly_nothing():
-    drawn = RandomSet.drawn(2)
-    scores = score(drawn.labels, drawn.found, kind="mask")
+    random_set = RandomSet.of_seed(2)
+    scores = score(random_set.labels, random_set.detections, kind="mask")
     for one in differences(scores, scores, draw_scenes(range(4), seed=0)).values():
         assert (one.value, one.low, one.high) == (0.0, 0.0, 0.0)
 
@@ -123,7 +124,7 @@ def test_a_paired_difference_is_surer_than_its_two_sides():
     rng = np.random.default_rng(6)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(25)]
     labels = [one[0] for one in scenes]
-    fewer = [found_squares(i, one[1].box_px[1:, :2].astype(int), one[1].score[1:])
+    fewer = [detected_squares(i, one[1].box_px[1:, :2].astype(int), one[1].score[1:])
              for i, one in enumerate(scenes)]  # fmt: skip
     times = draw_scenes(range(25), seed=0)
     full, less = (score(labels, f, kind="box") for f in ([one[1] for one in scenes], fewer))
@@ -138,13 +139,13 @@ def test_a_second_equal_view_of_every_scene_tells_nothing_new():
     rng = np.random.default_rng(8)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(20)]
     views = [
-        (replace(labels, scene_id=2 * i + k), replace(found, scene_id=2 * i + k))
-        for i, (labels, found) in enumerate(scenes)
+        (replace(labels, scene_id=2 * i + k), replace(detections, scene_id=2 * i + k))
+        for i, (labels, detections) in enumerate(scenes)
         for k in (0, 1)
     ]
     once, twice = interval(scenes, seed=0), interval(views, seed=0)
     np.testing.assert_allclose(astuple(twice), astuple(once), rtol=0, atol=1e-12)
-    alone = [(replace(labels, scene=labels.scene_id), found) for labels, found in views]
+    alone = [(replace(labels, scene=labels.scene_id), detections) for labels, detections in views]
     narrow = interval(alone, seed=0)
     assert narrow.high - narrow.low < 0.8 * (once.high - once.low)
 
@@ -157,9 +158,9 @@ def test_one_scene_has_no_interval():
 
 
 def test_results_of_other_scenes_are_not_compared():
-    drawn = RandomSet.drawn(2)
-    scores = score(drawn.labels, drawn.found, kind="box")
-    fewer = score(drawn.labels[:3], drawn.found[:3], kind="box")
+    random_set = RandomSet.of_seed(2)
+    scores = score(random_set.labels, random_set.detections, kind="box")
+    fewer = score(random_set.labels[:3], random_set.detections[:3], kind="box")
     with pytest.raises(GraycastError, match="results of the same scenes"):
         differences(scores, fewer, draw_scenes(range(4), seed=0))
 
@@ -180,12 +181,12 @@ def uneven(scene_id, rng):
 
 def with_mistakes(scene_id, rng):
     """The same with mistakes; hits have higher scores, but not always."""
-    labels, found = uneven(scene_id, rng)
+    labels, detections = uneven(scene_id, rng)
     places = [(x + 5, y + 5) for x, y in PLACES[: rng.poisson(2)]]
-    score = np.concatenate([found.score, rng.uniform(0.2, 0.8, len(places))])
+    score = np.concatenate([detections.score, rng.uniform(0.2, 0.8, len(places))])
     order = np.argsort(-score)
-    every = [*found.box_px[:, :2].astype(int).tolist(), *places]
-    return labels, found_squares(scene_id, [every[i] for i in order], score[order], masked=False)
+    every = [*detections.box_px[:, :2].astype(int).tolist(), *places]
+    return labels, detected_squares(scene_id, [every[i] for i in order], score[order], masked=False)
 
 
 @pytest.mark.slow

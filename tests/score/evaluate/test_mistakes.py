@@ -10,13 +10,15 @@ from graycast.score.evaluate.matching import match, overlaps
 from graycast.score.evaluate.mistakes import false_alarms, misses, working_point
 from graycast.score.evaluate.scores import scores_of
 
-from .drawn_sets import SIZE_PX, RandomSet, figures, found_squares, ours, squares
+from .drawn_sets import SIZE_PX, RandomSet, detected_squares, figures, ours, squares
 
 FOUR = [(0, 0), (20, 0), (40, 0), (0, 20)]
 
 
-def judged(labels, found, kind="mask"):
-    return judge([labels], [found], kind=kind, categories={1: "a", 2: "b"}, protocol=Protocol())
+def judgement_of(labels, detections, kind="mask"):
+    return judge(
+        [labels], [detections], kind=kind, categories={1: "a", 2: "b"}, protocol=Protocol()
+    )
 
 
 def rows(judgement, by):
@@ -26,8 +28,8 @@ def rows(judgement, by):
 def test_instances_of_another_visibility_are_neither_to_find_nor_mistakes():
     """Two are hardly visible; one of those is missed, and the rest found."""
     labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
-    found = found_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
-    by = rows(judged(labels, found), "visibility")
+    detections = detected_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
+    by = rows(judgement_of(labels, detections), "visibility")
     assert by["90 to 100 %"].figures["ap"].value == 1.0
     assert by["90 to 100 %"].to_find == 2
     assert by["10 to 30 %"].figures["ar"].value == 0.5
@@ -37,15 +39,15 @@ def test_instances_of_another_visibility_are_neither_to_find_nor_mistakes():
 
 def test_a_mistake_counts_in_every_group_of_visibility():
     labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
-    found = found_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6])
-    by = rows(judged(labels, found), "visibility")
+    detections = detected_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6])
+    by = rows(judgement_of(labels, detections), "visibility")
     assert by["90 to 100 %"].figures["ap"].value == pytest.approx(2 / 3, abs=1e-12)
     assert by["10 to 30 %"].figures["ap"].value == pytest.approx(2 / 3, abs=1e-12)
 
 
 def test_missing_depth_groups_the_instances():
     labels = replace(squares(0, FOUR), missing=np.array([0.0, 0.1, 0.6, 1.0]))
-    by = rows(judged(labels, found_squares(0, FOUR[:2], [0.9, 0.8])), "missing depth")
+    by = rows(judgement_of(labels, detected_squares(0, FOUR[:2], [0.9, 0.8])), "missing depth")
     assert [row.to_find for row in by.values()] == [1, 1, 0, 2]
     assert by["50 to 100 %"].figures["ap"].value == 0.0
     assert by["0 to 5 %"].figures["ap"].value == 1.0
@@ -58,24 +60,24 @@ def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
 
     Its ranges hold both ends; no drawn area is exactly an end of ours.
     """
-    drawn = RandomSet.drawn(seed)
-    known = overlaps(drawn.labels, drawn.found, kind=kind, most=300)
+    random_set = RandomSet.of_seed(seed)
+    known = overlaps(random_set.labels, random_set.detections, kind=kind, most=300)
     pixels = SIZE_PX[0] * SIZE_PX[1]
     by_size = [g for g in groups(known.labels, kind=kind, min_visibility=0.1) if g.by == "size"]
     assert [g.low for g in by_size] == list(AREA_EDGES[:-1])
     for group in by_size:
         own = scores_of(match(known, group), known)
         areas = [group.low * pixels, group.high * pixels]
-        theirs = figures(*drawn.by_pycocotools(kind, areas=areas, box_areas=kind == "box"))
+        theirs = figures(*random_set.by_pycocotools(kind, areas=areas, box_areas=kind == "box"))
         np.testing.assert_allclose(ours(own), theirs, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("decimals", [9, 1])
 def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
     """Oracle: every score tried, by counting. No score tells equal ones apart."""
-    drawn = RandomSet.drawn(11, scenes=6)
-    found = [replace(one, score=one.score.round(decimals)) for one in drawn.found]
-    known = overlaps(drawn.labels, found, kind="mask", most=300)
+    random_set = RandomSet.of_seed(11, scenes=6)
+    detections = [replace(one, score=one.score.round(decimals)) for one in random_set.detections]
+    known = overlaps(random_set.labels, detections, kind="mask", most=300)
     matches = match(known)
     point = working_point(matches)
     wanted = sum(int(one.to_find.sum()) for one in matches.values())
@@ -95,8 +97,8 @@ def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
 def test_every_mistake_says_what_it_is():
     labels = squares(0, FOUR, obj_id=[1, 1, 2, 1], visible=[1, 1, 1, 0.5])
     places = [FOUR[0], FOUR[0], FOUR[2], (24, 0), (40, 30)]
-    found = found_squares(0, places, [0.9, 0.8, 0.7, 0.6, 0.5], obj_id=[1, 1, 1, 1, 2])
-    known = overlaps([labels], [found], kind="mask", most=300)
+    detections = detected_squares(0, places, [0.9, 0.8, 0.7, 0.6, 0.5], obj_id=[1, 1, 1, 1, 2])
+    known = overlaps([labels], [detections], kind="mask", most=300)
     alarms = false_alarms(known, match(known), 0.0)
     assert [(one.detection, one.why) for one in alarms] == [
         (1, "found twice"),
@@ -114,7 +116,7 @@ def test_every_mistake_says_what_it_is():
 
 def test_what_nobody_found_has_no_working_point():
     labels = squares(0, FOUR)
-    judgement = judged(labels, found_squares(0, [], []), kind="box")
+    judgement = judgement_of(labels, detected_squares(0, [], []), kind="box")
     assert np.isnan(judgement.point.score)
     assert judgement.point.recall == 0.0
     assert len(judgement.misses) == 4

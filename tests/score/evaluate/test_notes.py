@@ -10,40 +10,44 @@ from graycast.score.evaluate import Protocol, score
 from graycast.score.evaluate.judging import judge
 from graycast.score.evaluate.task import ap_of_any_order, notes
 
-from .drawn_sets import found_squares, squares
+from .drawn_sets import detected_squares, squares
 
 PLACES = [(0, 0), (20, 0), (40, 0), (0, 20)]
 WRONG = [(20, 35), (45, 30)]
 
 
-def told(places, scores):
+def notes_of(places, scores):
     labels = [squares(0, PLACES)]
-    found = [found_squares(0, places, scores)]
-    judgement = judge(labels, found, kind="box", categories={1: "a"}, protocol=Protocol(draws=2))
+    detections = [detected_squares(0, places, scores)]
+    judgement = judge(
+        labels, detections, kind="box", categories={1: "a"}, protocol=Protocol(draws=2)
+    )
     return list(notes([judgement]))
 
 
 def test_the_range_of_ap_is_that_of_all_orders_of_the_file():
     """Oracle: every order of six equal scores, scored one by one."""
-    found = found_squares(0, [*PLACES, *WRONG], np.ones(6))
+    detections = detected_squares(0, [*PLACES, *WRONG], np.ones(6))
     every = []
     for order in permutations(range(6)):
-        box_px = found.box_px[list(order)]
-        every.append(score([squares(0, PLACES)], [replace(found, box_px=box_px)], kind="box").ap)
-    low, high = ap_of_any_order(score([squares(0, PLACES)], [found], kind="box").matches)
+        box_px = detections.box_px[list(order)]
+        every.append(
+            score([squares(0, PLACES)], [replace(detections, box_px=box_px)], kind="box").ap
+        )
+    low, high = ap_of_any_order(score([squares(0, PLACES)], [detections], kind="box").matches)
     assert (low, high) == pytest.approx((min(every), max(every)), abs=1e-12)
     assert high - low > 0.3
 
 
 def test_equal_scores_that_move_ap_are_noted():
-    (note,) = told([*PLACES, *WRONG], np.ones(6))
+    (note,) = notes_of([*PLACES, *WRONG], np.ones(6))
     assert "all scores are equal" in note and "it is 1.000" in note and "0.667 to 1.000" in note
-    (note,) = told([*PLACES, *WRONG], [0.9, 0.8, 0.7, 0.7, 0.7, 0.6])
+    (note,) = notes_of([*PLACES, *WRONG], [0.9, 0.8, 0.7, 0.7, 0.7, 0.6])
     assert "box: scores are equal" in note
-    assert told([*PLACES, *WRONG], np.linspace(0.9, 0.1, 6)) == []
-    assert told(PLACES, np.ones(4)) == []  # no order of hits alone is better than another
+    assert notes_of([*PLACES, *WRONG], np.linspace(0.9, 0.1, 6)) == []
+    assert notes_of(PLACES, np.ones(4)) == []  # no order of hits alone is better than another
 
 
 def test_doubled_entries_are_counted():
-    (note,) = told([*PLACES, *PLACES[:3]], [0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3])
+    (note,) = notes_of([*PLACES, *PLACES[:3]], [0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3])
     assert note.startswith("3 detections repeat another one")

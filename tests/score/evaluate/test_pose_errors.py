@@ -101,9 +101,9 @@ TAUS = np.array([0.005, 0.010, 0.020])
 
 def surface(rows, z, shape=(10, 10)):
     """A patch over some of the rows at one distance."""
-    made = np.full(shape, np.nan)
-    made[rows] = z
-    return made
+    depth_m = np.full(shape, np.nan)
+    depth_m[rows] = z
+    return depth_m
 
 
 def test_vsd_counts_pixels_that_only_one_sees_and_those_too_far_apart():
@@ -142,8 +142,8 @@ def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is(
     error = vsd(estimate, true, np.full((10, 10), 0.8), np.array([0.02, 0.04]))
     np.testing.assert_array_equal(error, [1, 0])
     elsewhere = surface(np.s_[6:10], 0.83)  # hidden behind what is measured: no part of the union
-    kept = np.where(np.isfinite(true), true, elsewhere)
-    np.testing.assert_array_equal(vsd(kept, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
+    combined = np.where(np.isfinite(true), true, elsewhere)
+    np.testing.assert_array_equal(vsd(combined, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
 
 
 def test_where_nothing_is_visible_the_error_is_one():

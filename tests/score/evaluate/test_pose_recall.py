@@ -61,8 +61,8 @@ def estimates(truth, shift_m=(0.0, 0.0, 0.0)):
 def test_the_truth_is_found_by_every_criterion(scene):
     for one in count_picture(scene[0], estimates(scene[0]), scene[1]):
         assert one.to_find > 0
-        for found in (one.vsd, one.mssd, one.mspd, one.near):
-            np.testing.assert_array_equal(found, one.to_find)
+        for hit in (one.vsd, one.mssd, one.mspd, one.near):
+            np.testing.assert_array_equal(hit, one.to_find)
         np.testing.assert_allclose(one.angle_rad, 0, atol=1e-7)
 
 
@@ -97,9 +97,9 @@ def cube(side_m, middle_m, camera, T):
         faces=box_part(1.0, lambert(0.5)).mesh.faces,
     )
     solid = solid_of(mesh, Symmetry(), np.sqrt(3) * side_m)
-    drawn = rasterize(transform_points(T, mesh.vertices_m), mesh.faces, camera)
+    raster = rasterize(transform_points(T, mesh.vertices_m), mesh.faces, camera)
     truth = PictureTruth(
-        scene_id=0, camera=camera, measured_m=drawn.over(camera)[1].copy(), obj_id=np.array([1]),
+        scene_id=0, camera=camera, measured_m=raster.over(camera)[1].copy(), obj_id=np.array([1]),
         T_cam_part=T[None], to_find=np.array([True]),
     )  # fmt: skip
     return truth, {1: solid}
@@ -137,9 +137,9 @@ def test_vsd_compares_distances_and_not_depths():
 
 
 def whole(dataset, shift_m=(0.0, 0.0, 0.0)):
-    made = []
+    shifted = []
     for example in open_examples(dataset):
-        made += [
+        shifted += [
             PoseEstimate(
                 scene_id=example.scene_id, im_id=0, obj_id=int(obj_id), score=0.9, time_s=0.5,
                 T_cam_part=rigid(T[:3, :3], T[:3, 3] + np.array(shift_m)),
@@ -148,7 +148,7 @@ def whole(dataset, shift_m=(0.0, 0.0, 0.0)):
                 example.obj_id, example.T_cam_part, ~example.hidden(0.1), strict=True
             ) if there
         ]  # fmt: skip
-    return made
+    return shifted
 
 
 def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, capsys):
@@ -169,30 +169,32 @@ def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, ca
 
 def test_recall_is_of_all_instances_to_find(master, tmp_path):
     """Half of the poses left out at random: AR is the share that is left."""
-    made = whole(master)
-    kept = [made[k] for k in np.random.default_rng(0).permutation(len(made))[: len(made) // 2]]
+    shifted = whole(master)
+    half = [
+        shifted[k] for k in np.random.default_rng(0).permutation(len(shifted))[: len(shifted) // 2]
+    ]
     results = tmp_path / "poses.csv"
-    results.write_text(pose_results_text(sorted(kept, key=lambda e: e.scene_id)))
+    results.write_text(pose_results_text(sorted(half, key=lambda e: e.scene_id)))
     rows = evaluate_poses(results, master, protocol=Protocol(draws=50)).rows
-    assert rows[0].to_find == len(made)
-    assert rows[0].figures["AR"].value == pytest.approx(len(kept) / len(made))
+    assert rows[0].to_find == len(shifted)
+    assert rows[0].figures["AR"].value == pytest.approx(len(half) / len(shifted))
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda e: {"scene_id": 77}, "has scene 77, image 0, which the dataset's set does not"),
         (lambda e: {"im_id": 3}, "image 3, which the dataset's set does not have"),
         (lambda e: {"obj_id": 9}, "has object 9, the dataset has 1, 2"),
     ],
 )
-def test_results_of_another_dataset_are_refused(master, tmp_path, change, told):
+def test_results_of_another_dataset_are_refused(master, tmp_path, change, message):
     one = whole(master)[0]
-    said = {"scene_id": one.scene_id, "im_id": 0, "obj_id": one.obj_id} | change(one)
+    keys = {"scene_id": one.scene_id, "im_id": 0, "obj_id": one.obj_id} | change(one)
     results = tmp_path / "poses.csv"
-    other = PoseEstimate(**said, score=1.0, T_cam_part=one.T_cam_part.copy())
+    other = PoseEstimate(**keys, score=1.0, T_cam_part=one.T_cam_part.copy())
     results.write_text(pose_results_text([other]))
-    with pytest.raises(GraycastError, match=told):
+    with pytest.raises(GraycastError, match=message):
         evaluate_poses(results, master, protocol=Protocol(draws=50))
 
 
@@ -212,6 +214,6 @@ def test_poses_of_another_unit_are_refused_with_the_right_one(master, tmp_path, 
 
 
 def test_detections_are_sent_to_the_command_that_scores_them(master, tmp_path, capsys):
-    told = ["robot", "score-poses", str(tmp_path), "--on", str(master), "--out", str(tmp_path)]
-    assert main(told) == 1
+    arguments = ["robot", "score-poses", str(tmp_path), "--on", str(master), "--out", str(tmp_path)]
+    assert main(arguments) == 1
     assert "score detections with graycast detector score" in capsys.readouterr().err

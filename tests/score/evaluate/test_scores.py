@@ -10,15 +10,15 @@ from graycast.dataset.example import Example
 from graycast.score.evaluate import labels_of, score
 from graycast.score.evaluate.scores import precision_curves
 
-from .drawn_sets import SIZE_PX, RandomSet, figures, found_squares, ours, squares
+from .drawn_sets import SIZE_PX, RandomSet, detected_squares, figures, ours, squares
 
 KINDS = ("box", "mask")
 FOUR = [(0, 0), (20, 0), (40, 0), (0, 20)]
 
 
-def one_scene(found, *, labels=None, kind="mask", most=300):
+def one_scene(detections, *, labels=None, kind="mask", most=300):
     labels = squares(0, FOUR) if labels is None else labels
-    return score([labels], [found], kind=kind, most=most)
+    return score([labels], [detections], kind=kind, most=most)
 
 
 def ap_of_class(scores):
@@ -27,39 +27,39 @@ def ap_of_class(scores):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_perfect_detections_score_exactly_one(kind):
-    scores = one_scene(found_squares(0, FOUR, [0.9, 0.8, 0.7, 0.6]), kind=kind)
+    scores = one_scene(detected_squares(0, FOUR, [0.9, 0.8, 0.7, 0.6]), kind=kind)
     assert ours(scores).tolist() == [1.0, 1.0, 1.0, 1.0]
     assert ap_of_class(scores) == {1: 1.0}
 
 
 def test_a_false_alarm_below_all_hits_costs_nothing():
-    scores = one_scene(found_squares(0, [*FOUR, (40, 30)], [0.9, 0.8, 0.7, 0.6, 0.5]))
+    scores = one_scene(detected_squares(0, [*FOUR, (40, 30)], [0.9, 0.8, 0.7, 0.6, 0.5]))
     assert scores.ap == 1.0
 
 
 def test_a_false_alarm_above_all_hits_costs_its_place():
     """Precisions at the hits are 1/2, 2/3, 3/4, 4/5; the highest to the right is 4/5 everywhere."""
-    scores = one_scene(found_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6]))
+    scores = one_scene(detected_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6]))
     assert scores.ap == pytest.approx(4 / 5, abs=1e-12)
     assert scores.ar == 1.0
 
 
 def test_half_found_is_51_of_101_recalls():
     """Recall 0.5 is the 51st of COCO's recalls 0, 0.01, ..., 1; precision is 1 up to it."""
-    scores = one_scene(found_squares(0, FOUR[:2], [0.9, 0.8]))
+    scores = one_scene(detected_squares(0, FOUR[:2], [0.9, 0.8]))
     assert scores.ap == pytest.approx(51 / 101, abs=1e-12)
     assert scores.ar == 0.5
 
 
 def test_a_second_detection_of_the_same_instance_is_a_mistake():
     """Hit, double, hit, hit, hit: precision 1 up to recall 1/4, then 4/5."""
-    scores = one_scene(found_squares(0, [FOUR[0], *FOUR], [0.95, 0.9, 0.8, 0.7, 0.6]))
+    scores = one_scene(detected_squares(0, [FOUR[0], *FOUR], [0.95, 0.9, 0.8, 0.7, 0.6]))
     assert scores.ap == pytest.approx((26 + 75 * 4 / 5) / 101, abs=1e-12)
 
 
 def test_an_overlap_between_two_thresholds_counts_below_it_alone():
     """A square of 8 px shifted by one: 7/9 = 0.78 is enough for 0.50 to 0.75, six of ten."""
-    scores = one_scene(found_squares(0, [(1, 0)], [0.9]), labels=squares(0, [(0, 0)]))
+    scores = one_scene(detected_squares(0, [(1, 0)], [0.9]), labels=squares(0, [(0, 0)]))
     assert (scores.ap50, scores.ap75) == (1.0, 1.0)
     assert scores.ap == pytest.approx(0.6, abs=1e-12)
     assert scores.ar == pytest.approx(0.6, abs=1e-12)
@@ -67,9 +67,9 @@ def test_an_overlap_between_two_thresholds_counts_below_it_alone():
 
 def test_what_is_ignored_need_not_be_found_and_finding_it_twice_is_no_mistake():
     labels = squares(0, FOUR, visible=[0.05, 1, 1, 1])
-    missed = one_scene(found_squares(0, FOUR[1:], [0.9, 0.8, 0.7]), labels=labels)
+    missed = one_scene(detected_squares(0, FOUR[1:], [0.9, 0.8, 0.7]), labels=labels)
     places = [FOUR[0], FOUR[0], *FOUR[1:]]
-    twice = one_scene(found_squares(0, places, [0.99, 0.98, 0.9, 0.8, 0.7]), labels=labels)
+    twice = one_scene(detected_squares(0, places, [0.99, 0.98, 0.9, 0.8, 0.7]), labels=labels)
     assert missed.ap == twice.ap == 1.0
     assert missed.to_find == 3
 
@@ -77,8 +77,8 @@ def test_what_is_ignored_need_not_be_found_and_finding_it_twice_is_no_mistake():
 def test_a_detection_inside_something_ignored_is_no_mistake():
     """COCO's rule for crowds: 1/4 of the instance is found, but all of the detection is inside."""
     labels = squares(0, [(0, 0), (20, 0)], visible=[0.05, 1], side=8)
-    small = found_squares(0, [(0, 0)], [0.99], side=4)
-    good = found_squares(0, [(20, 0)], [0.9])
+    small = detected_squares(0, [(0, 0)], [0.99], side=4)
+    good = detected_squares(0, [(20, 0)], [0.9])
     both = replace(
         good,
         score=np.concatenate([small.score, good.score]),
@@ -87,15 +87,17 @@ def test_a_detection_inside_something_ignored_is_no_mistake():
         mask=(*small.mask, *good.mask),
     )
     assert one_scene(both, labels=labels).ap == 1.0
-    seen = replace(labels, ignored=np.array([False, False]))
-    assert one_scene(both, labels=seen).ap < 0.5
+    counted = replace(labels, ignored=np.array([False, False]))
+    assert one_scene(both, labels=counted).ap < 0.5
 
 
 def test_classes_are_averaged_and_one_without_instances_is_none_of_them():
     """Class 1 perfect, class 2 not found, class 3 is not there: its detections count nowhere."""
     labels = squares(0, FOUR, obj_id=[1, 1, 2, 2])
-    found = found_squares(0, [FOUR[0], FOUR[1], (40, 30)], [0.9, 0.8, 0.7], obj_id=[1, 1, 3])
-    scores = one_scene(found, labels=labels)
+    detections = detected_squares(
+        0, [FOUR[0], FOUR[1], (40, 30)], [0.9, 0.8, 0.7], obj_id=[1, 1, 3]
+    )
+    scores = one_scene(detections, labels=labels)
     assert scores.ap == 0.5
     assert ap_of_class(scores)[1] == 1.0
     assert ap_of_class(scores)[2] == 0.0
@@ -103,29 +105,29 @@ def test_classes_are_averaged_and_one_without_instances_is_none_of_them():
 
 
 def test_nothing_found_is_zero_and_nothing_to_find_is_nan():
-    assert ours(one_scene(found_squares(0, [], []))).tolist() == [0.0] * 4
-    nothing = one_scene(found_squares(0, FOUR, [0.9] * 4), labels=squares(0, []))
+    assert ours(one_scene(detected_squares(0, [], []))).tolist() == [0.0] * 4
+    nothing = one_scene(detected_squares(0, FOUR, [0.9] * 4), labels=squares(0, []))
     assert np.isnan(ours(nothing)).all()
-    assert np.isnan(ours(one_scene(found_squares(0, [], []), labels=squares(0, [])))).all()
+    assert np.isnan(ours(one_scene(detected_squares(0, [], []), labels=squares(0, [])))).all()
 
 
 def test_a_full_bin_needs_more_than_the_100_detections_of_coco():
     """255 parts all found: of the best 100 recall is 100/255, so 40 of 101 recalls are reached."""
     places = [(3 * (i % 20), 3 * (i // 20)) for i in range(255)]
     labels = squares(0, places, side=2)
-    found = found_squares(0, places, np.linspace(0.99, 0.5, 255), side=2)
-    assert one_scene(found, labels=labels).ap == 1.0
-    coco = one_scene(found, labels=labels, most=100)
+    detections = detected_squares(0, places, np.linspace(0.99, 0.5, 255), side=2)
+    assert one_scene(detections, labels=labels).ap == 1.0
+    coco = one_scene(detections, labels=labels, most=100)
     assert coco.ap == pytest.approx(40 / 101, abs=1e-12)
     assert coco.ar == pytest.approx(100 / 255, abs=1e-12)
 
 
 def compared(seed):
-    drawn = RandomSet.drawn(seed)
+    random_set = RandomSet.of_seed(seed)
     for kind in KINDS:
         for most in (5, 300):
-            scores = score(drawn.labels, drawn.found, kind=kind, most=most)
-            precision, recall = drawn.by_pycocotools(kind, most)
+            scores = score(random_set.labels, random_set.detections, kind=kind, most=most)
+            precision, recall = random_set.by_pycocotools(kind, most)
             np.testing.assert_allclose(ours(scores), figures(precision, recall), rtol=0, atol=1e-9)
             for obj_id, value in ap_of_class(scores).items():
                 own = precision[:, :, obj_id - 1]
@@ -153,28 +155,30 @@ def test_random_sets_score_as_by_faster_coco_eval():
     from faster_coco_eval.core.coco import COCO
 
     for seed in range(20):
-        drawn = RandomSet.drawn(seed)
-        truth, results = drawn.coco("mask")
+        random_set = RandomSet.of_seed(seed)
+        truth, results = random_set.coco("mask")
         known = COCO(truth)
         judge = faster.COCOeval_faster(known, known.loadRes(results), "segm")
         judge.params.maxDets = [1, 10, 300]
         judge.evaluate()
         judge.accumulate()
         theirs = judge.eval["precision"][:, :, :, 0, -1], judge.eval["recall"][:, :, 0, -1]
-        scores = score(drawn.labels, drawn.found, kind="mask")
+        scores = score(random_set.labels, random_set.detections, kind="mask")
         np.testing.assert_allclose(ours(scores), figures(*theirs), rtol=0, atol=1e-9)
 
 
 def test_the_order_of_the_scenes_does_not_matter():
-    drawn = RandomSet.drawn(3)
-    forth = score(drawn.labels, drawn.found, kind="box")
-    back = score(drawn.labels[::-1], drawn.found[1:] + drawn.found[:1], kind="box")
+    random_set = RandomSet.of_seed(3)
+    forth = score(random_set.labels, random_set.detections, kind="box")
+    back = score(
+        random_set.labels[::-1], random_set.detections[1:] + random_set.detections[:1], kind="box"
+    )
     assert ours(forth).tolist() == ours(back).tolist()
     assert back.scene_ids == (0, 1, 2, 3)
 
 
 @pytest.mark.parametrize(
-    ("labels", "found", "words"),
+    ("labels", "detections", "words"),
     [
         ([0, 1], [0], "scene 1 has no detections"),
         ([0], [0, 7], "scene 7 has no labels"),
@@ -182,28 +186,28 @@ def test_the_order_of_the_scenes_does_not_matter():
         ([0], [0, 0], "scene 0 has detections twice"),
     ],
 )
-def test_labels_and_detections_of_other_scenes_are_refused(labels, found, words):
+def test_labels_and_detections_of_other_scenes_are_refused(labels, detections, words):
     with pytest.raises(GraycastError, match=words):
         score(
             [squares(i, FOUR) for i in labels],
-            [found_squares(i, FOUR, [0.9] * 4) for i in found],
+            [detected_squares(i, FOUR, [0.9] * 4) for i in detections],
             kind="box",
         )
 
 
 def test_masks_are_needed_to_compare_masks():
-    found = found_squares(0, FOUR, [0.9] * 4)
+    detections = detected_squares(0, FOUR, [0.9] * 4)
     with pytest.raises(GraycastError, match="detections have no masks: score boxes"):
-        one_scene(replace(found, mask=None))
+        one_scene(replace(detections, mask=None))
     with pytest.raises(GraycastError, match="labels have no masks: score boxes"):
-        one_scene(found, labels=replace(squares(0, FOUR), mask=None))
-    assert one_scene(replace(found, mask=None), kind="box").ap == 1.0
+        one_scene(detections, labels=replace(squares(0, FOUR), mask=None))
+    assert one_scene(replace(detections, mask=None), kind="box").ap == 1.0
 
 
 def test_masks_of_another_picture_size_are_refused():
     labels = replace(squares(0, FOUR), size_px=(96, 128))
     with pytest.raises(GraycastError, match="64 x 48 pixels, the picture has 128 x 96"):
-        one_scene(found_squares(0, FOUR, [0.9] * 4), labels=labels)
+        one_scene(detected_squares(0, FOUR, [0.9] * 4), labels=labels)
 
 
 def test_labels_of_an_example_know_what_is_hidden_and_where_depth_is_missing():

@@ -37,13 +37,13 @@ def sphere_depth(T_world_cam, middle_m, radius_m, camera=CAMERA):
 
 def view(depth_m, T_world_cam, sigma_m, *, name="view", reason=None, camera=CAMERA, color=128):
     known = np.isfinite(depth_m)
-    said = np.zeros(depth_m.shape) if reason is None else np.where(known, 0, reason)
+    reasons = np.zeros(depth_m.shape) if reason is None else np.where(known, 0, reason)
     return MeasuredView(
         name=name,
         camera=camera,
         T_world_cam=T_world_cam,
         depth_m=depth_m,
         sigma_m=np.where(known, sigma_m, np.nan),
-        reason=said.astype(np.uint8),
+        reason=reasons.astype(np.uint8),
         color=np.full((*depth_m.shape, 3), color, dtype=np.uint8),
     )

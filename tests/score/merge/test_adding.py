@@ -32,10 +32,10 @@ def cube_depth(T):
 
 
 def reasons(T, depth_m, true_m, reason=None):
-    seen = view(depth_m, T, 0.1e-3, reason=reason, camera=FINE)
+    measured = view(depth_m, T, 0.1e-3, reason=reason, camera=FINE)
     truth = ViewTruth(depth_m=true_m, instance=np.where(np.isfinite(cube_depth(T)), 0, -1))
     surface = surface_of([cube()], [np.eye(4)], points=6000)
-    return surface, why_not(surface, seen, points_of(seen), truth)
+    return surface, why_not(surface, measured, points_of(measured), truth)
 
 
 def test_a_camera_over_an_edge_measures_the_two_faces_that_it_sees():
@@ -72,10 +72,10 @@ def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_none():
     inner = (
         (np.abs(surface.point_m[up]).min(axis=1) > 3e-3) & (np.abs(x) < 0.047) & (np.abs(y) < 0.047)
     )
-    told = why[up][inner]
-    assert (told[x[inner] < 0] == 5).all()
-    assert (told[(x[inner] > 0) & (y[inner] > 0)] == WRONG).all()
-    assert (told[(x[inner] > 0) & (y[inner] < 0)] == 0).all()
+    reason = why[up][inner]
+    assert (reason[x[inner] < 0] == 5).all()
+    assert (reason[(x[inner] > 0) & (y[inner] > 0)] == WRONG).all()
+    assert (reason[(x[inner] > 0) & (y[inner] < 0)] == 0).all()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -86,14 +86,14 @@ def test_each_step_of_the_order_adds_as_much_as_any_view_could(seed):
     order, gains = best_order(has)
     sets = [set(np.flatnonzero(row).tolist()) for row in has]
     assert sorted(order) == list(range(5))
-    found: set[int] = set()
+    covered: set[int] = set()
     for k, (i, gain) in enumerate(zip(order, gains, strict=True)):
         rest = set(range(5)) - set(order[:k])
-        assert gain == len(sets[i] - found) == max(len(sets[j] - found) for j in rest)
-        found |= sets[i]
-        best = max(len(set().union(*chosen)) for chosen in combinations(sets, k + 1))
-        assert len(found) >= (1 - 1 / np.e) * best
-    assert len(found) == len(set().union(*sets)) >= max(map(len, sets))
+        assert gain == len(sets[i] - covered) == max(len(sets[j] - covered) for j in rest)
+        covered |= sets[i]
+        best = max(len(set().union(*views)) for views in combinations(sets, k + 1))
+        assert len(covered) >= (1 - 1 / np.e) * best
+    assert len(covered) == len(set().union(*sets)) >= max(map(len, sets))
     assert gains[0] == max(map(len, sets))
 
 
@@ -104,13 +104,13 @@ def test_of_equal_views_the_first_comes_first():
 def test_shares_of_the_surface_are_counted_view_by_view():
     """By hand: five places of eight are seen, and one of these nobody measured."""
     why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
-    told = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})
-    assert told["visible"] == 5 / 8 and told["measured"] == 4 / 5
-    left, right = told["views"]
+    record = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})
+    assert record["visible"] == 5 / 8 and record["measured"] == 4 / 5
+    left, right = record["views"]
     assert (left["measured"], left["only_this_view"]) == (3 / 5, 2 / 5)
     assert (right["measured"], right["only_this_view"]) == (2 / 5, 1 / 5)
     assert left["filled_by_others"] == {"saturated": 1 / 5}
     assert left["missing"] == {"saturated": 2 / 5}
     assert right["filled_by_others"] == {"saturated": 1 / 5, "hidden": 1 / 5}
     assert right["missing"] == {"saturated": 1 / 5, "wrong": 1 / 5, "hidden": 1 / 5}
-    assert [one["together"] for one in told["best_order"]] == [3 / 5, 4 / 5]
+    assert [one["together"] for one in record["best_order"]] == [3 / 5, 4 / 5]

@@ -39,9 +39,9 @@ def test_a_slanted_plane_seen_from_two_sides_comes_back_within_its_stated_sigma(
     off = (cloud.point_m @ normal - 0.02) / cloud.sigma_m
     both = cloud.views == 2
     assert both.mean() > 0.4 and not cloud.against.any()
-    for chosen in (both, ~both):
+    for group in (both, ~both):
         # A view's normals are known to 3 degrees: aside by half a pixel, that is a third of sigma.
-        assert np.mean(off[chosen] ** 2) == pytest.approx(1.0, abs=0.15)
+        assert np.mean(off[group] ** 2) == pytest.approx(1.0, abs=0.15)
 
 
 def test_weights_are_inverse_variances():

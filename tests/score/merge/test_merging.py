@@ -38,10 +38,10 @@ def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # no
 
 
 def test_its_surface_is_measured_where_the_depth_is(merged):
-    told = json.loads((merged / "merge.json").read_text())
-    (surface,) = told["surfaces"]
+    record = json.loads((merged / "merge.json").read_text())
+    (surface,) = record["surfaces"]
     (view,) = surface["views"]
-    assert told["scenes"] == [f"train-{i:06d}" for i in (0, 3, 4, 5)]
+    assert record["scenes"] == [f"train-{i:06d}" for i in (0, 3, 4, 5)]
     assert surface["measured"] == view["measured"] == view["only_this_view"]
     assert view["measured"] + sum(view["missing"].values()) == pytest.approx(1)
     assert view["filled_by_others"] == {}
@@ -98,11 +98,11 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     assert [view["view"] for view in figures["cloud"]["views"]] == list(NAMES)
     assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
     assert max(measured) < figures["cloud"]["points"] < sum(measured)
-    for held in figures["cloud"]["by_views"][:2]:
+    for group in figures["cloud"]["by_views"][:2]:
         # Pixels are 3 mm wide: at edges planes lie askew, which no noise tells.
-        assert abs(held["error_median_m"]) < 0.2 * SIGMA_M
-        assert held["error_sigma_m"] == pytest.approx(held["sigma_m"], rel=0.4)
-        assert held["within_3_sigma"] > 0.9
+        assert abs(group["error_median_m"]) < 0.2 * SIGMA_M
+        assert group["error_sigma_m"] == pytest.approx(group["sigma_m"], rel=0.4)
+        assert group["within_3_sigma"] > 0.9
     all_four = figures["cloud"]["by_views"][3]
     assert all_four["error_sigma_m"] == pytest.approx(SIGMA_M / 2, rel=0.15)
     assert all_four["within_3_sigma"] > 0.98

@@ -36,8 +36,8 @@ def test_noise_is_measured_as_strong_as_it_is_at_every_light(noise_px):
     sigma_px = noise_px * 10000 / light
     slope_m = depth_slope_m(true_m, scanner)
     depth_m = true_m + slope_m * sigma_px * rng.standard_normal(true_m.shape)
-    found = measured_noise_px(depth_m, slope_m, light, scanner)
+    estimate_px = measured_noise_px(depth_m, slope_m, light, scanner)
     middle = np.s_[40:200, 5:-5]  # beyond the darkest and the brightest group it does not change
-    ratio = found[middle] / sigma_px[middle]
+    ratio = estimate_px[middle] / sigma_px[middle]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
     assert 0.8 < ratio.min() and ratio.max() < 1.2

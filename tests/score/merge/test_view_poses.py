@@ -67,16 +67,16 @@ def test_a_view_that_is_turned_by_a_little_is_named_with_the_angle(views):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (inverse, "inverted"),
         (lambda T: rigid(T[:3, :3], -T[:3, 3]), "given the opposite translation"),
         (lambda T: T @ rigid(axis_rotation("z", -np.pi / 2), np.zeros(3)), "turned by 90 degrees"),
     ],
 )
-def test_the_usual_mistakes_in_a_pose_are_named(views, change, told):
+def test_the_usual_mistakes_in_a_pose_are_named(views, change, message):
     (doubt,) = doubts(views, v1=change(views[1].T_world_cam))
-    assert doubt.startswith("view v1 ") and f"with the pose of view v1 {told}" in doubt
+    assert doubt.startswith("view v1 ") and f"with the pose of view v1 {message}" in doubt
 
 
 def test_a_pose_that_nothing_mends_is_named_so(views):

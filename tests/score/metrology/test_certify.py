@@ -74,7 +74,7 @@ def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(cert
     assert record["planes"][-1]["noise_m"] is None  # one shot has no scatter
     tags = _Tags()
     tags.feed(page.read_text(encoding="utf-8"))
-    assert not tags.open and "script" not in tags.seen and "link" not in tags.seen
+    assert not tags.open and "script" not in tags.names and "link" not in tags.names
     assert len(tags.sources) == 4
     assert all(source.startswith("data:image/png;base64,") for source in tags.sources)
     assert {path.name for path in page.parent.glob("*.png")} == {
@@ -88,10 +88,10 @@ class _Tags(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.seen, self.sources = [], set(), []
+        self.open, self.names, self.sources = [], set(), []
 
     def handle_starttag(self, tag, attributes):
-        self.seen.add(tag)
+        self.names.add(tag)
         self.sources += [value for name, value in attributes if name in ("src", "href")]
         if tag not in ("meta", "img"):
             self.open.append(tag)
@@ -111,15 +111,15 @@ def test_an_impossible_scope_is_refused():
 def test_progress_counts_every_scene(mitsuba_renderer):
     meter = Metered()
     scope = replace(LITTLE, captures=2)
-    made = certify(
+    result = certify(
         small_scanner(),
         renderer=mitsuba_renderer,
         seed=0,
         scope=scope,
         progress=meter,
     )
-    assert len(meter.stages) == made.scenes
-    assert meter.counts == [("scenes", k, made.scenes) for k in range(made.scenes + 1)]
+    assert len(meter.stages) == result.scenes
+    assert meter.counts == [("scenes", k, result.scenes) for k in range(result.scenes + 1)]
 
 
 @pytest.mark.slow
@@ -130,20 +130,20 @@ def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
     """
     scanner = replace(small_scanner(NOISELESS), rig=small_rig(finer=2))
     scope = Scope(distances=3, tilts_deg=(30.0, 60.0), spheres=4, bars=7, captures=2)
-    made = certify(scanner, renderer=mitsuba_renderer, seed=1, scope=scope)
+    result = certify(scanner, renderer=mitsuba_renderer, seed=1, scope=scope)
 
     def step_m(z_m):
         return depth_per_line_m(scanner.rig, z_m, "column") / math.sqrt(12 * scope.samples)
 
-    assert made.middle.noise_m < 0.1 * step_m(made.middle.z_m)
-    for plane in made.facing:
+    assert result.middle.noise_m < 0.1 * step_m(result.middle.z_m)
+    for plane in result.facing:
         assert plane.std_m < 1.2 * step_m(plane.z_m)
         assert abs(plane.offset_m) < 0.1 * step_m(plane.z_m)
         assert plane.decoded_share > 0.995
-    for one in made.probing:
+    for one in result.probing:
         assert one.std_m < 1.5 * step_m(one.centre_m[2])
         assert abs(one.size_m) < 3 * 2 * one.std_m / (math.sqrt(one.points) * COSINE_SPREAD)
-    for one in made.spacing:
+    for one in result.spacing:
         share = math.hypot(*(1 / math.sqrt(points) for points in one.points)) / COSINE_SPREAD
         assert min(one.points) > 100 and abs(one.error_m) < 3 * share * step_m(one.ends_m[1][2])
 

@@ -151,17 +151,17 @@ def test_modulation_is_what_blur_leaves_of_a_bit(inverses):
     """Every picture but white and black is drawn to the middle by a known share."""
     code = gray(16, 4, axes=("column",), inverses=inverses)
     share = code.render().astype(float)[:, :, :] / 255
-    kept = {frame.name: 1 - 0.2 * max(0, 3 - frame.bit) for frame in code.frames[2:]}
+    contrast = {frame.name: 1 - 0.2 * max(0, 3 - frame.bit) for frame in code.frames[2:]}
     light = 3.0 + 5.0 * np.stack(
         [
-            picture if frame.axis is None else 0.5 + kept[frame.name] * (picture - 0.5)
+            picture if frame.axis is None else 0.5 + contrast[frame.name] * (picture - 0.5)
             for frame, picture in zip(code.frames, share, strict=True)
         ]
     )
-    found = modulation(code, light, np.ones(light.shape[1:], dtype=bool))
-    assert list(found) == [frame.name for frame in code.frames[2:] if not frame.inverse]
-    for name, value in found.items():
-        assert abs(value - kept[name]) < 1e-12
+    estimate = modulation(code, light, np.ones(light.shape[1:], dtype=bool))
+    assert list(estimate) == [frame.name for frame in code.frames[2:] if not frame.inverse]
+    for name, value in estimate.items():
+        assert abs(value - contrast[name]) < 1e-12
 
 
 def test_modulation_of_a_phase_is_twice_its_amplitude():
@@ -173,12 +173,12 @@ def test_modulation_of_a_phase_is_twice_its_amplitude():
             light[k] = 2.0 if frame.kind == "white" else 0.5
         elif frame.kind == "phase":
             light[k] = 1.25 + 0.6 * np.cos(2 * np.pi * (u / 16 - frame.step / 5))
-    found = modulation(code, light, np.ones((4, 64), dtype=bool))
-    assert abs(found["column_phase_16px_step00"] - 1.2 / 1.5) < 1e-12
+    estimate = modulation(code, light, np.ones((4, 64), dtype=bool))
+    assert abs(estimate["column_phase_16px_step00"] - 1.2 / 1.5) < 1e-12
 
 
 def test_incomplete_sets_of_phases_have_no_modulation():
     code = micro_phase(256, 4)
-    found = modulation(code, np.random.default_rng(0).random((len(code.frames), 4, 4)),
+    estimate = modulation(code, np.random.default_rng(0).random((len(code.frames), 4, 4)),
                        np.ones((4, 4), dtype=bool))  # fmt: skip
-    assert 1 <= len(found) < sum(frame.kind == "phase" for frame in code.frames) - 2
+    assert 1 <= len(estimate) < sum(frame.kind == "phase" for frame in code.frames) - 2

@@ -39,7 +39,7 @@ def test_a_value_is_put_at_its_place_and_nothing_else_moves():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("parts.1.material", {}, "the list has 1 entries"),
         ("parts.x", 1, "x is not one of them"),
@@ -50,8 +50,8 @@ def test_a_value_is_put_at_its_place_and_nothing_else_moves():
         ("rig.weight", 1, "the keys are power, baseline, toe_in_deg"),
     ],
 )
-def test_what_cannot_be_set_is_told(key, value, told):
-    with pytest.raises(ConfigError, match=told):
+def test_what_cannot_be_set_is_told(key, value, message):
+    with pytest.raises(ConfigError, match=message):
         changed(document(), key, value)
 
 

@@ -65,7 +65,7 @@ def finished(page, *, may_fail=False):
         assert page.locator("#error").is_hidden(), page.locator("#error").inner_text()
 
 
-def asked(page, act, *, may_fail=False):
+def act_and_wait(page, act, *, may_fail=False):
     """Do something, and wait for the picture of it."""
     before = page.get_attribute("#main", "data-asked")
     act()
@@ -78,7 +78,7 @@ def asked(page, act, *, may_fail=False):
     finished(page, may_fail=may_fail)
 
 
-def held(page, name):
+def scene_map(page, name):
     return np.array(page.evaluate(f"Array.from(Graycast.opened().scene.{name})")).reshape(
         page.evaluate("[Graycast.opened().scene.height, Graycast.opened().scene.width]")
     )
@@ -103,7 +103,7 @@ def field(page, control):
     return page.locator(f'[data-key="{control["key"]}"] input[type=number]')
 
 
-def shown_value(page, control):
+def control_value(page, control):
     return float(field(page, control).input_value()) / control.get("scale", 1)
 
 
@@ -115,8 +115,8 @@ def compared(page, server, renderer):
     scale_mm = page.evaluate("Graycast.opened().scene.depth_scale_mm")
     for name, depth in (("depth", shot.sample.truth), ("scanner", shot.sample.scanner_depth)):
         step = np.rint(np.nan_to_num(depth.depth_m) * (1000 / scale_mm)).astype(int)
-        np.testing.assert_array_equal(held(page, name), step, err_msg=name)
-    np.testing.assert_array_equal(held(page, "reason"), shot.sample.scanner_depth.reason)
+        np.testing.assert_array_equal(scene_map(page, name), step, err_msg=name)
+    np.testing.assert_array_equal(scene_map(page, "reason"), shot.sample.scanner_depth.reason)
 
 
 def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, server):
@@ -135,7 +135,7 @@ def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, serv
                     "render.samples": "4",
                 }[key]
                 select = page.locator(f'[data-key="{key}"] select')
-                asked(page, partial(select.select_option, label=label))
+                act_and_wait(page, partial(select.select_option, label=label))
                 assert select.locator("option:checked").inner_text() == label
             else:
                 number = field(page, control)
@@ -143,11 +143,11 @@ def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, serv
                 start = float(now) / control.get("scale", 1) if now else 0.004
                 value = other_value(control, start)
                 number.fill(f"{value * control.get('scale', 1):.6g}")
-                asked(page, partial(number.press, "Enter"))
-                assert shown_value(page, control) == pytest.approx(value, rel=2e-3, abs=1e-9)
+                act_and_wait(page, partial(number.press, "Enter"))
+                assert control_value(page, control) == pytest.approx(value, rel=2e-3, abs=1e-9)
             compared(page, server, renderer)
             done.add(key)
-            asked(page, lambda: page.click("#undo"))
+            act_and_wait(page, lambda: page.click("#undo"))
     assert len(done) > 45 and page.evaluate("Graycast.live.errors") == []
 
 
@@ -157,10 +157,10 @@ def test_a_slider_that_is_moved_is_one_step_of_undo(page):
     before = page.locator("#text").input_value()
     for value in ("0.3", "0.4", "0.5"):
         slider.evaluate("(e, v) => { e.value = v; e.dispatchEvent(new Event('input')); }", value)
-    asked(page, lambda: slider.evaluate("(e) => e.dispatchEvent(new Event('change'))"))
+    act_and_wait(page, lambda: slider.evaluate("(e) => e.dispatchEvent(new Event('change'))"))
     slider.blur()
     assert "target: 0.5" in page.locator("#text").input_value()
-    asked(page, lambda: page.click("#undo"))
+    act_and_wait(page, lambda: page.click("#undo"))
     assert page.locator("#text").input_value() == before
 
 
@@ -171,26 +171,26 @@ def test_the_rig_is_dragged_in_the_3d_view(page):
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + 20, y + 10, steps=4)
-    asked(page, page.mouse.up)
+    act_and_wait(page, page.mouse.up)
     values = page.evaluate("Graycast.opened().header.values")
     assert values["view.azimuth_deg"] == pytest.approx(7.0)
     assert values["view.tilt_deg"] == pytest.approx(3.5)
-    asked(page, lambda: page.click("#undo"))
+    act_and_wait(page, lambda: page.click("#undo"))
     assert page.evaluate("Graycast.opened().header.values['view.tilt_deg']") == 0
 
 
 def test_two_settings_stand_side_by_side_and_one_goes_back(page):
     page.click("#hold")
-    before = held(page, "reason")
+    before = scene_map(page, "reason")
     number = page.locator('[data-key="exposure.target"] input[type=number]')
     number.fill("0.05")
-    asked(page, lambda: number.press("Enter"))
+    act_and_wait(page, lambda: number.press("Enter"))
     other = np.array(page.evaluate("Array.from(Graycast.opened().held.reason)"))
     np.testing.assert_array_equal(other, before.ravel())
-    assert (held(page, "reason") != before).any()
+    assert (scene_map(page, "reason") != before).any()
     assert page.locator(".pane-name").all_inner_texts() == ["now", "held"]
-    asked(page, lambda: page.click("#back"))
-    np.testing.assert_array_equal(held(page, "reason"), before)
+    act_and_wait(page, lambda: page.click("#back"))
+    np.testing.assert_array_equal(scene_map(page, "reason"), before)
 
 
 def test_errors_are_told_in_the_command_line_s_words(page, server):
@@ -210,7 +210,7 @@ def test_errors_are_told_in_the_command_line_s_words(page, server):
     assert "no built-in part 'nothing': choose " in page.locator("#error").inner_text()
     failed, now = (page.get_attribute("#main", f"data-{name}") for name in ("failed", "asked"))
     assert failed == now  # so that nobody waits for its picture
-    asked(page, lambda: page.click("#undo"))
+    act_and_wait(page, lambda: page.click("#undo"))
     assert page.locator("#error").is_hidden()
 
 
@@ -218,7 +218,7 @@ def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, se
     """Another page, and one after all were closed: the way back is the control itself."""
     number = page.locator('[data-key="view.distance_m"] input[type=number]')
     number.fill("5")
-    asked(page, lambda: number.press("Enter"), may_fail=True)
+    act_and_wait(page, lambda: number.press("Enter"), may_fail=True)
     assert page.locator("#error").is_visible()
     page.goto("about:blank")
     deadline = time.monotonic() + 30
@@ -231,7 +231,7 @@ def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, se
     number = again.locator('[data-key="view.distance_m"] input[type=number]')
     assert number.input_value() == "5"
     number.fill("900")
-    asked(again, lambda: number.press("Enter"))
+    act_and_wait(again, lambda: number.press("Enter"))
     assert again.locator("#waiting").count() == 0
     again.close()
 
@@ -261,7 +261,7 @@ def test_a_refused_text_stays_to_be_mended(page):
     assert "conut" in page.locator("#error").inner_text()
     assert text.input_value() == wrong
     text.fill(wrong.replace("conut: 3\n", ""))
-    asked(page, lambda: page.click("#apply"))
+    act_and_wait(page, lambda: page.click("#apply"))
     assert "count: 4" in text.input_value() and page.locator("#reset").is_hidden()
     text.fill("nothing of use")
     page.click("#reset")
@@ -276,29 +276,29 @@ def test_a_low_bit_depth_names_what_stands_against_it_which_has_a_control(page):
     assert "lower offset_dn, or raise bit_depth" in page.locator("#error").inner_text()
     offset = page.locator('[data-key="sensor.offset_dn"] input[type=number]')
     offset.fill("4")
-    asked(page, lambda: offset.press("Enter"))
+    act_and_wait(page, lambda: offset.press("Enter"))
     depth.fill("6")
-    asked(page, lambda: depth.press("Enter"), may_fail=True)
+    act_and_wait(page, lambda: depth.press("Enter"), may_fail=True)
     assert "bit_depth: 6" in page.locator("#text").input_value()
 
 
 def test_every_view_paints_and_the_pointer_reads_values(page):
-    seen = set()
+    pictures = set()
     for view in page.evaluate("Graycast.VIEWS.map((view) => view.id)"):
         page.click(f'[data-view="{view}"]')
         data = page.evaluate("document.getElementById('picture').toDataURL()")
-        seen.add(data)
-    assert len(seen) == len(page.evaluate("Graycast.VIEWS"))
+        pictures.add(data)
+    assert len(pictures) == len(page.evaluate("Graycast.VIEWS"))
     page.click('[data-view="pattern"]')
-    asked(page, lambda: page.select_option("#choose-frame", "5"))
+    act_and_wait(page, lambda: page.select_option("#choose-frame", "5"))
     assert page.evaluate("Graycast.opened().header.frame") == 5
     box = page.locator("#picture").bounding_box()
     page.mouse.move(box["x"] + 80.5 * box["width"] / 160, box["y"] + 60.5 * box["height"] / 120)
     i = 60 * 160 + 80
     step = page.evaluate(f"Graycast.opened().scene.depth[{i}]")
     scale_mm = page.evaluate("Graycast.opened().scene.depth_scale_mm")
-    told = page.locator('#readout tr[data-name="perfect"] td').first.inner_text()
-    assert told == f"{step * scale_mm:.2f} mm"
+    text = page.locator('#readout tr[data-name="perfect"] td').first.inner_text()
+    assert text == f"{step * scale_mm:.2f} mm"
 
 
 def resident(pid):
@@ -327,11 +327,11 @@ def test_200_random_moves_leave_no_error_and_no_leak_and_all_is_given_back(page,
             page.click("#undo")
         if move % 50 == 49:
             page.click('[data-look="top"]')
-            asked(page, lambda: page.click("#undo"), may_fail=True)
+            act_and_wait(page, lambda: page.click("#undo"), may_fail=True)
             memory.append(resident(pid))
     assert server.session.pid == pid  # it was never started anew
-    told = page.evaluate("Graycast.live.errors")
-    assert not [text for text in told if "error in Graycast" in text or "was ended" in text]
+    errors = page.evaluate("Graycast.live.errors")
+    assert not [text for text in errors if "error in Graycast" in text or "was ended" in text]
     assert memory[-1] - memory[1] < 150e6, memory
     page.goto("about:blank")
     deadline = time.monotonic() + 30

@@ -20,12 +20,12 @@ class Watched:
     """A line, what it told, and the cell that it is asked for."""
 
     def __init__(self, path: Path):
-        self.path, self.told, self.stop = path, [], False
+        self.path, self.answers, self.stop = path, [], False
         self.line = Line(
             folder=path.parent,
             scene_id=0,
             device="cpu",
-            emit=self.told.append,
+            emit=self.answers.append,
             superseded=lambda: self.stop,
         )
         self.config = load_config(path)
@@ -35,7 +35,7 @@ class Watched:
         self.config = Config.model_validate(
             self.config.model_dump(exclude_none=True) | sections  # as a user writes them
         )
-        self.told.clear()
+        self.answers.clear()
         ask = Ask(
             number=1,
             config=self.config,
@@ -45,7 +45,7 @@ class Watched:
             frame=0,
         )
         self.line.show(ask)
-        return [one.header["kind"] for one in self.told if one.kind == "picture"]
+        return [one.header["kind"] for one in self.answers if one.kind == "picture"]
 
     def shot(self):
         """What `make_scene` makes of it."""
@@ -77,10 +77,10 @@ def watched(tmp_path_factory):
 
 def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
     kinds = watched.show()
-    pictures = [one for one in watched.told if one.kind == "picture"]
+    pictures = [one for one in watched.answers if one.kind == "picture"]
     assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes after
     assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
-    assert set(kinds) == {"physics"} and [one.kind for one in watched.told].count("world") == 1
+    assert set(kinds) == {"physics"} and [one.kind for one in watched.answers].count("world") == 1
     watched.assert_finished()
     # The denoiser took half of the time of all tests below, and has nothing to do with them.
     watched.show(render={"samples": 6, "denoise": False})
@@ -90,13 +90,13 @@ def test_the_page_gets_what_is_shown_in_its_own_order(watched):
     """Millimetres, the way of WebGL's matrices, and instances from 1; noise by its own law."""
     watched.show(seed=3)
     content = watched.line.content
-    (world,) = (one for one in watched.told if one.kind == "world")
+    (world,) = (one for one in watched.answers if one.kind == "world")
     places = np.frombuffer(world.arrays["places"], np.float32).reshape(-1, 4, 4)
     np.testing.assert_allclose(
         places[:, 3, :3], 1e3 * content.layout.T_world_part[:, :3, 3], rtol=1e-6
     )
     np.testing.assert_allclose(places[:, 0, :3], content.layout.T_world_part[:, :3, 0], atol=1e-6)
-    picture = [one for one in watched.told if one.kind == "picture"][-1]
+    picture = [one for one in watched.answers if one.kind == "picture"][-1]
     instance = np.frombuffer(picture.arrays["instance"], np.uint16).reshape(120, 160)
     np.testing.assert_array_equal(instance - 1.0, content.rendering.truth.instance)
     steps = np.frombuffer(picture.arrays["scanner"], np.uint16).reshape(120, 160)
@@ -110,12 +110,12 @@ def test_the_page_gets_what_is_shown_in_its_own_order(watched):
     ask = Ask(
         number=1, config=watched.config, unturned=watched.config, ambient=1.0, power=1.0, frame=0
     )
-    made = replace(content, depth=replace(content.depth, depth_m=noisy))
-    told = picture_answer(ask, made, kind="look", ms=0.0, first=False).header["figures"]
+    shifted = replace(content, depth=replace(content.depth, depth_m=noisy))
+    figures = picture_answer(ask, shifted, kind="look", ms=0.0, first=False).header["figures"]
     pixels = (content.rendering.truth.instance >= 0).sum()
-    assert told["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
+    assert figures["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
     # The deviation of a deviation by the median is 1.17 / sqrt(n) of it.
-    assert told["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
+    assert figures["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
 
 
 def box(**words):
@@ -159,7 +159,7 @@ def test_a_free_change_is_measured_again_without_rendering(watched, sections):
     watched.show()
     number = watched.line._count
     assert set(watched.show(**sections)) == {"free"}
-    assert watched.line._count == number and len(watched.told) <= 2
+    assert watched.line._count == number and len(watched.answers) <= 2
     watched.assert_finished()
 
 
@@ -192,7 +192,7 @@ def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
     layout = watched.line.content.layout
     kinds = watched.show(view={"tilt_deg": 8.0, "azimuth_deg": 20.0})
     assert set(kinds) == {"light"} and watched.line.content.layout is layout
-    assert not [one for one in watched.told if one.kind == "world"]
+    assert not [one for one in watched.answers if one.kind == "world"]
     watched.assert_finished()
 
 
@@ -233,6 +233,6 @@ def test_a_free_change_on_a_rough_picture_goes_on_with_it(watched):
     rough = replace(lit, quality=replace(lit.quality, samples=4), final=False)
     watched.line._lit = rough
     watched.show(exposure={"target": 0.4})
-    samples = [one.header["samples"] for one in watched.told if one.kind == "picture"]
+    samples = [one.header["samples"] for one in watched.answers if one.kind == "picture"]
     assert samples[0] == 4 and set(samples[2:]) == {6}
     watched.assert_finished()

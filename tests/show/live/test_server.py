@@ -30,7 +30,7 @@ def server(tmp_path, monkeypatch):
         yield running
 
 
-def asked(server, method, path, body=None, **headers):
+def response(server, method, path, body=None, **headers):
     connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
     data = None if body is None else json.dumps(body)
     kind = {} if body is None else {"Content-Type": "application/json"}
@@ -54,18 +54,18 @@ def test_json_that_is_nested_too_deeply_gets_an_answer(server):
 
 
 def do(server, **command):
-    status, text = asked(server, "POST", "/do", command)
+    status, text = response(server, "POST", "/do", command)
     assert status == 200
     return json.loads(text)
 
 
 def test_the_page_and_its_scripts_are_there_and_no_other_file(server):
-    status, page = asked(server, "GET", "/")
+    status, page = response(server, "GET", "/")
     assert status == 200
     for name in re.findall(r'(?:src|href)="(\w+\.\w+)"', page):
-        assert asked(server, "GET", f"/{name}")[0] == 200, name
+        assert response(server, "GET", f"/{name}")[0] == 200, name
     for name in ("live.py", "../server.py", "%2e%2e/server.py", "cell.yaml", "etc/passwd"):
-        assert asked(server, "GET", f"/{name}")[0] == 404
+        assert response(server, "GET", f"/{name}")[0] == 404
 
 
 @pytest.mark.parametrize(
@@ -80,15 +80,15 @@ def test_the_page_and_its_scripts_are_there_and_no_other_file(server):
 )
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_other_names_and_other_pages_are_refused(server, headers, method):
-    told = {name: value.format(port=server.port) for name, value in headers.items()}
+    sent = {name: value.format(port=server.port) for name, value in headers.items()}
     body = {"do": "undo"} if method == "POST" else None
-    assert asked(server, method, "/do" if body else "/", body, **told)[0] == 403
+    assert response(server, method, "/do" if body else "/", body, **sent)[0] == 403
 
 
 def test_forms_and_floods_are_refused(server):
     plain = {"Content-Type": "text/plain"}
-    assert asked(server, "POST", "/do", {"do": "undo"}, **plain)[0] == 404
-    assert asked(server, "POST", "/do", None, **{"Content-Length": "99999999"})[0] == 413
+    assert response(server, "POST", "/do", {"do": "undo"}, **plain)[0] == 404
+    assert response(server, "POST", "/do", None, **{"Content-Length": "99999999"})[0] == 413
 
 
 def test_settings_are_set_undone_and_told(server):
@@ -108,7 +108,7 @@ def test_settings_are_set_undone_and_told(server):
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "message"),
     [
         ({"do": "set", "key": "exposure.target", "value": 4}, "exposure.target is 4: it should"),
         ({"do": "set", "key": "code.codec", "value": "morse"}, "code.codec is 'morse'"),
@@ -121,9 +121,9 @@ def test_settings_are_set_undone_and_told(server):
         ({"do": "dance"}, 'the page asked for {"do": "dance"}: reload it'),
     ],
 )
-def test_what_is_refused_is_told_and_changes_nothing(server, command, told):
+def test_what_is_refused_is_told_and_changes_nothing(server, command, message):
     before = server.session.state()
-    assert told in do(server, **command)["error"]
+    assert message in do(server, **command)["error"]
     assert server.session.state() == before
 
 
@@ -149,9 +149,9 @@ def test_a_saved_file_is_the_cell_that_is_shown(server):
         do(server, do="set", key=key, value=value)
     do(server, do="set", key="parts.0.material", value={"roughness": 0.1})
     path = Path(do(server, do="save", name="mine.yaml")["saved"])
-    saved, shown = load_config(path), server.session._config(server.session._now)
-    assert saved.model_dump(exclude={"rig"}) == shown.model_dump(exclude={"rig"})
-    assert (path.parent / saved.rig).read_bytes() == Path(shown.rig).read_bytes()
+    saved, current = load_config(path), server.session._config(server.session._now)
+    assert saved.model_dump(exclude={"rig"}) == current.model_dump(exclude={"rig"})
+    assert (path.parent / saved.rig).read_bytes() == Path(current.rig).read_bytes()
     assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
 
 
@@ -162,8 +162,8 @@ def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypat
     session, refusal = server.session, {"error": "the bin is too small"}
 
     def heard():
-        with server.page() as told:
-            return [told.get() for _ in range(told.qsize())]
+        with server.page() as queue:
+            return [queue.get() for _ in range(queue.qsize())]
 
     def kinds():
         return [message.kind for message in heard()]
@@ -183,12 +183,12 @@ def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypat
 @pytest.mark.slow
 def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp_path):
     """A killed process stands for one that crashed, or for which memory was exhausted."""
-    told = SimpleQueue()
-    session = Session(write_cell(tmp_path), device="cpu", on_message=told.put)
+    queue = SimpleQueue()
+    session = Session(write_cell(tmp_path), device="cpu", on_message=queue.put)
 
     def heard(kind):
         while True:
-            message = told.get(timeout=120)
+            message = queue.get(timeout=120)
             if message.kind == kind and message.content.get("exact", True):
                 return message.content
 
@@ -209,8 +209,8 @@ def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp
     assert "target: 0.3" in session.state()["text"]
     session.close()
     assert session.pid is None
-    while not told.empty():
-        assert told.get().kind != "error"  # what was stopped did not end by itself
+    while not queue.empty():
+        assert queue.get().kind != "error"  # what was stopped did not end by itself
 
 
 @pytest.mark.slow

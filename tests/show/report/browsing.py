@@ -31,8 +31,8 @@ def watched_page(browser, address):
     assert complaints == []
 
 
-def opened(page, made, scene_id, view=None):
-    page.goto(f"{made[2].as_uri()}#/train-{scene_id:06d}")
+def opened(page, report, scene_id, view=None):
+    page.goto(f"{report[2].as_uri()}#/train-{scene_id:06d}")
     ready(page, f"train-{scene_id:06d}")
     if view:
         page.click(f'[data-view="{view}"]')
@@ -43,11 +43,11 @@ def pressed(page):
     return page.get_attribute('[data-view][aria-pressed="true"]', "data-view")
 
 
-def held(page, name):
+def scene_map(page, name):
     return np.array(page.evaluate(f"Array.from(Graycast.opened().scene.{name})")).reshape(120, 160)
 
 
-def shown(page, canvas="picture"):
+def canvas_pixels(page, canvas="picture"):
     """What a canvas shows; a copy is read, as browsers complain of slow canvases read often."""
     data = page.evaluate(
         """(name) => {

@@ -14,14 +14,14 @@ def rig():
 
 
 @pytest.fixture(scope="session")
-def made(rig, tmp_path_factory):
+def report(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser")
     samples = write_dataset(folder / "bins", scene_ids=SCENES, rig=rig)
     return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
 
 
 @pytest.fixture(scope="session")
-def kept(rig, tmp_path_factory):
+def report_with_frames(rig, tmp_path_factory):
     """The same with captured frames and decoded columns."""
     folder = tmp_path_factory.mktemp("kept")
     samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
@@ -29,7 +29,7 @@ def kept(rig, tmp_path_factory):
 
 
 @pytest.fixture
-def page(browser, made):
+def page(browser, report):
     """The overview; at the end, whatever the browser complained about fails the test."""
-    with watched_page(browser, made[2].as_uri()) as page:
+    with watched_page(browser, report[2].as_uri()) as page:
         yield page

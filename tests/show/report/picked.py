@@ -39,12 +39,12 @@ def episode(cell, bin_id):
     second, T_second = motion(robot, cell, place_m=(-0.06, -0.03, 0.03))
     lay = np.stack([T @ FROM_GRIP_TO_PART for T in (T_first, T_second)])
     fell = rigid(np.eye(3), np.array([0.03, 0.02, 0.015]))
-    told = {"targets": 2, "kind": 0, "score": 0.9, "least_factor": 1.4}
+    fields = {"targets": 2, "kind": 0, "score": 0.9, "least_factor": 1.4}
     attempts = (
-        attempt(Outcome.PICKED, lay, (0, 1), part=0, T=T_first, moved=first, **told),
+        attempt(Outcome.PICKED, lay, (0, 1), part=0, T=T_first, moved=first, **fields),
         attempt(
             Outcome.LOST_SEAL, lay[1:], (1,), part=1, T=T_second, moved=second, lost_s=LOST_S,
-            detail="after 0.40 s, by 9.0 N and 0.20 Nm", **told,
+            detail="after 0.40 s, by 9.0 N and 0.20 Nm", **fields,
         ),
         attempt(Outcome.NOTHING_FOUND, fell[None], (1,), targets=0),
     )  # fmt: skip
@@ -62,7 +62,7 @@ def episode(cell, bin_id):
     )
 
 
-def attempt(outcome, lay, present, *, T=None, moved=None, **told):
+def attempt(outcome, lay, present, *, T=None, moved=None, **fields):
     time_s = None if moved is None else STEP_S * np.arange(len(moved))
     return Attempt(
         outcome=outcome,
@@ -73,7 +73,7 @@ def attempt(outcome, lay, present, *, T=None, moved=None, **told):
         T_world_tool=T,
         time_s=time_s,
         q=moved,
-        **told,
+        **fields,
     )
 
 
@@ -96,7 +96,9 @@ def depth(cell, T_world_part):
     z = np.full((camera.height_px, camera.width_px), np.nan)
     for mesh, T in things:
         place = T_cam_world @ T
-        seen = mesh.vertices_m @ place[:3, :3].T + place[:3, 3]
-        _, mine = rasterize(seen.astype(np.float64), mesh.faces.astype(int), camera).over(camera)
+        vertices_m = mesh.vertices_m @ place[:3, :3].T + place[:3, 3]
+        _, mine = rasterize(vertices_m.astype(np.float64), mesh.faces.astype(int), camera).over(
+            camera
+        )
         z = np.fmin(z, mine)
     return z

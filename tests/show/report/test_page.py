@@ -51,8 +51,8 @@ def test_packed_words_add_up_to_what_they_were(kind):
     }[kind].astype(np.uint16)
     left_over = planes(pack_words(values)).reshape(values.shape)
     assert kind != "plane" or not left_over[1:, 1:].any()
-    found = left_over.cumsum(axis=0).cumsum(axis=1) % 65536
-    np.testing.assert_array_equal(found, values)
+    unpacked = left_over.cumsum(axis=0).cumsum(axis=1) % 65536
+    np.testing.assert_array_equal(unpacked, values)
 
 
 def test_packed_differences_of_either_sign_come_back():
@@ -60,17 +60,17 @@ def test_packed_differences_of_either_sign_come_back():
     values = np.array([[65535, 1, 9003, 8990, 0]], dtype=np.uint16)
     folded = planes(pack_difference(values, base)).reshape(values.shape)
     d = np.where(folded % 2 == 1, -(folded + 1) // 2, folded // 2)
-    found = np.where(values > 0, (base + d) % 65536, 0)
-    np.testing.assert_array_equal(found, values)
+    unpacked = np.where(values > 0, (base + d) % 65536, 0)
+    np.testing.assert_array_equal(unpacked, values)
     assert folded[0, 2:].tolist() == [6, 19, 0]
 
 
 def test_a_second_build_makes_nothing_and_changes_nothing(dataset, tmp_path):
     first = write_report(dataset, tmp_path / "page")
-    held = content(tmp_path / "page")
+    before = content(tmp_path / "page")
     again = write_report(dataset, tmp_path / "page")
     assert (first.built, again.built, again.current) == (2, 0, 2)
-    assert content(tmp_path / "page") == held
+    assert content(tmp_path / "page") == before
 
 
 def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset, tmp_path):
@@ -115,8 +115,8 @@ def test_the_page_needs_nothing_from_the_network(dataset, tmp_path):
     for name in re.findall(r'(?:src|href)="([^"#]+)"', page):
         assert name == "data:," or (tmp_path / "page" / name).is_file(), name
     for path in (tmp_path / "page").glob("*.*s"):
-        found = set(re.findall(r"https?://[\w./]+", path.read_text()))
-        assert found <= {"http://www.w3.org/2000/svg"}, path.name
+        addresses = set(re.findall(r"https?://[\w./]+", path.read_text()))
+        assert addresses <= {"http://www.w3.org/2000/svg"}, path.name
 
 
 def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
@@ -142,14 +142,16 @@ def test_frames_and_columns_are_scripts_of_their_own(dataset, tmp_path):
     write_dataset(out, scene_ids=(0,), keeps=True)
     write_report(out, tmp_path / "page", width_px=100)
     folder = tmp_path / "page/scenes/train-000000"
-    held = {}
+    scripts = {}
     for name in ("scene", "frames", "columns"):
         text = (folder / f"{name}.js").read_text()
-        held[name] = json.loads(text.removeprefix("Graycast.receive(").rstrip().removesuffix(");"))
-    assert held["scene"]["kept"]["columns"] == ["column", "sigma_column", "row", "sigma_row"]
-    assert held["scene"]["kept"]["frames"][:3] == ["white", "black", "column_bit07"]
-    assert len(held["frames"]["pictures"]) == 18
-    data = base64.b64decode(held["frames"]["pictures"][0].split(",")[1])
+        scripts[name] = json.loads(
+            text.removeprefix("Graycast.receive(").rstrip().removesuffix(");")
+        )
+    assert scripts["scene"]["kept"]["columns"] == ["column", "sigma_column", "row", "sigma_row"]
+    assert scripts["scene"]["kept"]["frames"][:3] == ["white", "black", "column_bit07"]
+    assert len(scripts["frames"]["pictures"]) == 18
+    data = base64.b64decode(scripts["frames"]["pictures"][0].split(",")[1])
     assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED).shape == (60, 80)
     write_report(dataset, tmp_path / "plain")
     assert not list((tmp_path / "plain").rglob("frames.js"))

@@ -23,20 +23,20 @@ FALSE_BOX = [2.0, 3.0, 10.0, 12.0]
 
 
 @pytest.fixture(scope="session")
-def looked_at(made, tmp_path_factory):
+def run_report(report, tmp_path_factory):
     """A page of scenes 0, 3 and 4 with the detections of a run that looked at 0 and 3.
 
     In scene 0 all is found, with scores that fall from 0.9 by 0.1; in scene 3 the first instance
     is missed and there is a false alarm of 0.85.
     """
-    dataset = made[0]
+    dataset = report[0]
     examples = {scene_id: open_examples(dataset).read(scene_id) for scene_id in (0, 3)}
     folder = tmp_path_factory.mktemp("found")
     run = folder / "run"
     run.mkdir()
-    found = [_found(examples[0], skip=0), _found(examples[3], skip=1, false=True)]
-    (run / "results.json").write_bytes(results_bytes(found))
-    said = {
+    detections = [_detections(examples[0], skip=0), _detections(examples[3], skip=1, false=True)]
+    (run / "results.json").write_bytes(results_bytes(detections))
+    record = {
         "scene_ids": [0, 3],
         "split": "train",
         "division": None,
@@ -44,20 +44,20 @@ def looked_at(made, tmp_path_factory):
         "input": "rgb",
         "ms_per_picture": [5.0, 7.0],
     }
-    (run / "detect.json").write_text(json.dumps(said))
+    (run / "detect.json").write_text(json.dumps(record))
     page = write_report(dataset, folder / "page", detections=run).page
     return dataset, examples, page
 
 
-def _found(example, *, skip, false=False):
+def _detections(example, *, skip, false=False):
     mask = example.mask[skip:]
     score = 0.9 - 0.1 * np.arange(len(mask))
     box, obj_id = example.box_px[skip:].astype(float), example.obj_id[skip:]
     if false:
-        drawn = np.zeros_like(example.mask[:1])
+        false_mask = np.zeros_like(example.mask[:1])
         x, y, w, h = map(int, FALSE_BOX)
-        drawn[0, y : y + h, x : x + w] = True
-        mask, score = np.concatenate([mask, drawn]), np.append(score, 0.85)
+        false_mask[0, y : y + h, x : x + w] = True
+        mask, score = np.concatenate([mask, false_mask]), np.append(score, 0.85)
         box, obj_id = np.vstack([box, FALSE_BOX]), np.append(obj_id, obj_id[0])
     order = np.argsort(-score)
     return Detections(
@@ -74,26 +74,26 @@ def received(page, name):
     return json.loads(text.removeprefix("Graycast.receive(").removesuffix(");\n"))
 
 
-def test_a_scene_s_script_says_what_each_detection_found(looked_at):
-    _, examples, page = looked_at
-    all_found = received(page, "train-000000/detections.js")
-    assert {one["state"] for one in all_found["detections"]} <= {"hit", "ignored"}
-    held = received(page, "train-000003/detections.js")
-    wrong = [one for one in held["detections"] if one["state"] == "mistake"]
+def test_a_scene_s_script_says_what_each_detection_found(run_report):
+    _, examples, page = run_report
+    scene_0 = received(page, "train-000000/detections.js")
+    assert {one["state"] for one in scene_0["detections"]} <= {"hit", "ignored"}
+    scene_3 = received(page, "train-000003/detections.js")
+    wrong = [one for one in scene_3["detections"] if one["state"] == "mistake"]
     assert [(one["box"], one["score"], one["why"]) for one in wrong] == [
         (FALSE_BOX, 0.85, "nothing there")
     ]
     missed = str(examples[3].instance[0])
-    assert held["instances"][missed]["found"] is None
-    for detection in held["detections"]:
+    assert scene_3["instances"][missed]["found"] is None
+    for detection in scene_3["detections"]:
         if detection["state"] == "hit":
-            told = held["instances"][str(detection["instance"])]
-            assert told["found"] == detection["score"]
+            instance = scene_3["instances"][str(detection["instance"])]
+            assert instance["found"] == detection["score"]
     assert not (page.parent / "scenes" / "train-000004" / "detections.js").exists()
 
 
-def test_a_page_made_without_results_has_none(looked_at, tmp_path):
-    dataset, _, page = looked_at
+def test_a_page_made_without_results_has_none(run_report, tmp_path):
+    dataset, _, page = run_report
     again = write_report(dataset, page.parent.parent / "bare").page
     assert '"detections":null' in (again.parent / "index.js").read_text()
     results = page.parent.parent / "run"
@@ -102,17 +102,17 @@ def test_a_page_made_without_results_has_none(looked_at, tmp_path):
     assert not list((tmp_path / "page").rglob("detections.js"))
 
 
-def test_results_of_another_dataset_are_refused_before_a_page_is_written(made, tmp_path):
+def test_results_of_another_dataset_are_refused_before_a_page_is_written(report, tmp_path):
     odd = tmp_path / "results.json"
     odd.write_bytes(b'[{"image_id": 77, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 1}]')
     with pytest.raises(GraycastError, match="entry 0 is of image 77"):
-        write_report(made[0], tmp_path / "page", detections=odd)
+        write_report(report[0], tmp_path / "page", detections=odd)
     assert not (tmp_path / "page").exists()
 
 
 @pytest.fixture
-def page(browser, looked_at):
-    with watched_page(browser, looked_at[2].as_uri()) as page:
+def page(browser, run_report):
+    with watched_page(browser, run_report[2].as_uri()) as page:
         yield page
 
 
@@ -157,8 +157,8 @@ def test_filters_select_scenes_with_missed_and_false_and_show_them(page):
     assert page.locator(".told-row .chip").inner_text().startswith("not looked at")
 
 
-def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(page, looked_at):
-    counted = int((looked_at[1][0].visib_fract >= 0.1).sum())
+def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(page, run_report):
+    counted = int((run_report[1][0].visib_fract >= 0.1).sum())
     move(page, "least-score", 0.85)
     page.select_option("#pick-found", "missed")
     assert cards(page) == ["train-000000", "train-000003"]
@@ -173,24 +173,24 @@ def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(pag
     assert page.locator('#found-table tr[data-state="hit"]').count() == counted
 
 
-def test_a_false_alarm_is_drawn_where_it_is(page, looked_at):
+def test_a_false_alarm_is_drawn_where_it_is(page, run_report):
     """Oracle: where the pixels of its box are on the screen, by the picture's own place."""
-    opened(page, looked_at, 3)
+    opened(page, run_report, 3)
     box = page.locator("#picture").bounding_box()
-    drawn = page.locator("#found path.mistake").bounding_box()
+    outline = page.locator("#found path.mistake").bounding_box()
     scale = box["width"] / 160
     x, y, w, h = FALSE_BOX
-    assert drawn["x"] == pytest.approx(box["x"] + x * scale, abs=scale)
-    assert drawn["y"] == pytest.approx(box["y"] + y * scale, abs=scale)
-    assert drawn["width"] == pytest.approx(w * scale, abs=1.5 * scale)
-    assert drawn["height"] == pytest.approx(h * scale, abs=1.5 * scale)
+    assert outline["x"] == pytest.approx(box["x"] + x * scale, abs=scale)
+    assert outline["y"] == pytest.approx(box["y"] + y * scale, abs=scale)
+    assert outline["width"] == pytest.approx(w * scale, abs=1.5 * scale)
+    assert outline["height"] == pytest.approx(h * scale, abs=1.5 * scale)
     page.keyboard.press("d")
     assert page.locator("#found > *").count() == 0
     page.keyboard.press("d")
     assert page.locator("#found > *").count() > 0
 
 
-def test_a_scene_that_was_not_looked_at_says_so(page, looked_at):
-    opened(page, looked_at, 4)
+def test_a_scene_that_was_not_looked_at_says_so(page, run_report):
+    opened(page, run_report, 4)
     assert "was not run on this scene" in page.locator("#found-list").inner_text()
     assert page.locator("#toggle-found").count() == 0

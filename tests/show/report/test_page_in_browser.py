@@ -14,43 +14,45 @@ from graycast.rig.optics import project, rays
 from graycast.rig.pattern import CodeSpec
 from graycast.show.report.page import write_report
 
-from .browsing import SCENES, held, opened, place, pressed, readout, ready, shown
+from .browsing import SCENES, canvas_pixels, opened, place, pressed, readout, ready, scene_map
 
 pytestmark = pytest.mark.slow
 NONE = "\N{EN DASH}"  # what the page writes where there is no value
 
 
-def test_the_browser_holds_the_dataset_s_numbers(page, made):
+def test_the_browser_holds_the_dataset_s_numbers(page, report):
     """Oracle: the PNGs, pixel by pixel, through packing, JavaScript and back."""
-    dataset, samples, _ = made
+    dataset, samples, _ = report
     for scene_id in SCENES:
-        opened(page, made, scene_id)
+        opened(page, report, scene_id)
         folder = dataset / f"train/{scene_id:06d}"
         for ours, theirs in (("depth", "depth"), ("scanner", "depth_sl"), ("reason", "reason_sl")):
             stored = cv2.imread(str(folder / theirs / "000000.png"), cv2.IMREAD_UNCHANGED)
-            np.testing.assert_array_equal(held(page, ours), stored)
-        np.testing.assert_array_equal(held(page, "instance") - 1, samples[scene_id].truth.instance)
+            np.testing.assert_array_equal(scene_map(page, ours), stored)
+        np.testing.assert_array_equal(
+            scene_map(page, "instance") - 1, samples[scene_id].truth.instance
+        )
 
 
 @pytest.mark.parametrize("which", ["depth", "scanner"])
-def test_projector_positions_are_those_of_the_optics(page, made, rig, which):
+def test_projector_positions_are_those_of_the_optics(page, report, rig, which):
     """Oracle: `optics.rays` and `project`, through both lenses' distortion."""
-    opened(page, made, 0)
-    step = held(page, which)
+    opened(page, report, 0)
+    step = scene_map(page, which)
     ray = rays(rig.camera, pixel_grid(120, 160))
     point = ray * np.where(step > 0, step * SCALE_MM * 1e-3, np.nan)[..., None]
     expected = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
     inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1)
     assert inside.sum() > 3000
     for k, name in enumerate(("column", "row")):
-        found = page.evaluate(
+        positions = page.evaluate(
             f"Array.from(Graycast.projectorMap(Graycast.opened().scene, '{which}').{name},"
             " (v) => Number.isNaN(v) ? -1 : v)"
         )
-        found = np.array(found).reshape(120, 160)
-        assert np.abs(found - expected[..., k])[inside].max() < 2e-3
+        positions = np.array(positions).reshape(120, 160)
+        assert np.abs(positions - expected[..., k])[inside].max() < 2e-3
         outside = ((expected < -0.51) | (expected > [159.51, 119.51])).any(axis=-1)
-        assert (found[outside | (step == 0)] == -1).all()
+        assert (positions[outside | (step == 0)] == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -64,10 +66,10 @@ def test_projector_positions_are_those_of_the_optics(page, made, rig, which):
         ((0.0, 0.0, 0.9, 0.0, 0.0), True),
     ],
 )
-def test_rays_are_refused_where_optics_refuses_them(page, made, rig, distortion, folds):
+def test_rays_are_refused_where_optics_refuses_them(page, report, rig, distortion, folds):
     """Oracle: `optics.rays`, which refuses a lens that folds over within the picture."""
-    opened(page, made, 0)
-    found = page.evaluate(
+    opened(page, report, 0)
+    result = page.evaluate(
         """(distortion) => {
             const scene = { ...Graycast.opened().scene, rays: null };
             scene.view = { ...scene.view, distortion };
@@ -81,20 +83,20 @@ def test_rays_are_refused_where_optics_refuses_them(page, made, rig, distortion,
     )
     lens = replace(rig.camera, distortion=distortion)
     if folds:
-        assert "has no inverse over this picture" in found
+        assert "has no inverse over this picture" in result
         with pytest.raises(ValueError, match="no inverse"):
             rays(lens, pixel_grid(120, 160))
     else:
         expected = rays(lens, pixel_grid(120, 160))[..., :2]
-        assert np.abs(np.reshape(found, (120, 160, 2)) - expected).max() < 1e-6
+        assert np.abs(np.reshape(result, (120, 160, 2)) - expected).max() < 1e-6
 
 
 @pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
-def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, made, rig, k):
+def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, report, rig, k):
     """Oracle: `optics.project`; beyond the fold the polynomial leads back into the picture."""
-    opened(page, made, 0)
+    opened(page, report, 0)
     lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
-    found = page.evaluate(
+    result = page.evaluate(
         """(distortion) => {
             Graycast.report.scanners[""].rig.projector.distortion = distortion;
             const scene = { ...Graycast.opened().scene, projected: null };
@@ -102,18 +104,18 @@ def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, made, r
         }""",
         lens.distortion,
     )
-    step = held(page, "depth")
+    step = scene_map(page, "depth")
     point = rays(rig.camera, pixel_grid(120, 160)) * (step * SCALE_MM * 1e-3)[..., None]
     expected = project(lens, transform_points(inverse(rig.T_cam_proj), point))
     ended = np.isnan(expected).any(axis=-1) & (step > 0)
     inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1) & (step > 0)
     assert ended.sum() > 30 and inside.sum() > 300
-    found = np.reshape(found, (120, 160))
-    assert not found[ended].any() and found[inside].all()
+    result = np.reshape(result, (120, 160))
+    assert not result[ended].any() and result[inside].all()
 
 
-def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, made):
-    opened(page, made, 0)
+def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, report):
+    opened(page, report, 0)
     page.evaluate(
         """() => {
             const { scene } = Graycast.opened();
@@ -129,8 +131,8 @@ def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, made)
     assert pressed(page) == "scanner"
 
 
-def test_pattern_bits_are_the_code_s(page, made):
-    opened(page, made, 0, "pattern")
+def test_pattern_bits_are_the_code_s(page, report):
+    opened(page, report, 0, "pattern")
     page.click("#toggle-shade")
     patterns = CodeSpec().code(160, 120).render()
     column, row = (
@@ -147,7 +149,7 @@ def test_pattern_bits_are_the_code_s(page, made):
     for k in (2, 9, 10, 16):
         page.select_option("#choose-frame", str(k))
         np.testing.assert_array_equal(
-            shown(page)[known][:, 0], patterns[k][row[known], column[known]]
+            canvas_pixels(page)[known][:, 0], patterns[k][row[known], column[known]]
         )
     before = page.locator("#choose-frame").input_value()
     page.keyboard.press("]")
@@ -164,10 +166,10 @@ def slide(page, k):
         }""",
         k,
     )
-    frame_shown(page, k)
+    wait_for_frame(page, k)
 
 
-def frame_shown(page, k):
+def wait_for_frame(page, k):
     page.wait_for_function(
         f"Graycast.prefs.frame === {k} && Graycast.opened().scene.frames.levels.has({k})"
     )
@@ -189,46 +191,48 @@ def encoded(share):
 
 
 @pytest.mark.parametrize("gain", [1, 4])
-def test_dark_pictures_can_be_brightened(page, kept, gain):
+def test_dark_pictures_can_be_brightened(page, report_with_frames, gain):
     """Oracle: the dataset's own linear picture, times the gain, through IEC 61966-2-1."""
-    opened(page, kept, 0, "white")
+    opened(page, report_with_frames, 0, "white")
     page.select_option("#choose-gain", str(gain))
-    stored = cv2.imread(str(kept[0] / "train/000000/gray_sl/000000.png"), cv2.IMREAD_UNCHANGED)
-    picture = shown(page)[..., 0].astype(float)
+    stored = cv2.imread(
+        str(report_with_frames[0] / "train/000000/gray_sl/000000.png"), cv2.IMREAD_UNCHANGED
+    )
+    picture = canvas_pixels(page)[..., 0].astype(float)
     assert np.median(np.abs(picture - encoded(gain * (stored / 255)))) < 4  # noise through JPEG
     x, y = place(page, 60, 80)
     page.mouse.move(x, y)
-    told = int(readout(page, "white frame").split()[1])
-    assert told == pytest.approx(float(stored[60, 80]), abs=25)  # whatever the brightness
+    level = int(readout(page, "white frame").split()[1])
+    assert level == pytest.approx(float(stored[60, 80]), abs=25)  # whatever the brightness
     page.select_option("#choose-gain", "1")
 
 
-def test_captured_frames_are_brought_in_when_they_are_looked_at(page, kept):
-    opened(page, kept, 0)
+def test_captured_frames_are_brought_in_when_they_are_looked_at(page, report_with_frames):
+    opened(page, report_with_frames, 0)
     assert page.evaluate("!Graycast.opened().scene.frames && !Graycast.opened().scene.columns")
-    stored = grey(kept[1][0])
+    stored = grey(report_with_frames[1][0])
     page.click('[data-view="pattern"]')
     for k in (0, 1, 2, 9, 17):
         slide(page, k)
-        picture = shown(page)[..., 0].astype(float)
+        picture = canvas_pixels(page)[..., 0].astype(float)
         miss = np.abs(picture - stored).mean(axis=(1, 2))
         assert miss.argmin() == k and miss[k] < 4, miss  # noise through JPEG
         assert page.locator("#choose-frame").input_value() == str(k)
     assert "captured, 12 bit" in page.locator(".note").inner_text()
 
 
-def test_frames_flip_by_arrows_brackets_and_play(page, kept):
-    opened(page, kept, 0, "pattern")
+def test_frames_flip_by_arrows_brackets_and_play(page, report_with_frames):
+    opened(page, report_with_frames, 0, "pattern")
     slide(page, 16)
     for key, k in (("ArrowDown", 17), ("]", 0), ("ArrowUp", 17), ("[", 16)):
         page.keyboard.press(key)
-        frame_shown(page, k)
+        wait_for_frame(page, k)
     page.locator("#frame-slider").focus()
     page.keyboard.press("ArrowLeft")  # the slider's own
-    frame_shown(page, 15)
+    wait_for_frame(page, 15)
     page.keyboard.press("p")
     assert page.locator("#frame-play").get_attribute("aria-pressed") == "true"
-    frame_shown(page, 17)
+    wait_for_frame(page, 17)
     page.keyboard.press("p")
     stopped = page.evaluate("Graycast.prefs.frame")
     page.wait_for_timeout(700)
@@ -241,44 +245,46 @@ def test_frames_flip_by_arrows_brackets_and_play(page, kept):
     assert page.locator("#frame-play").get_attribute("aria-pressed") == "false"
 
 
-def test_ideal_bits_stand_beside_captured_frames(page, kept):
-    opened(page, kept, 3, "pattern")
+def test_ideal_bits_stand_beside_captured_frames(page, report_with_frames):
+    opened(page, report_with_frames, 3, "pattern")
     slide(page, 2)
-    captured = shown(page)[..., 0]
+    captured = canvas_pixels(page)[..., 0]
     page.select_option("#choose-source", "scanner")
     assert "ideal bits" in page.locator(".note").inner_text()
-    known = held(page, "scanner") > 0
+    known = scene_map(page, "scanner") > 0
     page.click("#toggle-shade")
-    ideal = shown(page)[..., 0]
+    ideal = canvas_pixels(page)[..., 0]
     assert set(np.unique(ideal[known])) == {0, 255}
     lit = captured > np.median(captured[known])
     assert (lit == (ideal == 255))[known].mean() > 0.9
 
 
 @pytest.mark.parametrize("axis", ["column", "sigma_column", "row", "sigma_row"])
-def test_decoded_positions_are_the_stored_ones(page, kept, axis):
+def test_decoded_positions_are_the_stored_ones(page, report_with_frames, axis):
     """Oracle: the code map in memory, through TIFF, packing and JavaScript."""
-    opened(page, kept, 0, "column")
+    opened(page, report_with_frames, 0, "column")
     page.select_option("#choose-axis", axis)
     page.wait_for_function("Graycast.opened().scene.columns.maps")
-    found = np.array(
+    positions = np.array(
         page.evaluate(
             f"Array.from(Graycast.opened().scene.columns.maps.{axis},"
             " (v) => Number.isNaN(v) ? null : v)"
         ),
         dtype=float,
     ).reshape(120, 160)
-    stored = getattr(kept[1][0].raw.codes, axis)
-    np.testing.assert_allclose(found, stored, atol=2e-3)
+    stored = getattr(report_with_frames[1][0].raw.codes, axis)
+    np.testing.assert_allclose(positions, stored, atol=2e-3)
     unknown = np.isnan(stored)
-    assert (shown(page)[unknown][:, :3] == [58, 60, 66]).all() and unknown.any()
-    assert len(np.unique(shown(page)[~unknown][:, :3], axis=0)) > (0 if "sigma" in axis else 40)
+    assert (canvas_pixels(page)[unknown][:, :3] == [58, 60, 66]).all() and unknown.any()
+    assert len(np.unique(canvas_pixels(page)[~unknown][:, :3], axis=0)) > (
+        0 if "sigma" in axis else 40
+    )
 
 
-def test_frame_and_column_under_the_pointer(page, kept):
-    opened(page, kept, 3, "column")
+def test_frame_and_column_under_the_pointer(page, report_with_frames):
+    opened(page, report_with_frames, 3, "column")
     page.wait_for_function("Graycast.opened().scene.columns.maps")
-    sample = kept[1][3]
+    sample = report_with_frames[1][3]
     codes, shot = sample.raw.codes, sample.raw.capture
     page.click('[data-view="pattern"]')
     slide(page, 0)
@@ -287,19 +293,19 @@ def test_frame_and_column_under_the_pointer(page, kept):
         page.mouse.move(*place(page, row, column))
         for axis in ("column", "row"):
             value, sigma = getattr(codes, axis), getattr(codes, f"sigma_{axis}")
-            said = readout(page, f"decoded {axis}").split()
-            assert abs(float(said[0]) - value[row, column]) < 0.01
-            assert abs(float(said[2]) - sigma[row, column]) < 0.01
-        said = readout(page, "this frame").split()
-        off_dn.append(int(said[1]) - int(shot.frames[0, row, column]))
+            words = readout(page, f"decoded {axis}").split()
+            assert abs(float(words[0]) - value[row, column]) < 0.01
+            assert abs(float(words[2]) - sigma[row, column]) < 0.01
+        words = readout(page, "this frame").split()
+        off_dn.append(int(words[1]) - int(shot.frames[0, row, column]))
     assert np.abs(off_dn).max() < 200 and abs(np.mean(off_dn)) < 30  # of 4095: noise through JPEG
     row, column = np.argwhere(np.isnan(codes.column))[20]
     page.mouse.move(*place(page, row, column))
     assert readout(page, "decoded column") == NONE
 
 
-def test_what_is_not_stored_is_told_with_the_key_that_would(page, made):
-    opened(page, made, 0, "pattern")
+def test_what_is_not_stored_is_told_with_the_key_that_would(page, report):
+    opened(page, report, 0, "pattern")
     assert "store: {frames: true}" in page.locator(".note").inner_text()
     page.click('[data-view="column"]')
     assert "store: {columns: true}" in page.locator(".note").inner_text()
@@ -308,8 +314,8 @@ def test_what_is_not_stored_is_told_with_the_key_that_would(page, made):
     assert page.locator('#readout tr[data-name="decoded column"]').count() == 0
 
 
-def test_frames_that_are_gone_are_told(browser, kept, tmp_path):
-    page_folder = shutil.copytree(kept[2].parent, tmp_path / "page")
+def test_frames_that_are_gone_are_told(browser, report_with_frames, tmp_path):
+    page_folder = shutil.copytree(report_with_frames[2].parent, tmp_path / "page")
     (page_folder / "scenes/train-000000/frames.js").unlink()
     page = browser.new_page()
     page.goto(f"{(page_folder / 'index.html').as_uri()}#/train-000000")
@@ -321,10 +327,10 @@ def test_frames_that_are_gone_are_told(browser, kept, tmp_path):
     page.close()
 
 
-def test_values_under_the_pointer_are_the_files_(page, made):
-    opened(page, made, 3)
-    step, scanner = held(page, "depth"), held(page, "scanner")
-    instance = held(page, "instance") - 1
+def test_values_under_the_pointer_are_the_files_(page, report):
+    opened(page, report, 3)
+    step, scanner = scene_map(page, "depth"), scene_map(page, "scanner")
+    instance = scene_map(page, "instance") - 1
     for row, column in ((47, 75), (10, 12), *np.argwhere((instance >= 0) & (scanner > 0))[::700]):
         page.mouse.move(*place(page, row, column))
         assert readout(page, "pixel") == f"{column}, {row}"
@@ -338,36 +344,38 @@ def test_values_under_the_pointer_are_the_files_(page, made):
     assert readout(page, "reason") == "shadow"
 
 
-def test_masks_and_boxes_can_be_switched_and_name_what_is_under_the_pointer(page, made):
-    opened(page, made, 0)
-    instance = held(page, "instance") - 1
-    assert not shown(page, "overlay").any()
+def test_masks_and_boxes_can_be_switched_and_name_what_is_under_the_pointer(page, report):
+    opened(page, report, 0)
+    instance = scene_map(page, "instance") - 1
+    assert not canvas_pixels(page, "overlay").any()
     page.keyboard.press("m")
-    covered = shown(page, "overlay")[..., 3] > 0
+    covered = canvas_pixels(page, "overlay")[..., 3] > 0
     np.testing.assert_array_equal(covered, instance >= 0)
     page.keyboard.press("b")
-    seen = np.unique(instance[instance >= 0])
-    assert page.locator("#boxes rect.visible").count() == len(seen)
-    row, column = np.argwhere(instance == seen[0])[0]
+    visible = np.unique(instance[instance >= 0])
+    assert page.locator("#boxes rect.visible").count() == len(visible)
+    row, column = np.argwhere(instance == visible[0])[0]
     page.mouse.move(*place(page, row, column))
-    assert page.locator("#tip").inner_text() == f"{seen[0]} {('box', 'wedge')[seen[0] % 2]}"
+    assert page.locator("#tip").inner_text() == f"{visible[0]} {('box', 'wedge')[visible[0] % 2]}"
     for key in "mb":
         page.keyboard.press(key)
-    assert not shown(page, "overlay").any() and page.locator("#boxes rect").count() == 0
+    assert not canvas_pixels(page, "overlay").any() and page.locator("#boxes rect").count() == 0
 
 
-def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, made):
-    opened(page, made, 0, "reasons")
+def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, report):
+    opened(page, report, 0, "reasons")
     page.hover("#reasons div:has-text('shadow')")
-    np.testing.assert_array_equal(shown(page, "overlay")[..., 3] == 0, held(page, "reason") == 1)
+    np.testing.assert_array_equal(
+        canvas_pixels(page, "overlay")[..., 3] == 0, scene_map(page, "reason") == 1
+    )
 
 
-def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page, made):
-    opened(page, made, 0)
+def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page, report):
+    opened(page, report, 0)
     page.keyboard.press("7")
     assert pressed(page) == "difference"
-    same = (held(page, "depth") == held(page, "scanner")) & (held(page, "depth") > 0)
-    assert (shown(page)[same][:, :3] > 240).all()
+    same = (scene_map(page, "depth") == scene_map(page, "scanner")) & (scene_map(page, "depth") > 0)
+    assert (canvas_pixels(page)[same][:, :3] > 240).all()
     page.keyboard.press("6")
     page.keyboard.press("Space")
     assert pressed(page) == "difference"
@@ -379,7 +387,7 @@ def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page
     ready(page, "overview")
 
 
-def test_a_picture_has_its_place_when_its_scene_is_ready(page, made):
+def test_a_picture_has_its_place_when_its_scene_is_ready(page, report):
     first, later = page.evaluate(
         """async () => {
             const main = document.getElementById("main"), name = "train-000003";
@@ -399,8 +407,8 @@ def test_a_picture_has_its_place_when_its_scene_is_ready(page, made):
     assert first == later
 
 
-def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
-    opened(page, made, 0)
+def test_zoom_keeps_the_pixel_under_the_pointer(page, report):
+    opened(page, report, 0)
     page.mouse.move(*place(page, 80, 33))
     for _ in range(3):
         page.mouse.wheel(0, -300)
@@ -412,7 +420,7 @@ def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
     assert page.locator("#picture").bounding_box()["width"] < 1200
 
 
-def test_the_grid_filters_sorts_and_opens_scenes(page, made):
+def test_the_grid_filters_sorts_and_opens_scenes(page, report):
     cards = page.locator(".card")
     assert cards.count() == 3
     rows = page.evaluate("Graycast.rows().map((r) => [r.key, r.decoded, r.visibility])")
@@ -434,14 +442,14 @@ def test_the_grid_filters_sorts_and_opens_scenes(page, made):
     ready(page, "train-000003")
 
 
-def test_the_3d_view_draws_what_is_switched_on(page, made):
+def test_the_3d_view_draws_what_is_switched_on(page, report):
     def colors():
         page.wait_for_timeout(400)
         data = page.locator("#cloud").screenshot()
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         return len(np.unique(picture.reshape(-1, 3), axis=0)), picture
 
-    opened(page, made, 0, "cloud")
+    opened(page, report, 0, "cloud")
     page.select_option("#choose-surfacePaint", "colour")
     page.select_option("#choose-pointPaint", "difference")
     page.click("text=camera")  # the side of the surface that is drawn is the one the camera saw
@@ -461,7 +469,7 @@ def test_the_3d_view_draws_what_is_switched_on(page, made):
     assert np.abs(before.astype(int) - after).mean() > 1
 
 
-def test_light_and_dark_can_be_read(page, made):
+def test_light_and_dark_can_be_read(page, report):
     """Text against its ground has a contrast of 7 and more in both."""
 
     def contrast():
@@ -484,8 +492,8 @@ def test_light_and_dark_can_be_read(page, made):
     assert contrast() > 7
 
 
-def test_a_scene_that_is_not_there_is_said(page, made):
-    page.goto(f"{made[2].as_uri()}#/train-000777")
+def test_a_scene_that_is_not_there_is_said(page, report):
+    page.goto(f"{report[2].as_uri()}#/train-000777")
     ready(page, "train-000777")
     assert "no scene train-000777" in page.locator(".sorry").inner_text()
 
@@ -493,8 +501,8 @@ def test_a_scene_that_is_not_there_is_said(page, made):
 def test_real_pictures_show_what_they_have(page, rig, tmp_path):
     write_dataset(tmp_path / "real", scene_ids=(3,), rig=rig)
     forget(tmp_path / "real")
-    made = write_report(tmp_path / "real", tmp_path / "page").page
-    page.goto(f"{made.as_uri()}#/train-000003")
+    path = write_report(tmp_path / "real", tmp_path / "page").page
+    page.goto(f"{path.as_uri()}#/train-000003")
     ready(page, "train-000003")
     views = page.eval_on_selector_all("[data-view]", "all => all.map((b) => b.dataset.view)")
     assert views == ["color", "scanner", "reasons", "cloud"]

@@ -29,12 +29,12 @@ def opened(page, address, key):
     ready(page, key)
 
 
-def shown_depth(page):
-    found = page.evaluate(
+def depth_on_page(page):
+    values = page.evaluate(
         "(() => { const s = Graycast.opened().scene;"
         " return [s.width, s.height, Array.from(s.scanner), s.depth_scale_mm]; })()"
     )
-    width, height, steps, scale_mm = found
+    width, height, steps, scale_mm = values
     return np.array(steps).reshape(height, width) * scale_mm / 1000
 
 
@@ -55,7 +55,7 @@ def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, severa
         page.select_option("#choose-picture", f"train-000003-{NAMES[place]}")
         ready(page, f"train-000003-{NAMES[place]}")
         depth_m = np.nan_to_num(taken[3][place].scanner_depth.depth_m)
-        assert shown_depth(page) == pytest.approx(depth_m, abs=2e-5)
+        assert depth_on_page(page) == pytest.approx(depth_m, abs=2e-5)
         assert pressed(page) == "scanner"
     page.keyboard.press("n")  # after the last comes the first
     ready(page, "train-000003-left-0")

@@ -12,7 +12,7 @@ from graycast.dataset.export.formats import selected_pictures
 from graycast.dataset.stored import open_dataset
 from graycast.show.report.page import write_report
 
-from .browsing import held, opened, place, pressed, readout, ready, shown
+from .browsing import canvas_pixels, opened, place, pressed, readout, ready, scene_map
 
 pytestmark = [
     pytest.mark.slow,
@@ -52,7 +52,7 @@ def tag(page, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "scene_ids"),
     [
         ("3", [3]),
         ("3-9", [3, 4]),
@@ -62,13 +62,13 @@ def tag(page, text):
         ("gear", []),
     ],
 )
-def test_scenes_are_found_by_number_span_and_part(page, text, found):
+def test_scenes_are_found_by_number_span_and_part(page, text, scene_ids):
     page.keyboard.press("/")
     page.keyboard.type(text)
-    page.wait_for_function(f"document.querySelectorAll('.card').length === {len(found)}")
-    assert cards(page) == [f"train-{k:06d}" for k in found]
-    assert f"{len(found)} of 3 scenes" in page.locator("#told").inner_text()
-    if not found:
+    page.wait_for_function(f"document.querySelectorAll('.card').length === {len(scene_ids)}")
+    assert cards(page) == [f"train-{k:06d}" for k in scene_ids]
+    assert f"{len(scene_ids)} of 3 scenes" in page.locator("#told").inner_text()
+    if not scene_ids:
         assert "No scene matches" in page.locator(".nothing").inner_text()
         page.click("#lift-all")
         assert len(cards(page)) == 3 and page.input_value("#find") == ""
@@ -142,8 +142,8 @@ def test_ticked_scenes_are_tagged_found_by_tag_and_keep_it(page):
     assert cards(page) == ["train-000000"]
 
 
-def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, made, tmp_path):
-    dataset = made[0]
+def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, report, tmp_path):
+    dataset = report[0]
     page.keyboard.press("End")
     page.keyboard.press("x")
     tag(page, "odd")
@@ -164,8 +164,8 @@ def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, ma
     assert page.locator("#save").inner_text() == "save 3 shown"
     page.set_input_files("#load-file", saved)
     page.wait_for_selector('.card[data-key="train-000004"] .chip:has-text("odd")')
-    said = page.locator("#message").inner_text()
-    assert said == "Ticked, with the tags of bins-scenes.json: 1."
+    message = page.locator("#message").inner_text()
+    assert message == "Ticked, with the tags of bins-scenes.json: 1."
     assert page.locator("#ticked b").inner_text() == "1 ticked"
 
 
@@ -191,7 +191,7 @@ def test_a_file_of_another_dataset_is_refused(page, tmp_path):
         assert page.locator(".card .chip").count() == 0
 
 
-def test_tags_of_another_dataset_are_not_mixed_in(page, made, tmp_path):
+def test_tags_of_another_dataset_are_not_mixed_in(page, report, tmp_path):
     write_dataset(tmp_path / "bins", scene_ids=(4,))  # of the same name, with another rig
     page.keyboard.press("End")
     page.keyboard.press("x")
@@ -262,8 +262,8 @@ def test_cards_say_scene_and_parts_in_full(page):
 # --- one scene ------------------------------------------------------------------------------------
 
 
-def test_two_views_are_compared_by_a_swipe(page, made):
-    opened(page, made, 0, "color")
+def test_two_views_are_compared_by_a_swipe(page, report):
+    opened(page, report, 0, "color")
     page.keyboard.press("Shift+Digit8")
     assert page.locator("#choose-second").input_value() == "reasons"
     box = page.locator(".stage").bounding_box()
@@ -278,10 +278,10 @@ def test_two_views_are_compared_by_a_swipe(page, made):
     page.keyboard.press("ArrowRight")
     assert abs(page.evaluate(share) - 27) <= 1
     ready(page, "train-000000")  # an arrow on the bar is not the next scene
-    first, second = shown(page)[..., :3], shown(page, "picture-2")[..., :3]
-    seen = on_screen(page)
+    first, second = canvas_pixels(page)[..., :3], canvas_pixels(page, "picture-2")[..., :3]
+    pixels_of = on_screen(page)
     for column, expected in ((10, first), (30, first), (60, second), (150, second)):
-        np.testing.assert_array_equal(seen(column), expected[20:110:10, column])
+        np.testing.assert_array_equal(pixels_of(column), expected[20:110:10, column])
     page.select_option("#choose-second", "color")  # the two change places
     assert (pressed(page), page.locator("#choose-second").input_value()) == ("reasons", "color")
     page.keyboard.press("c")
@@ -300,14 +300,14 @@ def on_screen(page):
     return column
 
 
-def test_two_views_stand_side_by_side_and_move_together(page, made):
-    opened(page, made, 0, "color")
+def test_two_views_stand_side_by_side_and_move_together(page, report):
+    opened(page, report, 0, "color")
     page.keyboard.press("c")
     page.select_option("#choose-how", "side")
     page.select_option("#choose-second", "reasons")
     first, second = (page.locator(n).bounding_box() for n in ("#picture", "#picture-2"))
     assert first["x"] + first["width"] <= second["x"] + 1
-    row, column = np.argwhere(held(page, "depth") > 0)[500]
+    row, column = np.argwhere(scene_map(page, "depth") > 0)[500]
     for canvas in ("#picture", "#picture-2"):
         box = page.locator(canvas).bounding_box()
         page.mouse.move(
@@ -324,7 +324,7 @@ def test_two_views_stand_side_by_side_and_move_together(page, made):
     assert first["width"] > 1.5 * box["width"]
     assert np.allclose([first["width"], first["y"]], [second["width"], second["y"]], atol=0.5)
     page.keyboard.press("m")
-    np.testing.assert_array_equal(shown(page, "overlay"), shown(page, "overlay-2"))
+    np.testing.assert_array_equal(canvas_pixels(page, "overlay"), canvas_pixels(page, "overlay-2"))
     page.keyboard.press("v")
     assert page.locator("#choose-how").input_value() == "swipe"
     page.keyboard.press("9")
@@ -334,8 +334,8 @@ def test_two_views_stand_side_by_side_and_move_together(page, made):
     assert readout(page, "pixel") == f"{column}, {row}"
 
 
-def test_the_3d_view_begins_with_the_parts_colours(page, made):
-    opened(page, made, 0, "cloud")
+def test_the_3d_view_begins_with_the_parts_colours(page, report):
+    opened(page, report, 0, "cloud")
     for name in ("surfacePaint", "pointPaint"):
         assert page.locator(f"#choose-{name}").input_value() == "instance"
     page.wait_for_timeout(400)
@@ -343,13 +343,13 @@ def test_the_3d_view_begins_with_the_parts_colours(page, made):
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3)
     hue, saturation, _ = cv2.cvtColor(picture[None], cv2.COLOR_BGR2HSV)[0].T
     colorful = saturation > 100
-    parts = np.unique(held(page, "instance"))
+    parts = np.unique(scene_map(page, "instance"))
     assert len(np.unique(hue[colorful] // 4)) >= min(len(parts) - 1, 4)
 
 
-def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, made):
+def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, report):
     """Oracle: the plane's own normal; steps of 2 mm would tilt normals of neighbours by 45 deg."""
-    opened(page, made, 0)
+    opened(page, report, 0)
     normals = page.evaluate(
         """() => {
             const [width, height] = [160, 120], n = width * height, tilt = 0.3;
@@ -368,9 +368,9 @@ def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, made):
             return Array.from(Graycast.shapes.normals(scene, inner));
         }"""
     )
-    found = np.array(normals, dtype=float).reshape(-1, 3) / 127
+    estimate = np.array(normals, dtype=float).reshape(-1, 3) / 127
     expected = np.array([0.3, 0, -1]) / np.hypot(0.3, 1)
-    angle = np.degrees(np.arccos(np.clip(np.abs(found @ expected), 0, 1)))
+    angle = np.degrees(np.arccos(np.clip(np.abs(estimate @ expected), 0, 1)))
     assert np.median(angle) < 4 and np.quantile(angle, 0.99) < 12, np.quantile(angle, 0.99)
 
 
@@ -378,13 +378,13 @@ def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, made):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_toolbars_are_one_row_and_nothing_overlaps(page, kept, size):
+def test_toolbars_are_one_row_and_nothing_overlaps(page, report_with_frames, size):
     """A row that wraps is higher than its highest control; controls overlap no other."""
     page.set_viewport_size({"width": size[0], "height": size[1]})
-    page.goto(kept[2].as_uri())
+    page.goto(report_with_frames[2].as_uri())
     ready(page, "overview")
     assert rows(page, ".filter-row") == 1 and rows(page, ".told-row") == 1
-    opened(page, kept, 0)
+    opened(page, report_with_frames, 0)
     for view in page.eval_on_selector_all("[data-view]", "all => all.map((b) => b.dataset.view)"):
         page.click(f'[data-view="{view}"]')
         assert rows(page, ".tabs") == 1, view

@@ -136,8 +136,8 @@ def test_the_page_holds_the_bins_and_is_made_anew_where_they_change(copied, tmp_
     index = script(tmp_path / "page/index.js")
     assert [one["id"] for one in index["bins"]] == [0, 2]
     assert index["summary"]["outcomes"] == {"picked": 2, "lost seal": 2, "nothing found": 2}
-    told = script(tmp_path / "page/scenes/bin-000002/scene.js")
-    assert [one["present"] for one in told["attempts"]] == [[0, 1], [1], [1]]
+    record = script(tmp_path / "page/scenes/bin-000002/scene.js")
+    assert [one["present"] for one in record["attempts"]] == [[0, 1], [1], [1]]
     scan = script(tmp_path / "page/scenes/bin-000002/attempt-002.js")
     assert (scan["stride"], scan["width"], scan["motion"]["time_s"]) == (2, 80, [0.0])
     shutil.rmtree(copied / "bins/000000")
@@ -174,12 +174,12 @@ def test_the_film_shows_the_arm_where_the_camera_model_puts_it(replay, motions):
     eye = film._eye(replay, 240)
     for i in (0, GRIP, STEPS - 1):
         layer = film._robot(replay, eye, motions[0].T_world_limb[i])
-        seen = np.isfinite(layer.z)
+        visible = np.isfinite(layer.z)
         joints = motions[0].T_world_limb[i, [1, 2, 3, 4], :3, 3]
         at = np.rint(project(eye.camera, transform_points(inverse(eye.T_world_eye), joints)))
-        assert all(seen[int(v), int(u)] for u, v in at)
-        assert 0.01 < seen.mean() < 0.2
-        assert not seen[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+        assert all(visible[int(v), int(u)] for u, v in at)
+        assert 0.01 < visible.mean() < 0.2
+        assert not visible[[0, 0, -1, -1], [0, -1, 0, -1]].any()
 
 
 def test_the_film_looks_down_into_the_bin_with_what_is_high_on_top(replay):
@@ -215,8 +215,8 @@ def test_what_is_left_at_the_end_is_shown_where_it_truly_lies(replay, picks):
     assert list(rest) == [1]
     eye = film._eye(replay, 240)
     ground = film._ground(replay, eye)
-    drawn = film._with_ghosts(ground, replay, eye, (0, 0), rest)
-    changed = (drawn.color != ground.color).any(axis=-1)
+    layer = film._with_ghosts(ground, replay, eye, (0, 0), rest)
+    changed = (layer.color != ground.color).any(axis=-1)
     middle = transform_points(inverse(eye.T_world_eye), rest[1][None, :3, 3])
     (u, v) = np.rint(project(eye.camera, middle)[0]).astype(int)
     assert changed[v, u] and 5 < changed.sum() < 400
@@ -259,9 +259,9 @@ def without_bins(picks):
 
 def grip_elsewhere(picks):
     path = picks / "bins/000000/episode.json"
-    told = json.loads(path.read_text())
-    told["attempts"][0]["T_world_tool"][0][3] += 0.01
-    path.write_text(json.dumps(told))
+    record = json.loads(path.read_text())
+    record["attempts"][0]["T_world_tool"][0][3] += 0.01
+    path.write_text(json.dumps(record))
 
 
 def other_part(picks):
@@ -277,7 +277,7 @@ def cut_image(name):
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "message"),
     [
         (without_bins, "no bin is finished yet: run graycast robot pick first"),
         (damaged("bins/000000/episode.json", "{"), "000000: cannot be read"),
@@ -290,16 +290,16 @@ def cut_image(name):
         (cut_image("pictures/002.png"), "pictures/002.png: cannot be read"),
     ],
 )
-def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, said):
+def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, message):
     damage(copied)
     options = ["--out", str(tmp_path / "page"), "--files", str(copied.parent)]
     assert main(["robot", "report", str(copied), *options]) == 1
-    told = capfd.readouterr().err.strip()
-    assert said in told and len(told.splitlines()) == 1, told
+    output = capfd.readouterr().err.strip()
+    assert message in output and len(output.splitlines()) == 1, output
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (
             ["robot", "film", "{picks}", "--out", "{out}.gif", "--bin", "1"],
@@ -319,13 +319,13 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
         ),
     ],
 )
-def test_a_wrong_wish_is_told_in_one_line(picks, tmp_path, capfd, words, said):
-    given = [word.format(picks=picks, out=tmp_path / "out") for word in words]
-    if given[0] == "robot" and "--files" not in given:
-        given += ["--files", str(picks.parent)]
-    assert main(given) == 1
-    told = capfd.readouterr().err.strip()
-    assert said in told and len(told.splitlines()) == 1, told
+def test_a_wrong_wish_is_told_in_one_line(picks, tmp_path, capfd, words, message):
+    arguments = [word.format(picks=picks, out=tmp_path / "out") for word in words]
+    if arguments[0] == "robot" and "--files" not in arguments:
+        arguments += ["--files", str(picks.parent)]
+    assert main(arguments) == 1
+    output = capfd.readouterr().err.strip()
+    assert message in output and len(output.splitlines()) == 1, output
 
 
 def test_mixed_cells_need_to_know_which_part_is_which(replay, picks):

@@ -51,8 +51,8 @@ def at(page, time_s):
 
 def matrices(page, script):
     """Column by column, millimetres."""
-    found = page.evaluate(f"({script}).map((m) => Array.from(m))")
-    T = np.array(found, dtype=float).reshape(-1, 4, 4).transpose(0, 2, 1)
+    values = page.evaluate(f"({script}).map((m) => Array.from(m))")
+    T = np.array(values, dtype=float).reshape(-1, 4, 4).transpose(0, 2, 1)
     T[:, :3, 3] *= 1e-3
     return T
 
@@ -64,8 +64,8 @@ def test_the_browser_has_the_limbs_where_python_has_them(page, address, picks):
     opened(page, address, "bin-000002/0")
     motion = "Graycast.opened().scan.motion"
     for i in (0, GRIP, GRIP + 7, STEPS - 1):
-        found = matrices(page, f"Graycast.limbsAt({motion}, {STEP_S * i + 1e-9})")
-        np.testing.assert_allclose(found, motions[0].T_world_limb[i], atol=2e-5)
+        limbs = matrices(page, f"Graycast.limbsAt({motion}, {STEP_S * i + 1e-9})")
+        np.testing.assert_allclose(limbs, motions[0].T_world_limb[i], atol=2e-5)
     between = matrices(page, f"Graycast.limbsAt({motion}, {STEP_S * 7.5})")
     middle = motions[0].T_world_limb[[7, 8], :, :3, 3].mean(axis=0)
     np.testing.assert_allclose(between[:, :3, 3], middle, atol=1e-5)
@@ -100,11 +100,11 @@ def test_the_part_goes_with_the_tool_until_it_is_let_go(page, address, picks):
 def test_the_scan_is_the_file_s(page, address, picks):
     for number in range(3):
         opened(page, address, f"bin-000000/{number}")
-        found = np.array(page.evaluate("Array.from(Graycast.opened().scan.scanner)"))
+        scan = np.array(page.evaluate("Array.from(Graycast.opened().scan.scanner)"))
         stored = cv2.imread(
             str(picks / f"bins/000000/depth/{number:03d}.png"), cv2.IMREAD_UNCHANGED
         )
-        np.testing.assert_array_equal(found.reshape(stored.shape), stored)
+        np.testing.assert_array_equal(scan.reshape(stored.shape), stored)
 
 
 def test_points_of_the_scan_lie_on_the_true_parts(page, address, picks):
@@ -137,11 +137,11 @@ def test_the_3d_view_draws_what_is_switched_on(page, address):
 
     opened(page, address, "bin-000000/0")
     at(page, STEP_S * GRIP)
-    shown = [picture()]
+    pictures = [picture()]
     for key in "rpbm":
         page.keyboard.press(key)
-        shown.append(picture())
-        assert (np.abs(shown[-1] - shown[-2]).max(axis=2) > 20).mean() > 5e-4, key
+        pictures.append(picture())
+        assert (np.abs(pictures[-1] - pictures[-2]).max(axis=2) > 20).mean() > 5e-4, key
     before = picture()
     at(page, 0)
     assert np.abs(picture() - before).max() <= 2  # no robot, and the part is not lifted yet
@@ -187,18 +187,18 @@ def test_words_follow_the_time(page, address):
     assert "after 0.40 s" in page.locator("#ended").inner_text()
     under = page.locator(".under")
     grip_s = STEP_S * GRIP
-    for time_s, said in (
+    for time_s, text in (
         (0.0, "The tool goes to its grip."),
         (grip_s + LOST_S / 2, "The tool carries the part."),
         (grip_s + LOST_S + 0.1, "The tool has let go: lost seal."),
     ):
         at(page, time_s)
-        assert under.inner_text() == said
+        assert under.inner_text() == text
     page.keyboard.press("ArrowDown")
     ready(page, "bin-000002")
 
 
 def test_what_is_not_there_is_said(page, address):
-    for key, said in (("bin-000007", "no bin-000007"), ("bin-000000/9", "3 attempts")):
+    for key, text in (("bin-000007", "no bin-000007"), ("bin-000000/9", "3 attempts")):
         opened(page, address, key)
-        assert said in page.locator(".sorry").inner_text()
+        assert text in page.locator(".sorry").inner_text()

@@ -128,7 +128,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
 def tiles(monkeypatch, tmp_path):
     """Draws a shot and gives its figure and its tiles by title."""
 
-    def drawn(shot):
+    def tiles_of(shot):
         figures = []
         monkeypatch.setattr(
             preview, "save_png", lambda figure, path, *, dpi: figures.append(figure)
@@ -136,7 +136,7 @@ def tiles(monkeypatch, tmp_path):
         preview.draw_preview(shot, CODE, tmp_path / "unused.png")
         return figures[0], {ax.get_title(loc="left"): ax for ax in figures[0].axes if ax.images}
 
-    return drawn
+    return tiles_of
 
 
 def image(ax):
@@ -198,8 +198,8 @@ def test_a_scan_of_several_exposures_says_all_of_them(tiles):
 
 def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):
     nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
-    figure, found = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
-    assert len(found) == 12
+    figure, by_title = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
+    assert len(by_title) == 12
     assert "no parts" in figure.texts[0].get_text()
 
 
@@ -239,10 +239,10 @@ def test_bits_on_the_sheet_are_the_third_coarsest_and_the_finest(tiles):
     """Each frame has its own level; 64 columns have the bits 5 to 0, after white and black."""
     level = np.arange(len(CODE.frames), dtype=np.uint16)[:, None, None] * 200 + 100
     frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
-    _, found = tiles(make_shot(frames=frames))
-    shown = {title: int(image(ax)[0, 0, 0]) for title, ax in found.items() if " bit " in title}
-    assert list(shown) == ["column bit 3, stripes of 16 codes", "column bit 0, stripes of 2 codes"]
-    linear = {t: (((v / 255) + 0.055) / 1.055) ** 2.4 for t, v in shown.items()}
+    _, by_title = tiles(make_shot(frames=frames))
+    values = {title: int(image(ax)[0, 0, 0]) for title, ax in by_title.items() if " bit " in title}
+    assert list(values) == ["column bit 3, stripes of 16 codes", "column bit 0, stripes of 2 codes"]
+    linear = {t: (((v / 255) + 0.055) / 1.055) ** 2.4 for t, v in values.items()}
     got_dn = [64 + share * (SENSOR.saturation_dn - 64) for share in linear.values()]
     assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # 8-bit steps
 
@@ -252,15 +252,17 @@ def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
     error_m[:, :20], error_m[:, 20:40] = 0.05, -0.05
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
     reason[:, 60:] = Reason.SATURATED
-    shown = image(tiles(make_shot(error_m=error_m, reason=reason))[1]["scanner minus perfect"])
-    far, near, right, unknown = (shown[30, x].astype(int) for x in (10, 30, 50, 70))
+    picture = image(tiles(make_shot(error_m=error_m, reason=reason))[1]["scanner minus perfect"])
+    far, near, right, unknown = (picture[30, x].astype(int) for x in (10, 30, 50, 70))
     assert far[0] > far[2] + 50 and near[2] > near[0] + 50
     assert right.min() > 240 and np.ptp(unknown) == 0 and unknown.max() < 200
 
 
 def test_both_depths_share_their_colours(tiles):
-    _, found = tiles(make_shot())
-    np.testing.assert_array_equal(image(found["perfect depth"]), image(found["scanner's depth"]))
+    _, by_title = tiles(make_shot())
+    np.testing.assert_array_equal(
+        image(by_title["perfect depth"]), image(by_title["scanner's depth"])
+    )
 
 
 def test_reasons_are_listed_with_their_shares(tiles):
@@ -282,11 +284,11 @@ def test_reasons_are_listed_with_their_shares(tiles):
 
 def test_boxes_lie_on_the_instance(tiles):
     """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
-    _, found = tiles(make_shot())
-    flat = found["boxes of the visible masks"].patches[0]
+    _, by_title = tiles(make_shot())
+    flat = by_title["boxes of the visible masks"].patches[0]
     assert (flat.get_x(), flat.get_y()) == (29.5, 19.5)
     assert (flat.get_width(), flat.get_height()) == (20, 20)
-    segments = np.array(found["oriented boxes"].collections[0].get_segments())
+    segments = np.array(by_title["oriented boxes"].collections[0].get_segments())
     assert segments.min(axis=(0, 1)) == pytest.approx([29.5, 19.5])
     assert segments.max(axis=(0, 1)) == pytest.approx([49.5, 39.5])
     back_px = F_PX * 0.1 / (WALL_M + 0.1)
@@ -295,8 +297,8 @@ def test_boxes_lie_on_the_instance(tiles):
 
 
 def test_masks_tint_their_own_pixels_only(tiles):
-    _, found = tiles(make_shot())
-    tinted, plain = image(found["visible masks"]), image(found["white frame"])
+    _, by_title = tiles(make_shot())
+    tinted, plain = image(by_title["visible masks"]), image(by_title["white frame"])
     changed = (tinted != plain).any(axis=-1)
     expected = np.zeros((HEIGHT, WIDTH), dtype=bool)
     expected[SIDE] = True

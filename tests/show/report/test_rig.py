@@ -52,17 +52,17 @@ def test_the_common_field_of_a_toed_in_rig_is_what_random_points_say(z_m):
     rng = np.random.default_rng(0)
     half = np.array([0.6, 0.4])
     point = np.hstack([rng.uniform(-half, half, size=(200_000, 2)), np.full((200_000, 1), z_m)])
-    seen = np.ones(len(point), dtype=bool)
+    visible = np.ones(len(point), dtype=bool)
     R, t = rig.T_cam_proj[:3, :3], rig.T_cam_proj[:3, 3]
     for optics, local in ((rig.camera, point), (rig.projector, (point - t) @ R)):
         x, y = (local[:, :2] / local[:, 2:] * optics.fx_px).T
-        seen &= (np.abs(x) < optics.width_px / 2) & (np.abs(y) < optics.height_px / 2)
-    share, error = seen.mean(), np.sqrt(seen.var() / len(seen))
+        visible &= (np.abs(x) < optics.width_px / 2) & (np.abs(y) < optics.height_px / 2)
+    share, error = visible.mean(), np.sqrt(visible.var() / len(visible))
     field = common_field(rig, z_m)
     area_m2 = cv2.contourArea(field.astype(np.float32))
     assert abs(area_m2 / np.prod(2 * half) - share) < 4 * error
-    assert np.allclose(field.min(axis=0), point[seen, :2].min(axis=0), rtol=0, atol=3e-3)
-    assert np.allclose(field.max(axis=0), point[seen, :2].max(axis=0), rtol=0, atol=3e-3)
+    assert np.allclose(field.min(axis=0), point[visible, :2].min(axis=0), rtol=0, atol=3e-3)
+    assert np.allclose(field.max(axis=0), point[visible, :2].max(axis=0), rtol=0, atol=3e-3)
 
 
 def test_a_projector_that_looks_aside_has_no_footprint():

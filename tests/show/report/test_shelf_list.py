@@ -77,9 +77,9 @@ def test_all_are_listed_without_a_wish():
 def test_those_with_a_large_field_at_one_metre_are_listed():
     """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and less than an XL's
     nearest place is away. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
-    found = names(field_m=(0.6, 0.4), at_m=1.0)
-    assert {"phoxi-m", "phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(found)
-    assert not {"phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(found)
+    listed = names(field_m=(0.6, 0.4), at_m=1.0)
+    assert {"phoxi-m", "phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(listed)
+    assert not {"phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(listed)
     assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
 
 
@@ -97,9 +97,9 @@ def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_betwe
 
 
 def test_a_stricter_wish_leaves_fewer():
-    found = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
-    assert found[0] > found[1] > found[2] == set()
-    assert found[0] == set(names(at_m=1.0)) - {"paper"}
-    for name in found[1]:
+    listed = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
+    assert listed[0] > listed[1] > listed[2] == set()
+    assert listed[0] == set(names(at_m=1.0)) - {"paper"}
+    for name in listed[1]:
         assert stored_noise_m(name, 1.0) <= 1.5e-4
         assert preset_rig(name).near_m <= 1.0 <= preset_rig(name).far_m

@@ -39,7 +39,7 @@ def mesh_of(shape: trimesh.Trimesh) -> Mesh:
     return as_part(shape, "part").mesh
 
 
-def held(hulls, point) -> np.ndarray:
+def in_hulls(hulls, point) -> np.ndarray:
     """Which points lie in a hull; an own path, by the planes of Qhull."""
     planes = [ConvexHull(vertices).equations for vertices, _ in hulls]
     return np.any([(point @ p[:, :3].T + p[:, 3] < 0).all(axis=1) for p in planes], axis=0)
@@ -47,9 +47,9 @@ def held(hulls, point) -> np.ndarray:
 
 def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
-    made = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
-    ((vertices, faces),) = made.hulls
-    assert made.worst_m < 1e-9 and not made.coarse
+    result = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
+    ((vertices, faces),) = result.hulls
+    assert result.worst_m < 1e-9 and not result.coarse
     volume = np.linalg.det(vertices[faces]).sum() / 6  # negative if faces look inwards
     assert volume == pytest.approx(0.04 * 0.05 * 0.06, rel=1e-12)
 
@@ -72,7 +72,7 @@ def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_h
     z = rng.uniform(-0.0047, 0.0047, 5000)
     body = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
     # Wedges leave a gap of some 50 nm between them, in which a point may fall.
-    assert held(ring_hulls, body).mean() > 0.9995
+    assert in_hulls(ring_hulls, body).mean() > 0.9995
     assert len(ring_hulls) <= 40
 
 
@@ -84,7 +84,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
     rng = np.random.default_rng(0)
     r, turn = 3.5e-3 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
     z = rng.uniform(-0.5, 0.5, 2000) * thickness_m
-    assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
+    assert not in_hulls(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
     assert measure(mesh, hulls).worst_m < tolerance_m(mesh)
 
 
@@ -99,7 +99,7 @@ def test_a_thin_cup_stays_open():
     rng = np.random.default_rng(0)
     r, turn = 0.016 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
     z = rng.uniform(-0.018, 0.02, 2000)
-    assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
+    assert not in_hulls(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
 
 
 def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
@@ -219,9 +219,9 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_one_kind_tells_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
-    (made,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
-    assert len(made.hulls) > 1
-    assert made.worst_m == measure(part.mesh, made.hulls).worst_m and not made.coarse
+    (result,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
+    assert len(result.hulls) > 1
+    assert result.worst_m == measure(part.mesh, result.hulls).worst_m and not result.coarse
     assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
     assert stages[-1].startswith("nut: measuring")
 
@@ -260,9 +260,9 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
         starts.append(len(children))
         assert sum(_alive(child.pid) for child in children) <= 2
 
-    made = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(note))
+    results = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(note))
     assert starts[0] == 2 and len(children) == 3
-    for part, one in zip(parts, made, strict=True):
+    for part, one in zip(parts, results, strict=True):
         hulls = decompose(part.mesh)
         assert same(one.hulls, hulls) and one.worst_m == measure(part.mesh, hulls).worst_m
     counts = [f"collision hulls: {number} of 4 kinds are ready" for number in (1, 2, 3)]
@@ -271,7 +271,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
     assert len({stage.split(": ")[0] for stage in last}) <= 1
 
     again = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(pytest.fail))
-    assert all(same(a.hulls, b.hulls) for a, b in zip(made, again, strict=True))
+    assert all(same(a.hulls, b.hulls) for a, b in zip(results, again, strict=True))
     assert len(list((tmp_path / "cache").iterdir())) == 4 and len(children) == 3
 
 
@@ -384,17 +384,17 @@ def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
     turn = np.linspace(0, 2 * np.pi, 500)
     for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
         circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
-        assert not held(hulls, np.stack(circle, axis=1)).any()
+        assert not in_hulls(hulls, np.stack(circle, axis=1)).any()
 
 
 def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch):
-    told = []
+    stages = []
     monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
-    hulls = decompose(zoo_part("nut").mesh, progress=Stages(told.append))
+    hulls = decompose(zoo_part("nut").mesh, progress=Stages(stages.append))
     assert 1 <= len(hulls) <= 4
     assert any(
         stage.startswith("the mesh is too detailed for this bound: cutting within 1.00 mm")
-        for stage in told
+        for stage in stages
     )
 
 
@@ -406,14 +406,14 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
     shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
     part = as_part(shape, "washer")
     full = hull_of(np.array(shape.vertices))
-    made = measure(part.mesh, (full,))
-    assert made.coarse and 3.5e-3 < made.filled_m < 4e-3
-    (note,) = hull_notes((part,), (made,))
+    result = measure(part.mesh, (full,))
+    assert result.coarse and 3.5e-3 < result.filled_m < 4e-3
+    (note,) = hull_notes((part,), (result,))
     assert (
         note.startswith("washer: its collision hulls are too coarse")
         and "the bound is 0.50 mm." in note
     )
-    assert f"{1e3 * made.worst_m:.2f} mm from its surface" in note
+    assert f"{1e3 * result.worst_m:.2f} mm from its surface" in note
     fine = measure(part.mesh, decompose(part.mesh))
     assert not fine.coarse and hull_notes((part,), (fine,)) == ()
 
@@ -425,7 +425,7 @@ def test_a_springs_inside_stays_open():
     rng = np.random.default_rng(0)
     r, turn = 5.5e-3 * np.sqrt(rng.random(5000)), rng.uniform(0, 2 * np.pi, 5000)
     inside = np.column_stack([r * np.cos(turn), r * np.sin(turn), rng.uniform(-0.02, 0.02, 5000)])
-    assert not held(hulls, inside).any()
+    assert not in_hulls(hulls, inside).any()
 
 
 @pytest.mark.slow

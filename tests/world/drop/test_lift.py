@@ -49,7 +49,7 @@ def on_top(x=0.0):
     return rigid(np.eye(3), np.array([x, 0.0, PLATE_M[2] / 2]))
 
 
-def held_by(cup, T_part_tool):
+def hold_of(cup, T_part_tool):
     return Hold(
         T_part_tool=T_part_tool,
         factor=lambda force, moment: float(load_factor(cup, force[None], moment[None])[0]),
@@ -84,7 +84,7 @@ def test_what_hangs_on_the_tool_is_its_weight():
 def test_a_cup_lifts_what_its_vacuum_holds_and_no_more(share, holds):
     body = plate(share * CUP.pull_n / GRAVITY_M_S2)
     path = upwards(lying() @ on_top(), metres=0.1, seconds=3.0)
-    end = lifted(body, held_by(CUP, on_top()), path)
+    end = lifted(body, hold_of(CUP, on_top()), path)
     assert (end.lost_s is None) == holds
     sag_m = body.mass_kg * GRAVITY_M_S2 / 2000.0  # of the bellows
     risen_m = end.T_world_part[0, 2, 3] - lying()[2, 3]
@@ -98,7 +98,7 @@ def test_a_cup_beside_the_centre_of_mass_lets_go_by_tilt(share, holds):
     limit_kg = CUP.pull_n / GRAVITY_M_S2 / (1 + 2 * beside_m / CUP.radius_m)
     body = plate(share * limit_kg)
     path = upwards(lying() @ on_top(-beside_m), metres=0.1, seconds=3.0)
-    end = lifted(body, held_by(CUP, on_top(-beside_m)), path)
+    end = lifted(body, hold_of(CUP, on_top(-beside_m)), path)
     assert (end.lost_s is None) == holds
 
 
@@ -146,8 +146,8 @@ def test_rotation_vectors_are_those_of_another_library_up_to_half_a_turn():
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.concatenate([[0.0, 1e-12, 1e-7, np.pi - 1e-5], rng.uniform(0, np.pi - 1e-3, 196)])
     for vector in axis * angle[:, None]:
-        found = _turn(Rotation.from_rotvec(vector).as_matrix())
-        np.testing.assert_allclose(found, vector, rtol=1e-9, atol=1e-14)
+        result = _turn(Rotation.from_rotvec(vector).as_matrix())
+        np.testing.assert_allclose(result, vector, rtol=1e-9, atol=1e-14)
     half = _turn(Rotation.from_rotvec([0, np.pi, 0]).as_matrix())
     np.testing.assert_allclose(np.abs(half), [0, np.pi, 0], atol=1e-12)
 
@@ -155,6 +155,6 @@ def test_rotation_vectors_are_those_of_another_library_up_to_half_a_turn():
 def test_the_same_lift_ends_alike_to_the_last_bit():
     body = plate(0.1)
     path = upwards(lying() @ on_top())
-    first, second = (lifted(body, held_by(CUP, on_top()), path) for _ in range(2))
+    first, second = (lifted(body, hold_of(CUP, on_top()), path) for _ in range(2))
     assert (first.T_world_part == second.T_world_part).all()
     assert first.least_factor == second.least_factor

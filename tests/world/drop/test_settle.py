@@ -114,23 +114,23 @@ def test_flaws_are_told_with_their_numbers():
 def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, monkeypatch):
     from graycast.world.drop import settle
 
-    seen, real = [], settle.simulate
+    starts, real = [], settle.simulate
 
     def first_two_tremble(box, bodies, start, index, *, simulated_s):
-        seen.append(start)
-        short = 0.08 if len(seen) <= 2 else simulated_s
+        starts.append(start)
+        short = 0.08 if len(starts) <= 2 else simulated_s
         return real(box, bodies, start, index, simulated_s=short)
 
     monkeypatch.setattr(settle, "simulate", first_two_tremble)
     layout = drop(
         scene_of((box_part((0.03,) * 3),)), (4,), seed=0, limits=LIMITS, hull_folder=hull_folder
     )
-    assert layout.attempt == 2 and len(seen) == 3
-    assert not np.allclose(seen[0], seen[1]) and not np.allclose(seen[1], seen[2])
+    assert layout.attempt == 2 and len(starts) == 3
+    assert not np.allclose(starts[0], starts[1]) and not np.allclose(starts[1], starts[2])
 
 
 @pytest.mark.parametrize(
-    "count, end, said, unsaid",
+    "count, end, message, absent",
     [
         (4, dict(at_rest=False), "drop.simulated_s, now 7 s", "larger bin"),
         (1, dict(at_rest=False), "more friction", "fewer|attempts \\(drop"),
@@ -140,7 +140,7 @@ def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, 
     ],
 )
 def test_an_error_names_what_helps_this_case_and_only_keys_that_exist(
-    scene_of, hull_folder, monkeypatch, count, end, said, unsaid
+    scene_of, hull_folder, monkeypatch, count, end, message, absent
 ):
     from graycast.world.drop import settle
 
@@ -149,9 +149,11 @@ def test_an_error_names_what_helps_this_case_and_only_keys_that_exist(
 
     monkeypatch.setattr(settle, "simulate", simulate)
     scene, limits = scene_of((box_part((0.03,) * 3),)), DropLimits(simulated_s=7.0, attempts=2)
-    with pytest.raises(DropError, match=f"^{count} part.*2 attempts; the best: .*{said}") as caught:
+    with pytest.raises(
+        DropError, match=f"^{count} part.*2 attempts; the best: .*{message}"
+    ) as caught:
         drop(scene, (count,), seed=0, limits=limits, hull_folder=hull_folder)
-    assert not re.search(unsaid, str(caught.value))
+    assert not re.search(absent, str(caught.value))
     keys = {field.name for field in fields(DropLimits)}
     assert set(re.findall(r"drop\.(\w+)", str(caught.value))) <= keys
 

@@ -128,7 +128,7 @@ def test_print_breaks_the_symmetry_of_boxes():
         assert part_of(name).symmetry.continuous == ()
 
 
-def seen(part, normal, up, right_m, up_m):
+def view_of(part, normal, up, right_m, up_m):
     """What a far viewer sees of the texture at the points (right, up) [m] of the view, row by row.
 
     Parallel rays against every triangle, nearest hit, uv interpolated, nearest texel: an own path
@@ -178,11 +178,11 @@ def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
     row, column = np.mgrid[14 : h - 14 : 2, 14 : w - 14 : 2]  # inside the rounded edges
     right_m = ((column + 0.5) / w - 0.5) * width_m
     up_m = (0.5 - (row + 0.5) / h) * height_m
-    picture = seen(part, normal, up, right_m, up_m)
-    drawn = panel[row, column].astype(float)
-    assert np.abs(picture - drawn).mean() < 1  # some texels fall to their neighbour
-    assert likeness(picture, drawn) > 0.99
-    for wrong in (drawn[:, ::-1], drawn[::-1], drawn[::-1, ::-1]):
+    picture = view_of(part, normal, up, right_m, up_m)
+    expected = panel[row, column].astype(float)
+    assert np.abs(picture - expected).mean() < 1  # some texels fall to their neighbour
+    assert likeness(picture, expected) > 0.99
+    for wrong in (expected[:, ::-1], expected[::-1], expected[::-1, ::-1]):
         assert likeness(picture, wrong) < 0.9
 
 
@@ -197,10 +197,10 @@ def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
     row, column = np.mgrid[int(0.26 * h) : int(0.55 * h) : 2, int(0.43 * w) : int(0.57 * w) : 2]
     right_m = ((column + 0.5) / w - 0.5) * girth_m + BOTTLE_AXIS_M
     up_m = (1 - (row + 0.5) / h) * height_m - part.mesh.extent_m[2] / 2
-    picture = seen(part, (0, -1, 0), (0, 0, 1), right_m, up_m)
-    drawn = panel[row, column].astype(float)
-    assert likeness(picture, drawn) > 0.9
-    for wrong in (drawn[:, ::-1], drawn[::-1], drawn[::-1, ::-1]):
+    picture = view_of(part, (0, -1, 0), (0, 0, 1), right_m, up_m)
+    expected = panel[row, column].astype(float)
+    assert likeness(picture, expected) > 0.9
+    for wrong in (expected[:, ::-1], expected[::-1], expected[::-1, ::-1]):
         assert likeness(picture, wrong) < 0.6
 
 
@@ -213,9 +213,9 @@ def test_the_bottle_is_wrapped_once_with_its_seam_behind():
     # From behind, right is -x: the panel's left end, with the barcode, goes right from the seam.
     x_m = np.linspace(-0.018, 0.018, 61)[None] - BOTTLE_AXIS_M
     z_m = np.full_like(x_m, 0.6 * 0.128 - part.mesh.extent_m[2] / 2)
-    picture = seen(part, (0, 1, 0), (0, 0, 1), x_m, z_m)[0]
+    picture = view_of(part, (0, 1, 0), (0, 0, 1), x_m, z_m)[0]
     h, w = panel.shape[:2]
     arc = (x_m[0] + BOTTLE_AXIS_M) / 0.1774 % 1.0
-    drawn = panel[int(0.4 * h), (arc * w).astype(int)].astype(float)
-    assert likeness(picture, drawn) > 0.7
-    assert likeness(picture, drawn[::-1]) < 0.5
+    expected = panel[int(0.4 * h), (arc * w).astype(int)].astype(float)
+    assert likeness(picture, expected) > 0.7
+    assert likeness(picture, expected[::-1]) < 0.5

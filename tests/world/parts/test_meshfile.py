@@ -21,8 +21,8 @@ needs_meshes = pytest.mark.skipif(not MESHES.is_dir(), reason="../shared/data/me
 
 
 def load(path, **keywords):
-    given = {"density_kg_m3": 1000.0, "friction": 0.5, "symmetry": Symmetry()} | keywords
-    return load_part(path, **given)
+    options = {"density_kg_m3": 1000.0, "friction": 0.5, "symmetry": Symmetry()} | keywords
+    return load_part(path, **options)
 
 
 def volume(part):

@@ -29,9 +29,9 @@ def box(x, y, z):
 )
 def test_a_box_has_the_rotations_that_group_theory_says(size, order):
     """Orders of the proper rotation groups D2, D4 and O; the identity is not listed."""
-    found = shape_symmetry(box(*size))
-    assert not found.continuous
-    assert len(found.discrete) + 1 == order
+    estimate = shape_symmetry(box(*size))
+    assert not estimate.continuous
+    assert len(estimate.discrete) + 1 == order
 
 
 MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -49,11 +49,11 @@ MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 )
 def test_turns_make_the_group_that_the_shape_has(turns, size, order):
     """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape finds."""
-    made = turns_together(turns)
-    assert len(made) + 1 == order
+    group = turns_together(turns)
+    assert len(group) + 1 == order
     if size is not None:
-        found = shape_symmetry(box(*size)).discrete
-        assert all(any(np.allclose(one, other, atol=1e-6) for other in found) for one in made)
+        estimate = shape_symmetry(box(*size)).discrete
+        assert all(any(np.allclose(one, other, atol=1e-6) for other in estimate) for one in group)
 
 
 def test_turns_about_axes_that_miss_each_other_are_refused():
@@ -62,17 +62,17 @@ def test_turns_about_axes_that_miss_each_other_are_refused():
 
 
 def test_the_ring_turns_about_its_axis_but_not_upside_down():
-    found = shape_symmetry(builtin_part("metal_workpiece_2").mesh)
-    assert found.continuous[0][0] == (0.0, 0.0, 1.0)
-    assert not found.discrete
+    estimate = shape_symmetry(builtin_part("metal_workpiece_2").mesh)
+    assert estimate.continuous[0][0] == (0.0, 0.0, 1.0)
+    assert not estimate.discrete
 
 
 def test_the_bracket_has_the_half_turn_that_it_states():
     part = builtin_part("metal_workpiece_1")
-    found = shape_symmetry(part.mesh)
-    assert len(found.discrete) == 1
-    np.testing.assert_allclose(found.discrete[0], part.symmetry.discrete[0], atol=1e-12)
-    assert len(joined(part.symmetry, found).discrete) == 1
+    estimate = shape_symmetry(part.mesh)
+    assert len(estimate.discrete) == 1
+    np.testing.assert_allclose(estimate.discrete[0], part.symmetry.discrete[0], atol=1e-12)
+    assert len(joined(part.symmetry, estimate).discrete) == 1
 
 
 def test_a_rim_moves_by_less_than_a_hundredth_of_the_diameter_from_turn_to_turn():

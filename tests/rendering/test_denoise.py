@@ -1,5 +1,7 @@
 """Open Image Denoise, as the library's own shortcut uses it, and where there is no GPU."""
 
+import subprocess
+import sys
 from unittest import TestCase
 
 import numpy as np
@@ -36,3 +38,19 @@ def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(mo
     assert isinstance(by, OpenImageDenoise) and by.device == "cpu"
     (record,) = logs.records
     assert "denoised on the processor, because the GPU cannot" in record.getMessage()
+
+
+def test_the_denoiser_does_not_load_pytorch(tmp_path):
+    """PyTorch takes 2 s and 500 MB of every worker; who needs it can load it afterwards."""
+    (tmp_path / "torch.py").write_text("name = 'stand-in'")
+    program = """
+import sys
+from graycast.rendering.denoise import open_denoiser
+open_denoiser("cpu")
+print("torch" in sys.modules)
+import torch
+print(torch.name)
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "stand-in"]

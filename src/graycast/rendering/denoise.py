@@ -5,8 +5,10 @@ OptiX has a denoiser, too, but where the driver's file of weights is missing, as
 it ends the whole process.
 """
 
+import importlib
 import logging
 import math
+import sys
 from dataclasses import replace
 from typing import Any, Literal, final
 
@@ -64,6 +66,20 @@ def open_denoiser(device: str) -> Denoiser:
     return OpenImageDenoise("cpu")
 
 
+def _library() -> Any:
+    """The module `pyoidn`, without PyTorch, which it loads where that is installed.
+
+    All pictures here are NumPy's, and PyTorch takes seconds and 200 MB of every process.
+    """
+    if "pyoidn" in sys.modules or "torch" in sys.modules:
+        return importlib.import_module("pyoidn")
+    sys.modules["torch"] = None  # type: ignore[assignment]  # so that an import of it fails
+    try:
+        return importlib.import_module("pyoidn")
+    finally:
+        del sys.modules["torch"]
+
+
 @final
 class OpenImageDenoise:
     """The library of that name on the processor, or on the first GPU that this process may use.
@@ -76,8 +92,7 @@ class OpenImageDenoise:
     """
 
     def __init__(self, device: Literal["cpu", "cuda"]) -> None:
-        import pyoidn
-
+        self._library = pyoidn = _library()
         kinds = {"cpu": pyoidn.OIDN_DEVICE_TYPE_CPU, "cuda": pyoidn.OIDN_DEVICE_TYPE_CUDA}
         if device == "cuda" and not pyoidn.Device.is_cuda_available():
             raise RuntimeError("Open Image Denoise finds no GPU that it supports")
@@ -100,8 +115,7 @@ class OpenImageDenoise:
 
     def _network(self, shape: tuple[int, ...]) -> tuple[Any, dict[str, Any]]:
         """The network for pictures of a shape, and the memory of its device that it works on."""
-        import pyoidn
-
+        pyoidn = self._library
         if self._last is None or self._last[0] != shape:
             names = ("color", "albedo", "normal", "output")
             bytes_each = 4 * math.prod(shape)

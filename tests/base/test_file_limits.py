@@ -63,12 +63,12 @@ def test_json_that_is_nested_too_deeply_is_a_value_error():
 
 
 def test_every_json_file_is_read_in_one_place():
-    found = {
+    readers = {
         str(file.relative_to(SOURCE))
         for file in SOURCE.rglob("*.py")
         if re.search(r"json\.loads?\(", file.read_text(encoding="utf-8"))
     }
-    assert found == OWN_CHILDREN
+    assert readers == OWN_CHILDREN
 
 
 @pytest.fixture(scope="module")

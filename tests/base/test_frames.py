@@ -105,8 +105,8 @@ def test_a_camera_looks_at_its_target_with_y_down():
     T_world_cam = look_at(eye, target, np.array([0.0, 0.0, -1.0]))
     assert is_rigid(T_world_cam)
     distance = np.linalg.norm(target - eye)
-    seen = transform_points(inverse(T_world_cam), target[None])[0]
-    assert np.allclose(seen, [0, 0, distance], atol=1e-14)
+    in_cam = transform_points(inverse(T_world_cam), target[None])[0]
+    assert np.allclose(in_cam, [0, 0, distance], atol=1e-14)
     assert T_world_cam[2, 1] < 0  # the image's y axis sinks in the world
     assert abs(T_world_cam[2, 0]) < 1e-15  # and its x axis is level
 

@@ -101,8 +101,8 @@ def just_outside(schema):
 
 def test_what_a_file_said_goes_to_other_processes():
     """Workers get the configuration by pickle, which looks a class up where it says it is."""
-    said = load_config(CONFIGS / "demo.yaml")
-    assert pickle.loads(pickle.dumps(said)) == said
+    config = load_config(CONFIGS / "demo.yaml")
+    assert pickle.loads(pickle.dumps(config)) == config
     lens = Lens(width_px=4)
     assert pickle.loads(pickle.dumps(lens)) == lens  # its focus is another infinity
     for section in (OpticsModel, RigModel, StackSection):

@@ -27,5 +27,5 @@ def test_no_two_stages_scenes_or_datasets_share_a_seed():
 
 
 def test_without_a_domain_the_other_seeds_stay():
-    drawn = scene_seeds(7, 3, domain=True)
-    assert scene_seeds(7, 3, domain=False) == {k: v for k, v in drawn.items() if k != "domain"}
+    seeds = scene_seeds(7, 3, domain=True)
+    assert scene_seeds(7, 3, domain=False) == {k: v for k, v in seeds.items() if k != "domain"}

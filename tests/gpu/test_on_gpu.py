@@ -55,9 +55,9 @@ def on_gpu(tmp_path_factory):
 @pytest.fixture(scope="module")
 def on_cpu(request, tmp_path_factory):
     """The same scenes made by the processor, here or on another machine."""
-    given = request.config.getoption("--made-on-cpu")
-    if given is not None:
-        return given
+    folder = request.config.getoption("--made-on-cpu")
+    if folder is not None:
+        return folder
     if find_llvm() is None:
         pytest.skip("the processor cannot render here: give --made-on-cpu (tests/gpu/README.md)")
     out = tmp_path_factory.mktemp("cpu") / "demo"

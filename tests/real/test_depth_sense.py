@@ -21,9 +21,9 @@ def test_depth_of_another_unit_is_refused(factor):
     depth_m = factor * slope(np.random.default_rng(0))
     with pytest.raises(
         DatasetError, match=r"a\.png: .*learnt 0\.67 to 1 m: .*another unit"
-    ) as told:
+    ) as error:
         refuse_beyond(depth_m, **RANGE)
-    assert f"{np.median(depth_m):.4g} m" in str(told.value)
+    assert f"{np.median(depth_m):.4g} m" in str(error.value)
 
 
 @pytest.mark.parametrize("middle_m", [0.5, 0.88, 1.4])
@@ -36,9 +36,9 @@ def test_filled_holes_are_named_with_their_share_and_depth():
     rng = np.random.default_rng(2)
     depth_m = slope(rng)
     depth_m[rng.random(depth_m.shape) < 0.22] = np.max(depth_m)
-    told = filled_holes(depth_m, "a.png")
-    assert told.startswith("a.png: 22% ") or told.startswith("a.png: 21% ")
-    assert f"{depth_m.max():.4g} m" in told and "write 0 or NaN" in told
+    note = filled_holes(depth_m, "a.png")
+    assert note.startswith("a.png: 22% ") or note.startswith("a.png: 21% ")
+    assert f"{depth_m.max():.4g} m" in note and "write 0 or NaN" in note
 
 
 @pytest.mark.parametrize("step_m", [2e-5, 1e-3, 2e-3])

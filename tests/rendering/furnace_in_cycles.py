@@ -78,7 +78,7 @@ def main(worker: str, cases: str, answers: str) -> None:
     grain.data.foreach_set("vector", [1.0, 0.0, 0.0] * 4)
     sky = bpy.context.scene.world.node_tree.nodes["Background"].inputs
     sky["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    cycles, seen = bpy.context.scene.cycles, []
+    cycles, results = bpy.context.scene.cycles, []
     with tempfile.TemporaryDirectory() as folder:
         for number, case in enumerate(json.loads(Path(cases).read_text())):
             surface = Surface(case["words"], Path(folder))
@@ -94,8 +94,8 @@ def main(worker: str, cases: str, answers: str) -> None:
             cycles.samples = FURNACE_SAMPLES if furnace else LAMP_SAMPLES
             cycles.seed = number
             pixels = picture(Path(folder) / f"{number}.exr")
-            seen.append([pixels.mean(0).tolist(), (pixels.std(0) / SIDE_PX).tolist()])
-    Path(answers).write_text(json.dumps(seen))
+            results.append([pixels.mean(0).tolist(), (pixels.std(0) / SIDE_PX).tolist()])
+    Path(answers).write_text(json.dumps(results))
 
 
 main(*sys.argv[1:])

@@ -94,8 +94,8 @@ def test_the_shape_is_that_of_the_published_formula(cpu_device, roughness, aniso
     assert np.abs(ratio / np.median(ratio) - 1).max() < 0.002
     z, turn = (np.arange(500) + 0.5) / 500, 2 * np.pi * (np.arange(500) + 0.5) / 500
     grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
-    kept = 2 * np.pi * (one_reflection(wi[:, None], grid, along, across) * grid[2]).mean()
-    assert abs(np.median(ratio) * kept - 1) < 0.004
+    albedo = 2 * np.pi * (one_reflection(wi[:, None], grid, along, across) * grid[2]).mean()
+    assert abs(np.median(ratio) * albedo - 1) < 0.004
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
@@ -196,9 +196,9 @@ def values_at(mesh, grain, poses, origin, ray, to_light, material=None):
     scene, si = hits(mesh, grain, poses, origin, ray.tolist(), material)
     wo = si.to_local(mi.Vector3f(*to_light.tolist()))
     value = si.bsdf().eval(mi.BSDFContext(), si, wo, si.is_valid())
-    found = np.array(si.p).T, np.array(si.n).T, np.array(value)[0] / np.array(wo)[2]
+    values = np.array(si.p).T, np.array(si.n).T, np.array(value)[0] / np.array(wo)[2]
     del scene
-    return found
+    return values
 
 
 def expected_at(normal, grain, ray, to_light, *, roughness=0.35, anisotropy=0.8):

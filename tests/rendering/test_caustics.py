@@ -103,19 +103,19 @@ def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_r
     runs = lit_walls(mitsuba_renderer, mirror, pattern=ramp(RIG), seeds=range(6))
     straight, mirrored, level = expected_on_the_wall(RIG, 96, 72)
     each = np.array([run.white for run in runs]) - straight
-    seen, error = each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))
-    assert abs(seen[CLEAR].sum() / mirrored[CLEAR].sum() - 1) < 0.01
+    light, error = each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))
+    assert abs(light[CLEAR].sum() / mirrored[CLEAR].sum() - 1) < 0.01
     inner = binary_erosion(mirrored > 0, iterations=2)
     assert inner.sum() > 500
-    assert abs(seen[inner].sum() / mirrored[inner].sum() - 1) < 0.005
-    off = (seen - mirrored)[inner] / error[inner].mean()
+    assert abs(light[inner].sum() / mirrored[inner].sum() - 1) < 0.005
+    off = (light - mirrored)[inner] / error[inner].mean()
     assert np.sqrt(np.square(off).mean()) < 1.3, "pixels are off by more than their noise"
     outer = binary_erosion(mirrored == 0, iterations=3)[CLEAR]
-    assert np.abs(seen[CLEAR][outer]).max() < 0.03 * mirrored.max()
+    assert np.abs(light[CLEAR][outer]).max() < 0.03 * mirrored.max()
     # The levels in the caustic's own light are those of the mirror image's columns.
     (wall_alone,) = lit_walls(mitsuba_renderer, pattern=ramp(RIG), seeds=[0])
     ramped = np.mean([run.pattern[0] for run in runs], axis=0) - wall_alone.pattern[0]
-    column = 255 * (ramped[inner] / seen[inner] - level[inner] / mirrored[inner])
+    column = 255 * (ramped[inner] / light[inner] - level[inner] / mirrored[inner])
     assert abs(column.mean()) < 0.2 and np.abs(column).max() < 4
 
 
@@ -234,14 +234,14 @@ def test_each_kind_of_path_alone_finds_the_same_energy(mitsuba_renderer, monkeyp
     """
     scene = room(CAMERA, PROJECTOR, metal(0.5, 0.9))
     shares = {"projector": (0.0, 1.0), "camera": (1.0, 0.0)}
-    found = {}
+    light = {}
     for name, (camera, projector) in shares.items():
         monkeypatch.setattr("graycast.rendering.mitsuba_paths.share", lambda odds, x=camera: x)
         monkeypatch.setattr(
             "graycast.rendering.mitsuba_caustics.share", lambda odds, x=projector: x
         )
-        found[name] = pictures(mitsuba_renderer, scene, samples=1024, seeds=range(8))
-    a, b = (one.sum(axis=(2, 3)) for one in found.values())
+        light[name] = pictures(mitsuba_renderer, scene, samples=1024, seeds=range(8))
+    a, b = (one.sum(axis=(2, 3)) for one in light.values())
     assert np.abs(z_of(a, b)).max() < 4
     assert np.abs(a.mean(axis=0) / b.mean(axis=0) - 1).max() < 0.01
 
@@ -273,7 +273,7 @@ def test_light_runs_backwards(mitsuba_renderer):
     there = in_camera(rig, *surfaces, T_world_cam=np.eye(4))
     swapped = replace(rig, T_cam_proj=np.linalg.inv(T))
     back = replace(there, rig=swapped, T_world_cam=T.copy())
-    seen, lit = np.s_[10:22, 24:32], np.s_[12:20, 30:40]
+    view, lit = np.s_[10:22, 24:32], np.s_[12:20, 30:40]
 
     def power(scene, shining, looking):
         pattern = plain_pattern(scene.rig, 0)
@@ -294,7 +294,7 @@ def test_light_runs_backwards(mitsuba_renderer):
         ]
         return np.array(values)
 
-    forth, swapped_power = power(there, lit, seen), power(back, seen, lit)
+    forth, swapped_power = power(there, lit, view), power(back, view, lit)
     assert forth.mean() > 0
     assert abs(z_of(forth, swapped_power)) < 4
     assert abs(forth.mean() / swapped_power.mean() - 1) < 0.03

@@ -125,9 +125,9 @@ def test_a_coat_over_a_white_base_returns_all_light(mitsuba_renderer, roughness)
         quality=quality,
         seed=1,
     )
-    seen = light.radiance.ambient_rgb[np.isfinite(light.truth.depth_m)].astype(float)
-    error = seen.std(axis=0) / np.sqrt(len(seen))
-    white, half, black = seen.mean(axis=0)
+    ball_rgb = light.radiance.ambient_rgb[np.isfinite(light.truth.depth_m)].astype(float)
+    error = ball_rgb.std(axis=0) / np.sqrt(len(ball_rgb))
+    white, half, black = ball_rgb.mean(axis=0)
     assert abs(white - 1) < 4 * error[0] + 0.002  # the table's 64 nodes
     assert abs(half - 0.5 * (white + black)) < 4 * error[1] + 0.002
     assert 0.01 < black < 0.2

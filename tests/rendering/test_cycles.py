@@ -62,15 +62,15 @@ def open_cycles():
 
 def children(parent):
     """Process ids of a process's living children, of whom zombies are none."""
-    found = []
+    pids = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, ppid = stat.read_text().rpartition(")")[2].split()[:2]
         except (OSError, ValueError):  # it ended meanwhile
             continue
         if int(ppid) == parent and state != "Z":
-            found.append(int(stat.parent.name))
-    return found
+            pids.append(int(stat.parent.name))
+    return pids
 
 
 def small_scene():
@@ -163,9 +163,9 @@ def test_the_child_ends_with_a_parent_that_is_killed(open_cycles):
     program = PARENT.format(tests=str(Path(__file__).parents[1]))
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     try:
-        while (told := parent.stdout.readline()) == "False\n":
+        while (line := parent.stdout.readline()) == "False\n":
             pass  # the frames of a first, small render
-        assert told == "True\n"
+        assert line == "True\n"
         time.sleep(1.0)
         (child,) = children(parent.pid)
     finally:
@@ -269,12 +269,12 @@ def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, 
     scene = in_camera(askew_rig(camera=camera), leaning_wall([0.4, -0.3, 1.0], 0.7, lambert(0.6)))
     pattern = plain_pattern(scene.rig, 255)
     quality = Quality(samples=64, depth=1)
-    exact, seen = (
+    exact, cycles = (
         one.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=1)
         for one in (open_renderer("reference"), cycles_renderer)
     )
-    assert np.abs(seen.truth.depth_m / exact.truth.depth_m - 1).max() < 2e-6
-    a, b = exact.radiance.pattern[0], seen.radiance.pattern[0]
+    assert np.abs(cycles.truth.depth_m / exact.truth.depth_m - 1).max() < 2e-6
+    a, b = exact.radiance.pattern[0], cycles.radiance.pattern[0]
     slope = np.abs(np.gradient(a)).sum(axis=0)
     inside = (a > 0) & (slope < 0.1 * a)
     assert inside.mean() > 0.5
@@ -353,12 +353,12 @@ def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cy
 @pytest.mark.parametrize("per_render", [1, 3])
 def test_white_is_rendered_once_and_black_not_at_all(open_cycles, per_render):
     rig = askew_rig(camera=optics(24, 18, 30))
-    shown = []
-    renderer = open_cycles(patterns_per_render=per_render, on_frame=lambda *end: shown.append(end))
+    frames = []
+    renderer = open_cycles(patterns_per_render=per_render, on_frame=lambda *end: frames.append(end))
     scene, quality = in_camera(rig, wall(0.8, lambert(0.5))), Quality(samples=4, depth=1)
     pattern = plain_pattern(rig, 255, 0, 128, 255)
     light = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0).radiance
-    assert len(shown) == 7  # pattern 2, white, ambient, albedo, three of the truth
+    assert len(frames) == 7  # pattern 2, white, ambient, albedo, three of the truth
     for number in (0, 3):
         assert np.array_equal(light.pattern[number], light.white)
     assert light.white.max() > 0 and not light.pattern[1].any()

@@ -36,15 +36,15 @@ def test_stripes_lose_contrast_with_distance_as_the_disc_has_it(mitsuba_renderer
     carrier = np.exp(2j * np.pi * place / period_px)
     i = light.pattern.astype(float) / light.white
     phasor = ((i[2] - i[0]) + 1j * (i[3] - i[1])) / carrier
-    seen = phasor[:, lit].reshape(ROWS, -1).mean(axis=1)
+    contrast = phasor[:, lit].reshape(ROWS, -1).mean(axis=1)
     radius_px = 20e-3 * abs(1 / focus_m - 1 / z_m) * f_px
     x = 2 * np.pi * radius_px / period_px
     expected = (2 * j1(x) / x if x else 1.0) * np.sinc(1 / period_px)
     expected *= np.sinc(1 / finer / period_px)
-    error = seen.real.std(ddof=1) / math.sqrt(ROWS)
+    error = contrast.real.std(ddof=1) / math.sqrt(ROWS)
     assert error < 0.004
-    assert abs(seen.mean().real - expected) < 4 * error + 0.002
-    assert abs(seen.mean().imag) < 0.005  # stripes do not move
+    assert abs(contrast.mean().real - expected) < 4 * error + 0.002
+    assert abs(contrast.mean().imag) < 0.005  # stripes do not move
 
 
 def ramp_error_px(renderer, rig, *, samples, seeds):
@@ -69,8 +69,8 @@ def ramp_error_px(renderer, rig, *, samples, seeds):
     errors = []
     for seed in range(seeds):
         light = light_of(renderer, in_camera(rig, plane), ramp, samples=samples, seed=seed)
-        shown = light.pattern[0][inside] / light.white[inside] * 255
-        errors.append((shown - column[inside]) / per_px[inside])
+        level = light.pattern[0][inside] / light.white[inside] * 255
+        errors.append((level - column[inside]) / per_px[inside])
     return np.stack(errors)
 
 

@@ -89,10 +89,10 @@ def test_old_libraries_alone_are_none(tmp_path, no_user_choice):
 
 
 def test_the_user_s_library_goes_before_a_newer_one(tmp_path, monkeypatch):
-    chosen = make_library(tmp_path / "mine", "libLLVM.so.19.1")
+    library = make_library(tmp_path / "mine", "libLLVM.so.19.1")
     make_library(tmp_path / "system", "libLLVM.so.22.1")
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(chosen))
-    assert find_llvm([tmp_path / "system"]) == chosen
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    assert find_llvm([tmp_path / "system"]) == library
 
 
 def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
@@ -128,7 +128,7 @@ def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("name", "cuda", "llvm", "chosen"),
+    ("name", "cuda", "llvm", "expected"),
     [
         ("auto", GPU, True, "cuda"),
         ("auto", NO_GPU, True, "llvm"),
@@ -140,12 +140,12 @@ def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeyp
         ("cuda", GPU, False, "cuda"),
     ],
 )
-def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, chosen):
+def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, expected):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1") if llvm else None)
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
     monkeypatch.setattr(trial, "tried_before", lambda name, machine: good)
-    assert choose_device(name) == chosen
+    assert choose_device(name) == expected
 
 
 @pytest.mark.parametrize("name", ["auto", "cpu", "llvm"])
@@ -215,16 +215,16 @@ print(json.dumps({
 def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
     """With LLVM 15 these two abort the process (AVX-512); sums by hand for n = 1000 around 500."""
     environment = {k: v for k, v in os.environ.items() if k != "DRJIT_LIBLLVM_PATH"}
-    said = json.loads(
+    report = json.loads(
         subprocess.check_output([sys.executable, "-c", KERNEL], text=True, env=environment)
     )
-    assert said["low"] == sum(min(k, 500) for k in range(1000))
-    assert said["high"] == sum(max(k, 500) for k in range(1000))
+    assert report["low"] == sum(min(k, 500) for k in range(1000))
+    assert report["high"] == sum(max(k, 500) for k in range(1000))
     newest = next(library for library in list_llvm() if library.major >= 19)
-    assert said["loaded"] == [str(newest.path)]
-    assert said["variant"] == "llvm_ad_rgb"
-    assert said["threads"] == 1
-    assert "already renders with llvm_ad_rgb; start another process" in said["refused"]
+    assert report["loaded"] == [str(newest.path)]
+    assert report["variant"] == "llvm_ad_rgb"
+    assert report["threads"] == 1
+    assert "already renders with llvm_ad_rgb; start another process" in report["refused"]
 
 
 @pytest.mark.slow
@@ -235,8 +235,8 @@ def test_opening_after_drjit_came_up_without_llvm_says_so():
         "import drjit\nfrom graycast.rendering.device import open_device\n"
         "try:\n    open_device('llvm')\nexcept Exception as e:\n    print(type(e).__name__, e)"
     )
-    said = subprocess.check_output([sys.executable, "-c", program], text=True)
-    assert said.startswith("DeviceError Dr.Jit has no LLVM: /gone.so cannot be loaded")
+    output = subprocess.check_output([sys.executable, "-c", program], text=True)
+    assert output.startswith("DeviceError Dr.Jit has no LLVM: /gone.so cannot be loaded")
 
 
 def test_threads_below_one_are_refused():
@@ -265,18 +265,18 @@ def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch,
 
 
 def test_a_trial_that_went_well_is_not_made_again_until_the_machine_changes(monkeypatch, tmp_path):
-    made = []
+    names = []
 
     def good(name):
-        made.append(name)
+        names.append(name)
         return trial.Trial(device=name, seconds=1.0, denoiser="cuda")
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(trial, "try_device", good)
     first, again = (trial.tried_before("cuda", "driver 1") for _ in range(2))
-    assert (first, made) == (again, ["cuda"])
+    assert (first, names) == (again, ["cuda"])
     trial.tried_before("cuda", "driver 2")
-    assert len(made) == 2
+    assert len(names) == 2
 
 
 def test_a_good_device_is_used_also_where_no_file_can_be_kept(monkeypatch, tmp_path):
@@ -289,5 +289,5 @@ def test_a_good_device_is_used_also_where_no_file_can_be_kept(monkeypatch, tmp_p
 
 @pytest.mark.slow
 def test_a_small_picture_is_rendered_and_denoised_on_the_processor():
-    found = trial.try_device("llvm")
-    assert (found.problem, found.denoiser) == (None, "cpu")
+    result = trial.try_device("llvm")
+    assert (result.problem, result.denoiser) == (None, "cpu")

@@ -74,12 +74,12 @@ def test_a_wall_behind_a_thin_pane_is_dimmed_on_the_way_in_and_out(mitsuba_rende
     behind = wall(1.0, lambert(ALBEDO), half_m=0.25)
     pane = leaning_wall(normal, 0.4 * np.cos(lean_rad), glass("thin", color), half_m=3.0)
     bare = radiance(mitsuba_renderer, in_camera(NARROW, behind)).white_rgb
-    found = radiance(mitsuba_renderer, in_camera(NARROW, behind, pane)).white_rgb
+    with_pane = radiance(mitsuba_renderer, in_camera(NARROW, behind, pane)).white_rgb
     point = centre_rays(NARROW.camera)
     share = slab(cosines(point, 0, normal)) * slab(cosines(point, [0.1, 0, 0], normal))
     expected = bare * share[..., None] * np.square(color)
     noise = np.sqrt((1 / slab(cosines(point, 0, normal)).mean() - 1) / (256 * 24 * 18))
-    ratio = found.sum(axis=(0, 1)) / expected.sum(axis=(0, 1))
+    ratio = with_pane.sum(axis=(0, 1)) / expected.sum(axis=(0, 1))
     assert np.abs(ratio - 1).max() < max(5 * noise, 1e-5), ratio
 
 
@@ -127,7 +127,7 @@ def test_a_slab_before_the_camera_displaces_and_dims_what_is_behind(mitsuba_rend
     box = box_part(half_m, glass("solid", (color,) * 3))
     layout = layout_in_camera([0], [rigid(R, np.array([0.0, 0.0, 0.2]))])
     scene = in_camera(rig, wall(1.0, lambert(ALBEDO), half_m=2.0), parts=(box,))
-    found = radiance(mitsuba_renderer, scene, layout=layout, pattern=ramp(rig), samples=1024)
+    light = radiance(mitsuba_renderer, scene, layout=layout, pattern=ramp(rig), samples=1024)
     ray, normal = centre_rays(rig.camera), R[:, 2]
     unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     cosine = unit @ normal
@@ -142,8 +142,8 @@ def test_a_slab_before_the_camera_displaces_and_dims_what_is_behind(mitsuba_rend
         arriving = power * PAPER * rig.intensity_w_sr / np.linalg.norm(point - lens, axis=-1) ** 3
         white = white + arriving
         ramped = ramped + arriving * project(rig.projector, point - lens)[..., 0] / 255
-    assert abs(found.white.sum() / white.sum() - 1) < 0.002
-    off_px = 255 * (found.pattern[0] / found.white - ramped / white)
+    assert abs(light.white.sum() / white.sum() - 1) < 0.002
+    off_px = 255 * (light.pattern[0] / light.white - ramped / white)
     assert abs(off_px.mean()) < 0.05 and np.abs(off_px).max() < 0.5, off_px
 
 
@@ -190,7 +190,7 @@ def test_a_ball_in_a_white_furnace_loses_what_its_colour_takes_and_nothing_else(
     """All chords of a ray are alike: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid", (color,) * 3))
     scene = in_camera(NARROW, ball, environment=Environment(radiance=(1 / 3,) * 3))
-    found = radiance(mitsuba_renderer, scene, depth=4, samples=512).ambient
+    light = radiance(mitsuba_renderer, scene, depth=4, samples=512).ambient
     at = (np.arange(8) + 0.5) / 8 - 0.5
     x = (np.arange(24)[:, None] + at).ravel() - 11.5
     y = (np.arange(18)[:, None] + at).ravel() - 8.5
@@ -203,10 +203,10 @@ def test_a_ball_in_a_white_furnace_loses_what_its_colour_takes_and_nothing_else(
     expected = np.where(inside, r + (1 - r) ** 2 * a / (1 - r * a), 1.0)
     expected = expected.reshape(18, 8, 24, 8).mean(axis=(1, 3))
     if color == 1:
-        assert np.abs(found - 1).max() < 1e-5
-    assert abs(found.sum() / expected.sum() - 1) < 0.003
+        assert np.abs(light - 1).max() < 1e-5
+    assert abs(light.sum() / expected.sum() - 1) < 0.003
     whole = inside.reshape(18, 8, 24, 8).all(axis=(1, 3))
-    assert abs(found[whole].sum() / expected[whole].sum() - 1) < 0.02
+    assert abs(light[whole].sum() / expected[whole].sum() - 1) < 0.02
 
 
 def test_the_sky_lights_a_patch_in_the_middle_of_a_ball(mitsuba_renderer):
@@ -217,9 +217,9 @@ def test_the_sky_lights_a_patch_in_the_middle_of_a_ball(mitsuba_renderer):
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid"))
     sky = Environment(radiance=(1 / 3,) * 3)
     scene = in_camera(rig, ball, wall(0.5, lambert(0.6), half_m=0.01), environment=sky)
-    found = radiance(mitsuba_renderer, scene, depth=2, samples=1024).ambient
+    light = radiance(mitsuba_renderer, scene, depth=2, samples=1024).ambient
     r = ((INDEX - 1) / (INDEX + 1)) ** 2
-    assert abs(found.mean() / (r + (1 - r) ** 2 * 0.6) - 1) < 0.005
+    assert abs(light.mean() / (r + (1 - r) ** 2 * 0.6) - 1) < 0.005
 
 
 def traced_ball(points, direction, center, radius, color):
@@ -256,8 +256,8 @@ def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer
     center = np.array([x_m, 0.0, 0.8])
     ball = Sphere(center_m=tuple(center), radius_m=radius_m, material=glass("solid", (color,) * 3))
     scene = in_camera(rig, wall(1.0, lambert(ALBEDO), half_m=2.0), ball)
-    found = radiance(mitsuba_renderer, scene, depth=2, samples=2048).white
-    flux = found / PAPER / 200**2  # of the wall in a pixel
+    white = radiance(mitsuba_renderer, scene, depth=2, samples=2048).white
+    flux = white / PAPER / 200**2  # of the wall in a pixel
     n = 400
     u = 0.04 * (2 * (np.arange(n) + 0.5) / n - 1)  # the projector's field at unit depth
     ray = np.stack([*(axis.ravel() for axis in np.meshgrid(u, u)), np.ones(n * n)], axis=-1)

@@ -39,11 +39,11 @@ def test_a_highlight_seen_along_the_normal_has_the_height_of_ggx(
     ).radiance.white_rgb
     expected = np.array(reflectance) * 3.0 / (4 * np.pi * roughness**4) * [0.5, 0.25, 0.25]
     if metallic:
-        expected /= kept_once(roughness**2)
+        expected /= directional_albedo(roughness**2)
     assert np.abs(light.mean(axis=(0, 1)) / expected - 1).max() < 0.005
 
 
-def kept_once(alpha):
+def directional_albedo(alpha):
     """E along the normal: the integral of D G cos over facets, which mirror to twice their lean;
     G is Smith's masking at that angle.
     """

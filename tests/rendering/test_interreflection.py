@@ -38,10 +38,10 @@ def test_a_white_body_returns_the_light_that_it_gets_and_no_more(mitsuba_rendere
     light = mitsuba_renderer.render(
         scene, EMPTY_LAYOUT, plain_pattern(rig, 0), quality=quality, seed=1
     )
-    seen = light.radiance.ambient_rgb[np.isfinite(light.truth.depth_m)][:, 0]
-    error = seen.std() / np.sqrt(len(seen))
+    ball_light = light.radiance.ambient_rgb[np.isfinite(light.truth.depth_m)][:, 0]
+    error = ball_light.std() / np.sqrt(len(ball_light))
     assert error < 0.004
-    assert abs(seen.mean() - 1) < 0.002 + 3 * error
+    assert abs(ball_light.mean() - 1) < 0.002 + 3 * error
 
 
 @pytest.mark.parametrize("specular", [0.5, 1.0])

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
 BANDS = (0.2, 0.5, 0.9)
 LAMPS_DEG = [(0, 0), (30, 0), (30, 180), (45, 90), (60, 0), (60, 180), (75, 0), (75, 180)]
 VIEWS_DEG = (0, 30, 60)
-DRAWN = 400_000
+SAMPLES = 400_000
 ROUGHNESS = (0.1, 0.3, 0.5, 0.8, 1.0)
 
 
@@ -60,16 +60,16 @@ def in_mitsuba(material, view_deg, lamp_deg):
     from graycast.rendering.mitsuba_scene import _bsdf
 
     bsdf, context = mi.load_dict(_bsdf(material)), mi.BSDFContext()
-    si = dr.zeros(mi.SurfaceInteraction3f, 1 if lamp_deg else DRAWN)
+    si = dr.zeros(mi.SurfaceInteraction3f, 1 if lamp_deg else SAMPLES)
     si.t, si.wi = 1.0, mi.Vector3f(*towards(view_deg))
     if lamp_deg is not None:
         value = np.array(bsdf.eval(context, si, mi.Vector3f(*towards(*lamp_deg)), True))[:, 0]
         return np.stack([value, 0 * value])
     rng = np.random.default_rng(7)
-    one = mi.Float(rng.random(DRAWN).astype("f4"))
-    two = mi.Point2f(rng.random((2, DRAWN)).astype("f4"))
+    one = mi.Float(rng.random(SAMPLES).astype("f4"))
+    two = mi.Point2f(rng.random((2, SAMPLES)).astype("f4"))
     weight = np.array(bsdf.sample(context, si, one, two, True)[1], dtype=float)
-    return np.stack([weight.mean(1), weight.std(1) / np.sqrt(DRAWN)])
+    return np.stack([weight.mean(1), weight.std(1) / np.sqrt(SAMPLES)])
 
 
 def towards(angle_deg, turn_deg=0):

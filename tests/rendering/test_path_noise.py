@@ -106,13 +106,13 @@ def test_edges_and_shadows_leave_the_place_alone():
     straight = np.isfinite(mean[..., 0]).astype(np.float32)
     stray2 = {"column": np.full(straight.shape, 1e-4, dtype=np.float32)}
     places = {axis: (mean[..., i], centre[..., i]) for i, axis in enumerate(("column", "row"))}
-    found = path_noise(places, straight, stray2, samples=16)
+    noise = path_noise(places, straight, stray2, samples=16)
     lit = straight > 0
-    np.testing.assert_allclose(np.median(found.place_px[:, lit], axis=1), 0.05, rtol=0.1)
-    assert found.place_px[0, lit].max() < 0.08
-    assert (found.place_px[:, ~lit] == 0).all() and (found.stray[:, ~lit] == 0).all()
-    np.testing.assert_allclose(found.stray[0, lit], 0.01, rtol=1e-5)
-    assert (found.stray[1] == 0).all()
+    np.testing.assert_allclose(np.median(noise.place_px[:, lit], axis=1), 0.05, rtol=0.1)
+    assert noise.place_px[0, lit].max() < 0.08
+    assert (noise.place_px[:, ~lit] == 0).all() and (noise.stray[:, ~lit] == 0).all()
+    np.testing.assert_allclose(noise.stray[0, lit], 0.01, rtol=1e-5)
+    assert (noise.stray[1] == 0).all()
 
 
 def test_what_has_no_known_error_adds_none(mitsuba_renderer):

@@ -37,7 +37,7 @@ def first_reflection(wi, wo, alpha):
     return d / (1 + hidden[0] + hidden[1]) / (4 * wi[2] * wo[2]), (wi * half).sum(axis=0)
 
 
-def kept_once(cosine, alpha):
+def directional_albedo(cosine, alpha):
     """E by brute force: the first reflection summed over a fine grid of where it goes."""
     z, turn = (np.arange(400) + 0.5) / 400, np.pi * (np.arange(400) + 0.5) / 400
     wo = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
@@ -45,13 +45,13 @@ def kept_once(cosine, alpha):
     return 2 * np.pi * (first_reflection(wi, wo, alpha)[0] * wo[2]).mean()
 
 
-def given_back(cosine, alpha, normal, mean):
+def compensation(cosine, alpha, normal, mean):
     """1 + F_ms (1 - E) / E, with F_avg as an integral."""
     c = (np.arange(10_000) + 0.5) / 10_000
     average = (2 * c * (normal + (1 - normal) * (1 - c) ** 5)).mean()
     bounces = average * mean / (1 - average * (1 - mean))
-    kept = kept_once(cosine, alpha)
-    return 1 + bounces * (1 - kept) / kept
+    albedo = directional_albedo(cosine, alpha)
+    return 1 + bounces * (1 - albedo) / albedo
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
@@ -74,14 +74,14 @@ def test_the_value_is_that_of_the_published_formulas(cpu_device, roughness):
     bsdf, alpha = metal(roughness), roughness**2
     node, share = np.polynomial.legendre.leggauss(16)
     cosine = 0.5 * (node + 1)
-    mean = float(share @ (cosine * [kept_once(c, alpha) for c in cosine]))
+    mean = float(share @ (cosine * [directional_albedo(c, alpha) for c in cosine]))
     for angle_deg in (10, 60, 80):
         wi = leaning(angle_deg)
         shape, cos_half = first_reflection(wi[:, None], wo, alpha)
         value = evaluated(bsdf, wi, wo)[0]
         for channel, normal in enumerate(GOLD):
             fresnel = normal + (1 - normal) * (1 - cos_half) ** 5
-            expected = fresnel * shape * given_back(wi[2], alpha, normal, mean)
+            expected = fresnel * shape * compensation(wi[2], alpha, normal, mean)
             assert np.abs(value[channel] / expected - 1).max() < 0.002
 
 
@@ -169,10 +169,10 @@ def test_a_texture_takes_the_colours_place(cpu_device):
     si.uv = mi.Point2f([0.5, 0.5], [0.25, 0.75])
     wo = dr.zeros(mi.Vector3f, 2)
     wo.z = 1.0
-    seen = np.array(bsdf.eval(mi.BSDFContext(), si, wo, True)).T * 4 * np.pi * 0.1**4
+    reflectance = np.array(bsdf.eval(mi.BSDFContext(), si, wo, True)).T * 4 * np.pi * 0.1**4
     level = texture[[0, -1], 0] / 255
     linear = np.where(level > 0.04045, ((level + 0.055) / 1.055) ** 2.4, level / 12.92)
-    assert np.abs(seen - linear).max() < 0.002
+    assert np.abs(reflectance - linear).max() < 0.002
     assert np.abs(np.array(bsdf.eval_diffuse_reflectance(si, True)).T - linear).max() < 1e-3
 
 

@@ -59,7 +59,7 @@ def evaluated(bsdf, wi, wo, u=0.25):
     return np.array(value, dtype=float), np.array(density, dtype=float)
 
 
-def drawn(bsdf, wi, n, u):
+def samples_of(bsdf, wi, n, u):
     """Directions (3, n), densities and weights (3, n) of samples."""
     import mitsuba as mi
 
@@ -100,7 +100,7 @@ def test_white_of_two_roughnesses_returns_all_light(cpu_device, kind, grey):
     for angle_deg in (0, 60, 84, 88):
         limit = {"metal": 0.004, "plastic": 0.003 if angle_deg < 85 else 0.005}[kind]
         for u in (0.25, 0.75):
-            weight = drawn(bsdf, leaning(angle_deg), 300_000, u)[2][0]
+            weight = samples_of(bsdf, leaning(angle_deg), 300_000, u)[2][0]
             error = weight.std() / np.sqrt(weight.size)
             assert error < 0.002
             assert abs(weight.mean() - 1) < limit + 3 * error, (angle_deg, u)
@@ -113,7 +113,7 @@ def test_samples_bring_value_over_density_at_their_place(cpu_device, look, u):
     what dips below the surface.
     """
     bsdf, wi, n = bsdf_of(replace(look, roughness_map=halves(110, 220))), leaning(50), 200_000
-    wo, density, weight = drawn(bsdf, wi, n, u)
+    wo, density, weight = samples_of(bsdf, wi, n, u)
     above = weight[0] > 0
     value, again = evaluated(bsdf, wi, wo[:, above], u)
     assert np.abs(again / density[above] - 1).max() < 5e-3
@@ -151,7 +151,7 @@ def test_each_quarter_of_a_wall_looks_like_one_of_its_own_roughness(request, eng
     )
     greys = np.array([[90, 130], [170, 255]], dtype=np.uint8)
 
-    def seen(material):
+    def picture(material):
         return renderer.render(
             in_camera(rig, wall(1.0, material, half_m=0.4), lamps=(lamp,), T_world_cam=np.eye(4)),
             EMPTY_LAYOUT,
@@ -161,9 +161,9 @@ def test_each_quarter_of_a_wall_looks_like_one_of_its_own_roughness(request, eng
         ).radiance.ambient_rgb[..., 0]
 
     fine = greys.repeat(32, axis=0).repeat(32, axis=1)
-    varied = seen(replace(METAL, roughness=0.9, roughness_map=fine))
+    varied = picture(replace(METAL, roughness=0.9, roughness_map=fine))
     for row, column in np.ndindex(2, 2):
-        plain = seen(replace(METAL, roughness=0.9 * float(greys[row, column]) / 255))
+        plain = picture(replace(METAL, roughness=0.9 * float(greys[row, column]) / 255))
         quarter = np.s_[8 * row + 1 : 8 * row + 7, 8 * column + 1 : 8 * column + 7]
         assert plain[quarter].min() > 0
         assert np.abs(varied[quarter] / plain[quarter] - 1).max() < noise
@@ -190,8 +190,8 @@ def test_a_map_is_read_as_numbers(tmp_path):
     Image.fromarray(level).save(tmp_path / "grey.png")
     Image.fromarray(np.stack([level] * 3, axis=-1)).save(tmp_path / "rgb.png")
     for name in ("grey.png", "rgb.png"):
-        found = resolve_material(MaterialSection(preset="steel", roughness_map=name), tmp_path)
-        assert np.array_equal(found.roughness_map, level)
+        material = resolve_material(MaterialSection(preset="steel", roughness_map=name), tmp_path)
+        assert np.array_equal(material.roughness_map, level)
 
 
 @pytest.mark.parametrize(

@@ -220,8 +220,8 @@ def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
     assert (grey_levels(rig, emission(rig, LEVELS)) == LEVELS).all()
     share = np.random.default_rng(0).uniform(0, 1, (40, 50))
     miss = np.abs(emission(rig, LEVELS) - share[..., None])
-    chosen = np.take_along_axis(miss, grey_levels(rig, share)[..., None].astype(int), axis=-1)
-    assert np.array_equal(chosen[..., 0], miss.min(axis=-1))
+    own_miss = np.take_along_axis(miss, grey_levels(rig, share)[..., None].astype(int), axis=-1)
+    assert np.array_equal(own_miss[..., 0], miss.min(axis=-1))
 
 
 @pytest.mark.parametrize(

@@ -146,9 +146,9 @@ def poses(board, n, *, seed, tilt_rad=0.65):
     """Boards in both devices' fields, tilted in all directions at several depths."""
     rng = np.random.default_rng(seed)
     half = board.square_m / 2 * np.array([board.squares_x, board.squares_y, 0])
-    found = []
-    while len(found) < n:
-        azimuth = 2 * np.pi * len(found) / n + rng.uniform(-0.3, 0.3)
+    T_cam_boards = []
+    while len(T_cam_boards) < n:
+        azimuth = 2 * np.pi * len(T_cam_boards) / n + rng.uniform(-0.3, 0.3)
         rotation = (
             axis_rotation("z", azimuth)
             @ axis_rotation("x", rng.uniform(0.6, 1.0) * tilt_rad)
@@ -158,8 +158,8 @@ def poses(board, n, *, seed, tilt_rad=0.65):
         centre = z_m * np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.25, 0.25), 1.0])
         T_cam_board = rigid(rotation, centre - rotation @ half)
         if in_both(board, T_cam_board):
-            found.append(T_cam_board)
-    return found
+            T_cam_boards.append(T_cam_board)
+    return T_cam_boards
 
 
 @pytest.fixture(scope="module")
@@ -192,9 +192,9 @@ def from_gray(gray_views):
 def assert_acceptable(calibration, *, share=1e-3, rms_px=0.1):
     """What a calibration must reach: focal lengths, centres and residuals within their bounds."""
     rig = calibration.rig
-    for found, true in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
-        assert found.fx_px == pytest.approx(true.fx_px, rel=share)
-        assert found.fy_px == pytest.approx(true.fy_px, rel=share)
+    for estimate, true in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
+        assert estimate.fx_px == pytest.approx(true.fx_px, rel=share)
+        assert estimate.fy_px == pytest.approx(true.fy_px, rel=share)
     assert rig.baseline_m == pytest.approx(RIG.baseline_m, rel=share)
     assert calibration.camera_rms_px < rms_px
     assert calibration.projector_rms_px < rms_px
@@ -218,14 +218,14 @@ def test_standard_deviations_cover_the_errors(from_gray):
     """None is off by 5 deviations, not those left out either; not all are within a tenth of one."""
     ratio = [(from_gray.rig.baseline_m - RIG.baseline_m) / from_gray.deviation["baseline_m"]]
     for device, true in (("camera", CAMERA), ("projector", PROJECTOR)):
-        found = getattr(from_gray.rig, device)
+        estimate = getattr(from_gray.rig, device)
         for name in ("fx_px", "fy_px", "cx_px", "cy_px"):
-            error = getattr(found, name) - getattr(true, name)
+            error = getattr(estimate, name) - getattr(true, name)
             ratio.append(error / from_gray.deviation[f"{device}.{name}"])
         for index, name in enumerate(("k1", "k2", "p1", "p2", "k3")):
-            told = f"{device}.{name}"
-            sigma = from_gray.undetermined.get(told, (0, from_gray.deviation.get(told)))[1]
-            ratio.append((found.distortion[index] - true.distortion[index]) / sigma)
+            term = f"{device}.{name}"
+            sigma = from_gray.undetermined.get(term, (0, from_gray.deviation.get(term)))[1]
+            ratio.append((estimate.distortion[index] - true.distortion[index]) / sigma)
     assert np.abs(ratio).max() < 5
     assert np.sqrt(np.mean(np.square(ratio))) > 0.1
 
@@ -234,8 +234,8 @@ def test_boards_come_back_where_they_stood(from_gray, truth_poses):
     """Up to the half turn by which a chessboard without marks can be read."""
     middle = CHESSBOARD.corners_m.mean(axis=0)
     for view, T in zip(from_gray.views, truth_poses, strict=True):
-        found = transform_points(view.T_cam_board, middle)
-        assert np.linalg.norm(found - transform_points(T, middle)) < 0.001 * T[2, 3] + 0.0005
+        estimate_m = transform_points(view.T_cam_board, middle)
+        assert np.linalg.norm(estimate_m - transform_points(T, middle)) < 0.001 * T[2, 3] + 0.0005
         assert view.tilt_rad == pytest.approx(math.acos(abs(T[2, 2])), abs=0.003)
 
 
@@ -294,8 +294,8 @@ def test_corners_are_found_to_a_few_hundredths_of_a_pixel(gray_views, truth_pose
         true = project(CAMERA, transform_points(T, CHESSBOARD.corners_m))
         ours.append(to_nearest(corners.position_px, true))
         byte = np.minimum(view.white // 13, 255).astype(np.uint8)
-        _, found = cv2.findChessboardCornersSB(byte, (8, 6), flags=cv2.CALIB_CB_ACCURACY)
-        opencv.append(to_nearest(found.reshape(-1, 2), true))
+        _, opencv_px = cv2.findChessboardCornersSB(byte, (8, 6), flags=cv2.CALIB_CB_ACCURACY)
+        opencv.append(to_nearest(opencv_px.reshape(-1, 2), true))
     ours, opencv = np.concatenate(ours), np.concatenate(opencv)
     assert np.sqrt(np.square(ours).mean()) < 0.03
     assert ours.max() < 0.1
@@ -315,9 +315,9 @@ def test_a_sharp_edge_along_the_pixel_rows_does_not_lead_astray():
         dx = x[..., None, None] + fine[:, None] - 20 - shift
         dy = y[..., None, None] + fine - 20 - shift
         image = 0.5 + 0.4 * (np.sign(dx + 0.004 * dy) * np.sign(dy - 0.004 * dx)).mean(axis=(2, 3))
-        found, good = refine(image, np.array([[20.3 + shift, 19.8 + shift]]))
+        corner_px, good = refine(image, np.array([[20.3 + shift, 19.8 + shift]]))
         assert good.all()
-        worst = max(worst, np.abs(found - 20 - shift).max())
+        worst = max(worst, np.abs(corner_px - 20 - shift).max())
     assert worst < 0.03
 
 
@@ -343,11 +343,11 @@ def test_projector_corners_lie_between_the_codes_steps(
     for T in truth_poses[:3]:
         code = code_of(camera_rays, T)
         code = (np.rint(code) if plain_gray else code).astype(np.float32)
-        found_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
+        corner_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
         true = project(
             PROJECTOR, transform_points(inverse(RIG.T_cam_proj) @ T, CHESSBOARD.corners_m)
         )
-        assert np.abs(found_px - true).max() < allowed_px
+        assert np.abs(corner_px - true).max() < allowed_px
 
 
 def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, truth_poses):
@@ -356,9 +356,9 @@ def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, 
     corners = true_corners(T)
     x, y = np.rint(corners.position_px[10]).astype(int)
     code[y - 25 : y + 25, x - 25 : x + 25] = np.nan
-    found_px, _ = projector_corners(corners, code[..., 0], code[..., 1])
-    assert np.isnan(found_px[10]).all()
-    assert np.isfinite(found_px[0]).all()
+    corner_px, _ = projector_corners(corners, code[..., 0], code[..., 1])
+    assert np.isnan(corner_px[10]).all()
+    assert np.isfinite(corner_px[0]).all()
 
 
 def test_a_third_of_the_pixels_may_be_grossly_wrong(camera_rays, truth_poses):
@@ -368,8 +368,8 @@ def test_a_third_of_the_pixels_may_be_grossly_wrong(camera_rays, truth_poses):
     wrong = np.random.default_rng(4).random(code.shape[:2]) < 0.33
     column = np.where(wrong, code[..., 0] + 256, code[..., 0]).astype(np.float32)
     exact_px, _ = projector_corners(true_corners(T), code[..., 0], code[..., 1])
-    found_px, _ = projector_corners(true_corners(T), column, code[..., 1])
-    assert np.abs(found_px - exact_px).max() < 0.01
+    corner_px, _ = projector_corners(true_corners(T), column, code[..., 1])
+    assert np.abs(corner_px - exact_px).max() < 0.01
 
 
 @pytest.mark.slow
@@ -518,7 +518,7 @@ def test_a_board_is_read_from_its_text():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("9x6", "give chessboard:9x6:0.025"),
         ("chessboard:9x6", "give chessboard:9x6:0.025"),
@@ -532,8 +532,8 @@ def test_a_board_is_read_from_its_text():
         ("charuco:20x20:0.03:0.022:DICT_4X4_50", "needs 200 markers, DICT_4X4_50 has 50"),
     ],
 )
-def test_a_text_that_is_no_board_is_refused_with_the_forms(text, said):
-    with pytest.raises(ValueError, match=said):
+def test_a_text_that_is_no_board_is_refused_with_the_forms(text, message):
+    with pytest.raises(ValueError, match=message):
         parse_board(text)
 
 

@@ -27,16 +27,16 @@ def lens(focal_px, distortion):
     )
 
 
-def noisy(seen, rng):
+def noisy(corners, rng):
     """The same corners, each coordinate off by noise."""
     return replace(
-        seen,
-        camera_px=seen.camera_px + rng.normal(0, NOISE_PX, seen.camera_px.shape),
-        projector_px=seen.projector_px + rng.normal(0, NOISE_PX, seen.camera_px.shape),
+        corners,
+        camera_px=corners.camera_px + rng.normal(0, NOISE_PX, corners.camera_px.shape),
+        projector_px=corners.projector_px + rng.normal(0, NOISE_PX, corners.camera_px.shape),
     )
 
 
-def seen_by(
+def corners_of(
     camera, projector, *, depth_m, seed, per_camera_px=NOTHING, noise_px=NOISE_PX, code_px=NOISE_PX
 ):
     """Corners of seven tilted boards in both devices, off by noise.
@@ -74,15 +74,15 @@ def seen_by(
 def test_terms_that_a_long_lens_does_not_show_are_left_out_and_told(seed):
     """The field is 20 degrees wide, where r^6 is under 1e-4: k3 is anything, k1 is not."""
     camera = projector = lens(3600.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
-    seen = seen_by(camera, projector, depth_m=0.8, seed=seed)
-    fit = adjust(seen, SIZE, SIZE, radial_terms=3, tangential=True)
-    for name, found in (("camera", fit.camera), ("projector", fit.projector)):
+    corners = corners_of(camera, projector, depth_m=0.8, seed=seed)
+    fit = adjust(corners, SIZE, SIZE, radial_terms=3, tangential=True)
+    for name, device in (("camera", fit.camera), ("projector", fit.projector)):
         value, sigma = fit.undetermined[f"{name}.k3"]
         assert abs(value) < 5 * sigma
         assert sigma > 1  # a number like -113 +- 34: of no lens
-        assert found.distortion[4] == 0
+        assert device.distortion[4] == 0
         assert f"{name}.k3" not in fit.deviation
-        assert abs(found.distortion[0] + 0.3) < 5 * fit.deviation[f"{name}.k1"]
+        assert abs(device.distortion[0] + 0.3) < 5 * fit.deviation[f"{name}.k1"]
     away = project(fit.camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
     true = project(camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
     assert np.abs(away - true).max() < 2.0  # at the picture's corners
@@ -92,12 +92,16 @@ def test_terms_that_a_long_lens_does_not_show_are_left_out_and_told(seed):
 def test_terms_that_a_wide_lens_shows_are_kept():
     camera = projector = lens(750.0, (-0.21, 0.13, -0.0009, 0.0012, -0.04))
     fit = adjust(
-        seen_by(camera, projector, depth_m=0.5, seed=0), SIZE, SIZE, radial_terms=3, tangential=True
+        corners_of(camera, projector, depth_m=0.5, seed=0),
+        SIZE,
+        SIZE,
+        radial_terms=3,
+        tangential=True,
     )
     assert fit.undetermined == {}
-    for found in (fit.camera, fit.projector):
+    for device in (fit.camera, fit.projector):
         for k, name in ((0, "k1"), (1, "k2"), (4, "k3")):
-            off = abs(found.distortion[k] - camera.distortion[k])
+            off = abs(device.distortion[k] - camera.distortion[k])
             assert off < 5 * fit.deviation[f"camera.{name}"]
 
 
@@ -110,14 +114,14 @@ def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
     lenses = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
     carried = np.array([[0.9, 0.1], [-0.15, 1.1]])
     words = {"depth_m": 0.6, "seed": 5, "per_camera_px": carried, "code_px": NOISE_PX / 100}
-    seen = seen_by(*lenses, **words).only(np.arange(567) % 4 == 0)
-    told, forgotten = (
+    corners = corners_of(*lenses, **words).only(np.arange(567) % 4 == 0)
+    with_error, without_error = (
         adjust(one, SIZE, SIZE, radial_terms=1, tangential=False)
-        for one in (seen, replace(seen, per_camera_px=np.zeros_like(seen.per_camera_px)))
+        for one in (corners, replace(corners, per_camera_px=np.zeros_like(corners.per_camera_px)))
     )
     for name in ("T_proj_cam.rotation_x_rad", "T_proj_cam.rotation_z_rad"):
-        assert told.deviation[name] < 0.2 * forgotten.deviation[name]
-    for fit in (told, forgotten):
+        assert with_error.deviation[name] < 0.2 * without_error.deviation[name]
+    for fit in (with_error, without_error):
         baseline_m = np.linalg.norm(fit.T_cam_proj[:3, 3])
         assert abs(baseline_m - 0.15) < 4 * fit.deviation["baseline_m"]
 
@@ -131,7 +135,7 @@ def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
     camera = projector = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0))
     ratio = []
     for seed in range(4):
-        exact = seen_by(camera, projector, depth_m=0.6, seed=seed, noise_px=0.0, code_px=0.0)
+        exact = corners_of(camera, projector, depth_m=0.6, seed=seed, noise_px=0.0, code_px=0.0)
         corner = (exact.view < 3) & np.isin(np.arange(567) % 81, np.arange(0, 81, 7))
         few, rng = exact.only(corner), np.random.default_rng(seed)
         many = joined([few] * 9)
@@ -147,7 +151,7 @@ def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
 def test_a_lens_without_distortion_comes_out_as_one():
     camera = projector = lens(1500.0, (0.0,) * 5)
     fit = adjust(
-        seen_by(camera, projector, depth_m=0.6, seed=4),
+        corners_of(camera, projector, depth_m=0.6, seed=4),
         SIZE,
         SIZE,
         radial_terms=3,

@@ -19,14 +19,14 @@ from graycast.real.calibrate.observing import (
 )
 from graycast.rig.optics import Optics
 
-from .test_calibrate_terms import NOISE_PX, SIZE, lens, seen_by
+from .test_calibrate_terms import NOISE_PX, SIZE, corners_of, lens
 
 LENSES = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
 
 
 @pytest.fixture(scope="module")
 def observed():
-    corners = seen_by(*LENSES, depth_m=0.6, seed=5)
+    corners = corners_of(*LENSES, depth_m=0.6, seed=5)
     views = [
         ViewCorners(name=f"v{k}", corners=corners.only(corners.view == k), undecoded=0)
         for k in range(5)

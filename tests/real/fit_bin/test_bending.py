@@ -84,12 +84,12 @@ def scanned():
 def test_the_visible_surface_lies_where_it_was_measured(scanned):
     """Oracle: the depth of the shape that was scanned, bent by formulas in the bin's frame."""
     true_m, scan_m, covered, bent = scanned
-    drawn_m = cast(STRAIGHT)
-    point = T[:3, 3] + _rays() @ T[:3, :3].T * drawn_m[..., None]
+    straight_m = cast(STRAIGHT)
+    point = T[:3, 3] + _rays() @ T[:3, :3].T * straight_m[..., None]
     inner = (np.abs(point[..., :2]) < np.array(BOX.inner_m[:2]) / 2 + 1e-6).all(axis=-1)
-    measured = np.isfinite(scan_m) & ~covered & inner & (np.abs(true_m - drawn_m) < 15e-3)
+    measured = np.isfinite(scan_m) & ~covered & inner & (np.abs(true_m - straight_m) < 15e-3)
     off_m = np.abs(cast(bent) - true_m)
-    before_m = np.abs(drawn_m - true_m)
+    before_m = np.abs(straight_m - true_m)
     assert np.quantile(before_m[measured], 0.9) > 2e-3
     assert np.median(off_m[measured]) < 0.3e-3
     assert np.quantile(off_m[measured], 0.95) < 1e-3
@@ -115,8 +115,8 @@ def test_a_bin_as_drawn_stays_as_drawn():
     off = [np.abs(np.abs(bent.vertices_m[:, [k]]) - sides[k]) for k in (0, 1)]
     off.append(np.abs(bent.vertices_m[:, [2]] - [0.0, height, -wall]))
     assert np.concatenate(off, axis=1).min(axis=1).max() < 0.05e-3  # on one of the box's planes
-    kept = bent.vertices_m[: len(STRAIGHT.vertices_m)]
-    assert np.abs(kept - STRAIGHT.vertices_m).max() < 0.05e-3
+    vertices_m = bent.vertices_m[: len(STRAIGHT.vertices_m)]
+    assert np.abs(vertices_m - STRAIGHT.vertices_m).max() < 0.05e-3
 
 
 def test_a_bent_bin_is_still_a_solid(scanned):
@@ -178,9 +178,9 @@ def test_the_new_configuration_names_the_bent_mesh_and_sees_what_was_scanned(cel
         cell.write_text(yaml.safe_dump(words))
     out, mesh = folder / "fitted.yaml", folder / "bent.ply"
     scan = folder / "scan.npy"
-    given = (scan, "--config", cell, "--out", out, "--pose-only", "--bend", mesh)
+    arguments = (scan, "--config", cell, "--out", out, "--pose-only", "--bend", mesh)
     with no_pixels():
-        assert run(*given) == 0
+        assert run(*arguments) == 0
     assert "from the bent mesh" in capsys.readouterr().out
     section = yaml.safe_load(out.read_text())["bin"]
     assert section["mesh"] == "bent.ply"
@@ -190,17 +190,17 @@ def test_the_new_configuration_names_the_bent_mesh_and_sees_what_was_scanned(cel
     # What is loaded is put to its own floor's middle, and the camera's pose goes with it.
     off_m = np.abs(cast(scene.bin.mesh, scene.T_world_cam, SMALL) - np.load(scan))
     assert np.nanmedian(off_m) < 0.3e-3
-    told = json.loads((folder / "fitted.fit.json").read_text())["bent"]
-    assert told["after_m"]["p90"] < 0.5 * told["before_m"]["p90"]
+    report = json.loads((folder / "fitted.fit.json").read_text())["bent"]
+    assert report["after_m"]["p90"] < 0.5 * report["before_m"]["p90"]
 
 
 def test_a_mesh_that_is_there_already_stays(cell):
     mesh = cell.with_name("bent.ply")
     mesh.write_text("of another run")
-    given = (cell.with_name("scan.npy"), "--config", cell, "--out", cell.with_name("new.yaml"))
+    arguments = (cell.with_name("scan.npy"), "--config", cell, "--out", cell.with_name("new.yaml"))
     with pytest.raises(GraycastError, match=r"bent\.ply: exists already"):
-        run(*given, "--bend", mesh)
+        run(*arguments, "--bend", mesh)
     with pytest.raises(GraycastError, match=r"ends with \.ply"):
-        run(*given, "--bend", cell.with_name("bent.stl"))
+        run(*arguments, "--bend", cell.with_name("bent.stl"))
     assert mesh.read_text() == "of another run"
     assert not cell.with_name("new.yaml").exists()

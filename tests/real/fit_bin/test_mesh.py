@@ -46,8 +46,8 @@ def inside_depth(T_world_cam, crate=CRATE, camera=CAMERA):
         depth = np.where(leaves > 0, np.minimum(depth, t), depth)
         entered = np.where(leaves < 0, np.maximum(entered, t), entered)
     enters_at, leaves_at = (eye[2] + t * ray[..., 2] for t in (entered, depth))
-    seen = (leaves_at < crate.inner_m[2]) & (enters_at > crate.inner_m[2]) & (entered < depth)
-    return np.where(seen, depth, np.nan)
+    visible = (leaves_at < crate.inner_m[2]) & (enters_at > crate.inner_m[2]) & (entered < depth)
+    return np.where(visible, depth, np.nan)
 
 
 def test_pixels_see_the_faces_where_their_rays_leave_the_room(shape):
@@ -111,8 +111,8 @@ def test_a_box_that_is_a_mesh_is_fitted_as_the_box():
     as_mesh = Bin(inner_m=BOX.inner_m, mesh=bin_mesh(BOX))
     crate = Crate(inner_m=BOX.inner_m, lean=0.0)
     T = pose()
-    seen = [view(noisy(inside_depth(T, crate), 0.3e-3, 0))]
-    fits = [settle(seen, shape_of(one), T).T_world_cam for one in (box, as_mesh)]
+    views = [view(noisy(inside_depth(T, crate), 0.3e-3, 0))]
+    fits = [settle(views, shape_of(one), T).T_world_cam for one in (box, as_mesh)]
     off_m, off_deg = wrong_by(*fits)
     assert off_m < 0.03e-3
     assert off_deg < 0.01
@@ -122,9 +122,9 @@ def test_a_box_that_is_a_mesh_is_fitted_as_the_box():
 def test_the_pose_of_a_crate_is_found_without_a_hint_and_its_leaning_walls_fit(shape):
     """A box in its place would leave 6 mm at floor and rim; the residuals are the noise."""
     T = pose(tilt_deg=25.0, azimuth_deg=20.0)
-    seen = [view(noisy(inside_depth(T), 0.4e-3, 1))]
+    views = [view(noisy(inside_depth(T), 0.4e-3, 1))]
     azimuth = np.arctan2(T[1, 0], T[0, 0])
-    fit = fit_pose(seen, shape, azimuth_rad=azimuth + 0.3, seed=0).pose
+    fit = fit_pose(views, shape, azimuth_rad=azimuth + 0.3, seed=0).pose
     off_m, off_deg = wrong_by(fit.T_world_cam, T)
     assert off_m < 0.15e-3
     assert off_deg < 0.03
@@ -154,15 +154,15 @@ def test_what_no_wall_holds_is_held_by_the_rim_of_a_mesh(shape):
 @pytest.mark.slow
 def test_another_crate_is_not_in_the_depth(shape):
     other = Bin(inner_m=(0.20, 0.15, 0.05), wall_m=0.012)
-    seen = [view(perfect_depth(pose(), other))]
+    views = [view(perfect_depth(pose(), other))]
     with pytest.raises(GraycastError, match="no bin of 373 x 273 x 140 mm inside is in the depth"):
-        fit_pose(seen, shape, azimuth_rad=0.0, seed=0)
+        fit_pose(views, shape, azimuth_rad=0.0, seed=0)
 
 
 def test_a_pose_far_off_comes_back(shape):
     T = pose(tilt_deg=15.0)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
-    found = register(view(inside_depth(T)).cloud(), away, shape)
-    off_m, off_deg = wrong_by(found, T)
+    T_world_cam = register(view(inside_depth(T)).cloud(), away, shape)
+    off_m, off_deg = wrong_by(T_world_cam, T)
     assert off_m < 0.05e-3
     assert off_deg < 0.01

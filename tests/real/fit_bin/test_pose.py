@@ -36,8 +36,8 @@ def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
     """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, table left out."""
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
-    seen = view(perfect_depth(T))
-    grid = seen.grid(160)
+    scan = view(perfect_depth(T))
+    grid = scan.grid(160)
     face, z = box.cast(T, grid)
     hit = face != NO_FACE
     assert hit.mean() > 0.2
@@ -76,9 +76,9 @@ def test_normals_of_a_cloud_are_those_of_the_faces():
 
 def test_planes_are_found_largest_first_and_face_the_camera():
     T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
-    found = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
+    detections = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
     camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
-    table, floor = found[0], found[1]
+    table, floor = detections[0], detections[1]
     for (normal, offset_m), level_m in ((table, -0.012), (floor, 0.0)):
         assert normal == pytest.approx([0, 0, -1], abs=1e-6)
         assert offset_m == pytest.approx(level_m - camera_z, abs=1e-6)
@@ -112,8 +112,8 @@ def test_the_pose_is_found_without_a_hint_in_spite_of_noise_clutter_and_a_lost_w
     T = pose(**view_words)
     box = open_box(BOX.inner_m, BOX.wall_m)
     azimuth = np.arctan2(T[1, 0], T[0, 0])
-    found = find_pose([faulty(T, seed)], box, azimuth_rad=azimuth + 0.3, seed=0).T_world_cam
-    off_m, off_deg = wrong_by(found, T)
+    T_world_cam = find_pose([faulty(T, seed)], box, azimuth_rad=azimuth + 0.3, seed=0).T_world_cam
+    off_m, off_deg = wrong_by(T_world_cam, T)
     assert off_m < 0.5e-3
     assert off_deg < 0.1
 
@@ -122,8 +122,8 @@ def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
     """From 25 mm and 4 degrees away; 0.4 mm of noise over thousands of pixels leaves 0.05 mm."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
-    seen = [faulty(T, 0)]
-    fit = settle(seen, box, register(seen[0].cloud(), away, box))
+    views = [faulty(T, 0)]
+    fit = settle(views, box, register(views[0].cloud(), away, box))
     off_m, off_deg = wrong_by(fit.T_world_cam, T)
     assert off_m < 0.2e-3
     assert off_deg < 0.05
@@ -138,22 +138,24 @@ def test_the_map_of_residuals_shows_each_face_as_far_off_as_it_is():
     T = pose(tilt_deg=0.0)
     lower = T.copy()
     lower[2, 3] -= 1e-3
-    seen = view(perfect_depth(T, Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)))
+    scan = view(perfect_depth(T, Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)))
     box = open_box(BOX.inner_m)
-    shown_m = residual_map(seen, box, lower)
-    face, _ = box.cast(lower, seen.grid(640))
+    residual_m = residual_map(scan, box, lower)
+    face, _ = box.cast(lower, scan.grid(640))
     for name, height_m in (("floor", -1e-3), ("wall +x", -1e-3), ("wall +y", 0.0)):
-        on_face = shown_m[(face == box.names.index(name)) & np.isfinite(shown_m)]
+        on_face = residual_m[(face == box.names.index(name)) & np.isfinite(residual_m)]
         assert on_face.size > 50
         assert np.median(on_face) == pytest.approx(height_m, abs=1e-5)
-    assert np.isnan(shown_m[face == NO_FACE]).all()
+    assert np.isnan(residual_m[face == NO_FACE]).all()
 
 
 @pytest.mark.slow
 def test_a_wall_s_thickness_need_not_be_known():
     T = pose()
-    found = find_pose([faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0).T_world_cam
-    off_m, off_deg = wrong_by(found, T)
+    T_world_cam = find_pose(
+        [faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0
+    ).T_world_cam
+    off_m, off_deg = wrong_by(T_world_cam, T)
     assert off_m < 0.5e-3
     assert off_deg < 0.15
 
@@ -163,12 +165,12 @@ def test_a_wall_s_thickness_need_not_be_known():
 def test_of_poses_that_look_alike_the_one_nearest_to_the_azimuth_is_taken(inner_m, turns):
     """They differ by whole turns about the bin's z."""
     box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
-    seen = [view(perfect_depth(T, box))]
+    views = [view(perfect_depth(T, box))]
     own = np.arctan2(T[1, 0], T[0, 0])
-    first = find_pose(seen, open_box(inner_m), azimuth_rad=own, seed=0).T_world_cam
+    first = find_pose(views, open_box(inner_m), azimuth_rad=own, seed=0).T_world_cam
     assert wrong_by(first, T)[1] < 0.01
     angle = 2 * np.pi / turns
-    turned = find_pose(seen, open_box(inner_m), azimuth_rad=own + angle, seed=0).T_world_cam
+    turned = find_pose(views, open_box(inner_m), azimuth_rad=own + angle, seed=0).T_world_cam
     expected = rigid(axis_rotation("z", angle), np.zeros(3)) @ T
     assert wrong_by(turned, expected)[1] < 0.01
 
@@ -177,12 +179,12 @@ def test_what_no_wall_holds_is_named():
     """Of a bin without depth on both walls across x, and none outside, x is free."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.18) | (p[..., 2] < -0.004)  # noqa: E731
-    seen = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, lost))]
-    fit = judge(seen, open_box(BOX.inner_m), register(seen[0].cloud(), T, open_box(BOX.inner_m)))
+    views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, lost))]
+    fit = judge(views, open_box(BOX.inner_m), register(views[0].cloud(), T, open_box(BOX.inner_m)))
     assert fit.loose == ("x",)
     spot = lambda p: lost(p) & ~((p[..., 0] > 0.18) & (np.abs(p[..., 1]) < 0.016))  # noqa: E731
-    seen = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, spot))]
-    fit = judge(seen, open_box(BOX.inner_m), register(seen[0].cloud(), T, open_box(BOX.inner_m)))
+    views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, spot))]
+    fit = judge(views, open_box(BOX.inner_m), register(views[0].cloud(), T, open_box(BOX.inner_m)))
     assert fit.sigma[0] < 0.2e-3  # by its noise, a spot of a wall would do: but it may be clutter
     assert fit.loose == ("x",)
     whole = [view(noisy(perfect_depth(T), 0.3e-3, 5))]
@@ -197,8 +199,8 @@ def test_stated_deviations_are_those_over_many_noises():
     clean = perfect_depth(T)
     fits = []
     for seed in range(24):
-        seen = [view(noisy(clean, 0.5e-3, seed))]
-        fits.append(judge(seen, box, register(seen[0].cloud(), T, box)))
+        views = [view(noisy(clean, 0.5e-3, seed))]
+        fits.append(judge(views, box, register(views[0].cloud(), T, box)))
     place = np.array([fit.T_world_cam @ np.linalg.inv(T) for fit in fits])[:, :3, 3]
     ratio = place.std(axis=0, ddof=1) / np.mean([fit.sigma[:3] for fit in fits], axis=0)
     assert (ratio > 1 - 3 * 0.15).all()
@@ -210,8 +212,8 @@ def test_residuals_by_face_show_a_bin_that_is_longer_than_stated():
     T = pose(tilt_deg=0.0)
     longer = Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)
     box = open_box(BOX.inner_m)
-    seen = [view(noisy(perfect_depth(T, longer), 0.2e-3, 6))]
-    fit = judge(seen, box, register(seen[0].cloud(), T, box))
+    views = [view(noisy(perfect_depth(T, longer), 0.2e-3, 6))]
+    fit = judge(views, box, register(views[0].cloud(), T, box))
     median = {face.name: face.median_m for face in fit.faces}
     assert median["wall +x"] == pytest.approx(-1e-3, abs=0.15e-3)
     assert median["wall -x"] == pytest.approx(-1e-3, abs=0.15e-3)
@@ -245,11 +247,13 @@ def test_edges_hold_a_place_that_no_wall_holds():
     """
     T = pose(tilt_deg=0.0)
     lost = lambda p: (np.abs(np.abs(p[..., 0]) - 0.2) < 0.006) & (p[..., 2] < 0.146)  # noqa: E731
-    seen = [view(without(noisy(perfect_depth(T), 0.4e-3, 10), T, lost))]
+    views = [view(without(noisy(perfect_depth(T), 0.4e-3, 10), T, lost))]
     shifted = rigid(np.eye(3), np.array([0.004, 0.0, 0.0])) @ T
-    found, held = hold_by_edges(seen, open_box(BOX.inner_m, BOX.wall_m), shifted, ("x",), 0.4e-3)
-    assert held == ("x",)
-    off_m = (found @ np.linalg.inv(T))[:3, 3]
+    T_world_cam, axes = hold_by_edges(
+        views, open_box(BOX.inner_m, BOX.wall_m), shifted, ("x",), 0.4e-3
+    )
+    assert axes == ("x",)
+    off_m = (T_world_cam @ np.linalg.inv(T))[:3, 3]
     assert abs(off_m[0]) < 1e-3
     assert off_m[1:] == pytest.approx([0, 0], abs=1e-12)
 
@@ -259,9 +263,9 @@ def test_edges_do_not_claim_what_they_do_not_show():
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), distance_m=0.9)
     flat = view(np.full((120, 160), T[2, 3]))
     huge = open_box((3.0, 2.0, 0.1))
-    found, held = hold_by_edges([flat], huge, T, ("x", "y", "about z"), 0.4e-3)
-    assert held == ()
-    assert np.array_equal(found, T)
+    T_world_cam, axes = hold_by_edges([flat], huge, T, ("x", "y", "about z"), 0.4e-3)
+    assert axes == ()
+    assert np.array_equal(T_world_cam, T)
 
 
 def test_a_face_that_is_hardly_seen_is_not_trusted():

@@ -147,7 +147,7 @@ def test_white_and_black_frames_tell_lamps_from_projector_whatever_reflects():
     for scale in (0.3, 2.0):
         white, black = r * (w + scale * a) / 5, r * (w / 250 + scale * a) / 5
         frames = Frames(white=white, black=black)
-        found = light_scale(w, a, 1 / 250, frames, np.ones((30, 40), dtype=bool), 1)
-        assert found == pytest.approx(scale, rel=1e-9)
+        estimate = light_scale(w, a, 1 / 250, frames, np.ones((30, 40), dtype=bool), 1)
+        assert estimate == pytest.approx(scale, rel=1e-9)
     with pytest.raises(GraycastError, match="too little"):
         light_scale(w, 0 * a, 1 / 250, frames, np.ones((30, 40), dtype=bool), 1)

@@ -83,11 +83,13 @@ def photographed(path, renderer, *, seed, samples=64):
     """Depth, colour picture, and the frames with white and black of the empty bin."""
     cell = resolve_cell(load_config(path), path.parent)
     quality = Quality(samples=samples, depth=4)
-    made = renderer.render(cell.scene, EMPTY_LAYOUT, cell.patterns(), quality=quality, seed=seed)
-    capture = take(cell.scanner, made.radiance, seed=seed)
+    rendering = renderer.render(
+        cell.scene, EMPTY_LAYOUT, cell.patterns(), quality=quality, seed=seed
+    )
+    capture = take(cell.scanner, rendering.radiance, seed=seed)
     depth = measure(cell.scanner, capture)[1]
-    rgb = color_picture(cell.scanner, made, denoiser=None, seed=seed)
-    return cell, made, capture, depth, rgb
+    rgb = color_picture(cell.scanner, rendering, denoiser=None, seed=seed)
+    return cell, rendering, capture, depth, rgb
 
 
 def write_shot(folder, depth_m, rgb, capture):
@@ -106,12 +108,14 @@ def run(*arguments):
     return main(["real", "fit-bin", *map(str, arguments), "--debug"])
 
 
-def surface_colors(cell, made, rgb):
+def surface_colors(cell, rendering, rgb):
     """Median 8-bit colour of walls, floor and table, by the renderer's truth."""
     camera, T = cell.scene.rig.camera, cell.scene.T_world_cam
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
-    point = np.concatenate([ray, np.ones_like(ray[..., :1])], -1) * made.truth.depth_m[..., None]
+    point = (
+        np.concatenate([ray, np.ones_like(ray[..., :1])], -1) * rendering.truth.depth_m[..., None]
+    )
     z = (point @ T[:3, :3].T + T[:3, 3])[..., 2]
     box = cell.scene.bin
     parts = {
@@ -132,7 +136,7 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     exposure, which follows the brightest 2 % of the pixels, may add up to.
     """
     real = make_cell(tmp_path / "real", real_words(scale))
-    cell, made, capture, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
+    cell, rendering, capture, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
     write_shot(tmp_path, depth.depth_m, rgb, capture)
     base = make_cell(tmp_path / "cell", base_words())
     out = base.with_name("fitted.yaml")
@@ -142,26 +146,26 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
             "--floor-reflectance", np.mean(FLOOR), "--azimuth", 10,
             "--white", tmp_path / "white.png", "--black", tmp_path / "black.png", "--device", "cpu",
         )  # fmt: skip
-    told = capsys.readouterr().out
-    assert "times as configured" in told
+    output = capsys.readouterr().out
+    assert "times as configured" in output
     report = json.loads((base.parent / "fitted.fit.json").read_text())
     assert report["look"]["light_scale"] == pytest.approx(scale, rel=0.03)
     for name, true in (("walls", WALLS), ("floor", FLOOR), ("table", TABLE)):
         assert report["look"]["reflectance"][name] == pytest.approx(true, rel=0.05), name
     again = photographed(out, mitsuba_renderer, seed=2)
-    before = surface_colors(cell, made, rgb)
+    before = surface_colors(cell, rendering, rgb)
     after = surface_colors(again[0], again[1], again[4])
     for name in before:
         assert np.abs(after[name] - before[name]).max() <= 3, name
     (figure,) = figures
-    shown = axes_of(figure)["residuals of depth.npy"].images[0].get_array().filled(np.nan)
-    assert np.nanmedian(np.abs(shown)) < 1e3 * report["residuals_m"]["p95"]
-    assert np.isfinite(shown).mean() > 0.1
+    residuals_mm = axes_of(figure)["residuals of depth.npy"].images[0].get_array().filled(np.nan)
+    assert np.nanmedian(np.abs(residuals_mm)) < 1e3 * report["residuals_m"]["p95"]
+    assert np.isfinite(residuals_mm).mean() > 0.1
     bars = axes_of(figure)["residuals of inliers"].patches
     spread = sorted(bar.get_width() for bar in bars)
     faces = [face for face in report["faces"] if face["rms_m"] is not None]
-    told = sorted(1e3 * face[key] for face in faces for key in ("p95_m", "rms_m"))
-    assert spread == pytest.approx(told)
+    expected = sorted(1e3 * face[key] for face in faces for key in ("p95_m", "rms_m"))
+    assert spread == pytest.approx(expected)
     assert (base.parent / "fitted.fit.png").is_file()
 
 

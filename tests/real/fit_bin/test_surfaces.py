@@ -44,9 +44,9 @@ def scene(**words):
 
 
 def test_the_floor_too_has_its_grey_in_the_projector_s_light():
-    seen = at_projector_wavelength(scene(material=WALLS, floor=FLOOR))
-    assert seen.bin.floor.base_color == (0.2, 0.2, 0.2)
-    assert seen.bin.material.base_color == (0.5, 0.5, 0.5)
+    gray = at_projector_wavelength(scene(material=WALLS, floor=FLOOR))
+    assert gray.bin.floor.base_color == (0.2, 0.2, 0.2)
+    assert gray.bin.material.base_color == (0.5, 0.5, 0.5)
     only_floor = at_projector_wavelength(scene(floor=FLOOR))
     assert only_floor.bin.floor.base_color == (0.2, 0.2, 0.2)
     red = at_one_wavelength(scene(material=WALLS, floor=FLOOR))
@@ -74,9 +74,9 @@ def test_both_back_ends_show_the_floor_in_its_own_colour(backend, request):
     """By direct light alone a matt floor is as bright in each band as it reflects."""
     renderer = request.getfixturevalue(f"{backend}_renderer")
     floor = Material(base_color=(0.1, 0.3, 0.6), specular=0.0)
-    made = _rendered(renderer, floor, depth=1)
-    depth_m = made.truth.depth_m
-    middle = made.radiance.ambient_rgb[28:36, 36:44].reshape(-1, 3).mean(axis=0)
+    rendering = _rendered(renderer, floor, depth=1)
+    depth_m = rendering.truth.depth_m
+    middle = rendering.radiance.ambient_rgb[28:36, 36:44].reshape(-1, 3).mean(axis=0)
     assert depth_m[32, 40] == pytest.approx(0.9, abs=1e-4)
     assert middle / middle.sum() == pytest.approx([0.1, 0.3, 0.6], rel=1e-3)
 

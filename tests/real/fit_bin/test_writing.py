@@ -47,8 +47,8 @@ def test_fitted_sections_replace_their_own_and_nothing_else(tmp_path):
     assert np.reshape(config.view.T_world_cam, (4, 4)) == pytest.approx(T, abs=1e-9)
     assert config.table.base_color == (0.1, 0.2, 0.3)
     assert yaml.safe_load(text) == yaml.safe_load(BASE) | sections
-    kept = [line for line in BASE.splitlines() if not line.startswith("view")]
-    assert [line for line in text.splitlines() if line in kept] == kept
+    rest = [line for line in BASE.splitlines() if not line.startswith("view")]
+    assert [line for line in text.splitlines() if line in rest] == rest
     assert "# from a fit\n# of two lines\nview:" in text
 
 
@@ -77,25 +77,25 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
     """A floor between two lost walls, without its ends in the picture."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.15) | (p[..., 2] < -0.004)  # noqa: E731
-    seen = [view(without(perfect_depth(T), T, lost))]
+    scans = [view(without(perfect_depth(T), T, lost))]
     box = open_box(BOX.inner_m)
-    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    fit = BinFit(views=("a",), shape=box, pose=settle(scans, box, T), apart=())
     assert fit.pose.loose == ("x",)
     assert any("NOT DETERMINED by the views: x" in line for line in summary(fit))
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
     config = load_config(base)
     with pytest.raises(GraycastError, match="no wall or edge determines x of the bin"):
-        write_fit(fit, resolve_cell(config, tmp_path), seen, base, tmp_path / "new.yaml")
+        write_fit(fit, resolve_cell(config, tmp_path), scans, base, tmp_path / "new.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
 @pytest.mark.slow
 def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     T = pose()
-    seen = [view(perfect_depth(T))]
+    scans = [view(perfect_depth(T))]
     box = open_box(BOX.inner_m)
-    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    fit = BinFit(views=("a",), shape=box, pose=settle(scans, box, T), apart=())
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
 
@@ -106,16 +106,16 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     monkeypatch.setattr("graycast.real.fit_bin.fitting.draw_residuals", full)
     cell = resolve_cell(load_config(base), tmp_path)
     with pytest.raises(GraycastError, match="No space left on device"):
-        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
+        write_fit(fit, cell, scans, base, tmp_path / "new.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
 @pytest.mark.slow
 def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
     T = pose()
-    seen = [view(perfect_depth(T))]
+    scans = [view(perfect_depth(T))]
     box = open_box(BOX.inner_m)
-    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    fit = BinFit(views=("a",), shape=box, pose=settle(scans, box, T), apart=())
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
 
@@ -126,7 +126,7 @@ def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
     monkeypatch.setattr("graycast.real.fit_bin.fitting.draw_residuals", slowly)
     cell = resolve_cell(load_config(base), tmp_path)
     with pytest.raises(GraycastError, match="exists already"):
-        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
+        write_fit(fit, cell, scans, base, tmp_path / "new.yaml")
     assert (tmp_path / "new.yaml").read_text() == "of another run"
     assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "new.yaml"}
 
@@ -172,11 +172,11 @@ def test_a_surface_of_another_colour_keeps_its_roughness_map(tmp_path):
     walls, floor, table = ({"roughness_map": f"{name}.png"} for name in "abc")
     for own, of_floor in (({"floor": floor}, "b.png"), ({}, "a.png")):
         config = cell(bin={"material": walls} | own, table=table)
-        found = sections(fit, resolve_cell(config, tmp_path))
-        box_words = found["bin"]
+        settings = sections(fit, resolve_cell(config, tmp_path))
+        box_words = settings["bin"]
         assert box_words["material"]["roughness_map"] == "a.png"
         assert box_words["floor"]["roughness_map"] == of_floor
-        assert found["table"]["roughness_map"] == "c.png"
+        assert settings["table"]["roughness_map"] == "c.png"
 
 
 def test_a_surface_of_another_colour_keeps_its_grooves(tmp_path):

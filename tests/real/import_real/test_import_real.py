@@ -28,7 +28,7 @@ SCALE_M = SCALE_MM / 1e3
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory):
+def simulation(tmp_path_factory):
     """A simulated dataset, its samples, and its scanner's view as if somebody had taken it."""
     folder = tmp_path_factory.mktemp("made")
     samples = write_dataset(folder / "master", SCENES)
@@ -47,29 +47,31 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def real(made, tmp_path):
-    return shutil.copytree(made[0] / "real", tmp_path / "real")
+def real(simulation, tmp_path):
+    return shutil.copytree(simulation[0] / "real", tmp_path / "real")
 
 
 @pytest.fixture
-def samples(made):
-    return made[1]
+def samples(simulation):
+    return simulation[1]
 
 
 def K_of(samples):
     return samples[0].scene.rig.camera.K
 
 
-def imported(real, samples, **said):
+def imported(real, samples, **options):
     out = real.parent / "out"
     of_files = {"K": K_of(samples), "scale_m": SCALE_M}
-    of_files |= {key: said.pop(key) for key in FileOptions.__dataclass_fields__ if key in said}
-    return out, import_real(real, out, files=FileOptions(**of_files), **said)
+    of_files |= {
+        key: options.pop(key) for key in FileOptions.__dataclass_fields__ if key in options
+    }
+    return out, import_real(real, out, files=FileOptions(**of_files), **options)
 
 
-def refusal(real, samples, **said):
+def refusal(real, samples, **options):
     with pytest.raises(GraycastError) as caught:
-        imported(real, samples, **said)
+        imported(real, samples, **options)
     left = {path.name for path in real.parent.iterdir()}
     assert "out" not in left and not any(".part-" in name for name in left)
     assert "\n" not in str(caught.value)
@@ -97,13 +99,13 @@ def labelme(real, samples, **changed):
         path.write_text(json.dumps(content))
 
 
-def test_a_simulated_scan_taken_as_real_gives_the_same_examples(made, real, samples):
+def test_a_simulated_scan_taken_as_real_gives_the_same_examples(simulation, real, samples):
     """Masks, boxes and scanner depth to the last bit; what nobody knows is absent."""
     out, done = imported(real, samples)
     assert done.categories == ("box", "wedge")
     assert done.holds == ("rgb", "gray_sl", "depth_sl", "masks")
     assert done.depth_scale_mm == SCALE_MM
-    simulated = open_examples(made[0] / "master")
+    simulated = open_examples(simulation[0] / "master")
     for a, b in zip(simulated, open_examples(out), strict=True):
         for name in ("rgb", "gray", "scanner_depth_m", "mask", "box_px", "obj_id", "K"):
             np.testing.assert_array_equal(getattr(b, name), getattr(a, name), err_msg=name)
@@ -199,7 +201,7 @@ def test_other_readers_take_it_as_any_dataset(real, samples):
 
 
 @pytest.mark.parametrize("kind", ["npy", "tiff", "png", "ply"])
-def test_depth_of_every_kind_comes_in_to_half_a_step(made, real, samples, kind):
+def test_depth_of_every_kind_comes_in_to_half_a_step(simulation, real, samples, kind):
     for scene_id in samples:
         steps = cv2.imread(str(real / "depth" / f"{scene_id:06d}.png"), cv2.IMREAD_UNCHANGED)
         depth_m = np.where(steps > 0, steps * SCALE_M, np.nan)
@@ -210,18 +212,18 @@ def test_depth_of_every_kind_comes_in_to_half_a_step(made, real, samples, kind):
             cv2.imwrite(str(real / "depth" / f"{scene_id:06d}.tiff"), image)
         if kind != "png":
             (real / "depth" / f"{scene_id:06d}.png").unlink()
-    said = {"scale_m": SCALE_M if kind == "png" else None}
+    options = {"scale_m": SCALE_M if kind == "png" else None}
     if kind == "ply":
         export(
-            made[0] / "master",
+            simulation[0] / "master",
             real.parent / "clouds",
             Options(format="clouds", organised=True, depth="scanner"),
         )
         for path in sorted((real.parent / "clouds" / "train").glob("*.ply")):
             shutil.copy(path, real / "depth" / f"{path.stem[:6]}.ply")
         shutil.rmtree(real / "rgb")
-        said["K"] = None  # the cloud brings it, and its colours
-    out, done = imported(real, samples, **said)
+        options["K"] = None  # the cloud brings it, and its colours
+    out, done = imported(real, samples, **options)
     for example, sample in zip(open_examples(out), samples.values(), strict=True):
         np.testing.assert_array_equal(example.rgb, sample.rgb)
         np.testing.assert_allclose(example.K, K_of(samples), atol=1e-3)
@@ -262,8 +264,8 @@ def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
     out, done = imported(real, samples, names=["lid", "wedge", "box"])
     assert done.categories == ("lid", "wedge", "box")
     ids = {0: 3, 1: 2}
-    seen = visible(samples[0])[0]
-    expected = [ids[samples[0].layout.part_index[i]] for i in seen]
+    instances = visible(samples[0])[0]
+    expected = [ids[samples[0].layout.part_index[i]] for i in instances]
     np.testing.assert_array_equal(open_examples(out)[0].obj_id, expected)
     shutil.rmtree(out)
     assert "name 'wedge'" in refusal(real, samples, names=["box"])
@@ -395,11 +397,11 @@ def run(*words):
 
 def test_the_commands_say_what_they_made_and_what_is_not_known(real, samples, capsys):
     out, coco = real.parent / "out", real.parent / "coco"
-    said = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]
-    assert run("dataset", "import", real, "--out", out, *said) == 0
-    told = capsys.readouterr().out
-    assert "2 pictures" in told and "1 box, 2 wedge" in told
-    assert "not known: poses, models" in told
+    arguments = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]
+    assert run("dataset", "import", real, "--out", out, *arguments) == 0
+    output = capsys.readouterr().out
+    assert "2 pictures" in output and "1 box, 2 wedge" in output
+    assert "not known: poses, models" in output
     np.testing.assert_array_equal(open_examples(out)[0].K, K_of(samples))
     assert (
         run("dataset", "export", out, "--format", "coco", "--out", coco, "--shares", "0.5,0.5") == 0
@@ -430,14 +432,14 @@ def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
         assert "rgb/000000.png is not as it was written" in problem.what
 
 
-def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(made, real, samples, capsys):
-    out, like = real.parent / "out", made[0] / "master"
-    said = ["--intrinsics", "212,214,78.3,61.7", "--like", like, "--out", out]
+def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(simulation, real, samples, capsys):
+    out, like = real.parent / "out", simulation[0] / "master"
+    arguments = ["--intrinsics", "212,214,78.3,61.7", "--like", like, "--out", out]
     for factor in (10, 0.1):
         with pytest.raises(GraycastError, match=r"of --like measures .*: probably .* another unit"):
-            run("dataset", "import", real, "--scale", factor * SCALE_M, *said)
+            run("dataset", "import", real, "--scale", factor * SCALE_M, *arguments)
     assert not out.exists()
-    assert run("dataset", "import", real, "--scale", SCALE_M, *said) == 0
+    assert run("dataset", "import", real, "--scale", SCALE_M, *arguments) == 0
     assert "note:" not in capsys.readouterr().out
 
 

@@ -47,10 +47,10 @@ def test_a_ball_s_noise_is_measured_where_a_plane_fit_finds_no_patch():
     rng = np.random.default_rng(3)
     depth_m = sphere()
     depth_m = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
-    found = record(depth_m)
-    assert found.noise.bent > 0.9
-    assert found.fine.tiles > 250
-    assert found.fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.03)
+    figures = record(depth_m)
+    assert figures.noise.bent > 0.9
+    assert figures.fine.tiles > 250
+    assert figures.fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.03)
 
 
 def test_fine_noise_is_put_down_to_the_brightness_it_was_measured_at():
@@ -73,19 +73,19 @@ def test_steep_planes_are_compared_with_facing_ones():
     facing = scan(plane() + 1e-4 * rng.standard_normal((240, 320)))
     steep = plane(np.radians(45))
     steep = scan(steep + 2e-4 * rng.standard_normal(steep.shape))
-    found = pool([measure_scan(facing), measure_scan(steep)], name="both").fine
-    assert found.steep_to_facing == pytest.approx(2.0, rel=0.05)
+    fine = pool([measure_scan(facing), measure_scan(steep)], name="both").fine
+    assert fine.steep_to_facing == pytest.approx(2.0, rel=0.05)
 
 
 def test_incidence_is_the_angle_between_ray_and_normal():
     tilt_rad = 0.6
     depth_m = plane(tilt_rad) + 1e-7 * np.random.default_rng(5).standard_normal((240, 320))
-    found = measure_fine(scan(depth_m))
+    fine = measure_fine(scan(depth_m))
     pixel = np.stack(np.meshgrid(np.arange(3.5, 320, 8), np.arange(3.5, 240, 8)), axis=-1)
     ray = np.concatenate([(pixel - [159.5, 119.5]) / 300.0, np.ones((30, 40, 1))], axis=-1)
     normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
     expected = np.arccos(ray @ normal / np.linalg.norm(ray, axis=-1)).ravel()
-    assert np.sort(found.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
+    assert np.sort(fine.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
 
 
 def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():

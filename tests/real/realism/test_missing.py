@@ -25,8 +25,8 @@ def test_reasons_are_those_of_missing_pixels_alone():
     depth_m[24:36] = np.nan
     reason = np.zeros(depth_m.shape, dtype=np.uint8)
     reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 where depth is known: does not count
-    found = record(scan(depth_m, reason=reason, reason_names={1: "SHADOW", 2: "SATURATED"}))
-    assert found.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
+    figures = record(scan(depth_m, reason=reason, reason_names={1: "SHADOW", 2: "SATURATED"}))
+    assert figures.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
 
 
 def test_the_drop_out_step_is_found_at_its_level_with_its_shares():

@@ -32,10 +32,10 @@ def noisy_plane(rng, kernel=None, tilt_rad=0.0, sigma_m=SIGMA_M, size=SIZE_PX):
 
 
 def test_white_noise_on_a_plane_has_the_sigma_that_was_put_in():
-    found = measure_noise(scan(noisy_plane(np.random.default_rng(1))))
-    variance = (found.sigma_m**2).mean() / SIGMA_M**2
-    standard_error = np.sqrt(2 / (FREEDOM * len(found.sigma_m)))
-    assert len(found.sigma_m) >= 0.99 * PATCHES
+    noise = measure_noise(scan(noisy_plane(np.random.default_rng(1))))
+    variance = (noise.sigma_m**2).mean() / SIGMA_M**2
+    standard_error = np.sqrt(2 / (FREEDOM * len(noise.sigma_m)))
+    assert len(noise.sigma_m) >= 0.99 * PATCHES
     assert abs(variance - 1) < 4 * standard_error
 
 
@@ -66,11 +66,11 @@ def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, colu
 
 @pytest.mark.parametrize("side", [3, 5])
 def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
-    found = measure_noise(scan(noisy_plane(np.random.default_rng(4), np.ones((side, side)))))
-    assert len(found.sigma_m) >= 0.97 * found.candidates
+    noise = measure_noise(scan(noisy_plane(np.random.default_rng(4), np.ones((side, side)))))
+    assert len(noise.sigma_m) >= 0.97 * noise.candidates
     # A box of s x s has about 15^2 / s^2 independent values in a patch.
-    standard_error = np.sqrt(2 / (15**2 / side**2) / len(found.sigma_m))
-    assert abs((found.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
+    standard_error = np.sqrt(2 / (15**2 / side**2) / len(noise.sigma_m))
+    assert abs((noise.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
 
 
 def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
@@ -85,10 +85,10 @@ def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
     assert measure_noise(scan(sphere_m + noise_m)).candidates > 5
     both_m = np.concatenate([sphere_m + noise_m, plane(height_px=600) + SIGMA_M
                              * rng.standard_normal((600, WIDTH_PX))])  # fmt: skip
-    found = measure_noise(scan(both_m))
+    noise = measure_noise(scan(both_m))
     planes = 40 * (WIDTH_PX // 15)
-    assert 0.98 * planes <= len(found.sigma_m) <= planes
-    assert np.median(found.sigma_m) == pytest.approx(SIGMA_M, rel=0.01)
+    assert 0.98 * planes <= len(noise.sigma_m) <= planes
+    assert np.median(noise.sigma_m) == pytest.approx(SIGMA_M, rel=0.01)
 
 
 def test_patches_with_an_edge_in_them_are_left_out():
@@ -96,12 +96,12 @@ def test_patches_with_an_edge_in_them_are_left_out():
     rng = np.random.default_rng(9)
     columns = np.arange(SIZE_PX[1])
     depth_m = noisy_plane(rng) + 4 * SIGMA_M * ((columns // 25) % 2)
-    found = measure_noise(scan(depth_m))
+    noise = measure_noise(scan(depth_m))
     clear = np.mean(
         [len({c // 25 for c in range(x, x + 15)}) == 1 for x in range(0, SIZE_PX[1], 15)]
     )
-    assert len(found.sigma_m) == pytest.approx(clear * found.candidates, rel=0.15)
-    assert np.median(found.sigma_m) == pytest.approx(SIGMA_M, rel=0.02)
+    assert len(noise.sigma_m) == pytest.approx(clear * noise.candidates, rel=0.15)
+    assert np.median(noise.sigma_m) == pytest.approx(SIGMA_M, rel=0.02)
 
 
 def test_spikes_and_holes_do_not_spoil_a_patch():

@@ -47,8 +47,8 @@ def ply(depth_m, form, *, info="obj_info num_cols 40\nobj_info num_rows 30\n", c
     return head.encode() + body
 
 
-def one(path, **given):
-    (scan,) = read_scans([path], options=FileOptions(**given))
+def one(path, **options):
+    (scan,) = read_scans([path], options=FileOptions(**options))
     return scan
 
 
@@ -181,9 +181,9 @@ def test_a_list_that_is_no_camera_matrix_is_refused(text, tmp_path):
         read_intrinsics(str(tmp_path / "K.json"))
 
 
-def refusal(path, **given):
+def refusal(path, **options):
     with pytest.raises(DatasetError) as caught:
-        list(read_scans([path], options=FileOptions(**given)))
+        list(read_scans([path], options=FileOptions(**options)))
     assert str(path.parent) in str(caught.value)
     return str(caught.value)
 

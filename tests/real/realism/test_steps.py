@@ -43,8 +43,8 @@ def test_a_gap_is_as_wide_as_the_formula_says(side):
     """w = f b (1/z_near - 1/z_far), within the pixel that the two rims are rounded to."""
     projector_m, _ = SIDES[side]
     gaps = find_gaps(scan(plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])))
-    found = gaps[0] if side in ("right", "left") else gaps[1]
-    width_px = np.abs(found.near - found.far) * K[0, 0]
+    rims = gaps[0] if side in ("right", "left") else gaps[1]
+    width_px = np.abs(rims.near - rims.far) * K[0, 0]
     assert len(width_px) > 50
     assert width_px == pytest.approx(300 * 0.2 * (1 / 0.9 - 1 / 1.0), abs=1.0)
 
@@ -59,14 +59,14 @@ def test_the_shadows_tell_side_and_length_of_the_baseline(side, forward_m):
     projector_m = (*SIDES[side][0][:2], forward_m)
     rng = np.random.default_rng(1)
     scans = [scan(plates(projector_m, scattered_plates(rng))) for _ in range(6)]
-    found = baseline(scans)
-    assert found.side == side
-    assert found.agreeing > 0.9
-    assert found.baseline_m == pytest.approx(np.hypot(0.2, forward_m), rel=0.06)
-    assert abs(found.baseline_m - np.hypot(0.2, forward_m)) < 2 * found.error_m
+    estimate = baseline(scans)
+    assert estimate.side == side
+    assert estimate.agreeing > 0.9
+    assert estimate.baseline_m == pytest.approx(np.hypot(0.2, forward_m), rel=0.06)
+    assert abs(estimate.baseline_m - np.hypot(0.2, forward_m)) < 2 * estimate.error_m
     if forward_m == 0:
-        assert found.plain_m == pytest.approx(0.2, rel=0.05)
-    assert abs(found.eaten_px) < 0.5
+        assert estimate.plain_m == pytest.approx(0.2, rel=0.05)
+    assert abs(estimate.eaten_px) < 0.5
 
 
 def test_rims_that_a_filter_has_eaten_do_not_change_the_baseline():
@@ -80,10 +80,10 @@ def test_rims_that_a_filter_has_eaten_do_not_change_the_baseline():
         for shift in (-2, -1, 1, 2):
             eaten |= np.roll(missing, shift, axis=1)
         scans.append(scan(np.where(eaten, np.nan, depth_m)))
-    found = baseline(scans)
-    assert found.baseline_m == pytest.approx(0.2, rel=0.15)
-    assert found.eaten_px == pytest.approx(4.0, abs=1.5)
-    assert found.plain_m > 1.15 * 0.2
+    estimate = baseline(scans)
+    assert estimate.baseline_m == pytest.approx(0.2, rel=0.15)
+    assert estimate.eaten_px == pytest.approx(4.0, abs=1.5)
+    assert estimate.plain_m > 1.15 * 0.2
 
 
 def test_holes_at_random_show_no_projector():

@@ -100,9 +100,9 @@ def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
     assert percent == pytest.approx([100 * b.value for b in bins])
     assert all(b.low < x < b.high for b, x in zip(bins, at, strict=True))
     (at_deg, mm), _ = lines_of(axes["fine noise against incidence"])
-    held = [b for b in record.fine.by_incidence if b.count >= 5]
-    assert mm == pytest.approx([1e3 * b.value for b in held])
-    assert at_deg == pytest.approx([(b.low + b.high) / 2 for b in held])
+    angle_bins = [b for b in record.fine.by_incidence if b.count >= 5]
+    assert mm == pytest.approx([1e3 * b.value for b in angle_bins])
+    assert at_deg == pytest.approx([(b.low + b.high) / 2 for b in angle_bins])
 
 
 @pytest.mark.slow

@@ -24,14 +24,14 @@ def few_trees(monkeypatch):
 
 
 def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
-    rng, made = np.random.default_rng(seed), []
+    rng, scans = np.random.default_rng(seed), []
     for _ in range(count):
         noise = rng.standard_normal((SIZE["height_px"], SIZE["width_px"] + 1))
         noise = (noise[:, 1:] + noise[:, :-1]) / np.sqrt(2) if smoothed else noise[:, 1:]
         depth_m = plane(0.3, **SIZE) + sigma_m * noise
         depth_m[rng.random(depth_m.shape) < drop] = np.nan
-        made.append(scan(np.round(depth_m / step_m) * step_m if step_m else depth_m))
-    return made
+        scans.append(scan(np.round(depth_m / step_m) * step_m if step_m else depth_m))
+    return scans
 
 
 @pytest.mark.slow

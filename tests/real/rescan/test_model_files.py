@@ -45,7 +45,7 @@ def refusal(folder, *words, error=DatasetError, **options):
         assert word in str(caught.value)
 
 
-def looked_up(material, corner_uv):
+def texels_at(material, corner_uv):
     """The nearest pixels of a texture whose v goes up."""
     h, w = material.texture.shape[:2]
     column = np.floor(corner_uv[..., 0] * w).astype(int)
@@ -60,7 +60,7 @@ def test_colours_of_vertices_become_one_colour_for_each_face(tmp_path):
     models = read(tmp_path)
     assert models.plain == frozenset()
     mesh, material = models.parts[1].mesh, models.parts[1].material
-    pixels, off_centre = looked_up(material, mesh.corner_uv)
+    pixels, off_centre = texels_at(material, mesh.corner_uv)
     assert material.texture.shape == (4, 4, 3)  # 12 faces
     assert np.abs(off_centre).max() < 1e-9
     place = np.rint(mesh.vertices_m / (SIDE_MM / 1e3) + 0.5).astype(int) @ [1, 2, 4]

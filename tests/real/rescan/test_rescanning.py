@@ -46,7 +46,7 @@ def tree(folder):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def dataset(tmp_path_factory):
     """Two scenes of two images and one, the original, and what the scan of it is."""
     root = tmp_path_factory.mktemp("rescan")
     rgb = np.full((48, 64, 3), 150, dtype=np.uint8)
@@ -65,8 +65,8 @@ def scanned(folder, image):
     return np.where(steps > 0, steps * view["depth_scale"] / 1e3, np.nan), view
 
 
-def test_a_scan_measures_what_was_there(made):
-    root, _, summary = made
+def test_a_scan_measures_what_was_there(dataset):
+    root, _, summary = dataset
     assert (summary.written, summary.there, summary.set_aside) == (3, 0, {})
     depth_m, view = scanned(root / "out/train_pbr/000000", 4)
     assert view["cam_K"] == pytest.approx(CAMERA.K.ravel())
@@ -78,8 +78,8 @@ def test_a_scan_measures_what_was_there(made):
     assert np.nanmedian(np.abs(depth_m - true_depth_m())) < 5e-3
 
 
-def test_the_layout_is_that_of_the_original_and_links_to_it(made):
-    root, split, _ = made
+def test_the_layout_is_that_of_the_original_and_links_to_it(dataset):
+    root, split, _ = dataset
     scene = root / "out/train_pbr/000000"
     assert (root / "out/models").resolve() == (root / "lm/models").resolve()
     assert (scene / "rgb").is_symlink() and (scene / "depth").resolve() == split / "000000/depth"
@@ -101,8 +101,8 @@ def test_the_layout_is_that_of_the_original_and_links_to_it(made):
     assert coco.annToRLE(coco.loadAnns([2])[0]) == own
 
 
-def test_a_trainer_reads_both_depths(made):
-    root, _, _ = made
+def test_a_trainer_reads_both_depths(dataset):
+    root, _, _ = dataset
     examples = open_foreign(root / "out/train_pbr")
     assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "nut"}
     example = examples.read(1)
@@ -128,8 +128,8 @@ def test_one_of_several_cameras_is_scanned_and_trained_on(tmp_path):
     assert np.isfinite(example.scanner_depth_m).mean() > 0.4
 
 
-def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(made, tmp_path):
-    root, split, _ = made
+def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(dataset, tmp_path):
+    root, split, _ = dataset
     first = rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))
     assert (first.written, first.there) == (1, 0)
     left = tmp_path / "out/train_pbr/000000/depth_sl/.tmp-000004.png-0"
@@ -195,8 +195,8 @@ def test_an_odd_first_image_does_not_end_the_run(tmp_path):
     assert (again.written, again.there, again.set_aside) == (1, 1, {})
 
 
-def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(made, tmp_path, monkeypatch):
-    _, split, _ = made
+def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(dataset, tmp_path, monkeypatch):
+    _, split, _ = dataset
     copy = shutil.copy2
 
     def full(path, place, **words):
@@ -250,8 +250,8 @@ def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (129, 172)
 
 
-def test_the_page_has_every_image_before_and_after(made, tmp_path):
-    root, _, summary = made
+def test_the_page_has_every_image_before_and_after(dataset, tmp_path):
+    root, _, summary = dataset
     page = write_rescan_page(root / "out", tmp_path / "page")
     assert (page.images, page.of) == (3, 3)
     text = page.page.read_text()
@@ -266,8 +266,8 @@ def test_the_page_has_every_image_before_and_after(made, tmp_path):
     assert scanner[np.isfinite(depth_m)].mean() > 2 * scanner[np.isnan(depth_m)].mean()
 
 
-def test_a_source_is_sent_to_workers(made):
-    _, split, _ = made
+def test_a_source_is_sent_to_workers(dataset):
+    _, split, _ = dataset
     source = open_source(split)
     copy = pickle.loads(pickle.dumps(source))
     np.testing.assert_array_equal(copy.read(0, 4).depth_m, source.read(0, 4).depth_m)
@@ -281,8 +281,8 @@ def test_a_source_is_sent_to_workers(made):
         ("reason_sl/000000.png", lambda image: 0 * image, "disagree"),
     ],
 )
-def test_validate_finds_what_was_changed(made, tmp_path, file, damage, words):
-    root, _, _ = made
+def test_validate_finds_what_was_changed(dataset, tmp_path, file, damage, words):
+    root, _, _ = dataset
     out = shutil.copytree(root / "out", tmp_path / "out", symlinks=True)
     assert validate(out) == () == validate(out, fast=True)
     path = out / "train_pbr/000000" / file
@@ -292,8 +292,8 @@ def test_validate_finds_what_was_changed(made, tmp_path, file, damage, words):
     assert validate(out, fast=True)
 
 
-def test_validate_finds_depth_of_another_scene(made, tmp_path):
-    _, split, _ = made
+def test_validate_finds_depth_of_another_scene(dataset, tmp_path):
+    _, split, _ = dataset
     out = tmp_path / "out"
     rescan(open_source(split), RIG, out, spec(images=1))
     (out / "train_pbr/000000/depth").unlink()

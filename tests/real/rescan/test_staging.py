@@ -74,28 +74,28 @@ def staged(source=None, parts=None, **words):
     return stage(source or image(), parts, scanner, **words)
 
 
-def depth_of(made, camera=CAMERA, T_cam_world=None, kinds=("cube", BACKGROUND)):
+def depth_of(result, camera=CAMERA, T_cam_world=None, kinds=("cube", BACKGROUND)):
     """z of what is staged, by another camera."""
     T_cam_world = np.eye(4) if T_cam_world is None else T_cam_world
     z_m = np.full((camera.height_px, camera.width_px), np.nan)
-    for T, k in zip(made.layout.T_world_part, made.layout.part_index, strict=True):
-        mesh = made.scene.parts[k].mesh
-        if made.scene.parts[k].name in kinds:
+    for T, k in zip(result.layout.T_world_part, result.layout.part_index, strict=True):
+        mesh = result.scene.parts[k].mesh
+        if result.scene.parts[k].name in kinds:
             vertices = transform_points(T_cam_world @ T, mesh.vertices_m)
             z_m = np.fmin(z_m, rasterize(vertices, mesh.faces, camera).over(camera)[1])
     return z_m
 
 
 def test_every_pixel_has_the_depth_that_it_had():
-    made = staged()
-    assert [p.name for p in made.scene.parts] == ["cube", BACKGROUND]
-    assert [p.labelled for p in made.scene.parts] == [True, False]
-    assert made.obj_id == (7,)
-    off_m = np.abs(depth_of(made) - image().depth_m)
+    result = staged()
+    assert [p.name for p in result.scene.parts] == ["cube", BACKGROUND]
+    assert [p.labelled for p in result.scene.parts] == [True, False]
+    assert result.obj_id == (7,)
+    off_m = np.abs(depth_of(result) - image().depth_m)
     assert np.isfinite(off_m).all()
     assert np.quantile(off_m, 0.97) < STEP_M  # the rest is a rim of pixels
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
-    np.testing.assert_allclose(depth_of(made, kinds=("cube",))[own], cube_m()[own], atol=1e-9)
+    np.testing.assert_allclose(depth_of(result, kinds=("cube",))[own], cube_m()[own], atol=1e-9)
 
 
 def test_a_stated_background_replaces_what_the_picture_shows():
@@ -133,7 +133,7 @@ def test_shadows_are_those_of_the_whole_scene():
     """
     projector = replace(CAMERA, width_px=320, height_px=240, cx_px=160.0, cy_px=120.0)
     T_proj_cam = inverse(rigid(axis_rotation("y", -0.35), np.array([0.25, 0.0, 0.0])))
-    made_m = depth_of(staged(), projector, T_proj_cam)
+    stage_m = depth_of(staged(), projector, T_proj_cam)
     cube_alone = rasterize(
         transform_points(T_proj_cam @ T_CAM_CUBE, corners(0.06)), FACES, projector
     ).over(projector)[1]
@@ -148,9 +148,9 @@ def test_shadows_are_those_of_the_whole_scene():
         with np.errstate(invalid="ignore"):
             return z_m[row, column] < point[inside, 2] - 4e-3
 
-    true, made = shadow(cube_alone), shadow(made_m)
+    true, of_stage = shadow(cube_alone), shadow(stage_m)
     assert true.sum() > 100
-    assert (true & made).sum() / (true | made).sum() > 0.93
+    assert (true & of_stage).sum() / (true | of_stage).sum() > 0.93
 
 
 def test_what_stands_before_an_object_hides_it():
@@ -159,8 +159,8 @@ def test_what_stands_before_an_object_hides_it():
     rod = np.zeros(depth_m.shape, dtype=bool)
     rod[:, 85:93] = True
     depth_m[rod] = 0.45
-    made_m = depth_of(staged(image(depth_m)))
-    assert np.abs(made_m[:, 86:92] - 0.45).max() < 1e-3
+    stage_m = depth_of(staged(image(depth_m)))
+    assert np.abs(stage_m[:, 86:92] - 0.45).max() < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -173,16 +173,16 @@ def test_objects_that_the_depth_contradicts_are_refused(part_side_m, moved_m, wo
 
 
 def test_depth_without_models_is_one_solid():
-    made = staged(parts={})
-    assert [p.name for p in made.scene.parts] == [BACKGROUND] and made.obj_id == ()
-    off_m = np.abs(depth_of(made) - image().depth_m)
+    result = staged(parts={})
+    assert [p.name for p in result.scene.parts] == [BACKGROUND] and result.obj_id == ()
+    off_m = np.abs(depth_of(result) - image().depth_m)
     assert np.quantile(off_m, 0.95) < 2 * STEP_M
 
 
 def test_an_object_that_fills_the_picture_has_something_behind_it():
     T = rigid(np.eye(3), np.array([0.0, 0.0, 0.6]))
-    made = staged(image(cube_m(T, side_m=0.9), T=T), {7: part(0.9)})
-    assert np.isfinite(depth_of(made, kinds=(BACKGROUND,))).all()
+    result = staged(image(cube_m(T, side_m=0.9), T=T), {7: part(0.9)})
+    assert np.isfinite(depth_of(result, kinds=(BACKGROUND,))).all()
     with pytest.raises(DatasetError, match="no depth at all"):
         staged(image(np.full(without_cube().shape, np.nan)))
 
@@ -195,12 +195,12 @@ def test_looks_come_from_the_picture_where_nobody_gave_them():
     reflectance = reflectance_of(rgb)
     assert reflectance[0, 0] == pytest.approx([0.8, 0.8, 0.8])
     assert reflectance[-1, 0] == pytest.approx([0.4, 0.4, 0.4], rel=0.02)
-    made = staged(image(rgb=rgb), unknown_look={7})
-    assert made.scene.parts[0].material.base_color == pytest.approx((0.2, 0.03, 0.8), rel=0.03)
+    result = staged(image(rgb=rgb), unknown_look={7})
+    assert result.scene.parts[0].material.base_color == pytest.approx((0.2, 0.03, 0.8), rel=0.03)
     steel = Material(base_color=(0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
-    given = staged(image(rgb=rgb), {7: part(material=steel)})
-    assert given.scene.parts[0].material == steel
-    texture = given.scene.parts[1].material.texture
+    with_material = staged(image(rgb=rgb), {7: part(material=steel)})
+    assert with_material.scene.parts[0].material == steel
+    texture = with_material.scene.parts[1].material.texture
     assert texture is not None and (texture[own] == texture[-1, 0]).all()  # no cube on the floor
 
 

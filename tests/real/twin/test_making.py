@@ -37,12 +37,12 @@ def scanned(tmp_path_factory, mitsuba_renderer):
         seeds = cell_seeds(cell, number, seed=5)
         fall = varied(cell, number, seeds)
         layout = drop(fall.scene, fall.counts, seed=seeds["drop"], limits=cell.config.drop)
-        found = mitsuba_renderer.render(
+        rendering = mitsuba_renderer.render(
             fall.scene, layout, cell.patterns(), quality=Quality(samples=16, depth=3), seed=number
         )
-        shot = scan(cell.scanner, found.radiance, seed=number)
+        shot = scan(cell.scanner, rendering.radiance, seed=number)
         np.save(folder / f"depth_{number}.npy", shot.depth.depth_m)
-        rgb = color_picture(cell.scanner, found, denoiser=None, seed=number)
+        rgb = color_picture(cell.scanner, rendering, denoiser=None, seed=number)
         cv2.imwrite(str(folder / f"rgb_{number}.png"), rgb[..., ::-1])
     return folder, path
 
@@ -88,11 +88,11 @@ def test_the_command_writes_a_twin_and_the_same_one_twice(scanned, monkeypatch, 
 def test_too_few_scans_to_fit_or_to_keep_are_refused(scanned, capsys):
     folder, path = scanned
     assert twin(folder, path, "few.yaml", "--kept-aside", "3") == 1
-    assert "5 scans are given, 3 of them to keep aside: give at least 3 to fit" in said(capsys)
+    assert "5 scans are given, 3 of them to keep aside: give at least 3 to fit" in errors(capsys)
     assert twin(folder, path, "few.yaml", "--kept-aside", "1") == 1
-    assert "1 scan is kept aside: keep at least 2" in said(capsys)
+    assert "1 scan is kept aside: keep at least 2" in errors(capsys)
     assert not (folder / "few.yaml").exists()
 
 
-def said(capsys):
+def errors(capsys):
     return " ".join(capsys.readouterr().err.split())

@@ -60,25 +60,25 @@ def things():
     return trimesh.util.concatenate([block, ball, tower])
 
 
-def seen(vertices_m, faces, optics, T_cam_world):
+def depth_of(vertices_m, faces, optics, T_cam_world):
     """z-depth, NaN where nothing is."""
     return rasterize(transform_points(T_cam_world, vertices_m), faces, optics).over(optics)[1]
 
 
 def of_thing(optics, thing=None):
     thing = things() if thing is None else thing
-    return seen(np.array(thing.vertices), np.array(thing.faces), optics, inverse(T_WORLD_CAM))
+    return depth_of(np.array(thing.vertices), np.array(thing.faces), optics, inverse(T_WORLD_CAM))
 
 
 def of_bin(optics):
     mesh = bin_mesh(bin_scene().bin)
-    return seen(mesh.vertices_m, mesh.faces, optics, inverse(T_WORLD_CAM))
+    return depth_of(mesh.vertices_m, mesh.faces, optics, inverse(T_WORLD_CAM))
 
 
 def of_part(staged, optics, T_cam_world=None):
     mesh = staged.parts[0].mesh
     T = inverse(T_WORLD_CAM) if T_cam_world is None else T_cam_world
-    return seen(mesh.vertices_m, mesh.faces, optics, T)
+    return depth_of(mesh.vertices_m, mesh.faces, optics, T)
 
 
 def scan_of(depth_m, name="scan"):
@@ -100,28 +100,28 @@ def noisy_scan(seed=0, thing=None):
 
 @pytest.fixture(scope="module")
 def staged():
-    (made,) = restage([noisy_scan()], bin_scene())
-    return made
+    (scene,) = restage([noisy_scan()], bin_scene())
+    return scene
 
 
 def test_the_surface_is_there_at_every_pixel_without_the_noise(staged):
     """Paraboloids leave a fifth of the noise; edges are not rounded by more than a pixel's step."""
-    truth_m, made_m = of_thing(camera()), of_part(staged, camera())
+    truth_m, part_m = of_thing(camera()), of_part(staged, camera())
     inner = np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
-    assert np.isfinite(made_m[inner]).all()  # neither a gap nor a crack
-    off_m = np.abs(made_m - truth_m)[inner]
+    assert np.isfinite(part_m[inner]).all()  # neither a gap nor a crack
+    off_m = np.abs(part_m - truth_m)[inner]
     assert np.median(off_m) < 0.3 * SIGMA_M
     assert np.quantile(off_m, 0.95) < 2 * SIGMA_M
     assert np.quantile(off_m, 0.99) < 2e-3
-    elsewhere = np.isfinite(made_m) & ~np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
+    elsewhere = np.isfinite(part_m) & ~np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
     assert elsewhere.sum() < 0.003 * inner.sum()
 
 
 def test_edges_lie_where_pixels_see_two_surfaces(staged):
     """At four times as many pixels, the things cover the same area up to a tenth of a pixel."""
-    truth, made = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
-    assert made.sum() / truth.sum() == pytest.approx(1, abs=0.02)
-    assert (made != truth).sum() < 0.06 * truth.sum()
+    truth, part = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
+    assert part.sum() / truth.sum() == pytest.approx(1, abs=0.02)
+    assert (part != truth).sum() < 0.06 * truth.sum()
 
 
 def test_a_lost_pixel_saw_as_much_light_of_both_surfaces():
@@ -143,10 +143,10 @@ def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
     assert len(mesh.faces) < 0.8 * 2 * covered  # small things: most pixels lie beside a rim
     board = trimesh.creation.box((0.3, 0.2, 0.03))
     board.apply_translation((0, 0, 0.015))
-    (made,) = restage([scan_of(np.fmin(of_thing(camera(), board), of_bin(camera())))], bin_scene())
-    flat_px = np.isfinite(of_part(made, camera())).sum()
-    assert len(made.parts[0].mesh.faces) < 0.35 * 2 * flat_px
-    for one, thing in ((staged, things()), (made, board)):
+    (scene,) = restage([scan_of(np.fmin(of_thing(camera(), board), of_bin(camera())))], bin_scene())
+    flat_px = np.isfinite(of_part(scene, camera())).sum()
+    assert len(scene.parts[0].mesh.faces) < 0.35 * 2 * flat_px
+    for one, thing in ((staged, things()), (scene, board)):
         inside = ndimage.binary_erosion(np.isfinite(of_thing(camera(5), thing)), iterations=8)
         assert np.isfinite(of_part(one, camera(5))[inside]).mean() > 0.9999
 
@@ -157,10 +157,12 @@ def test_shadows_are_those_of_the_things(staged):
     A sheet without sides would let light pass under the tower and under the leaning box.
     """
     T_proj_world = rigid(np.eye(3), -PROJECTOR_M) @ inverse(T_WORLD_CAM)
-    true, made = things(), staged.parts[0].mesh
+    true, solid = things(), staged.parts[0].mesh
 
     def lit(vertices_m, faces):
-        behind_m = np.fmin(seen(vertices_m, faces, camera(2), T_proj_world), of_floor(T_proj_world))
+        behind_m = np.fmin(
+            depth_of(vertices_m, faces, camera(2), T_proj_world), of_floor(T_proj_world)
+        )
         floor_m = of_bin(camera())
         y, x = np.nonzero(np.isfinite(floor_m) & ~np.isfinite(of_thing(camera())))
         z_m = floor_m[y, x]
@@ -180,18 +182,18 @@ def test_shadows_are_those_of_the_things(staged):
 
     def of_floor(T_cam_world):
         mesh = bin_mesh(bin_scene().bin)
-        return seen(mesh.vertices_m, mesh.faces, camera(2), T_cam_world)
+        return depth_of(mesh.vertices_m, mesh.faces, camera(2), T_cam_world)
 
     truly = lit(np.array(true.vertices), np.array(true.faces))
-    told = lit(made.vertices_m, made.faces)
+    by_solid = lit(solid.vertices_m, solid.faces)
     assert (~truly).sum() > 500
-    assert (truly != told).sum() < 0.08 * (~truly).sum()
-    flat = trimesh.Trimesh(made.vertices_m, made.faces, process=False)
+    assert (truly != by_solid).sum() < 0.08 * (~truly).sum()
+    flat = trimesh.Trimesh(solid.vertices_m, solid.faces, process=False)
     to_camera = flat.triangles_center - T_WORLD_CAM[:3, 3]
     along = np.abs((flat.face_normals * to_camera).sum(axis=1)) / np.linalg.norm(to_camera, axis=1)
-    top = made.faces[along > 0.02]  # Sides run along the camera's rays.
-    sheet = lit(made.vertices_m, top)
-    assert (sheet & ~truly).sum() > 2 * (told & ~truly).sum()
+    top = solid.faces[along > 0.02]  # Sides run along the camera's rays.
+    sheet = lit(solid.vertices_m, top)
+    assert (sheet & ~truly).sum() > 2 * (by_solid & ~truly).sum()
 
 
 def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
@@ -204,10 +206,10 @@ def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
     small = np.s_[middle_y - 18 : middle_y - 12, middle_x : middle_x + 8]
     large = np.s_[middle_y : middle_y + 12, middle_x : middle_x + 12]
     depth_m[small] = depth_m[large] = np.nan
-    (made,) = restage([scan_of(depth_m)], bin_scene())
-    made_m, truth_m = of_part(made, camera()), of_thing(camera(), board)
-    assert np.abs(made_m - truth_m)[small].max() < 1e-3
-    assert np.isnan(made_m[large][1:-1, 1:-1]).all()
+    (scene,) = restage([scan_of(depth_m)], bin_scene())
+    part_m, truth_m = of_part(scene, camera()), of_thing(camera(), board)
+    assert np.abs(part_m - truth_m)[small].max() < 1e-3
+    assert np.isnan(part_m[large][1:-1, 1:-1]).all()
 
 
 def test_the_bin_s_own_noise_is_no_thing():
@@ -216,8 +218,8 @@ def test_the_bin_s_own_noise_is_no_thing():
     assert not (solid & ~np.isfinite(of_thing(camera()))).sum() > 0.002 * solid.sum()
     rng = np.random.default_rng(3)
     empty = of_bin(camera()) + SIGMA_M * rng.standard_normal((HEIGHT_PX, WIDTH_PX))
-    (made,) = restage([scan_of(empty)], bin_scene())
-    assert made.parts == () and len(layout_of(made).part_index) == 0
+    (scene,) = restage([scan_of(empty)], bin_scene())
+    assert scene.parts == () and len(layout_of(scene).part_index) == 0
 
 
 def test_a_plane_and_a_sharp_edge_are_kept():

@@ -51,8 +51,8 @@ def test_holes_amid_present_neighbours_are_counted_and_wide_ones_are_not():
     # Of the inner pixels, those that lack a neighbour are beside a hole, and in the wide one and
     # about it, whose rows touch it above and below.
     places = 238 * 318 - 4 * single - 4 * 40 - 2 * 40 - 2 * 4
-    found = row(z_m, "missing among present neighbours")
-    assert found == pytest.approx(100 * single / places, rel=1e-9)
+    percent = row(z_m, "missing among present neighbours")
+    assert percent == pytest.approx(100 * single / places, rel=1e-9)
     assert row(z_m, "holes of 1 px") == single and row(z_m, "holes of 2 to 4 px") == 0
 
 
@@ -63,20 +63,20 @@ def test_holes_of_the_floor_are_those_of_its_plane():
     z_m[40:200:20, 40:140:20] = np.nan
     z_m[40:200:10, 200:300:10] = np.nan
     floor = find_floor([plane()])
-    found = figures_of([scan(z_m)], floor).value
+    figures = figures_of([scan(z_m)], floor).value
     on_floor = 238 * 158 - 4 * 8 * 5
-    assert found["holes in the floor"][0] == pytest.approx(100 * 40 / on_floor, rel=0.01)
+    assert figures["holes in the floor"][0] == pytest.approx(100 * 40 / on_floor, rel=0.01)
 
 
 def test_depth_that_is_missing_on_a_side_of_the_bin_is_counted_there():
     z_m = plane().copy()
-    side, seen = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
-    side[:, :50], seen[:120] = True, False
+    side, visible = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
+    side[:, :50], visible[:120] = True, False
     z_m[60:150, :50] = np.nan
-    told = figures_of([scan(z_m)], None, {"left": side, "visible": seen}).value
-    assert told["missing on the bin's left side"][0] == pytest.approx(100 * 90 / 240)
-    assert told["missing where a real scan has depth"][0] == pytest.approx(100 * 30 * 50 / 38400)
-    assert np.isnan(told["missing on the bin's upper side"][0])
+    figures = figures_of([scan(z_m)], None, {"left": side, "visible": visible}).value
+    assert figures["missing on the bin's left side"][0] == pytest.approx(100 * 90 / 240)
+    assert figures["missing where a real scan has depth"][0] == pytest.approx(100 * 30 * 50 / 38400)
+    assert np.isnan(figures["missing on the bin's upper side"][0])
 
 
 def test_three_equal_scans_are_believed_to_a_twentieth_or_to_the_declared_spread():

@@ -43,7 +43,7 @@ def stage():
     lit = []
     for x_m in (-0.05, 0.04):
         scene = in_camera(rig, ball(x_m), wall(0.8, lambert(0.05), half_m=1.0))
-        found = ReferenceRenderer().render(
+        rendering = ReferenceRenderer().render(
             scene,
             EMPTY_LAYOUT,
             scanner.light_code().render(),
@@ -52,9 +52,11 @@ def stage():
         )
         lit.append(
             LitScene(
-                radiance={code: found.radiance},
-                is_bin=found.truth.depth_m > 0.79,  # the wall
-                truth=DepthScan(name="t", depth_m=found.truth.depth_m.astype(float), K=camera.K),
+                radiance={code: rendering.radiance},
+                is_bin=rendering.truth.depth_m > 0.79,  # the wall
+                truth=DepthScan(
+                    name="t", depth_m=rendering.truth.depth_m.astype(float), K=camera.K
+                ),
             )
         )
     return scanner, tuple(lit)
@@ -66,11 +68,11 @@ def ball(x_m):
 
 def hidden(stage, **values):
     scanner, lit = stage
-    made = with_values(scanner, FITTED, values)
-    return list(scans_of(lit, made, {}, seed=77, name="real"))
+    hidden_scanner = with_values(scanner, FITTED, values)
+    return list(scans_of(lit, hidden_scanner, {}, seed=77, name="real"))
 
 
-def found(stage, real, trials=40):
+def result_of(stage, real, trials=40):
     scanner, lit = stage
     figures = figures_of(real, find_floor([one.depth_m for one in real]))
     return search(scanner, lit, [scanner.code], FITTED, figures, trials=trials, seed=1)
@@ -79,7 +81,7 @@ def found(stage, real, trials=40):
 @pytest.mark.slow
 def test_the_same_seed_takes_the_same_way(stage):
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
-    first, second = (found(stage, real, trials=40) for _ in range(2))
+    first, second = (result_of(stage, real, trials=40) for _ in range(2))
     assert first == second
     assert 18 < first.trials <= 42  # the first look, steps, and the slopes at their end
 
@@ -88,11 +90,11 @@ def test_the_same_seed_takes_the_same_way(stage):
 def test_two_hidden_numbers_are_found(stage):
     """The first steps end in another valley, at a misfit of 0.57 and a read noise of 3."""
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
-    made = found(stage, real, trials=300)
-    assert made.values["sensor.read_noise_e"] == pytest.approx(30.0, rel=0.2)
-    assert made.values["filters.smoothing_px"] == pytest.approx(0.5, abs=0.05)
-    assert made.loss < 0.3
-    for one, value in zip(made.estimates, (30.0, 0.5), strict=True):
+    result = result_of(stage, real, trials=300)
+    assert result.values["sensor.read_noise_e"] == pytest.approx(30.0, rel=0.2)
+    assert result.values["filters.smoothing_px"] == pytest.approx(0.5, abs=0.05)
+    assert result.loss < 0.3
+    for one, value in zip(result.estimates, (30.0, 0.5), strict=True):
         assert one.low <= value <= one.high
         assert one.parameter.share(one.high) - one.parameter.share(one.low) < 0.2
 
@@ -110,14 +112,14 @@ def test_light_that_falls_off_is_what_the_renderer_shows(stage, monkeypatch):
     )
     list(scans_of([lit], dimmed, {}, seed=1, name="s"))
     scene = in_camera(dimmed.rig, ball(-0.05), wall(0.8, lambert(0.05), half_m=1.0))
-    shown = ReferenceRenderer().render(
+    rendering = ReferenceRenderer().render(
         scene, EMPTY_LAYOUT, scanner.light_code().render(), quality=DIRECT, seed=0
     )
-    own, told = shown.radiance.white, taken[0].white
+    own, twin = rendering.radiance.white, taken[0].white
     bright = own > 0
-    assert (told[bright] / lit.radiance[scanner.code].white[bright]).min() < 0.75
+    assert (twin[bright] / lit.radiance[scanner.code].white[bright]).min() < 0.75
     # Where a pixel shows an edge, its light comes from other places than its depth.
-    assert np.quantile(np.abs(told[bright] / own[bright] - 1), 0.97) < 2e-3
+    assert np.quantile(np.abs(twin[bright] / own[bright] - 1), 0.97) < 2e-3
 
 
 def test_scans_are_met_by_their_own_scanner_and_by_no_other(stage):
@@ -125,8 +127,8 @@ def test_scans_are_met_by_their_own_scanner_and_by_no_other(stage):
 
     def figures(seed, read_noise_e=20.0, smoothing_px=0.0):
         values = {"sensor.read_noise_e": read_noise_e, "filters.smoothing_px": smoothing_px}
-        made = with_values(stage[0], FITTED, values)
-        return figures_of(list(scans_of(stage[1], made, {}, seed=seed, name="real")), None)
+        scanner = with_values(stage[0], FITTED, values)
+        return figures_of(list(scans_of(stage[1], scanner, {}, seed=seed, name="real")), None)
 
     real = figures(77)
     rows = compare(real, figures(78))
@@ -155,11 +157,11 @@ def test_a_bin_that_reflects_more_is_as_one_that_is_exposed_longer(stage):
 
 def formula(stage, monkeypatch, off):
     """A search whose rows are a formula of the code and the shares, and the places it judged."""
-    judged = []
+    places = []
 
     class Formula(searching._Trials):
         def rows(self, code, x):
-            judged.append((code, x.tobytes()))
+            places.append((code, x.tobytes()))
             return tuple(
                 Row(name=f"{k}", unit="", real=0.0, spread=1.0, twin=float(value))
                 for k, value in enumerate(off(code, x))
@@ -173,7 +175,7 @@ def formula(stage, monkeypatch, off):
         start = replace(stage[0], code=codes[0])
         return search(start, stage[1], codes, FITTED, real, trials=trials, seed=1)
 
-    return run, judged
+    return run, places
 
 
 def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage, monkeypatch):
@@ -184,10 +186,10 @@ def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage, monkeypatc
         return [100 * (x[0] - 0.8), 30 * (x[1] - 0.6)]
 
     run, _ = formula(stage, monkeypatch, off)
-    made = run([stage[0].code], 60)
+    result = run([stage[0].code], 60)
     assert off(None, shares_of(stage[0], FITTED))[0] < -40
-    assert made.loss < 0.01
-    assert shares_of(made.scanner, FITTED) == pytest.approx([0.8, 0.6], abs=0.01)
+    assert result.loss < 0.01
+    assert shares_of(result.scanner, FITTED) == pytest.approx([0.8, 0.6], abs=0.01)
 
 
 def test_a_code_that_fits_in_a_valley_far_from_the_configured_scanner_is_found(stage, monkeypatch):
@@ -203,11 +205,11 @@ def test_a_code_that_fits_in_a_valley_far_from_the_configured_scanner_is_found(s
         return [2.0, 0.0] if code == coarse else [4.0, 0.0] if far > 0.4 else 8 * (x - valley)
 
     run, _ = formula(stage, monkeypatch, off)
-    made = run([coarse, fine], 160)
+    result = run([coarse, fine], 160)
     assert min(np.linalg.norm(start - valley), np.linalg.norm(laser - valley)) > 0.5
-    assert made.scanner.code == fine
-    assert made.loss < 0.01
-    assert made.by_code[coarse.period_px] > 1
+    assert result.scanner.code == fine
+    assert result.loss < 0.01
+    assert result.by_code[coarse.period_px] > 1
 
 
 def test_slopes_are_those_of_the_rows(stage):
@@ -227,21 +229,21 @@ def test_slopes_are_those_of_the_rows(stage):
 
 def test_a_place_that_is_asked_for_again_costs_no_trial(stage, monkeypatch):
     """The best code's steps go on from where they ended before."""
-    run, judged = formula(
+    run, places = formula(
         stage, monkeypatch, lambda code, x: [3 + np.sin(9 * x[0]) * np.cos(7 * x[1]), x[0]]
     )
     codes = [replace(stage[0].code, period_px=period_px) for period_px in (16.0, 12.0)]
-    made = run(codes, 150)
-    assert made.trials == len(judged) == len(set(judged))
-    assert made.trials <= 150 + len(FITTED)
+    result = run(codes, 150)
+    assert result.trials == len(places) == len(set(places))
+    assert result.trials <= 150 + len(FITTED)
 
 
 def test_steps_turn_back_from_where_nothing_is_lit(stage, monkeypatch):
     """The first step goes too far, as errors count by their logarithm, and finds no rows there."""
     monkeypatch.setattr(searching, "_STARTS", 0)
-    run, judged = formula(
+    run, places = formula(
         stage, monkeypatch, lambda code, x: [40 * (x[1] - 0.8)] if x[1] < 0.85 else []
     )
-    made = run([stage[0].code], 60)
-    assert any(np.frombuffer(place)[1] >= 0.85 for _, place in judged)
-    assert made.loss < 0.5  # slopes are taken over a tenth, which ends in the dark, too
+    result = run([stage[0].code], 60)
+    assert any(np.frombuffer(place)[1] >= 0.85 for _, place in places)
+    assert result.loss < 0.5  # slopes are taken over a tenth, which ends in the dark, too

@@ -63,13 +63,13 @@ def test_another_bin_is_a_sum_of_two_renderings(tmp_path, mitsuba_renderer, monk
     for k, (look, material, tolerance) in enumerate(wanted):
         assert scan_lit(lit, scanner, look, seed=0, name="s") is None
         _, other = lit_bin(tmp_path / str(k), mitsuba_renderer, **material)
-        seen = other.radiance[scanner.code].white[lit.is_bin]
+        expected = other.radiance[scanner.code].white[lit.is_bin]
         was = lit.radiance[scanner.code].white[lit.is_bin]
-        told = taken[k].white[lit.is_bin]
-        changes.append(abs(was.mean() / seen.mean() - 1))
-        assert told.mean() == pytest.approx(seen.mean(), rel=tolerance)
-        bright = seen > np.median(seen)
-        assert told[bright].mean() == pytest.approx(seen[bright].mean(), rel=2 * tolerance)
+        twin = taken[k].white[lit.is_bin]
+        changes.append(abs(was.mean() / expected.mean() - 1))
+        assert twin.mean() == pytest.approx(expected.mean(), rel=tolerance)
+        bright = expected > np.median(expected)
+        assert twin[bright].mean() == pytest.approx(expected[bright].mean(), rel=2 * tolerance)
         parts = ~lit.is_bin
         assert np.array_equal(taken[k].white[parts], lit.radiance[scanner.code].white[parts])
     assert min(changes[:2]) > 0.2, changes  # it matters
@@ -88,11 +88,13 @@ def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out(
     is_bin = np.ones(depth_m.shape, dtype=bool)
     is_bin[:3] = False
     lit = LitScene(radiance={}, is_bin=is_bin, truth=truth)
-    seen = depth_m.copy()
-    seen[:, :40] = np.nan
-    sides = missing_places([lit], [scan(seen), scan(np.where(np.eye(240, 320) > 0, np.nan, seen))])
-    assert np.array_equal(sides.pop("visible"), ~np.isnan(seen))
-    assert np.array_equal(sides.pop("blind"), np.isnan(seen) & is_bin)
+    scan_m = depth_m.copy()
+    scan_m[:, :40] = np.nan
+    sides = missing_places(
+        [lit], [scan(scan_m), scan(np.where(np.eye(240, 320) > 0, np.nan, scan_m))]
+    )
+    assert np.array_equal(sides.pop("visible"), ~np.isnan(scan_m))
+    assert np.array_equal(sides.pop("blind"), np.isnan(scan_m) & is_bin)
     y, x = np.mgrid[-119.5:120, -159.5:160]
     far, inner = np.maximum(np.abs(x), np.abs(y)) > 62, np.abs(np.abs(x) - np.abs(y)) > 2
     far[:4] = False  # no bin

@@ -32,16 +32,16 @@ def written(folder, material, values):
 
 def test_colour_and_coat_are_the_fitted_ones(tmp_path):
     values = {BIN_COLOR: 2.0, BIN_GLOSS: 0.5, BIN_ROUGHNESS: -0.1}
-    made = written(tmp_path, PLAIN, values)["bin"]["material"]
-    assert made["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # no surface reflects more
-    assert (made["specular"], made["roughness"]) == (0.2, 0.4)
-    assert "projector_reflectance" not in made
+    material = written(tmp_path, PLAIN, values)["bin"]["material"]
+    assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # no surface reflects more
+    assert (material["specular"], material["roughness"]) == (0.2, 0.4)
+    assert "projector_reflectance" not in material
 
 
 def test_the_reflectance_at_the_projector_s_wavelength_is_scaled_as_the_colour_is(tmp_path):
-    made = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
-    assert made["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
-    assert made["bin"]["material"]["specular"] == 0.4
+    settings = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
+    assert settings["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
+    assert settings["bin"]["material"]["specular"] == 0.4
 
 
 def test_a_bin_that_was_not_fitted_is_not_written(tmp_path):

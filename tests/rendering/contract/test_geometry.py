@@ -89,10 +89,10 @@ def test_an_edge_splits_the_pixels_at_the_place_where_it_is(renderer, axis, side
         material=GRAY,
     )
     rendering = render(renderer, in_camera(rig, quad), samples=64)
-    seen = np.isfinite(rendering.truth.depth_m)
-    seen = seen[4] if axis == 0 else seen[:, 4]
-    assert np.array_equal(np.flatnonzero(seen != seen[k]), np.flatnonzero(~seen))
-    assert seen[k] and seen[k - side] and not seen[k + side]
+    visible = np.isfinite(rendering.truth.depth_m)
+    visible = visible[4] if axis == 0 else visible[:, 4]
+    assert np.array_equal(np.flatnonzero(visible != visible[k]), np.flatnonzero(~visible))
+    assert visible[k] and visible[k - side] and not visible[k + side]
 
     light = rendering.radiance.pattern[0]
     light = light[4] if axis == 0 else light[:, 4]
@@ -130,8 +130,8 @@ def test_one_sample_lies_anywhere_in_its_pixel(path_tracer):
 
 def test_right_and_up_of_the_camera_are_right_and_up_in_the_picture(renderer):
     sphere = Sphere(center_m=(0.1, -0.08, 0.8), radius_m=0.05, material=GRAY)
-    seen = np.isfinite(render(renderer, in_camera(askew_rig(), sphere)).truth.depth_m)
-    rows, columns = np.nonzero(seen)
+    visible = np.isfinite(render(renderer, in_camera(askew_rig(), sphere)).truth.depth_m)
+    rows, columns = np.nonzero(visible)
     assert len(rows) > 50
     assert columns.min() > 48 and rows.max() < 36
 
@@ -173,7 +173,7 @@ def test_camera_rays_obey_the_distortion_of_opencv(renderer):
     assert np.abs(pixel[..., 1] - y).max() < 1e-3
 
 
-def seen_pixel(code, light, axis):
+def projector_pixel(code, light, axis):
     """Projector pixel by majority of light per bit, looked up among the pictures themselves."""
     use = [k for k, frame in enumerate(code.frames) if frame.axis == axis]
     pictures = code.render()[use] > 127
@@ -215,7 +215,7 @@ def test_every_pattern_lights_the_projector_pixel_that_sees_the_point(renderer, 
     assert not light[:, np.any(beyond, axis=(0, 3))].any()
     assert (light[0][inside] > 0).all()
     for axis, where in (("column", uv[..., 0]), ("row", uv[..., 1])):
-        error = np.abs(seen_pixel(code, light, axis) - where)[inside]
+        error = np.abs(projector_pixel(code, light, axis) - where)[inside]
         assert error.max() < 0.5 + 0.5 * reach
 
 

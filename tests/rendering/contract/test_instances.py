@@ -267,9 +267,9 @@ def test_a_smooth_mesh_is_lit_like_the_ball_that_it_stands_for(path_tracer):
     to_lens = np.array([0.2, 0.05, 0.0]) - point
     distance = np.linalg.norm(to_lens, axis=-1)
     cosine = (to_lens * normal).sum(axis=-1) / distance
-    seen = -(ray * normal).sum(axis=-1) / np.sqrt(a)
+    view_cosine = -(ray * normal).sum(axis=-1) / np.sqrt(a)
     with np.errstate(invalid="ignore"):
-        inside = (cosine > 0.4) & (seen > 0.4)
+        inside = (cosine > 0.4) & (view_cosine > 0.4)
     assert inside.sum() > 250
     expected = 0.8 / np.pi * 10.0 * cosine / distance**2
     light = rendering.radiance.pattern[0]

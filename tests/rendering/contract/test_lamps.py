@@ -258,12 +258,12 @@ def test_a_map_turns_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp
         map_file=spot_map(tmp_path / "s.exr"),
         rotation_rad=float(np.radians(turn_deg)),
     )
-    seen = Scene(
+    sky_scene = Scene(
         rig=make_rig(centred(33, 33, 80), centred(8, 8, 8)),
         T_world_cam=look_at(np.zeros(3), direction, -np.eye(3)[2]),
         environment=environment,
     )
-    image = ambient(path_tracer, seen, samples=16)[..., 0]
+    image = ambient(path_tracer, sky_scene, samples=16)[..., 0]
     y, x = np.mgrid[0:33, 0:33]
     assert abs((image * x).sum() / image.sum() - 16) < 0.1
     assert abs((image * y).sum() / image.sum() - 16) < 0.2

@@ -186,7 +186,7 @@ def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
     places = jaw_places(
         box(), JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=doubt, count=80, chances=150
     )
-    half, seen = np.array(SIDES_M) / 2, 0
+    half, near_edge = np.array(SIDES_M) / 2, 0
     for grip in places:
         R, middle = grip.T_part_tool[:3, :3], grip.T_part_tool[:3, 3]
         if grip.score == 0 or np.abs(R).max(axis=0).min() < 0.999:
@@ -197,8 +197,8 @@ def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
         expected = norm.cdf(min(room) / 1e-3) * (2 * norm.cdf(2) - 1)
         error = math.sqrt(expected * (1 - expected) / 150)
         assert grip.score == pytest.approx(expected, abs=4 * error + 1 / 150)
-        seen += expected < 0.9
-    assert seen >= 2  # some are near an edge
+        near_edge += expected < 0.9
+    assert near_edge >= 2  # some are near an edge
 
 
 def test_no_finger_stands_in_the_part():
@@ -243,7 +243,7 @@ CAMERA = Optics(width_px=240, height_px=200, fx_px=500.0, fy_px=500.0, cx_px=119
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
-def seen_plate(tilt_rad=0.0):
+def plate_depth(tilt_rad=0.0):
     """Depth of a plane through (0, 0, 0.6) that is turned about x."""
     y, x = np.mgrid[:200, :240].astype(float)
     ray = rays(CAMERA, np.stack([x, y], axis=-1))
@@ -259,7 +259,7 @@ def search(depth_m, weight_n, doubt):
 def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weight_asks():
     """The weight pulls askew: across the plane it tilts the cup by its arm from the middle."""
     lean_rad, weight_n = 0.6, 1.0
-    depth_m = seen_plate(lean_rad)
+    depth_m = plate_depth(lean_rad)
     mask = np.zeros(depth_m.shape, bool)
     mask[60:140, 80:160] = True
     grips = search(depth_m, weight_n, SURE).grips(mask)
@@ -276,13 +276,13 @@ def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weig
         x, y = CAMERA.fx_px * T[:2, 3] / T[2, 3] + [119.5, 99.5]
         assert mask[round(y), round(x)]
     # It leans by more than 45 degrees.
-    assert not search(seen_plate(0.9), 0.5, DOUBT).grips(mask, count=20)
+    assert not search(plate_depth(0.9), 0.5, DOUBT).grips(mask, count=20)
 
 
 @pytest.mark.slow
 def test_no_grip_stands_on_unknown_ground():
     """A grid of holes nearer to each other than the cup is wide leaves no place at all."""
-    depth_m = seen_plate()
+    depth_m = plate_depth()
     mask = np.ones(depth_m.shape, bool)
     mask[:20], mask[-20:], mask[:, :20], mask[:, -20:] = False, False, False, False
     holed = depth_m.copy()
@@ -301,7 +301,7 @@ def test_the_same_seed_gives_the_same_grips():
     mask = np.zeros((200, 240), bool)
     mask[80:120, 100:140] = True
     first, second = (
-        search(seen_plate(0.2), 0.5, DOUBT).grips(mask, seed=3, count=20) for _ in range(2)
+        search(plate_depth(0.2), 0.5, DOUBT).grips(mask, seed=3, count=20) for _ in range(2)
     )
     assert [g.score for g in first] == [g.score for g in second]
     assert all((a.T_cam_tool == b.T_cam_tool).all() for a, b in zip(first, second, strict=True))
@@ -335,9 +335,9 @@ def test_places_are_grips_and_those_that_do_not_hold(kind):
         assert len(places) % 8 == 0
     grips = best_first(places)
     assert 0 < len(grips) < len(places)
-    held = [place for place in places if place.score > 0]
+    expected = [place for place in places if place.score > 0]
     assert sorted((g.score for g in grips), reverse=True) == [g.score for g in grips]
-    assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in held}
+    assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in expected}
 
 
 @pytest.mark.slow

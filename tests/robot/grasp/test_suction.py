@@ -215,13 +215,13 @@ def test_a_tilted_cup_holds_what_the_three_limits_allow():
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"radius_m": 10.0}, "give metres"),
         ({"vacuum_pa": 2e5}, "101325"),
         ({"height_m": 0.0}, "greater than 0"),
     ],
 )
-def test_an_impossible_cup_is_refused(changed, told):
-    with pytest.raises(ValueError, match=told):
+def test_an_impossible_cup_is_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
         Cup(**changed)

@@ -16,7 +16,7 @@ CUP = {"kind": "suction", "cup": {"radius_m": 0.008}, "length_m": 0.2, "tube_m":
 
 
 @pytest.fixture(scope="module")
-def made(robots, tmp_path_factory, mitsuba_renderer):
+def original(robots, tmp_path_factory, mitsuba_renderer):
     """A dataset of two scenes of a user's mesh, beside its configuration; and a tool's file."""
     folder = tmp_path_factory.mktemp("labels")
     assert main(["generate", str(write_cell(folder)), "--out", str(folder / "ds")]) == 0
@@ -25,8 +25,8 @@ def made(robots, tmp_path_factory, mitsuba_renderer):
 
 
 @pytest.fixture
-def folder(made, tmp_path):
-    shutil.copytree(made, tmp_path / "copy")
+def folder(original, tmp_path):
+    shutil.copytree(original, tmp_path / "copy")
     return tmp_path / "copy"
 
 
@@ -49,8 +49,8 @@ def labels(folder, name="suction"):
 def test_labels_are_written_beside_the_scenes_and_are_sound(folder, capsys):
     before = content(folder / "ds")
     assert label(folder) == 0
-    told = capsys.readouterr().out
-    assert "ROC AUC" in told and "carried out" in told
+    output = capsys.readouterr().out
+    assert "ROC AUC" in output and "carried out" in output
     after = content(folder / "ds")
     assert {name: after[name] for name in before} == before
     assert {name.split("/")[0] for name in after.keys() - before.keys()} == {"grasps"}
@@ -76,7 +76,7 @@ def test_the_same_command_goes_on_and_workers_change_nothing(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (
             lambda f: (f / "tool.yaml").write_text(yaml.safe_dump({**CUP, "tube_m": 0.005})),
@@ -85,20 +85,20 @@ def test_the_same_command_goes_on_and_workers_change_nothing(folder):
         (lambda f: (f / "box.stl").unlink(), "box.stl"),
     ],
 )
-def test_another_tool_and_missing_files_are_refused(folder, change, told, capsys):
+def test_another_tool_and_missing_files_are_refused(folder, change, message, capsys):
     assert label(folder, "--simulate", "0") == 0
     change(folder)
     assert label(folder, "--simulate", "0") == 1
     line = capsys.readouterr().err.strip()
-    assert told in line and "\n" not in line
+    assert message in line and "\n" not in line
 
 
 @pytest.mark.slow
 def test_a_part_that_changed_is_refused(folder, capsys):
     claim = folder / "ds/graycast.json"
-    told = json.loads(claim.read_bytes())
-    told["config"]["parts"][0]["density_kg_m3"] = 2.0
-    claim.write_text(json.dumps(told))
+    manifest = json.loads(claim.read_bytes())
+    manifest["config"]["parts"][0]["density_kg_m3"] = 2.0
+    claim.write_text(json.dumps(manifest))
     assert label(folder) == 1
     assert (
         "has changed since the dataset was made: restore its files, or use the"

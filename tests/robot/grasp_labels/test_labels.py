@@ -106,16 +106,16 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_does_not_seal(suction):
     assert ended(suction, covered, on_top(), number=1).success
 
 
-@pytest.mark.parametrize(("stroke_m", "told"), [(0.015, "other part"), (0.005, None)])
-def test_a_place_under_another_part_is_no_success(robots, stroke_m, told):
+@pytest.mark.parametrize(("stroke_m", "ending"), [(0.015, "other part"), (0.005, None)])
+def test_a_place_under_another_part_is_no_success(robots, stroke_m, ending):
     """A plate of 10 mm on a plate: met where the cup springs back so far, else in the way."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
     label = _label(world, two, around(world, two), 0, on_top())
-    if told is None:
+    if ending is None:
         assert label.reach == "part"
     else:
-        assert label.reach == "free" and carry_out(world, two, label).ended == told
+        assert label.reach == "free" and carry_out(world, two, label).ended == ending
 
 
 def test_a_weight_upon_the_part_that_the_score_does_not_know_tears_it_off(robots):
@@ -178,9 +178,9 @@ def test_the_way_up_is_as_high_as_it_says_and_no_faster():
 )
 def test_half_of_the_chosen_are_of_score_0_as_far_as_there_are(good, bad, count, goods):
     scores = [0.5] * good + [0.0] * bad
-    chosen = _half_and_half(scores, count, np.random.default_rng(0))
-    assert len(set(chosen)) == len(chosen) == min(count, good + bad)
-    assert sum(scores[k] > 0 for k in chosen) == goods
+    indices = _half_and_half(scores, count, np.random.default_rng(0))
+    assert len(set(indices)) == len(indices) == min(count, good + bad)
+    assert sum(scores[k] > 0 for k in indices) == goods
 
 
 def test_the_same_seed_gives_the_same_labels(suction):
@@ -190,11 +190,11 @@ def test_the_same_seed_gives_the_same_labels(suction):
         label_scene(suction, heap, options, seed=seed, scene_id=2) for seed in (0, 0, 1)
     )
 
-    def told(labels):
+    def fields(labels):
         return [
             (each.instance, each.grip.T_part_tool.tobytes(), each.reach, each.ending)
             for each in labels
         ]
 
-    assert told(first) == told(second) != told(other)
+    assert fields(first) == fields(second) != fields(other)
     assert {label.instance for label in first} == {0, 1}

@@ -30,8 +30,8 @@ def scene(*plates):
     depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
-    found = [Candidate(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
-    return DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
+    candidates = [Candidate(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
+    return DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), candidates
 
 
 def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():
@@ -94,5 +94,5 @@ def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
 )
 def test_grips_that_hardly_differ_are_tried_once(other, round_tool, alike):
     first = aim(0.0)
-    found = list(spread([first, other], 0.008, round_tool=round_tool))
-    assert len(found) == (1 if alike else 2) and found[0] is first
+    aims = list(spread([first, other], 0.008, round_tool=round_tool))
+    assert len(aims) == (1 if alike else 2) and aims[0] is first

@@ -51,7 +51,7 @@ def test_a_place_without_a_way_likewise_and_a_failure_elsewhere_leaves_it():
 MIDDLE = np.array([0.05, 0.0, 0.0])
 MESH = Mesh(vertices_m=0.01 * BOX_CORNERS + MIDDLE, faces=box_part(1.0, lambert(0.5)).mesh.faces)
 T_WORLD_CAM = rigid(axis_rotation("x", np.pi), np.array([0.1, 0.0, 0.9]))
-LAID = [rigid(axis_rotation("z", 0.3), np.array([x, 0.02, 0.01])) for x in (0.0, 0.06, 0.005)]
+POSES = [rigid(axis_rotation("z", 0.3), np.array([x, 0.02, 0.01])) for x in (0.0, 0.06, 0.005)]
 HAND_EYE = rigid(axis_rotation("y", 0.01), np.array([0.001, -0.002, 0.0]))
 JOINTS = Trajectory(time_s=np.arange(2.0), q=np.arange(12.0).reshape(2, 6))
 
@@ -74,7 +74,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
     pose = Aim(
         T_world_tool=rigid(np.eye(3), np.array([0.2, 0.1, 0.05])), score=1.0,
         target=Candidate(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
-        T_cam_part=np.linalg.inv(T_WORLD_CAM) @ LAID[0] @ off,
+        T_cam_part=np.linalg.inv(T_WORLD_CAM) @ POSES[0] @ off,
     )  # fmt: skip
     scene = SimpleNamespace(T_world_cam=T_WORLD_CAM, parts=[SimpleNamespace(mesh=MESH)])
     cell = SimpleNamespace(
@@ -88,7 +88,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
         return NoGrip(outcome=Outcome.MISSED)
 
     monkeypatch.setattr(carry, "touch", touch)
-    layout = Layout(T_world_part=np.stack(LAID), part_index=np.array([0, 0, 1]))
+    layout = Layout(T_world_part=np.stack(POSES), part_index=np.array([0, 0, 1]))
     world = BinState(layout=layout, numbers=np.arange(3), hand_eye=HAND_EYE, q=np.zeros(6))
     carried, after = carry_out(picker, world, Choice(aim=pose, ways=bare(Ways, away=JOINTS)))
     assert carried.outcome is outcome
@@ -100,7 +100,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
 
 def bare(kind, **fields):
     """One of a class with those fields alone."""
-    made = object.__new__(kind)
+    result = object.__new__(kind)
     for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(result, name, value)
+    return result

@@ -31,8 +31,11 @@ def ready(folder, **changes):
 
 
 def test_the_small_cell_itself_is_fine(robots, tmp_path):
-    made = ready(tmp_path)
-    assert made.known[0].grips and made.robot.touches(made.here.q_place, made.here.standing) is None
+    setup = ready(tmp_path)
+    assert (
+        setup.known[0].grips
+        and setup.robot.touches(setup.here.q_place, setup.here.standing) is None
+    )
 
 
 def test_a_robot_picks_under_a_scanner_of_the_shelf(tmp_path):
@@ -106,9 +109,9 @@ class OneClass:
 
     def detect(self, example, *, obj_ids, least_score):
         kind = np.array([obj_ids["part"]])
-        kept = kind >= 0
-        box = np.array([[5.0, 5.0, 20.0, 10.0]])[kept]
-        return Detections(scene_id=0, score=np.array([0.9])[kept], obj_id=kind[kept], box_px=box)
+        known = kind >= 0
+        box = np.array([[5.0, 5.0, 20.0, 10.0]])[known]
+        return Detections(scene_id=0, score=np.array([0.9])[known], obj_id=kind[known], box_px=box)
 
 
 @pytest.mark.parametrize("parts", [1, slow(2)])
@@ -122,8 +125,8 @@ def test_a_detector_of_one_class_serves_where_grips_need_no_model(
     (tmp_path / "run").mkdir()
     mix = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("box", "crate")[:parts]]
     changes = {"parts": mix, "tool": {"kind": "suction"}}
-    made = ready(tmp_path, **changes, picking={"knows": "depth", "detector": "run"})
-    camera, blank = made.cell.cell.scene.rig.camera, np.zeros((120, 160))
+    setup = ready(tmp_path, **changes, picking={"knows": "depth", "detector": "run"})
+    camera, blank = setup.cell.cell.scene.rig.camera, np.zeros((120, 160))
     look = BinScan(
         view=DepthView(depth_m=blank + 1, camera=camera, T_world_cam=rigid(np.eye(3), np.zeros(3))),
         gray=blank.astype(np.uint8),
@@ -132,8 +135,8 @@ def test_a_detector_of_one_class_serves_where_grips_need_no_model(
         seconds=0.1,
     )
     nowhere = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
-    (found,) = targets(made.cell, look, nowhere, OneClass())
-    assert found.kind == (0 if parts == 1 else None)
+    (candidate,) = targets(setup.cell, look, nowhere, OneClass())
+    assert candidate.kind == (0 if parts == 1 else None)
     if parts == 2:
         with pytest.raises(GraycastError, match="it knows part, and the cell has box, crate"):
             ready(tmp_path, **changes, picking={"knows": "part", "detector": "run"})

@@ -35,10 +35,10 @@ FIRST, BESIDE, ELSEWHERE = (np.array([x, 0.0, TOP_M]) for x in (0.0, 0.02, 0.08)
 
 def bare(kind, **fields):
     """One of a class with those fields alone."""
-    made = object.__new__(kind)
+    result = object.__new__(kind)
     for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(result, name, value)
+    return result
 
 
 def grips(*scores):
@@ -91,9 +91,9 @@ def scan(*bumps, lean_rad=0.0):
     return DepthView(depth_m=depth, camera=CAMERA, T_world_cam=LOOKING_DOWN)
 
 
-def chosen(ready, view, found=(TARGET,), *, tabu=(), blocked=()):
+def choice_of(ready, view, candidates=(TARGET,), *, tabu=(), blocked=()):
     return choose.choose(
-        ready, view, list(found), np.zeros(6), tabu, blocked, seed=0, clock=Clock()
+        ready, view, list(candidates), np.zeros(6), tabu, blocked, seed=0, clock=Clock()
     )
 
 
@@ -110,7 +110,7 @@ def reaching(robots, ready, monkeypatch):
         approach_m=0.06, straight_m_s=0.25, lift_off_m_s=0.05,
     )  # fmt: skip
 
-    def reaching(*reached, view=None, found=(TARGET,), tabu=(), blocked=(), **changes):
+    def reaching(*reached, view=None, candidates=(TARGET,), tabu=(), blocked=(), **changes):
         sought = []
 
         def ways(search, q, tip, *, round_tool):
@@ -121,8 +121,8 @@ def reaching(robots, ready, monkeypatch):
 
         monkeypatch.setattr(WaySearch, "ways", ways)
         view = scan() if view is None else view
-        held = like(ready, here=here, **changes)
-        return chosen(held, view, found, tabu=tabu, blocked=blocked), sought
+        setup = like(ready, here=here, **changes)
+        return choice_of(setup, view, candidates, tabu=tabu, blocked=blocked), sought
 
     return reaching
 
@@ -132,29 +132,29 @@ def places(sought):
 
 
 def test_a_grip_beside_one_without_a_way_waits_for_all_others(reaching):
-    found, sought = reaching(BESIDE, ELSEWHERE)
-    assert isinstance(found, Choice) and places(sought) == [0.0, 0.08]
-    np.testing.assert_allclose(found.aim.place_m, ELSEWHERE, atol=1e-9)
-    found, sought = reaching(BESIDE)
-    assert isinstance(found, Choice) and places(sought) == [0.0, 0.08, 0.02]
+    result, sought = reaching(BESIDE, ELSEWHERE)
+    assert isinstance(result, Choice) and places(sought) == [0.0, 0.08]
+    np.testing.assert_allclose(result.aim.place_m, ELSEWHERE, atol=1e-9)
+    result, sought = reaching(BESIDE)
+    assert isinstance(result, Choice) and places(sought) == [0.0, 0.08, 0.02]
 
 
 def test_the_next_scan_begins_elsewhere(reaching):
-    found, sought = reaching()
-    assert found.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
-    assert [round(float(place[0]), 6) for place in found.places_m] == places(sought)
+    result, sought = reaching()
+    assert result.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
+    assert [round(float(place[0]), 6) for place in result.places_m] == places(sought)
     assert places(reaching(ELSEWHERE, blocked=(FIRST,))[1]) == [0.08]
-    assert places(reaching(BESIDE, blocked=found.places_m)[1]) == [0.0, 0.02]  # all of them again
+    assert places(reaching(BESIDE, blocked=result.places_m)[1]) == [0.0, 0.02]  # all of them again
 
 
 def test_no_more_ways_are_sought_than_stated(reaching):
-    found, sought = reaching(BESIDE, grips=2)
-    assert isinstance(found, Blocked) and places(sought) == [0.0, 0.08]
+    result, sought = reaching(BESIDE, grips=2)
+    assert isinstance(result, Blocked) and places(sought) == [0.0, 0.08]
 
 
 def test_where_a_grip_failed_none_is_tried(reaching):
-    found, sought = reaching(tabu=(FIRST, BESIDE, ELSEWHERE))
-    assert found.outcome is Outcome.GIVEN_UP and not sought and not found.places_m
+    result, sought = reaching(tabu=(FIRST, BESIDE, ELSEWHERE))
+    assert result.outcome is Outcome.GIVEN_UP and not sought and not result.places_m
     assert places(reaching(tabu=(FIRST,))[1]) == [0.02, 0.08]
 
 
@@ -168,16 +168,16 @@ def test_where_a_grip_failed_none_is_tried(reaching):
 def test_no_way_is_sought_where_the_surface_is_another_s(reaching, higher_m, outcome, words):
     """Beside the middles of all three cups; by 2 mm it may be off."""
     aside = [(np.array([x, 0, TOP_M]), 0.007) for x in (0.01, 0.07)]
-    found, sought = reaching(view=scan(*((place, higher_m) for place in aside)))
-    assert found.outcome is outcome and found.detail == words and not sought
+    result, sought = reaching(view=scan(*((place, higher_m) for place in aside)))
+    assert result.outcome is outcome and result.detail == words and not sought
     assert reaching(view=scan(*((place, higher_m / 3) for place in aside)))[1]
 
 
 def test_no_way_is_sought_to_where_the_tool_alone_meets_the_heap(reaching):
     """A tower 25 mm from the tool's axis, up to above the bellows; the tube's radius is 12 mm."""
     tower = (np.array([-0.025, 0, TOP_M]), 0.011)
-    found, sought = reaching(ELSEWHERE, view=scan((tower, 0.05)))
-    assert isinstance(found, Choice) and places(sought) == [0.02, 0.08]
+    result, sought = reaching(ELSEWHERE, view=scan((tower, 0.05)))
+    assert isinstance(result, Choice) and places(sought) == [0.02, 0.08]
     assert places(reaching(FIRST, view=scan((tower, 0.01)))[1]) == [0.0]
 
 
@@ -196,7 +196,7 @@ def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean
     tool is upright."""
     unknown = (Candidate(kind=None, score=1.0, mask=few(9)),)
     view = scan(lean_rad=lean_rad)
-    ((tip, search, _),) = reaching(found=unknown, view=view, knows="depth", grips=1)[1]
+    ((tip, search, _),) = reaching(candidates=unknown, view=view, knows="depth", grips=1)[1]
     assert tip[2, 2] == pytest.approx(np.cos(lean_rad))
     aside, up = np.mgrid[-0.08:0.08:400j, -0.08:0.08:400j]
     there = (np.hypot(aside, up) <= 0.08) & (up >= -tip[2, 3])
@@ -215,7 +215,7 @@ UPSIDE_DOWN = T_CAM_PART @ rigid(axis_rotation("x", np.pi), np.zeros(3))
 
 
 @pytest.mark.parametrize(
-    ("found", "depth_m", "scores", "told"),
+    ("candidates", "depth_m", "scores", "message"),
     [
         ([], 0.57, (), "no detection"),
         ([TARGET], np.nan, (), "no depth"),
@@ -229,8 +229,8 @@ UPSIDE_DOWN = T_CAM_PART @ rigid(axis_rotation("x", np.pi), np.zeros(3))
         ([TARGET], 0.57, (0.1, 0.2), "no grip: all have less than the least score"),
     ],
 )
-def test_nothing_found_says_what_was_not_found(ready, found, depth_m, scores, told):
+def test_nothing_found_says_what_was_not_found(ready, candidates, depth_m, scores, message):
     known = {0: replace(ready.known[0], grips=grips(*scores))}
     view = replace(scan(), depth_m=np.full((120, 160), depth_m))
-    got = chosen(like(ready, known=known), view, found)
-    assert got.outcome is Outcome.NOTHING_FOUND and got.detail.startswith(told)
+    got = choice_of(like(ready, known=known), view, candidates)
+    assert got.outcome is Outcome.NOTHING_FOUND and got.detail.startswith(message)

@@ -80,10 +80,10 @@ def test_angles_are_taken_within_the_limits_wherever_whole_turns_bring_them_ther
     rng = np.random.default_rng(0)
     low, high = -rng.uniform(0.5, 6.0, 2000), rng.uniform(0.5, 6.0, 2000)
     near, q = rng.uniform(low, high), rng.uniform(-9, 9, 2000)
-    found = _turned(q, near, low, high)
-    turns = (found - q) / (2 * np.pi)
+    angles = _turned(q, near, low, high)
+    turns = (angles - q) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     alike = q + 2 * np.pi * np.arange(-3, 4)[:, None]
     possible = ((alike >= low) & (alike <= high)).any(axis=0)
-    np.testing.assert_array_equal((found >= low) & (found <= high), possible)
+    np.testing.assert_array_equal((angles >= low) & (angles <= high), possible)
     assert 0.1 < possible.mean() < 0.95

@@ -84,8 +84,8 @@ def test_every_part_is_somewhere_and_every_attempt_is_told(picks):
 @pytest.mark.slow
 def test_boxes_before_a_plain_scanner_are_picked(picks):
     """Three boxes with free tops: most grips hold, and parts that are gone are not seen again."""
-    told = summarize(read_episodes(picks[1]))
-    assert told.rate[0] >= 0.7 and told.taken >= 5
+    summary = summarize(read_episodes(picks[1]))
+    assert summary.rate[0] >= 0.7 and summary.taken >= 5
 
 
 @pytest.mark.slow
@@ -104,8 +104,8 @@ def test_a_wrong_calibration_makes_grips_fail(robots, tmp_path):
     """40 mm off the tool meets nothing, or another part than it was sent to."""
     path = cell_of(tmp_path, hand_eye_m=0.04, failures=2)
     assert run(path, tmp_path / "out", "--bins", 1) == 0
-    told = summarize(read_episodes(tmp_path / "out"))
-    assert told.picked <= 1 and told.grips >= 1
+    summary = summarize(read_episodes(tmp_path / "out"))
+    assert summary.picked <= 1 and summary.grips >= 1
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):

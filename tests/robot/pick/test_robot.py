@@ -52,17 +52,17 @@ def test_a_stretched_diana_stands_upright_and_looks_down(tmp_path):
 def test_angles_are_found_for_every_pose_that_angles_make(robot):
     rng = np.random.default_rng(1)
     inner = 0.9
-    found = 0
+    solved = 0
     for _ in range(20):
         q = rng.uniform(inner * robot.low, inner * robot.high)
         T = robot.flange(q)
         back = robot.reach(T, robot.home, seed=0)
-        found += bool(back)
+        solved += bool(back)
         for each in back:
             assert ((each >= robot.low) & (each <= robot.high)).all()
             np.testing.assert_allclose(robot.flange(each)[:3, 3], T[:3, 3], atol=3e-5)
             np.testing.assert_allclose(robot.flange(each)[:3, :3], T[:3, :3], atol=3e-4)
-    assert found >= 18
+    assert solved >= 18
 
 
 def test_what_is_out_of_reach_is_not_reached(robot):
@@ -118,7 +118,7 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (None, "the robot 'arm.urdf' is not known: choose one of ur5e, diana7"),
         ("<robot", "arm.urdf"),
@@ -137,10 +137,10 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
         ),
     ],
 )
-def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, told):
+def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, message):
     if content is not None:
         (tmp_path / "arm.urdf").write_text(content)
-    with pytest.raises(ConfigError, match=told) as error:
+    with pytest.raises(ConfigError, match=message) as error:
         open_robot("arm.urdf", folder=tmp_path)
     assert "\n" not in str(error.value)
 

@@ -56,20 +56,20 @@ def scanned(folder, **picking):
 
 
 def test_the_scanner_does_not_see_what_carries_no_pattern(tmp_path):
-    seen = scanned(tmp_path)
-    assert np.isnan(seen.depth_m[0]).mean() > 0.98  # noise alone passes for a code here and there
-    assert seen.all == [8, 8]
+    scans = scanned(tmp_path)
+    assert np.isnan(scans.depth_m[0]).mean() > 0.98  # noise alone passes for a code here and there
+    assert scans.all == [8, 8]
 
 
 def test_perfect_depth_is_the_truth_and_no_effort_is_spent_on_its_picture(tmp_path):
-    seen = scanned(tmp_path, depth="perfect")
-    np.testing.assert_array_equal(seen.depth_m[0], seen.truth)
-    assert seen.all == [1, 1]
+    scans = scanned(tmp_path, depth="perfect")
+    np.testing.assert_array_equal(scans.depth_m[0], scans.truth)
+    assert scans.all == [1, 1]
 
 
 def test_noisy_depth_has_the_stated_gaussian_noise_and_other_noise_in_each_scan(tmp_path):
-    seen = scanned(tmp_path, depth="noisy", depth_noise_m=1e-3)
-    off = [depth_m - seen.truth for depth_m in seen.depth_m]
+    scans = scanned(tmp_path, depth="noisy", depth_noise_m=1e-3)
+    off = [depth_m - scans.truth for depth_m in scans.depth_m]
     n = off[0].size
     for noise in off:
         assert noise.std() == pytest.approx(1e-3, rel=5 / np.sqrt(2 * n))
@@ -106,5 +106,5 @@ def test_a_detection_has_the_true_pose_of_the_part_that_most_of_it_shows(tmp_pat
     )  # fmt: skip
     poses = [rigid(axis_rotation("z", turn), np.array([turn, 0, 0.02])) for turn in (0.1, 0.2)]
     layout = Layout(T_world_part=np.stack(poses), part_index=np.array([0, 0]))
-    (found,) = targets(cell, look, layout, OneBox())
-    np.testing.assert_allclose(found.T_cam_part, inverse(T_world_cam) @ poses[1])
+    (candidate,) = targets(cell, look, layout, OneBox())
+    np.testing.assert_allclose(candidate.T_cam_part, inverse(T_world_cam) @ poses[1])

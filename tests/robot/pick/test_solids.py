@@ -28,17 +28,17 @@ def solid(mesh):
 )
 def test_a_shape_has_its_volume_about_its_middle(shape, volume):
     """Oracle: closed forms; a circle of n corners has n / 2 pi sin(2 pi / n) of its area."""
-    made = solid(shape_mesh(shape))
+    mesh = solid(shape_mesh(shape))
     corners = ROUND / (2 * np.pi) * np.sin(2 * np.pi / ROUND)
-    assert made.is_watertight
-    assert 0.98 * corners * volume <= made.volume <= volume * (1 + 1e-9)
-    np.testing.assert_allclose(made.center_mass, 0, atol=1e-9)
+    assert mesh.is_watertight
+    assert 0.98 * corners * volume <= mesh.volume <= volume * (1 + 1e-9)
+    np.testing.assert_allclose(mesh.center_mass, 0, atol=1e-9)
 
 
 def test_a_mesh_comes_back_as_it_was():
     cube = trimesh.creation.box((0.1, 0.2, 0.3))
-    made = shape_mesh(triangles(shape_mesh(coal.Box(0.1, 0.2, 0.3))))
-    assert solid(made).volume == pytest.approx(cube.volume)
+    mesh = shape_mesh(triangles(shape_mesh(coal.Box(0.1, 0.2, 0.3))))
+    assert solid(mesh).volume == pytest.approx(cube.volume)
 
 
 def test_what_no_urdf_makes_is_named():

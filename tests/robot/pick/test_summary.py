@@ -30,19 +30,19 @@ def episode(bin_id, *outcomes, left=0, spilled=0):
 
 
 def test_what_never_moved_is_no_grip():
-    told = summarize(
+    total = summarize(
         [
             episode(0, "picked", "lost seal", "nothing found", "picked", spilled=1),
             episode(1, "unreachable", "picked", "collision unseen", left=2),
         ]
     )
-    assert (told.grips, told.picked) == (5, 3)
-    assert told.rate == (3 / 5, *wilson(3, 5))
-    assert (told.filled, told.taken, told.left, told.spilled, told.cleared) == (6, 3, 2, 1, 1)
-    assert told.outcomes["picked"] == 3 and sum(told.outcomes.values()) == 7
+    assert (total.grips, total.picked) == (5, 3)
+    assert total.rate == (3 / 5, *wilson(3, 5))
+    assert (total.filled, total.taken, total.left, total.spilled, total.cleared) == (6, 3, 2, 1, 1)
+    assert total.outcomes["picked"] == 3 and sum(total.outcomes.values()) == 7
     # 7 scans and motions of 4.5 s, and a second of this machine's computing each.
-    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
-    assert told.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
+    assert total.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
+    assert total.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
 
 
 def test_what_was_not_found_is_counted():

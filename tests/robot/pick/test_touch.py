@@ -115,8 +115,8 @@ def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
     low, high = 0.02, 0.02 + slope * 0.04
     outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
     part = part_of(extruded(outline))
-    aside_m, seen = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
-    assert seen == pytest.approx(slope, rel=1e-6)
+    aside_m, estimate = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    assert estimate == pytest.approx(slope, rel=1e-6)
     # The pad meets the wedge where it is thickest under it, 0.95 of its radius up.
     outermost = 0.02 + slope * (0.02 + 0.95 * 0.004)
     assert aside_m == pytest.approx(outermost / 2 - 0.01, abs=1e-9)

@@ -55,7 +55,7 @@ def here(arm):
 GRIP = rigid(axis_rotation("y", np.radians(20)), np.array([-0.5, 0.1, 0.05]))
 
 
-def found(arm, here, *, heap=NOWHERE, grip=GRIP, **changes):
+def ways_of(arm, here, *, heap=NOWHERE, grip=GRIP, **changes):
     settings = {"up_m": 0.25, "load": LOAD, "seed": 0} | changes
     round_tool = settings.pop("round_tool", True)
     obstacles = (*here.standing, heap)
@@ -68,7 +68,7 @@ def tip(arm, here, q):
 
 
 def test_the_ways_join_and_end_where_they_should(arm, here):
-    way = found(arm, here)
+    way = ways_of(arm, here)
     for before, after in pairwise(way.all):
         np.testing.assert_allclose(before.q[-1], after.q[0], atol=1e-6)
     np.testing.assert_allclose(way.to.q[0], arm.home, atol=1e-9)
@@ -91,7 +91,7 @@ def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(
         leaning = raised @ inverse(rigid(np.eye(3), grip[:3, 3])) @ grip
         turned = leaning @ rigid(axis_rotation("z", turn * np.pi / 4), np.zeros(3))
         assert not arm.reach(here.flange(turned), arm.home, seed=0)
-    way = found(arm, here, grip=grip, up_m=0.3)
+    way = ways_of(arm, here, grip=grip, up_m=0.3)
     assert isinstance(way, Ways)
     poses = np.stack([tip(arm, here, way.up.at(t)) for t in np.linspace(0, way.up.seconds, 40)])
     off = np.linalg.norm(poses[:, :2, 3] - grip[:2, 3], axis=1)
@@ -102,7 +102,7 @@ def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(
 
 def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
     """By the engine's own steps of 2 ms, smoothed over 20: a coarser law would hide spikes."""
-    way = found(arm, here)
+    way = ways_of(arm, here)
     for carried in way.loaded:
         time_s = np.arange(0, carried.seconds, 0.002)
         for below in (0.0, LOAD.below_m):
@@ -118,7 +118,7 @@ def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
 
 
 def test_straight_ways_are_no_faster_than_they_may_be(arm, here):
-    way = found(arm, here)
+    way = ways_of(arm, here)
     assert way.down.seconds >= 0.06 / 0.25
     assert way.off.seconds >= 0.01 / 0.05
     assert way.up.seconds >= 0.25 / 0.25
@@ -132,7 +132,7 @@ def test_straight_ways_are_no_faster_than_they_may_be(arm, here):
     ],
 )
 def test_what_is_too_far_is_unreachable(arm, here, grip, outcome, words):
-    blocked = found(arm, here, grip=grip)
+    blocked = ways_of(arm, here, grip=grip)
     assert not isinstance(blocked, Ways)
     assert blocked.outcome is outcome and words in blocked.detail
 
@@ -141,7 +141,7 @@ def test_a_thing_beside_the_grip_is_a_collision_that_was_seen(arm, here):
     """A post where the tube comes down, free at the start of the straight way."""
     place = GRIP[:3, 3] + 0.05 * GRIP[:3, 2]
     post = Obstacle(name="the heap", shape=coal.Sphere(0.02), T_base_shape=rigid(np.eye(3), place))
-    blocked = found(arm, here, heap=post)
+    blocked = ways_of(arm, here, heap=post)
     assert blocked.outcome is Outcome.COLLISION_SEEN and "the heap" in blocked.detail
 
 
@@ -149,6 +149,6 @@ def test_a_shelf_above_stops_the_way_up_with_a_part(arm, here):
     """The free arm would pass under it, as the tip alone would; the part would not."""
     T = inverse(here.T_base_world) @ rigid(np.eye(3), GRIP[:3, 3] + [0, 0, 0.45])
     shelf = Obstacle(name="the heap", shape=coal.Box(0.5, 0.5, 0.02), T_base_shape=T)
-    blocked = found(arm, here, heap=shelf, up_m=0.3)
+    blocked = ways_of(arm, here, heap=shelf, up_m=0.3)
     assert blocked.outcome in (Outcome.COLLISION_SEEN, Outcome.UNREACHABLE)
-    assert isinstance(found(arm, here, up_m=0.3), Ways)
+    assert isinstance(ways_of(arm, here, up_m=0.3), Ways)

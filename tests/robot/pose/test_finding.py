@@ -29,7 +29,7 @@ def model(bracket):
     return pose_model(bracket.mesh, bracket.symmetry)
 
 
-def drawn(mesh, T, camera=CAMERA):
+def depth_of(mesh, T, camera=CAMERA):
     vertices = transform_points(T, mesh.vertices_m.astype(np.float64))
     return rasterize(vertices, mesh.faces, camera).over(camera)[1]
 
@@ -37,7 +37,7 @@ def drawn(mesh, T, camera=CAMERA):
 def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
     """A part before a floor, with noise along z, holes, and the mask of the part."""
     rng = np.random.default_rng(seed)
-    z = drawn(mesh, T)
+    z = depth_of(mesh, T)
     mask = np.isfinite(z)
     depth = np.where(mask, z, FLOOR_M) + noise_m * rng.standard_normal(z.shape)
     depth[rng.random(z.shape) < lost] = np.nan
@@ -53,7 +53,7 @@ def heap(mesh, seed):
         rigid(Rotation.random(rng=rng).as_matrix(), np.array([x, y, rng.uniform(0.84, 0.88)]))
         for x, y in aside
     ]
-    z = np.nan_to_num([drawn(mesh, T) for T in places], nan=FLOOR_M)
+    z = np.nan_to_num([depth_of(mesh, T) for T in places], nan=FLOOR_M)
     owner = np.where(z.min(axis=0) < FLOOR_M, z.argmin(axis=0), -1)
     depth = z.min(axis=0) + 0.0005 * rng.standard_normal(owner.shape)
     depth[rng.random(depth.shape) < 0.2] = np.nan
@@ -72,8 +72,8 @@ def pose(seed):
     return rigid(R, np.array([*rng.uniform(-0.03, 0.03, 2), 0.85]))
 
 
-def off(found, true, symmetry):
-    angle, shift = rotation_translation(found.T_cam_part, true, motions(symmetry))
+def off(estimate, true, symmetry):
+    angle, shift = rotation_translation(estimate.T_cam_part, true, motions(symmetry))
     return np.degrees(angle), 1000 * shift
 
 
@@ -81,23 +81,23 @@ def off(found, true, symmetry):
 def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
     for seed in seeds:
         depth, mask = scan(bracket.mesh, pose(seed), seed=seed)
-        found = find_pose(model, depth, CAMERA, mask)
-        angle, shift = off(found, pose(seed), bracket.symmetry)
+        estimate = find_pose(model, depth, CAMERA, mask)
+        angle, shift = off(estimate, pose(seed), bracket.symmetry)
         assert angle < 2 and shift < 1, (seed, angle, shift)
-        assert found.score > 0.6
+        assert estimate.score > 0.6
 
 
 def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
     """Depth lost at a known pose turns visible pixels into unknown ones, and none into others."""
     T = pose(1)
     depth, mask = scan(bracket.mesh, T, noise_m=0.0, lost=0.0)
-    found = find_pose(model, depth, CAMERA, mask)
+    estimate = find_pose(model, depth, CAMERA, mask)
     few = depth.copy()
     few[::3] = np.nan
     again = find_pose(model, few, CAMERA, mask)
-    assert again.unknown > 0.25 * found.visible and found.unknown == 0
-    assert again.contradicted <= found.contradicted + 5
-    assert abs(again.visible / found.visible - 2 / 3) < 0.05
+    assert again.unknown > 0.25 * estimate.visible and estimate.unknown == 0
+    assert again.contradicted <= estimate.contradicted + 5
+    assert abs(again.visible / estimate.visible - 2 / 3) < 0.05
 
 
 def test_what_something_hides_is_no_contradiction(bracket, model):
@@ -108,11 +108,11 @@ def test_what_something_hides_is_no_contradiction(bracket, model):
     cut = columns[len(columns) * 2 // 3]
     covered = int(mask[:, cut:].sum())
     depth[:, cut:], mask[:, cut:] = 0.75, False
-    found = find_pose(model, depth, CAMERA, mask)
-    angle, shift = off(found, T, bracket.symmetry)
+    estimate = find_pose(model, depth, CAMERA, mask)
+    angle, shift = off(estimate, T, bracket.symmetry)
     assert angle < 3 and shift < 2
-    assert abs(found.hidden - covered) < 0.15 * covered
-    assert found.contradicted < 0.02 * found.visible + 5
+    assert abs(estimate.hidden - covered) < 0.15 * covered
+    assert estimate.contradicted < 0.02 * estimate.visible + 5
 
 
 @pytest.mark.slow
@@ -129,8 +129,8 @@ def test_a_box_does_without_a_mask(bracket, model):
     for seed in (0, 3):
         T = pose(seed)
         depth, mask = scan(bracket.mesh, T, seed=seed)
-        found = find_pose_in_box(model, depth, CAMERA, box_of(mask))
-        angle, shift = off(found, T, bracket.symmetry)
+        estimate = find_pose_in_box(model, depth, CAMERA, box_of(mask))
+        angle, shift = off(estimate, T, bracket.symmetry)
         assert angle < 3 and shift < 2
 
 
@@ -142,11 +142,11 @@ def test_a_part_is_found_among_others_like_it(bracket, model, seeds):
         free = [k for k in range(6) if share[k] >= 0.7]
         for k in free[-1:] if len(seeds) == 1 else free:
             mask = owner == k
-            for found in (
+            for estimate in (
                 find_pose(model, depth, CAMERA, mask),
                 find_pose_in_box(model, depth, CAMERA, box_of(mask)),
             ):
-                angle, shift = off(found, places[k], bracket.symmetry)
+                angle, shift = off(estimate, places[k], bracket.symmetry)
                 assert angle < 2 and shift < 1, (seed, k, angle, shift)
 
 
@@ -159,8 +159,8 @@ def test_a_turned_part_is_found_and_does_not_spin(bracket, monkeypatch):
     symmetry = Symmetry(continuous=(((0.0, 0.0, 1.0), (0.01, -0.02, 0.0)),))
     T = pose(3)
     depth, mask = scan(mesh, T)
-    found = find_pose(pose_model(mesh, symmetry), depth, CAMERA, mask, near=T)
-    angle, shift = off(found, T, Symmetry())
+    estimate = find_pose(pose_model(mesh, symmetry), depth, CAMERA, mask, near=T)
+    angle, shift = off(estimate, T, Symmetry())
     assert angle < 2 and shift < 1
 
 
@@ -180,8 +180,8 @@ def test_a_symmetric_part_does_not_flip_from_noise_to_noise(bracket, model):
     first, second = (find_pose(model, *_of(one)).T_cam_part for one in scans)
     assert np.trace(first[:3, :3].T @ second[:3, :3]) > 2.99  # within 6 degrees
     for near in (T, T @ bracket.symmetry.discrete[0]):
-        found = find_pose(model, *_of(scans[0]), near=near).T_cam_part
-        assert np.trace(found[:3, :3].T @ near[:3, :3]) > 2.99
+        T_cam_part = find_pose(model, *_of(scans[0]), near=near).T_cam_part
+        assert np.trace(T_cam_part[:3, :3].T @ near[:3, :3]) > 2.99
 
 
 def _of(one):
@@ -237,7 +237,7 @@ def test_the_quick_drawing_is_the_checking_rasters(bracket, model, distortion):
     window = Window(lens(camera), ray, 0, 0, measured, inside, True)
     for seed in range(3):
         draw(pose(seed), model.facets, window, Canvas(z, face))
-        expected = drawn(bracket.mesh, pose(seed), camera)
+        expected = depth_of(bracket.mesh, pose(seed), camera)
         assert (np.isfinite(z) != np.isfinite(expected)).sum() <= 2  # on an edge, by rounding
         both = np.isfinite(z) & np.isfinite(expected)
         assert (np.abs(z[both] - expected[both]) > 1e-12).sum() <= 2
@@ -251,11 +251,11 @@ def test_normals_of_a_plane_are_its_own_and_noise_is_measured():
     z = (normal @ [0, 0, 0.85]) / (ray @ normal)
     inside = np.zeros(z.shape, bool)
     inside[60:100, 80:120] = True
-    seen = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
-    known = np.isfinite(seen.smooth)
+    view = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
+    known = np.isfinite(view.smooth)
     assert known.sum() >= known.size - 4  # in the corners too little of a window is left
-    np.testing.assert_allclose(seen.smooth[known], seen.z[known], rtol=1e-9)
-    np.testing.assert_allclose(seen.normal[known] - normal, 0, atol=1e-7)
+    np.testing.assert_allclose(view.smooth[known], view.z[known], rtol=1e-9)
+    np.testing.assert_allclose(view.normal[known] - normal, 0, atol=1e-7)
     noisy = z + 0.0008 * np.random.default_rng(0).standard_normal(z.shape)
-    seen = crop(noisy, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
-    assert seen.noise_m == pytest.approx(0.0008, rel=0.15)
+    view = crop(noisy, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
+    assert view.noise_m == pytest.approx(0.0008, rel=0.15)

@@ -59,14 +59,14 @@ def test_every_pair_is_in_the_table_at_a_feature_that_no_motion_changes():
 
 def test_each_reference_point_votes_for_the_pose_but_for_half_a_bin_of_turn():
     point, normal = scattered(60)
-    seen = np.arange(5, 45)
-    T, weight = voted(moved(SOMEWHERE, point[seen], normal[seen]), (point, normal), range(10))
+    index = np.arange(5, 45)
+    T, weight = voted(moved(SOMEWHERE, point[index], normal[index]), (point, normal), range(10))
     for i, pose in enumerate(T):
         np.testing.assert_allclose(
-            transform_points(pose, point[seen[i]]), transform_points(SOMEWHERE, point[seen[i]])
+            transform_points(pose, point[index[i]]), transform_points(SOMEWHERE, point[index[i]])
         )
         np.testing.assert_allclose(
-            pose[:3, :3] @ normal[seen[i]], SOMEWHERE[:3, :3] @ normal[seen[i]]
+            pose[:3, :3] @ normal[index[i]], SOMEWHERE[:3, :3] @ normal[index[i]]
         )
         off = Rotation.from_matrix(pose[:3, :3].T @ SOMEWHERE[:3, :3]).magnitude()
         assert off < 1.001 * np.pi / TURNS
@@ -111,8 +111,8 @@ def test_like_poses_add_their_votes_and_the_best_of_them_stands_for_all(block):
     near = SOMEWHERE @ rigid(axis_rotation("x", 0.05), np.array([0.001, 0, 0]))
     other = SOMEWHERE @ rigid(axis_rotation("x", np.pi / 2), np.zeros(3))
     T = np.stack([other, near @ half, SOMEWHERE, near])
-    found = _bundled(model, T, np.array([5.0, 2.0, 3.0, 2.0]))
-    np.testing.assert_array_equal(found, [SOMEWHERE, other])
+    poses = _bundled(model, T, np.array([5.0, 2.0, 3.0, 2.0]))
+    np.testing.assert_array_equal(poses, [SOMEWHERE, other])
 
 
 def test_turns_about_an_axis_of_symmetry_are_one_bundle(block):
@@ -120,5 +120,5 @@ def test_turns_about_an_axis_of_symmetry_are_one_bundle(block):
     middle = np.array([0.005, -0.01, 0.02])
     turned = [about(SOMEWHERE, middle, "z", angle) for angle in (0.0, 1.0, 2.5)]
     tilted = about(SOMEWHERE, middle, "x", 0.5)
-    found = _bundled(model, np.stack([*turned, tilted]), np.array([1.0, 1.0, 1.0, 2.0]))
-    np.testing.assert_array_equal(found, [turned[0], tilted])
+    poses = _bundled(model, np.stack([*turned, tilted]), np.array([1.0, 1.0, 1.0, 2.0]))
+    np.testing.assert_array_equal(poses, [turned[0], tilted])

@@ -31,7 +31,7 @@ def test_nearly_all_poses_are_found_in_scans_by_outlines_and_most_by_boxes(
         [
             row
             for name in ("metal_workpiece_1", "metal_workpiece_2", "yellow_salt_cube")
-            for row in found(CONFIGS / f"{name}.yaml", mitsuba_renderer)
+            for row in successes(CONFIGS / f"{name}.yaml", mitsuba_renderer)
         ]
     )
     assert len(right) >= 50
@@ -39,7 +39,7 @@ def test_nearly_all_poses_are_found_in_scans_by_outlines_and_most_by_boxes(
     assert by_outline <= 2 and by_box <= 8
 
 
-def found(path, renderer):
+def successes(path, renderer):
     """Whether each instance is within 5 degrees and 3 mm: by its outline, and by its box."""
     cell = resolve_cell(load_config(path), path.parent)
     shot = make_scene(cell, SCENE, seed=0, renderer=renderer)

@@ -45,8 +45,8 @@ def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
         inside[before] = False
     if not tight:
         inside[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = True
-    seen = crop(depth, CAMERA, inside, tight=tight, reach_m=0.04, window_m=0.002)
-    return Trials(model, seen), len(rows)
+    view = crop(depth, CAMERA, inside, tight=tight, reach_m=0.04, window_m=0.002)
+    return Trials(model, view), len(rows)
 
 
 @pytest.mark.parametrize("tight", [True, False])

@@ -173,10 +173,10 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     commands = parser.add_subparsers(required=True, metavar="NAME")
 
     def add(name: str, run: Callable[..., int], help: str, options: Sequence[Option], **words: Any):
-        made = commands.add_parser(name, help=help, **{"description": help} | words)
-        made.set_defaults(run=run)
+        subparser = commands.add_parser(name, help=help, **{"description": help} | words)
+        subparser.set_defaults(run=run)
         for names, of_one in options:
-            made.add_argument(*names, **of_one)
+            subparser.add_argument(*names, **of_one)
 
     add(
         "compare",

@@ -228,11 +228,11 @@ def _truth(pairs: Sequence[Pair]) -> Figures:
 
 def _accepted(rows: list[Figures], depth: Figures) -> Figures:
     """Whether each figure is within its limit."""
-    judged = {}
+    accepted = {}
     for row in rows:
         if row["light"] == "white" and row["class"] in MEDIAN_RATIO:
             low, high = MEDIAN_RATIO[row["class"]]
-            judged[f"{row['class']}_ratio"] = low <= row["median"] <= high
-    judged["depth"] = depth["median_abs_columns"] <= MEDIAN_COLUMNS
-    judged["valid"] = depth["valid_alike_share"] >= VALID_ALIKE_SHARE
-    return judged
+            accepted[f"{row['class']}_ratio"] = low <= row["median"] <= high
+    accepted["depth"] = depth["median_abs_columns"] <= MEDIAN_COLUMNS
+    accepted["valid"] = depth["valid_alike_share"] >= VALID_ALIKE_SHARE
+    return accepted

@@ -113,13 +113,13 @@ def _add_part(spec, name: str, body: Body, T: Float[np.ndarray, "4 4"], kind: in
     import mujoco
 
     x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
-    made = spec.worldbody.add_body(name=name, pos=T[:3, 3], quat=[w, x, y, z])
-    made.add_freejoint()
+    mj_body = spec.worldbody.add_body(name=name, pos=T[:3, 3], quat=[w, x, y, z])
+    mj_body.add_freejoint()
     moment = body.inertia_kg_m2
-    made.mass, made.ipos, made.explicitinertial = body.mass_kg, body.center_m, True
-    made.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
+    mj_body.mass, mj_body.ipos, mj_body.explicitinertial = body.mass_kg, body.center_m, True
+    mj_body.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
     for piece in range(len(body.hulls)):
-        made.add_geom(
+        mj_body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=f"{kind} {piece}",
             friction=[body.friction, 0.0, 0.0],

@@ -59,10 +59,10 @@ def edge_shifts(
     """
     along, outward, lost, count = [], [], 0, 0
     for number in _wide_bits(code):
-        shown, expected = (_levels(light, code, number) for light in (radiance, reference))
+        levels, expected = (_levels(light, code, number) for light in (radiance, reference))
         for rising in (True, False):
             wanted = _edges(expected, on_surface, rising=rising)
-            shift = _nearest(_edges(shown, on_surface, rising=rising), wanted)
+            shift = _nearest(_edges(levels, on_surface, rising=rising), wanted)
             known = np.isfinite(shift)
             count += int(np.isfinite(wanted).sum())
             lost += int((np.isfinite(wanted) & ~known).sum())

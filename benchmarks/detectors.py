@@ -90,14 +90,14 @@ def _step(detector: Detector, dataset: Path) -> Figures:
         network = detector.network.train()
         optimizer = torch.optim.SGD(network.parameters(), lr=0.0)
         batches = np.arange(BATCH * ROUNDS).reshape(ROUNDS, BATCH)
-        held = [collate([pictures[int(i)] for i in batch]) for batch in batches]
+        collated = [collate([pictures[int(i)] for i in batch]) for batch in batches]
         times: dict[str, list[float]] = {"read": [], "held": []}
         for number in range(ROUNDS):
             for name in times:
                 torch.manual_seed(number)
                 start = time.perf_counter()
                 batch = (
-                    held[number]
+                    collated[number]
                     if name == "held"
                     else collate([pictures[int(i)] for i in batches[number]])
                 )
@@ -111,6 +111,6 @@ def _step(detector: Detector, dataset: Path) -> Figures:
                 optimizer.zero_grad()
                 times[name].append(time.perf_counter() - start)
         network.eval()
-    read_s, held_s = median(times["read"][1:]), median(times["held"][1:])
+    read_s, collated_s = median(times["read"][1:]), median(times["held"][1:])
     ratio = median(a / b for a, b in zip(times["read"][1:], times["held"][1:], strict=True))
-    return {"step_s": read_s, "step_held_s": held_s, "read_over_held": ratio}
+    return {"step_s": read_s, "step_held_s": collated_s, "read_over_held": ratio}

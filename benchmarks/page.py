@@ -126,10 +126,10 @@ def one_scene() -> str:
             for scene_id in range(1 + SCENES):
                 start = time.perf_counter()
                 shot = make_scene(cell, scene_id, seed=0, renderer=renderer)
-                made = time.perf_counter()
+                write_start = time.perf_counter()
                 store.write(scene_id, [shot.sample])
                 ended = time.perf_counter()
-                timings = shot.sample.manifest["timings"] | {"write": ended - made}
+                timings = shot.sample.manifest["timings"] | {"write": ended - write_start}
                 for stage, value in (timings | {"scene (median)": ended - start}).items():
                     times.setdefault(stage, []).append(value)
     rows = [[stage, f"{median(seconds[1:]):.2f}"] for stage, seconds in times.items()]

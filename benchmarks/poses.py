@@ -64,7 +64,7 @@ class _Trial:
     instance: int
     estimate: PoseMatch
     cpu_s: float
-    seen: bool = True
+    detected: bool = True
     angle_deg: float = math.inf
     shift_mm: float = math.inf
     strict: bool = False
@@ -112,13 +112,15 @@ def measure(
             for case in CASES:
                 trials[case] += _trials(subject, example, places, case)
             if opened is not None:
-                seen = opened.detect(example, obj_ids=subject.obj_ids)
+                detections = opened.detect(example, obj_ids=subject.obj_ids)
                 for case in DETECTED:
-                    trials[case] += _trials(subject, example, places, case, seen)
-        for case, held in trials.items():
-            rows.append({"dataset": subject.name, "depth": case[0], "region": case[1]} | _row(held))
+                    trials[case] += _trials(subject, example, places, case, detections)
+        for case, case_trials in trials.items():
+            rows.append(
+                {"dataset": subject.name, "depth": case[0], "region": case[1]} | _row(case_trials)
+            )
             name = f"{k}_{subject.name}_{case[0]}_{case[1].replace(' ', '').replace('%', '')}"
-            texts[f"{name}.csv"] = pose_results_text(list(_estimates(held)))
+            texts[f"{name}.csv"] = pose_results_text(list(_estimates(case_trials)))
         worst = sorted(trials[CASES[0]], key=lambda trial: trial.near)[:SHEET]
         sheets[f"{k}_{subject.name}.png"] = _sheet(subject, worst)
     if out is not None:
@@ -136,8 +138,8 @@ def _subject(folder: Path, detector: Any | None) -> _Subject:
     if detector is None:
         examples = open_examples(folder)
     else:
-        held = detector.about.trained["settings"]["split"]
-        division = Split(shares=tuple(held["shares"]), seed=held["seed"])
+        split = detector.about.trained["settings"]["split"]
+        division = Split(shares=tuple(split["shares"]), seed=split["seed"])
         examples = open_examples(folder, split="test", division=division)
     shapes = {k: joined(one.symmetry, shape_symmetry(one.mesh)) for k, one in stored.items()}
     return _Subject(
@@ -209,7 +211,11 @@ def _trials(
             estimate = find_pose_in_box(model, depth_m, camera, region)
         cpu_s = time.process_time() - began
         trial = _Trial(
-            example=example, instance=place, estimate=estimate, cpu_s=cpu_s, seen=region is not None
+            example=example,
+            instance=place,
+            estimate=estimate,
+            cpu_s=cpu_s,
+            detected=region is not None,
         )
         if estimate.T_cam_part is None:
             yield trial
@@ -250,13 +256,13 @@ def _region(
     return np.asarray(coco_mask.decode(dict(detections.mask[best]))).astype(bool)
 
 
-def _needed(held: np.ndarray | None, example: Example) -> np.ndarray:
-    if held is None:
+def _needed(value: np.ndarray | None, example: Example) -> np.ndarray:
+    if value is None:
         raise GraycastError(
             f"scene {example.scene_id} lacks a picture, a depth or labels: give a dataset that "
             "graycast generate made"
         )
-    return held
+    return value
 
 
 def _obj_id(example: Example, place: int) -> int:
@@ -277,7 +283,7 @@ def _row(trials: Sequence[_Trial]) -> Figures:
         "share": sum(near) / len(near),
         "low": low,
         "high": high,
-        "detected": sum(trial.seen for trial in trials) / len(trials),
+        "detected": sum(trial.detected for trial in trials) / len(trials),
         "strict": sum(trial.strict for trial in trials) / len(trials),
         "rotation_deg": median(trial.angle_deg for trial in trials),
         "translation_mm": median(trial.shift_mm for trial in trials),
@@ -328,8 +334,8 @@ def _tile(subject: _Subject, trial: _Trial) -> UInt8[np.ndarray, "t t 3"]:
         mesh = subject.stored[_obj_id(example, trial.instance)].mesh
         origin = (at[0] - half, at[1] - half)
         _outline(big, mesh, trial, T_cam_part, origin, TILE_PX / (2 * half))
-    told = f"{trial.angle_deg:.1f} deg {trial.shift_mm:.1f} mm"
-    cv2.putText(big, told, (4, TILE_PX - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
+    text = f"{trial.angle_deg:.1f} deg {trial.shift_mm:.1f} mm"
+    cv2.putText(big, text, (4, TILE_PX - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
     return big
 
 

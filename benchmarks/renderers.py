@@ -49,9 +49,9 @@ class Stopwatch:
     def mark(self) -> None:
         self.marks.append((time.perf_counter() - self.start_s, cpu_s() - self.start_cpu_s))
 
-    def steady(self, shown: int) -> tuple[float, float]:
-        """Seconds and processor seconds of a pattern's frame after the first of `shown`."""
-        pairs = list(pairwise(self.marks[:shown]))
+    def steady(self, count: int) -> tuple[float, float]:
+        """Seconds and processor seconds of a pattern's frame after the first of `count`."""
+        pairs = list(pairwise(self.marks[:count]))
         wall_s = median(after[0] - before[0] for before, after in pairs)
         return wall_s, median(after[1] - before[1] for before, after in pairs)
 
@@ -117,9 +117,9 @@ def _timed(
     patterns = cell.patterns()
     for renderer in renderers:
         show(f"warming up {renderer.name}")
-        shown = patterns if renderer is mitsuba else patterns[need_renders(patterns)[:1]]
+        warm_up = patterns if renderer is mitsuba else patterns[need_renders(patterns)[:1]]
         quality = Quality(samples=samples if renderer is mitsuba else 1)
-        renderer.render(cell.scene, layout, shown, quality=quality, seed=0)
+        renderer.render(cell.scene, layout, warm_up, quality=quality, seed=0)
     stacks: dict[str, list[Figures]] = {"onepass": [], "cycles": [], "cycles3": []}
     for _ in range(ROUNDS):
         for (name, ends), renderer in zip(stacks.items(), renderers, strict=True):
@@ -157,19 +157,19 @@ def _stack(
     cycles: Any = renderer
     patterns, each = patterns[need_renders(patterns)], cycles.patterns_per_render
     count = math.ceil(len(patterns) / each)
-    shown = min(TIMED[each], count)
+    timed = min(TIMED[each], count)
     cycles.on_frame = lambda done, total: watch.mark()
-    renderer.render(cell.scene, layout, patterns[: shown * each], quality=quality, seed=1)
+    renderer.render(cell.scene, layout, patterns[: timed * each], quality=quality, seed=1)
     watch.mark()
-    frame_s, frame_cpu_s = watch.steady(shown)
+    frame_s, frame_cpu_s = watch.steady(timed)
     total_s, total_cpu_s = watch.marks[-1]
     return {
-        "s": total_s + (count - shown) * frame_s,
-        "cpu_s": total_cpu_s + (count - shown) * frame_cpu_s,
+        "s": total_s + (count - timed) * frame_s,
+        "cpu_s": total_cpu_s + (count - timed) * frame_cpu_s,
         "frame_s": frame_s,
         "frame_cpu_s": frame_cpu_s,
         "renders": count,
-        "renders_timed": shown,
+        "renders_timed": timed,
     }
 
 

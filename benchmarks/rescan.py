@@ -93,8 +93,8 @@ def _rows(name: str, cell: Cell, folder: Path, scenes: int, show: Show) -> Itera
             open_source(folder / "bare/train", options), cell.scanner, out, RescanSpec(seed=seed)
         )
         seconds = (time.process_time() - start) / scenes
-        made = _scans(out / "train", folder / "whole/train")
-        yield {"cell": name, "scan": label, "s": seconds, **_figures(made, original)}
+        scans = _scans(out / "train", folder / "whole/train")
+        yield {"cell": name, "scan": label, "s": seconds, **_figures(scans, original)}
 
 
 def _strip(whole: Path, bare: Path) -> None:

@@ -102,18 +102,18 @@ def _drop(part: Part, body: Body, count: int, seed: int, hull_folder: Path | Non
 
 
 def _row(family: str, count: int, drops: list[Figures]) -> Figures:
-    made = [figures for figures in drops if "attempts" in figures]
+    finished = [figures for figures in drops if "attempts" in figures]
     seconds = [figures["cpu_s"] for figures in drops]
-    row: Figures = {"family": family, "count": count, "made": len(made), "asked": len(drops)}
-    if made:
-        attempts = [figures["attempts"] for figures in made]
+    row: Figures = {"family": family, "count": count, "made": len(finished), "asked": len(drops)}
+    if finished:
+        attempts = [figures["attempts"] for figures in finished]
         row |= {
             "attempts": median(attempts),
             "most": max(attempts),
-            "overlap_mm": max(figures["overlap_mm"] for figures in made),
+            "overlap_mm": max(figures["overlap_mm"] for figures in finished),
         }
     row |= {"cpu_s": median(seconds), "cpu_most_s": max(seconds)}
-    moved_mm = [figures["moved_mm"] for figures in made if "moved_mm" in figures]
+    moved_mm = [figures["moved_mm"] for figures in finished if "moved_mm" in figures]
     if moved_mm:
         row |= {
             "balanced": sum(moved <= 1e3 * BALANCED_M for moved in moved_mm),

@@ -52,11 +52,11 @@ def zoo_part(name: str) -> Part:
     if name not in _FAMILIES:
         raise ValueError(f"the zoo has no part {name!r}: choose one of {', '.join(ZOO)}")
     family = _FAMILIES[name]
-    made = family.shape().to_mesh64()
-    vertices_mm = np.array(made.vert_properties[:, :3], dtype=np.float64)
+    mesh = family.shape().to_mesh64()
+    vertices_mm = np.array(mesh.vert_properties[:, :3], dtype=np.float64)
     middle_mm = (vertices_mm.min(axis=0) + vertices_mm.max(axis=0)) / 2
     vertices_m = (vertices_mm - middle_mm) * 1e-3
-    faces = np.asarray(made.tri_verts).astype(np.int64)
+    faces = np.asarray(mesh.tri_verts).astype(np.int64)
     return Part(
         name=name,
         mesh=Mesh(

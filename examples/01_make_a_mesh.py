@@ -27,6 +27,6 @@ def plate() -> trimesh.Trimesh:
 if __name__ == "__main__":
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "plate.stl")
     path.parent.mkdir(parents=True, exist_ok=True)
-    made = plate()
-    made.export(path)
-    print(f"{path}: {len(made.faces)} faces, {made.extents} mm, watertight {made.is_watertight}")
+    shape = plate()
+    shape.export(path)
+    print(f"{path}: {len(shape.faces)} faces, {shape.extents} mm, watertight {shape.is_watertight}")

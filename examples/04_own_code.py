@@ -51,9 +51,9 @@ def main(samples: int) -> None:
     depth = graycast.triangulate(codes, scene.rig)
 
     error_mm = 1000 * np.abs(depth.depth_m - rendering.truth.depth_m)
-    found = np.isfinite(error_mm)
-    print(f"{len(code.frames)} frames, {found.mean():.1%} of the pixels decoded")
-    print(f"median error {np.median(error_mm[found]):.3f} mm")
+    decoded = np.isfinite(error_mm)
+    print(f"{len(code.frames)} frames, {decoded.mean():.1%} of the pixels decoded")
+    print(f"median error {np.median(error_mm[decoded]):.3f} mm")
 
 
 if __name__ == "__main__":

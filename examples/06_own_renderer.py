@@ -31,8 +31,8 @@ class FoggyRenderer(graycast.Renderer):
         self.versions = clear.versions
 
     def render(self, scene, layout, pattern, *, quality, seed) -> graycast.Rendering:
-        found = self.clear.render(scene, layout, pattern, quality=quality, seed=seed)
-        rig, depth_m = scene.rig, found.truth.depth_m
+        rendering = self.clear.render(scene, layout, pattern, quality=quality, seed=seed)
+        rig, depth_m = scene.rig, rendering.truth.depth_m
         grid = pixel_grid(rig.camera.height_px, rig.camera.width_px)
         point_m = rays(rig.camera, grid) * np.nan_to_num(depth_m)[..., None]
         from_camera_m = np.linalg.norm(point_m, axis=-1)
@@ -41,14 +41,14 @@ class FoggyRenderer(graycast.Renderer):
         light = view * np.exp(-self.density_per_m * np.linalg.norm(in_projector_m, axis=-1))
         light = light.astype(np.float32)
         radiance = replace(
-            found.radiance,
-            pattern=found.radiance.pattern * light,
-            white=found.radiance.white * light,
-            white_rgb=found.radiance.white_rgb * light[..., None],
-            ambient=found.radiance.ambient * view,
-            ambient_rgb=found.radiance.ambient_rgb * view[..., None],
+            rendering.radiance,
+            pattern=rendering.radiance.pattern * light,
+            white=rendering.radiance.white * light,
+            white_rgb=rendering.radiance.white_rgb * light[..., None],
+            ambient=rendering.radiance.ambient * view,
+            ambient_rgb=rendering.radiance.ambient_rgb * view[..., None],
         )
-        return replace(found, radiance=radiance)
+        return replace(rendering, radiance=radiance)
 
 
 def main(samples: int) -> None:

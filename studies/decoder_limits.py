@@ -62,7 +62,7 @@ def stack(
     return np.minimum(frames, int(levels.saturation_dn)).astype(np.uint16)
 
 
-def judged(
+def scores_of(
     code: Code, frames: UInt16[np.ndarray, "n h w"], *, levels: Levels = LEVELS
 ) -> tuple[float, float, CodeMap]:
     """Shares of all pixels that decode, and of these that are wrong; and the codes."""
@@ -104,7 +104,7 @@ def saturation(args: argparse.Namespace) -> None:
             # Phases through a projector out of focus: their peak stays under the white level.
             frames = stack(code, white_dn=shiny(strength=strength), disc_px=3.0)
             top = (frames >= LEVELS.saturation_dn).any(axis=0).mean()
-            decoded, wrong, codes = judged(code, frames)
+            decoded, wrong, codes = scores_of(code, frames)
             lost = (codes.reason == Reason.SATURATED).mean()
             print(
                 f"{name:26} {strength:5.1f}: {100 * top:5.1f} {100 * decoded:6.2f} "
@@ -183,7 +183,7 @@ def periods(args: argparse.Namespace) -> None:
     for name, code in WEAK_CODES.items():
         for white_dn in WEAK_DN:
             share = share_of_white(code, place) ** args.power
-            decoded, _, codes = judged(code, stack(code, white_dn=white_dn, share=share))
+            decoded, _, codes = scores_of(code, stack(code, white_dn=white_dn, share=share))
             known = codes.reason == Reason.DECODED
             off_px = np.abs(codes.column - place)
             limit_px = 0.5 * min(f.period_px for f in code.frames if f.period_px)

@@ -238,8 +238,8 @@ def write_real(out: Path) -> None:
     The device's depth is every second pixel of its picture, so colour and masks are halved.
     """
     source = out / "real_pictures"
-    for made in (source, out / "real"):  # of an earlier call; both are made anew
-        shutil.rmtree(made, ignore_errors=True)
+    for folder in (source, out / "real"):  # of an earlier call; both are made anew
+        shutil.rmtree(folder, ignore_errors=True)
     for name in ("rgb", "depth", "annotations"):
         (source / name).mkdir(parents=True, exist_ok=True)
     for i in range(5):

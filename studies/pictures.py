@@ -78,9 +78,9 @@ def replay(folder: Path) -> None:
     def graycast(*words: object) -> None:
         subprocess.run([sys.executable, "-m", "graycast", *map(str, words)], check=True)
 
-    with tempfile.TemporaryDirectory() as made:
-        graycast("robot", "report", folder, "--out", Path(made) / "page")
-        url = f"{(Path(made) / 'page' / 'index.html').resolve().as_uri()}#/{ATTEMPT}"
+    with tempfile.TemporaryDirectory() as scratch:
+        graycast("robot", "report", folder, "--out", Path(scratch) / "page")
+        url = f"{(Path(scratch) / 'page' / 'index.html').resolve().as_uri()}#/{ATTEMPT}"
         with opened(url, REPORT_PX) as page:
             page.wait_for_selector(f'#main[data-ready="{ATTEMPT}"]')
             page.evaluate(
@@ -155,8 +155,8 @@ def main() -> None:
         one.add_argument("folder", type=Path, help=words)
         one.set_defaults(make=make)
     kinds.add_parser("live").set_defaults(make=live)
-    asked = vars(parser.parse_args())
-    asked.pop("make")(**asked)
+    options = vars(parser.parse_args())
+    options.pop("make")(**options)
 
 
 if __name__ == "__main__":

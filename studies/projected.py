@@ -74,13 +74,13 @@ def share_of_white(
         left = np.minimum(at.astype(np.int64), last - 1)
         between[axis] = left, at - left
 
-    def seen(axis: Axis, share: float | Float[np.ndarray, " size"]) -> Float[np.ndarray, "h w"]:
+    def image_of(axis: Axis, share: float | Float[np.ndarray, " size"]) -> Float[np.ndarray, "h w"]:
         fine = np.repeat(np.pad(np.broadcast_to(share, code.size_px(axis)), margin), FINE)
         curve = fftconvolve(fine, kernel, mode="same")
         left, rest = between[axis]
         return curve[left] + rest * (curve[left + 1] - curve[left])
 
-    lit = {axis: seen(axis, 1.0) for axis in places}
+    lit = {axis: image_of(axis, 1.0) for axis in places}
     out = []
     for frame in code.frames:
         total = np.full(column.shape, float(frame.kind != "black"))
@@ -89,7 +89,7 @@ def share_of_white(
                 total = total * lit[axis]
             elif axis in places:
                 place = {"offset_px": code.offset_px[i], "stride_px": code.stride_px[i]}
-                total = total * seen(axis, level_share(frame, code.size_px(axis), **place))
+                total = total * image_of(axis, level_share(frame, code.size_px(axis), **place))
         out.append(total)
     return np.clip(np.array(out), 0, 1)
 

@@ -19,10 +19,10 @@ def random_shape(seed: int) -> trimesh.Trimesh:
     """The shape of a seed; `seed % 4` is its kind: forked, arch, flask, card."""
     rng = np.random.default_rng([20, seed])
     kind = (_forked, _arch, _flask, _card)[seed % 4]
-    made = kind(rng).to_mesh64()
-    vertices_m = np.array(made.vert_properties[:, :3], dtype=np.float64) * 1e-3
+    mesh = kind(rng).to_mesh64()
+    vertices_m = np.array(mesh.vert_properties[:, :3], dtype=np.float64) * 1e-3
     vertices_m -= (vertices_m.min(axis=0) + vertices_m.max(axis=0)) / 2
-    return trimesh.Trimesh(vertices_m, np.asarray(made.tri_verts, dtype=np.int64), process=False)
+    return trimesh.Trimesh(vertices_m, np.asarray(mesh.tri_verts, dtype=np.int64), process=False)
 
 
 def _forked(rng: np.random.Generator) -> Manifold:

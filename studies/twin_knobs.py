@@ -135,12 +135,12 @@ def judge(
         each: dict[str, Any] = {place: [] for place in (*PLACES, "coverage")}
         for draw in range(draws):
             seed = 100_000 + 1_000 * draw
-            made = list(scans_of(lit, scanner, values, seed=seed, name="twin"))
-            squares = cut_squares(made, step_m=bench.step_m)
+            scans = list(scans_of(lit, scanner, values, seed=seed, name="twin"))
+            squares = cut_squares(scans, step_m=bench.step_m)
             for place in PLACES:
                 auc = sensor_auc(bench.squares[name], squares, place, seed=draw)
                 each[place].append(auc)
-            each["coverage"].append(float(np.mean([scan.valid.mean() for scan in made])))
+            each["coverage"].append(float(np.mean([scan.valid.mean() for scan in scans])))
         judgement[name] = each
     return judgement
 

@@ -116,13 +116,13 @@ def light(scanner: Scanner, rng: np.random.Generator) -> LitScene:
         surfaces=tuple(things),
         environment=Environment(radiance=(0.0, 0.0, 0.0)),
     )
-    shown = [replace(scanner, code=code).light_code() for code in codes]
-    stack = [one.render(lambda share: grey_levels(rig, share)) for one in shown]
-    made = ReferenceRenderer().render(
+    light_codes = [replace(scanner, code=code).light_code() for code in codes]
+    stack = [one.render(lambda share: grey_levels(rig, share)) for one in light_codes]
+    rendering = ReferenceRenderer().render(
         scene, EMPTY_LAYOUT, np.concatenate(stack), quality=Quality(samples=9, depth=1), seed=0
     )
     ends = np.cumsum([len(one) for one in stack])
-    whole, depth_m = made.radiance, made.truth.depth_m.astype(np.float64)
+    whole, depth_m = rendering.radiance, rendering.truth.depth_m.astype(np.float64)
     return LitScene(
         radiance={
             code: replace(whole, pattern=whole.pattern[end - len(one) : end].copy())

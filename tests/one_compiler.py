@@ -17,19 +17,19 @@ def one_compiler_a_kernel(folder: Path) -> Iterator[None]:
     one is forgotten. Numba looks a kernel up after the lock is taken, so who had to wait finds it.
     While one is compiled so are those that it calls: a kernel calls none that waits for it.
     """
-    compile_one, held = Dispatcher.compile, set()
+    compile_one, locked = Dispatcher.compile, set()
 
     def compile_alone(kernel, signature):
         name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
-        if not name.startswith("graycast.") or name in held:
+        if not name.startswith("graycast.") or name in locked:
             return compile_one(kernel, signature)
         with open(folder / name, "w") as file:
             fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
-            held.add(name)
+            locked.add(name)
             try:
                 return compile_one(kernel, signature)
             finally:
-                held.remove(name)
+                locked.remove(name)
 
     with mock.patch.object(Dispatcher, "compile", compile_alone):
         yield

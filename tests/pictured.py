@@ -58,10 +58,10 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
 def forget(out: Path) -> None:
     """Leave of a dataset what one of real pictures has."""
     claim = json.loads((out / "graycast.json").read_bytes())
-    kept = ("format_version", "depth_scale_mm", "sources", "versions")
+    claim_keys = ("format_version", "depth_scale_mm", "sources", "versions")
     parts = [{key: part[key] for key in ("obj_id", "name")} for part in claim["parts"]]
     real = {"kind": "real", "parts": parts, "holds": ["rgb", "depth_sl", "masks"]}
-    (out / "graycast.json").write_text(json.dumps({key: claim[key] for key in kept} | real))
+    (out / "graycast.json").write_text(json.dumps({key: claim[key] for key in claim_keys} | real))
     for scene in (out / "train").iterdir():
         for name in ("depth", "reason_sl", "gray_sl"):
             (scene / name / "000000.png").unlink()

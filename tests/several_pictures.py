@@ -34,17 +34,17 @@ _EYES = ((-0.25, 0.0, 0.6), (0.0, -0.3, 0.6), (0.25, 0.05, 0.6), (0.0, 0.3, 0.55
 
 def rigs():
     """`left` has 160 x 120 pixels, `right` 128 x 96."""
-    found = {}
+    by_name = {}
     for name, (width, height, f) in {"left": (160, 120, 200.0), "right": (128, 96, 150.0)}.items():
         camera = Optics(
             width_px=width, height_px=height, fx_px=f, fy_px=f,
             cx_px=(width - 1) / 2, cy_px=(height - 1) / 2,
         )  # fmt: skip
         aside = rigid(np.eye(3), np.array([0.2, 0.0, 0.0]))
-        found[name] = Rig(
+        by_name[name] = Rig(
             name=name, camera=camera, projector=camera, T_cam_proj=aside, near_m=0.2, far_m=1.5
         )
-    return found
+    return by_name
 
 
 def lying(scene_id):
@@ -118,8 +118,8 @@ def write_several(out):
         out, config=CONFIG, seed=SEED, parts=parts, rig=takers[0].rig, depth_scale_mm=SCALE_MM,
         takers=takers,
     ) as store:  # fmt: skip
-        for scene_id, held in samples.items():
-            store.write(scene_id, held)
+        for scene_id, views in samples.items():
+            store.write(scene_id, views)
         store.finish(samples)
     return samples
 

@@ -14,7 +14,7 @@ from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wed
 
 
 @cache
-def _made(scene_id):
+def _sample(scene_id):
     """Once in a process; a test that changes a sample copies it."""
     return build_sample(scene_id, parts=(box_part(), wedge_part()), rig=make_rig())
 
@@ -22,7 +22,7 @@ def _made(scene_id):
 def write_dataset(out, scene_ids=(0, 3, 4, 5)):
     """Writes it and returns the samples by scene."""
     parts, rig = (box_part(), wedge_part()), make_rig()
-    samples = {i: _made(i) for i in scene_ids}
+    samples = {i: _sample(i) for i in scene_ids}
     with open_store(
         out, config=CONFIG, seed=SEED, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
     ) as store:
@@ -53,10 +53,10 @@ def samples(made):
 def exported(master, tmp_path):
     """Exports the dataset; keywords are options."""
 
-    def run(form, **said):
-        said.setdefault("split", Split())
+    def run(form, **options):
+        options.setdefault("split", Split())
         out = tmp_path / f"{form}-{len(list(tmp_path.iterdir()))}"
-        export(master, out, Options(format=form, **said))
+        export(master, out, Options(format=form, **options))
         return out
 
     return run
@@ -64,10 +64,10 @@ def exported(master, tmp_path):
 
 def visible(sample):
     """Which instances are seen, their masks, and their boxes [x, y, columns, rows]."""
-    seen = [i for i in range(8) if (sample.truth.instance == i).any()]
-    masks = [sample.truth.instance == i for i in seen]
+    instances = [i for i in range(8) if (sample.truth.instance == i).any()]
+    masks = [sample.truth.instance == i for i in instances]
     boxes = []
     for mask in masks:
         y, x = mask.nonzero()
         boxes.append([x.min(), y.min(), x.max() - x.min() + 1, y.max() - y.min() + 1])
-    return seen, masks, boxes
+    return instances, masks, boxes

@@ -33,9 +33,9 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
         "bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"base_color": [0.4, 0.3, 0.2]}},
         "render": {"samples": 4, "denoise": False},
     }
-    kept = {key: value for key, value in (content | changes).items() if key not in without}
+    settings = {key: value for key, value in (content | changes).items() if key not in without}
     path = folder / "cell.yaml"
-    path.write_text(yaml.safe_dump(kept), encoding="utf-8")
+    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
     return path
 
 

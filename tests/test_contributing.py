@@ -32,8 +32,8 @@ def lines_on() -> dict[str, str]:
     """The text on each kind of new thing."""
     text = (ROOT / "CONTRIBUTING.md").read_text()
     section = text.split("## Where new things go")[1].split("\n## ")[0]
-    found = re.findall(r"^- \*\*An? ([\w\- ]+)\*\*(.*?)(?=^- |\Z)", section, flags=re.M | re.S)
-    return dict(found)
+    entries = re.findall(r"^- \*\*An? ([\w\- ]+)\*\*(.*?)(?=^- |\Z)", section, flags=re.M | re.S)
+    return dict(entries)
 
 
 def files_for(kind: str) -> set[str]:
@@ -50,12 +50,12 @@ def test_a_new_thing_touches_three_files_at_most_and_they_exist(kind):
 @cache
 def files_of_texts() -> Mapping[str, set[str]]:
     """Of each text in the package, the files that have it."""
-    found = defaultdict(set)
+    files = defaultdict(set)
     for path in (ROOT / "src").rglob("*.py"):
         for node in nodes_of(path):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                found[node.value].add(path.relative_to(ROOT).as_posix())
-    return found
+                files[node.value].add(path.relative_to(ROOT).as_posix())
+    return files
 
 
 @pytest.mark.parametrize("kind", NAMES)

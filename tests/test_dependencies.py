@@ -33,24 +33,24 @@ def wanted(*lists):
 
 def imported_by(folder):
     """First words of what is imported from elsewhere, anywhere in a folder's files."""
-    found = set()
+    packages = set()
     for file in folder.rglob("*.py"):
         if "worker" in file.parts:  # scripts of Blender's Python, which import each other
             continue
         for node in nodes_of(file):
             if isinstance(node, ast.Import):
-                found |= {alias.name.split(".")[0] for alias in node.names}
+                packages |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
-                found.add(node.module.split(".")[0])
-    return found - set(sys.stdlib_module_names) - {"graycast"}
+                packages.add(node.module.split(".")[0])
+    return packages - set(sys.stdlib_module_names) - {"graycast"}
 
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
     """lxml, networkx and mapbox-earcut were asked for, and nothing imported them."""
     of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick", "twin")]
-    asked = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
-    asked = {name.replace("-", "_") for name in asked}
-    assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND == asked
+    dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
+    dependencies = {name.replace("-", "_") for name in dependencies}
+    assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND == dependencies
 
 
 def test_constraints_are_names_and_versions_alone():

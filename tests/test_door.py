@@ -34,15 +34,15 @@ def test_opening_the_door_loads_neither_a_room_nor_another_package():
 def test_every_name_of_the_door_is_its_rooms_own():
     """Python is told by `_MODULE`, type checkers by the imports: both must say the same."""
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
-    told = {
+    modules = {
         alias.asname: node.module
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and node.level
         for alias in node.names
     }
-    assert told == graycast._MODULE
-    assert {"__version__", *told} == set(graycast.__all__) <= set(dir(graycast))
-    for name, module in told.items():
+    assert modules == graycast._MODULE
+    assert {"__version__", *modules} == set(graycast.__all__) <= set(dir(graycast))
+    for name, module in modules.items():
         room = import_module(f"graycast.{module}")
         assert name in room.__all__ if hasattr(room, "__path__") else hasattr(room, name)
         if module.startswith("learn") and find_spec("torch") is None:
@@ -71,28 +71,30 @@ def test_the_door_lists_only_what_stands_in_it():
     assert {name for name in dir(graycast) if name[:2] != "__"} == {*graycast.__all__[1:]}
 
 
-def test_a_shot_is_one_line(made):
-    assert re.fullmatch(r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% decoded\)", str(made[1]))
+def test_a_shot_is_one_line(cell_and_shot):
+    assert re.fullmatch(
+        r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% decoded\)", str(cell_and_shot[1])
+    )
 
 
 @pytest.mark.slow
 def test_python_runs_the_package():
     command = [sys.executable, "-m", "graycast", "--version"]
-    told = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert told.stdout == f"graycast {graycast.__version__}\n"
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout == f"graycast {graycast.__version__}\n"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, mitsuba_renderer):
+def cell_and_shot(tmp_path_factory, mitsuba_renderer):
     """A small cell, and one scene of it made by hand."""
     path = write_cell(tmp_path_factory.mktemp("cell"))
     cell = graycast.load_cell(path)
     return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
 
 
-def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(made, tmp_path):
+def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(cell_and_shot, tmp_path):
     """Byte for byte but for the timings, and `generate` goes on with the folder."""
-    cell, shot = made
+    cell, shot = cell_and_shot
     saved = graycast.save_scene(cell, shot, tmp_path / "hand")
     assert saved == tmp_path / "hand/train/000000" and not validate(tmp_path / "hand")
     run = generate(cell, tmp_path / "hand", scenes=2, seed=5, device="cpu")
@@ -101,8 +103,8 @@ def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(made, tmp_path):
     assert content(tmp_path / "hand") == content(tmp_path / "run")
 
 
-def test_a_scene_is_saved_once_and_with_its_own_cell(made, tmp_path):
-    cell, shot = made
+def test_a_scene_is_saved_once_and_with_its_own_cell(cell_and_shot, tmp_path):
+    cell, shot = cell_and_shot
     graycast.save_scene(cell, shot, tmp_path / "out")
     before = content(tmp_path / "out")
     graycast.save_scene(cell, shot, tmp_path / "out")  # the same once more

@@ -48,7 +48,7 @@ def test_every_example_is_tested_and_under_80_lines():
     assert all(len(file.read_text().splitlines()) < 80 for file in files)
 
 
-def shown_medians_mm(path):
+def sheet_medians_mm(path):
     """Of each large picture on a sheet, row by row: the median error that its colours stand for.
 
     Red and blue are errors of 5 mm, and white is none.
@@ -83,11 +83,11 @@ def test_plain_gray_code_is_wrong_in_a_bowl_where_micro_phases_are_not(tmp_path)
     text = run("03_codes_in_a_bowl.py", tmp_path)
     off = {line.split()[0]: float(line.split()[3][:-1]) for line in text.splitlines()[1:]}
     assert off["gray"] > 2 * off["micro_phase"]
-    told_mm = [float(line.split()[-2]) for line in text.splitlines()[1:]]
-    shown_mm = shown_medians_mm(tmp_path / "codes.png")
+    printed_mm = [float(line.split()[-2]) for line in text.splitlines()[1:]]
+    sheet_mm = sheet_medians_mm(tmp_path / "codes.png")
     # The sheet is smaller than the pictures: means of up to four pixels err less than one.
-    for shown, told in zip(shown_mm, told_mm, strict=True):
-        assert told / 2 < shown < told + 10 / 255
+    for on_sheet, printed in zip(sheet_mm, printed_mm, strict=True):
+        assert printed / 2 < on_sheet < printed + 10 / 255
 
 
 @pytest.mark.slow
@@ -120,8 +120,8 @@ def test_fog_of_an_own_renderer_multiplies_the_exposure(tmp_path):
 def test_a_dataset_is_read_back(tmp_path):
     samples = write_dataset(tmp_path / "prisms")
     lines = run("07_read_a_dataset.py", tmp_path).splitlines()[2:]
-    seen = [np.unique(sample.truth.instance) for sample in samples.values()]
-    assert len(lines) == sum((instances >= 0).sum() for instances in seen)
+    per_scene = [np.unique(sample.truth.instance) for sample in samples.values()]
+    assert len(lines) == sum((instances >= 0).sum() for instances in per_scene)
     assert {line.split()[2] for line in lines} == {"box", "wedge"}
 
 

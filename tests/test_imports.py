@@ -219,9 +219,9 @@ def test_the_table_notices_a_wrong_arrow(tmp_path):
         "from ..world.drop import drop\nimport graycast.cli\nfrom ..world import scene\n"
         "def f():\n    from graycast.camera.decode import decode\n"
     )
-    found = set(imports(("rendering", "wrong"), file, False))
+    imported = set(imports(("rendering", "wrong"), file, False))
     wrong = {"world.drop", "cli", "camera.decode"}
-    assert broken_arrows(("rendering", "wrong"), found) == wrong
+    assert broken_arrows(("rendering", "wrong"), imported) == wrong
     assert broken_arrows(("world", "parts", "wrong"), {("world", "scene")}) == {"world.scene"}
     assert not broken_arrows(("world", "drop", "wrong"), {("world", "scene")})
 

@@ -54,10 +54,10 @@ def scripts(name):
 
 def checked(folder, files):
     """What TypeScript's checker says of some scripts that one page loads."""
-    told = folder / "tsconfig.json"
+    settings = folder / "tsconfig.json"
     files = [str(one) for one in (WEB / "types.d.ts", *files)]
-    told.write_text(json.dumps({"compilerOptions": OPTIONS, "files": files}))
-    return run("typescript/bin/tsc", "--pretty", "false", "-p", told)
+    settings.write_text(json.dumps({"compilerOptions": OPTIONS, "files": files}))
+    return run("typescript/bin/tsc", "--pretty", "false", "-p", settings)
 
 
 @pytest.mark.parametrize("name", PAGES)

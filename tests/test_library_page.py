@@ -48,8 +48,8 @@ def test_every_block_of_the_page_runs_in_its_order(tmp_path, monkeypatch, capsys
 
 
 def test_the_page_names_every_example_and_each_name_is_there():
-    told = set(re.findall(r"`examples/(\w+\.py)`", PAGE))
-    assert told == {file.name for file in (ROOT / "examples").glob("*.py")}
+    examples = set(re.findall(r"`examples/(\w+\.py)`", PAGE))
+    assert examples == {file.name for file in (ROOT / "examples").glob("*.py")}
     for name in set(re.findall(r"`graycast\.([a-zA-Z_.]+)`", PAGE)):
         module = graycast._MODULE.get(name.split(".")[0], "")
         if module.startswith("learn") and find_spec("torch") is None:

@@ -60,8 +60,8 @@ def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
 
 
 def arguments(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-    return len(given) - (bool(given) and given[0].arg in ("self", "cls"))
+    parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return len(parameters) - (bool(parameters) and parameters[0].arg in ("self", "cls"))
 
 
 SIZES = {

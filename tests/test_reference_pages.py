@@ -41,7 +41,9 @@ def schemas(capsys):
 
 def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference, capsys):
     row = re.compile(r"^\| \[?`(\w+)`(?:\{ #|\]\().* \| (.+) \|$", re.MULTILINE)
-    rows = {found for page in reference.pages().values() for found in row.findall(page)}
+    rows = {
+        key_and_text for page in reference.pages().values() for key_and_text in row.findall(page)
+    }
     for kind, schema in schemas(capsys):
         for section in (schema, *schema.get("$defs", {}).values()):
             for key, node in section.get("properties", {}).items():
@@ -51,9 +53,9 @@ def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference
 
 def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
     page = reference.pages()["reference/commands.md"]
-    found = list(parsers(_parser()))
-    assert len(found) > 30
-    for parser in found:
+    all_parsers = list(parsers(_parser()))
+    assert len(all_parsers) > 30
+    for parser in all_parsers:
         anchor = "-".join(parser.prog.split()[1:])
         assert f"\n## {parser.prog} {{ #{anchor or 'graycast'} }}\n" in page
         for action in parser._actions:

@@ -42,9 +42,9 @@ def commands():
 
 def test_every_command_on_the_pages_is_one_that_the_parser_takes():
     """An option that was renamed would be told to readers for ever."""
-    found = list(commands())
-    assert len(found) > 40
-    for page, words in found:
+    lines = list(commands())
+    assert len(lines) > 40
+    for page, words in lines:
         try:
             _parser().parse_args(words)
         except SystemExit as stopped:
@@ -77,14 +77,14 @@ class Links(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        said = dict(attrs)
-        self.anchors.update(said[key] for key in ("id", "name") if said.get(key))
-        if tag == "a" and said.get("href"):
-            self.links.append(said["href"])
-        if tag in ("script", "img", "iframe") and said.get("src"):
-            self.loads.append(said["src"])
-        if tag == "link" and said.get("rel") in ("stylesheet", "icon", "preload"):
-            self.loads.append(said["href"])
+        attributes = dict(attrs)
+        self.anchors.update(attributes[key] for key in ("id", "name") if attributes.get(key))
+        if tag == "a" and attributes.get("href"):
+            self.links.append(attributes["href"])
+        if tag in ("script", "img", "iframe") and attributes.get("src"):
+            self.loads.append(attributes["src"])
+        if tag == "link" and attributes.get("rel") in ("stylesheet", "icon", "preload"):
+            self.loads.append(attributes["href"])
 
 
 @pytest.mark.slow
@@ -99,8 +99,8 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
         for path in (tmp_path / "site").rglob("*.html")
         if path.name != "404.html"  # its paths are those of a server's root
     }
-    told = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
-    assert {path.as_posix() for path in told} <= set(pages)
+    expected = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
+    assert {path.as_posix() for path in expected} <= set(pages)
     broken = []
     for name, page in pages.items():
         for link in page.links + page.loads:
@@ -120,8 +120,8 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
     equations = "".join(path.read_text(encoding="utf-8") for path in explanations)
     assert equations.count("<math") > 650
     assert "arithmatex" not in equations
-    drawn = html.unescape(re.sub(r"<[^>]+>", " ", " ".join(MATH.findall(equations))))
-    assert not re.findall(r"\\[A-Za-z]+", drawn), "the converter does not know these commands"
+    text = html.unescape(re.sub(r"<[^>]+>", " ", " ".join(MATH.findall(equations))))
+    assert not re.findall(r"\\[A-Za-z]+", text), "the converter does not know these commands"
 
 
 def spec_of(section):
@@ -137,13 +137,16 @@ def test_the_reference_shows_every_name_of_the_door(tmp_path):
     text = "\n".join(
         path.read_text(encoding="utf-8") for path in (ROOT / "docs/reference/api").glob("*.md")
     )
-    told = re.findall(r"^::: graycast\.([\w.]+)$", text, re.MULTILINE)
+    entries = re.findall(r"^::: graycast\.([\w.]+)$", text, re.MULTILINE)
     modules = {
-        name for name in told if name in ("world.scene", "base.errors", "robot.pose", "robot.grasp")
+        name
+        for name in entries
+        if name in ("world.scene", "base.errors", "robot.pose", "robot.grasp")
     }
     whole = {
         name
         for name, module in graycast._MODULE.items()
-        if module in modules or any(entry.split(".")[-1] in (name, spec_of(name)) for entry in told)
+        if module in modules
+        or any(entry.split(".")[-1] in (name, spec_of(name)) for entry in entries)
     }
     assert set(graycast._MODULE) - whole == set()

@@ -16,14 +16,14 @@ BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_w
 
 def run(command, folder, **environment):
     """In a clean environment: neither the sources nor this process's settings are seen."""
-    kept = {key: os.environ[key] for key in ("PATH", "HOME", "LANG") if key in os.environ}
+    variables = {key: os.environ[key] for key in ("PATH", "HOME", "LANG") if key in os.environ}
     done = subprocess.run(
         list(map(str, command)),
         cwd=folder,
         capture_output=True,
         text=True,
         timeout=600,
-        env=kept | environment,
+        env=variables | environment,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -40,8 +40,8 @@ def wheel(tmp_path_factory):
         (copy / name).write_bytes((ROOT / name).read_bytes())
     folder = tmp_path_factory.mktemp("wheel")
     run([sys.executable, "-c", BUILD, folder], copy)
-    (made,) = folder.glob("graycast-*.whl")
-    return made
+    (file,) = folder.glob("graycast-*.whl")
+    return file
 
 
 @pytest.mark.slow
@@ -60,11 +60,11 @@ def test_the_wheel_in_a_fresh_environment_makes_a_scene(wheel, tmp_path):
     here = sysconfig.get_path("purelib")
     pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
     run([*pip, "install", "--quiet", "--no-deps", "--no-index", wheel], tmp_path)
-    said = "import graycast, sys; print(graycast.__file__)"
-    where = run([python, "-c", said], tmp_path, PYTHONPATH=here)
+    program = "import graycast, sys; print(graycast.__file__)"
+    where = run([python, "-c", program], tmp_path, PYTHONPATH=here)
     assert Path(where.strip()).is_relative_to(tmp_path / "fresh")
     cell, out = write_cell(tmp_path), tmp_path / "out"
     command = tmp_path / "fresh/bin/graycast"
     run([command, "generate", cell, "--scenes", "1", "--out", out], tmp_path, PYTHONPATH=here)
-    told = run([command, "validate", out], tmp_path, PYTHONPATH=here)
-    assert told.strip() == f"{out}: valid"
+    output = run([command, "validate", out], tmp_path, PYTHONPATH=here)
+    assert output.strip() == f"{out}: valid"

@@ -49,7 +49,7 @@ class Painter:
     blind: int = 0
     noise: float = 0.0
     patterns_per_render: int = 1
-    asked: list = field(default_factory=list)
+    requests: list = field(default_factory=list)
     on_frame: object = None
     denoiser: str = "oidn"
     versions: dict = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Painter:
         pass
 
     def render(self, scene, layout, pattern, *, quality, seed):
-        self.asked.append((len(pattern), quality, seed))
+        self.requests.append((len(pattern), quality, seed))
         w, h = SIZE_PX
         instance = np.tile(np.repeat([-1, 0, 1, 2], w // 4), (h, 1))
         shade = np.array(self.white)[instance]
@@ -105,8 +105,8 @@ def painted(monkeypatch, wall_cells):
     for study in (agree, denoise, renderers):
         monkeypatch.setattr(study, "dropped", lambda cell, each, *, seed: layout)
     monkeypatch.setattr(agree, "materials_cell", lambda size_px: phase_cell)
-    monkeypatch.setattr(denoise, "bracket_cell", lambda *given, **words: gray_cell)
-    monkeypatch.setattr(renderers, "bracket_cell", lambda *given, **words: phase_cell)
+    monkeypatch.setattr(denoise, "bracket_cell", lambda *arguments, **words: gray_cell)
+    monkeypatch.setattr(renderers, "bracket_cell", lambda *arguments, **words: phase_cell)
     monkeypatch.setattr(convergence.time, "perf_counter", Clock())
     return Painter
 

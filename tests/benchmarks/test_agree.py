@@ -32,10 +32,10 @@ def test_it_reports_the_ratio_of_each_class_exactly(painted):
     second = painted(name="cycles", white=other, ambient=0.11)
     figures = study(first, second)
     for name, ratio in RATIOS.items():
-        found = row(figures, "white", name)
-        assert found["pixels"] == 2 * 20 * 12
+        entry = row(figures, "white", name)
+        assert entry["pixels"] == 2 * 20 * 12
         for word in ("median", "p5", "p95", "of_means"):
-            assert found[word] == pytest.approx(ratio, rel=1e-6)
+            assert entry[word] == pytest.approx(ratio, rel=1e-6)
             assert row(figures, "ambient", name)[word] == pytest.approx(1.1, rel=1e-6)
     assert figures["accepted"] == {
         "diffuse_ratio": True,
@@ -48,15 +48,15 @@ def test_it_reports_the_ratio_of_each_class_exactly(painted):
     assert (figures["first"], figures["second"]) == ("mitsuba", "cycles")
 
 
-@pytest.mark.parametrize(("shift_px", "kept"), [(0.2, True), (-0.3, False)])
-def test_it_reports_by_how_many_columns_the_second_is_off(painted, shift_px, kept):
+@pytest.mark.parametrize(("shift_px", "accepted"), [(0.2, True), (-0.3, False)])
+def test_it_reports_by_how_many_columns_the_second_is_off(painted, shift_px, accepted):
     """0.03: interpolation between projector pixels is no cosine."""
     figures = study(painted(), painted(name="cycles", shift_px=shift_px))
     depth = figures["depth"]
     assert depth["median_columns"] == pytest.approx(shift_px, abs=0.03)
     assert depth["median_abs_columns"] == pytest.approx(abs(shift_px), abs=0.03)
     assert depth["over_one_column_share"] == 0
-    assert figures["accepted"]["depth"] is kept
+    assert figures["accepted"]["depth"] is accepted
 
 
 def test_it_counts_the_pixels_that_one_alone_could_decode(painted):
@@ -76,13 +76,13 @@ def test_both_get_the_same_scenes_without_footprint(painted):
     heard = []
     first, second = painted(), painted(name="cycles")
     study(first, second, scenes=3, show=heard.append)
-    assert [seed for _, _, seed in second.asked] == [0, 1, 2]
-    assert first.asked[::2] == [
-        (count, replace(quality, samples=8 * 64), seed) for count, quality, seed in second.asked
+    assert [seed for _, _, seed in second.requests] == [0, 1, 2]
+    assert first.requests[::2] == [
+        (count, replace(quality, samples=8 * 64), seed) for count, quality, seed in second.requests
     ]
-    assert [quality for _, quality, _ in first.asked[1::2]] == [q for _, q, _ in second.asked]
-    assert not {seed for _, _, seed in first.asked[1::2]} & {0, 1, 2}
-    assert {quality.footprint for _, quality, _ in first.asked} == {False}
+    assert [quality for _, quality, _ in first.requests[1::2]] == [q for _, q, _ in second.requests]
+    assert not {seed for _, _, seed in first.requests[1::2]} & {0, 1, 2}
+    assert {quality.footprint for _, quality, _ in first.requests} == {False}
     assert heard[-1] == "scene 3 of 3"
 
 
@@ -100,14 +100,14 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
     figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
     assert "median_abs_columns" in describe(figures)
     assert len(describe(figures).splitlines()) < 60
-    with drawn_by(plots) as drawn:
+    with drawn_by(plots) as pictures:
         plots.draw(figures | {"benchmark": "agree"}, tmp_path / "agree.png")
-    axes, counts = axes_of(drawn[0]), figures["histograms"]
+    axes, counts = axes_of(pictures[0]), figures["histograms"]
     for title, light in (("Projector's light", "white"), ("All other light", "ambient")):
-        told = [np.array(counts.get(f"{light} {name}", ())) for name in CLASSES]
-        told = [count / count.max() for count in told if count.sum()]
-        shown = [patch.get_data() for patch in axes[title].patches if hasattr(patch, "get_data")]
-        for stairs, share in zip(shown, told, strict=True):
+        shares = [np.array(counts.get(f"{light} {name}", ())) for name in CLASSES]
+        shares = [count / count.max() for count in shares if count.sum()]
+        curves = [patch.get_data() for patch in axes[title].patches if hasattr(patch, "get_data")]
+        for stairs, share in zip(curves, shares, strict=True):
             assert stairs.values == pytest.approx(share)
             assert stairs.edges == pytest.approx(counts["ratio_edges"])
     assert (tmp_path / "agree.png").is_file()

@@ -78,12 +78,12 @@ def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     """Neither the real stages nor their packages: this tree's `graycast` is empty."""
     (tmp_path / "graycast").mkdir()
     (tmp_path / "graycast/__init__.py").write_text("")
-    found = list(child(["import", "drop"], "0", str(tmp_path), "there", str(tmp_path)))
-    reasons = {record["row"]: record.get("error", "") for record in found}
+    results = list(child(["import", "drop"], "0", str(tmp_path), "there", str(tmp_path)))
+    reasons = {record["row"]: record.get("error", "") for record in results}
     assert reasons["import graycast"] == ""
     assert reasons["graycast --help"].startswith("CalledProcessError")
     assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.world'"
-    assert found[-1]["row"] == "peak memory [MB]"
+    assert results[-1]["row"] == "peak memory [MB]"
 
 
 def test_a_process_that_dies_gives_every_stage_its_last_words(tmp_path, monkeypatch):
@@ -91,9 +91,9 @@ def test_a_process_that_dies_gives_every_stage_its_last_words(tmp_path, monkeypa
     python.write_text("#!/bin/sh\necho first >&2; echo last words >&2; exit 3\n")
     python.chmod(0o755)
     monkeypatch.setattr(module.sys, "executable", str(python))
-    found = list(child(["import", "drop"], "0", str(tmp_path), "here", ""))
-    assert [record["row"] for record in found] == ["import", "drop"]
-    assert {r["error"] for r in found} == {"the process ended with 3: last words"}
+    results = list(child(["import", "drop"], "0", str(tmp_path), "here", ""))
+    assert [record["row"] for record in results] == ["import", "drop"]
+    assert {r["error"] for r in results} == {"the process ended with 3: last words"}
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
@@ -149,8 +149,8 @@ def test_a_commit_takes_as_long_as_itself():
     a tenth in two rounds on a busy machine. A factor of 1.5 is far from that, and far from a ratio
     of different work. The imports alone, since other stages render first.
     """
-    found = compare(ROOT, "HEAD", stages=("import",), minutes=0.1, path=None, on_progress=print)
-    rows = summarise(found)
+    results = compare(ROOT, "HEAD", stages=("import",), minutes=0.1, path=None, on_progress=print)
+    rows = summarise(results)
     assert {row["row"] for row in rows} == {
         "import graycast",
         "graycast --help",

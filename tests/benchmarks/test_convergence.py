@@ -25,5 +25,5 @@ def test_beyond_what_was_tried_it_says_on_which_side():
 
 
 def test_the_first_crossing_counts_and_no_error_at_all_is_no_problem():
-    found = [{"samples": n, "error": e} for n, e in ((4, 1.0), (8, 0.0), (16, 0.5))]
-    assert samples_for(found, "error", 0.3) == (8.0, "")
+    errors = [{"samples": n, "error": e} for n, e in ((4, 1.0), (8, 0.0), (16, 0.5))]
+    assert samples_for(errors, "error", 0.3) == (8.0, "")

@@ -89,13 +89,13 @@ EVERYWHERE = np.ones((3, 256), dtype=bool)
 @pytest.mark.parametrize(("shift_px", "growth_px"), [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.1)])
 def test_edges_are_found_where_they_were_moved_to(shift_px, growth_px):
     """Rising and falling edges are nearly as many, so a shift is no growth and the reverse."""
-    found = edge_shifts(light(shift_px, growth_px), light(), CODE, EVERYWHERE)
+    figures = edge_shifts(light(shift_px, growth_px), light(), CODE, EVERYWHERE)
     # Of wide stripes: bits 2 to 5 of 64 values have 8, 4, 2 and 1 edges.
     rising, falling = 4 + 2 + 1 + 1, 4 + 2 + 1
     unbalanced = (falling - rising) / (rising + falling)
-    assert found["edge_bias_px"] == pytest.approx(shift_px + unbalanced * growth_px, abs=1e-4)
-    assert found["edge_growth_px"] == pytest.approx(growth_px + unbalanced * shift_px, abs=1e-4)
-    assert found["edge_lost_share"] == 0
+    assert figures["edge_bias_px"] == pytest.approx(shift_px + unbalanced * growth_px, abs=1e-4)
+    assert figures["edge_growth_px"] == pytest.approx(growth_px + unbalanced * shift_px, abs=1e-4)
+    assert figures["edge_lost_share"] == 0
 
 
 def test_an_edge_that_moved_too_far_is_lost():
@@ -109,8 +109,8 @@ def test_blur_takes_the_contrast_of_the_finest_stripes():
     1 - b / 16 of the mean distance from the middle.
     """
     for blur_px in (2.0, 6.0):
-        found = fine_contrast(light(blur_px=blur_px), CODE, EVERYWHERE)
-        assert found == pytest.approx(1 - blur_px / 16, abs=0.02)
+        contrast = fine_contrast(light(blur_px=blur_px), CODE, EVERYWHERE)
+        assert contrast == pytest.approx(1 - blur_px / 16, abs=0.02)
 
 
 def test_pixels_at_a_step_are_not_on_one_surface():

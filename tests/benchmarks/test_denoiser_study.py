@@ -59,7 +59,7 @@ def test_noise_that_falls_with_samples_gives_errors_that_do(painted):
     assert len(by) == 2 * 2 * 3
     assert by["cycles", "none", 4]["bad_share"] > 2 * by["cycles", "none", 16]["bad_share"] > 0
     assert not any(by["mitsuba", "oidn", n]["bad_share"] for n in (4, 8, 16))
-    assert [quality.denoise for _, quality, _ in noisy.asked] == ["none"] * 4 + ["oidn"] * 3 + [
+    assert [quality.denoise for _, quality, _ in noisy.requests] == ["none"] * 4 + ["oidn"] * 3 + [
         "none",
         "oidn",
     ]
@@ -78,14 +78,14 @@ def test_denoising_takes_bad_pixels_off_cycles_at_few_samples(cycles_renderer, t
     by = {(r["renderer"], r["denoise"], r["samples"]): r for r in figures["rows"]}
     assert by["cycles", "oidn", 4]["bad_share"] < 0.8 * by["cycles", "none", 4]["bad_share"]
     assert by["mitsuba", "none", 4]["bad_share"] < by["cycles", "none", 4]["bad_share"]
-    with drawn_by(plots) as drawn:
+    with drawn_by(plots) as pictures:
         plots.draw(figures | {"benchmark": "denoise"}, tmp_path / "denoise.png")
-    axes = axes_of(drawn[0])
+    axes = axes_of(pictures[0])
     for title, x, y in (
         ("Wrong, lost or extra pixels", "samples", "bad_share"),
         ("Depth of right pixels", "samples", "depth_rms_right_mm"),
         ("What a second buys", "seconds", "bad_share"),
         ("How far lit stripes grow at an edge", "samples", "edge_growth_px"),
     ):
-        told = sorted((row[x], row[y]) for row in figures["rows"] if y in row)
-        assert points_of(axes[title]) == pytest.approx(np.array(told))
+        expected = sorted((row[x], row[y]) for row in figures["rows"] if y in row)
+        assert points_of(axes[title]) == pytest.approx(np.array(expected))

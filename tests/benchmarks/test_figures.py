@@ -13,18 +13,18 @@ from benchmarks import agree, plots, poses
 def test_options_are_the_arguments_of_measure_and_figures_become_json(
     capsys, monkeypatch, tmp_path
 ):
-    asked = []
+    requests = []
 
     def measure(*, show, **words):
-        asked.append(words)
+        requests.append(words)
         return {"share": 0.125, "rows": [{"samples": 4, "off": 1.5}, {"samples": 16, "off": 0.25}]}
 
     monkeypatch.setattr(poses, "measure", measure)
     file = tmp_path / "figures.json"
     words = ["poses", "one", "two", "--instances", "7", "--json", str(file)]
     assert program.main(words) == 0
-    assert {"instances": 7, "detector": None, "out": None}.items() <= asked[0].items()
-    assert list(map(str, asked[0]["datasets"])) == ["one", "two"]
+    assert {"instances": 7, "detector": None, "out": None}.items() <= requests[0].items()
+    assert list(map(str, requests[0]["datasets"])) == ["one", "two"]
     figures = json.loads(file.read_text())
     assert figures["benchmark"] == "poses" and figures["share"] == 0.125
     assert figures["peak_rss_bytes"] > 10e6 and figures["cores"] >= 1
@@ -34,11 +34,11 @@ def test_options_are_the_arguments_of_measure_and_figures_become_json(
 
 
 def test_a_plot_is_drawn_from_the_figures(monkeypatch, tmp_path):
-    drawn = []
+    calls = []
     monkeypatch.setattr(agree, "measure", lambda *, samples, show: {"samples": samples})
-    monkeypatch.setattr(plots, "draw", lambda figures, path: drawn.append((figures, path)))
+    monkeypatch.setattr(plots, "draw", lambda figures, path: calls.append((figures, path)))
     assert program.main(["agree", "--plot", str(tmp_path / "a.png")]) == 0
-    assert drawn[0][0]["samples"] == 64 and drawn[0][1] == tmp_path / "a.png"
+    assert calls[0][0]["samples"] == 64 and calls[0][1] == tmp_path / "a.png"
 
 
 @pytest.mark.parametrize("name", program.FIGURES)
@@ -54,5 +54,5 @@ def test_help_loads_no_package_under_test():
     """`compare` may run where packages are missing; and NumPy takes longer than its start."""
     code = "import sys; from benchmarks import __main__; print('numpy' in sys.modules)"
     words = [sys.executable, "-c", code]
-    told = subprocess.run(words, cwd=program.ROOT, capture_output=True, text=True, check=True)
-    assert told.stdout == "False\n"
+    run = subprocess.run(words, cwd=program.ROOT, capture_output=True, text=True, check=True)
+    assert run.stdout == "False\n"

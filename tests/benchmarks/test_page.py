@@ -10,7 +10,7 @@ from benchmarks.figures import table
 def test_a_page_has_its_sections_in_order_and_does_not_wrap_tables(monkeypatch, tmp_path, capsys):
     rows = table(["a", "b"], [["x" * 80, "y" * 80]])
 
-    def sections(circumstances, commit, chosen):
+    def sections(circumstances, commit, names):
         yield "Benchmarks", f"on {circumstances['date']}"
         yield "Drop", "word " * 40 + "\n\n" + rows
 

@@ -44,7 +44,5 @@ def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
         f"subprocess.run([sys.executable, '-c', {words!r}], check=True);"
         "print(peak_rss_bytes())"
     )
-    told = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert 600e6 < int(told.stdout) < 700e6
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert 600e6 < int(run.stdout) < 700e6

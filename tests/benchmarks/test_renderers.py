@@ -41,11 +41,11 @@ def slow(painted, clock, **words):
             result = super().render(scene, layout, pattern, quality=quality, seed=seed)
             self.on_frame = heard
             clock.now_s += self.start_s
-            shown = -(-len(pattern) // self.patterns_per_render) if self.name == "cycles" else 1
-            for done in range(1, shown + 1):
+            count = -(-len(pattern) // self.patterns_per_render) if self.name == "cycles" else 1
+            for done in range(1, count + 1):
                 clock.now_s += quality.samples * self.per_sample_s
                 if heard is not None:
-                    heard(done, shown)
+                    heard(done, count)
             return result
 
     return Slow(**words)
@@ -124,15 +124,15 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
     )
     figures = json.loads(json.dumps(figures))
     assert "cycles_over_onepass" in describe(figures)
-    with drawn_by(plots) as drawn:
+    with drawn_by(plots) as pictures:
         plots.draw(figures | {"benchmark": "renderers"}, tmp_path / "r.png")
-    axes = axes_of(drawn[0])
+    axes = axes_of(pictures[0])
     for title, y in (
         ("Wrong, lost or extra pixels", "bad_share"),
         ("Depth of right pixels", "depth_rms_right_mm"),
     ):
-        told = sorted((row["samples"], row[y]) for row in figures["errors"] if y in row)
-        assert points_of(axes[title]) == pytest.approx(np.array(told))
+        expected = sorted((row["samples"], row[y]) for row in figures["errors"] if y in row)
+        assert points_of(axes[title]) == pytest.approx(np.array(expected))
     (bars,) = (ax.patches for title, ax in axes.items() if "patterns" in title)
     seconds = [figures[f"{name}_s"] for name in ("onepass", "cycles3", "cycles")]
     assert [bar.get_width() for bar in bars] == pytest.approx(seconds)

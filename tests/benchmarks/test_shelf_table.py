@@ -14,8 +14,8 @@ def test_the_page_has_the_stored_figures():
 
 
 def test_a_table_has_a_row_for_each_scanner_and_leaves_the_page_around_it():
-    made = with_table(f"before {START} old {END} after", {})
-    assert made.startswith(f"before {START}") and made.endswith(f"{END} after")
-    rows = [line for line in made.splitlines() if line.startswith("| `")]
+    text = with_table(f"before {START} old {END} after", {})
+    assert text.startswith(f"before {START}") and text.endswith(f"{END} after")
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
     assert [row.split("`")[1] for row in rows] == list(SHELF)
     assert {row.count("|") for row in rows} == {10}

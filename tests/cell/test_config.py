@@ -80,8 +80,8 @@ def test_every_configuration_in_the_repository_resolves(path):
     count = written.get("count", 30)
     assert [low, high] == (count if isinstance(count, list) else [count, count])
     assert config.fill == written.get("fill")
-    said = written.get("scanners", [written])
-    for (_, scanner), one in zip(cell.scanners, said, strict=True):
+    sections = written.get("scanners", [written])
+    for (_, scanner), one in zip(cell.scanners, sections, strict=True):
         if one["rig"] in PRESETS:
             assert scanner.rig.name == one["rig"]
         else:
@@ -97,9 +97,9 @@ def test_every_configuration_in_the_repository_resolves(path):
 )
 def test_it_is_told_which_mesh_is_read(name, read):
     """A mesh of half a million faces takes seconds."""
-    path, told = ROOT / f"configs/{name}.yaml", []
-    resolve_cell(load_config(path), path.parent, progress=Stages(told.append))
-    assert told == [f"reading {mesh}" for mesh in read]
+    path, messages = ROOT / f"configs/{name}.yaml", []
+    resolve_cell(load_config(path), path.parent, progress=Stages(messages.append))
+    assert messages == [f"reading {mesh}" for mesh in read]
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
@@ -148,9 +148,9 @@ def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
 
 def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
     own = words.resolve_parts(least(), tmp_path)[0][0]
-    given = {"builtin": "toothpaste", "density_kg_m3": 1234.0, "friction": 0.0}
-    given["material"] = {"base_color": [0.1, 0.2, 0.3], "roughness": 0.9}
-    changed = words.resolve_parts(Config.model_validate({"parts": [given]}), tmp_path)[0][0]
+    section = {"builtin": "toothpaste", "density_kg_m3": 1234.0, "friction": 0.0}
+    section["material"] = {"base_color": [0.1, 0.2, 0.3], "roughness": 0.9}
+    changed = words.resolve_parts(Config.model_validate({"parts": [section]}), tmp_path)[0][0]
     assert (changed.density_kg_m3, changed.friction) == (1234.0, 0.0)
     look = replace(own.material, base_color=(0.1, 0.2, 0.3), texture=None, roughness=0.9)
     assert changed.material == look
@@ -162,8 +162,8 @@ def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
 
 def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
     """Else it would be white plastic."""
-    given = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
-    part = words.resolve_parts(Config.model_validate({"parts": [given]}), tmp_path)[0][0]
+    section = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
+    part = words.resolve_parts(Config.model_validate({"parts": [section]}), tmp_path)[0][0]
     own = builtin_part("metal_workpiece_1").material
     assert part.material == replace(own, roughness=0.2)
     assert own.metallic == 1.0
@@ -175,11 +175,11 @@ def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
     turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0
     axis = {"axis": [0, 0, 1], "point_m": [0.01, 0.0, 0.0]}
     symmetry = {"discrete": [turn.ravel().tolist()], "continuous": [axis]}
-    for given in ({"builtin": "toothpaste"}, {"mesh": "box.stl", "unit": "mm"}):
-        extra = {"symmetry": symmetry} if "mesh" in given else {}
+    for section in ({"builtin": "toothpaste"}, {"mesh": "box.stl", "unit": "mm"}):
+        extra = {"symmetry": symmetry} if "mesh" in section else {}
         own, large = (
             words.resolve_parts(load_config(write_cell(tmp_path, parts=[part])), tmp_path)[0][0]
-            for part in (given | extra, given | extra | {"scale": 1.02})
+            for part in (section | extra, section | extra | {"scale": 1.02})
         )
         np.testing.assert_allclose(large.mesh.extent_m, 1.02 * own.mesh.extent_m, rtol=1e-6)
         assert large.mesh.faces is own.mesh.faces or (large.mesh.faces == own.mesh.faces).all()
@@ -193,7 +193,7 @@ def test_a_symmetry_is_stated_as_turns_or_found_in_the_shape(tmp_path):
     """A box beside the origin: turns are about the middle of its own box unless stated."""
     beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
     beside.export(tmp_path / "beside.stl")
-    told = {}
+    symmetries = {}
     for name, symmetry in {
         "turns": {"turns": [{"axis": "z", "fold": 2}, {"axis": [3, 0, 0], "fold": 2}]},
         "auto": {"auto": True},
@@ -201,10 +201,10 @@ def test_a_symmetry_is_stated_as_turns_or_found_in_the_shape(tmp_path):
     }.items():
         part = {"mesh": "beside.stl", "unit": "mm", "symmetry": symmetry}
         (own,), _ = words.resolve_parts(load_config(write_cell(tmp_path, parts=[part])), tmp_path)
-        told[name] = own.symmetry.discrete
-    assert [len(told[name]) for name in told] == [3, 3, 0]
-    for T in told["turns"]:
-        assert any(np.allclose(T, other, atol=1e-9) for other in told["auto"])
+        symmetries[name] = own.symmetry.discrete
+    assert [len(symmetries[name]) for name in symmetries] == [3, 3, 0]
+    for T in symmetries["turns"]:
+        assert any(np.allclose(T, other, atol=1e-9) for other in symmetries["auto"])
 
 
 def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
@@ -282,12 +282,12 @@ def test_every_file_that_is_named_has_its_digest(tmp_path, box):
 
 def test_no_other_setting_names_a_file():
     """A new one is added to the test above, and to the digests."""
-    found = set()
+    path_settings = set()
 
     def look(node, *keys):
         if isinstance(node, dict):
             if node.get("format") == "path":
-                found.add((keys[1], keys[3]))
+                path_settings.add((keys[1], keys[3]))
             for key, inner in node.items():
                 look(inner, *keys, key)
         elif isinstance(node, list):
@@ -295,7 +295,7 @@ def test_no_other_setting_names_a_file():
                 look(inner, *keys)
 
     look(SCHEMA)
-    assert found == {
+    assert path_settings == {
         ("PartSection", "mesh"),
         ("BinSection", "mesh"),
         ("MaterialSection", "texture"),
@@ -324,13 +324,13 @@ def faults(value, schema, root, where="file"):
         name = re.fullmatch(r"#/\$defs/(\w+)", schema["$ref"]).group(1)
         return faults(value, root["$defs"][name], root, where)
     if "anyOf" in schema:
-        found = [faults(value, option, root, where) for option in schema["anyOf"]]
-        return min(found, key=len)
-    found = []
+        texts = [faults(value, option, root, where) for option in schema["anyOf"]]
+        return min(texts, key=len)
+    texts = []
     if "type" in schema and not _is(value, schema["type"]):
         return [f"{where} is no {schema['type']}"]
     if "enum" in schema and value not in schema["enum"]:
-        found.append(f"{where} is none of {schema['enum']}")
+        texts.append(f"{where} is none of {schema['enum']}")
     if isinstance(value, int | float) and not isinstance(value, bool):
         bounds = {
             "minimum": lambda limit: value >= limit,
@@ -338,25 +338,25 @@ def faults(value, schema, root, where="file"):
             "exclusiveMinimum": lambda limit: value > limit,
             "exclusiveMaximum": lambda limit: value < limit,
         }
-        found += [f"{where}: {k}" for k, holds in bounds.items()
+        texts += [f"{where}: {k}" for k, holds in bounds.items()
                   if k in schema and not holds(schema[k])]  # fmt: skip
     if isinstance(value, list):
         if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
-            found.append(f"{where} has {len(value)} items")
+            texts.append(f"{where} has {len(value)} items")
         rest = [schema["items"]] * len(value) if "items" in schema else []
         each = [*schema.get("prefixItems", ()), *rest]
         for i, (item, of) in enumerate(zip(value, each, strict=False)):
-            found += faults(item, of, root, f"{where}.{i}")
+            texts += faults(item, of, root, f"{where}.{i}")
     if isinstance(value, dict):
         known = schema.get("properties", {})
-        found += [f"{where}.{key} is missing" for key in schema.get("required", ())
+        texts += [f"{where}.{key} is missing" for key in schema.get("required", ())
                   if key not in value]  # fmt: skip
         for key, item in value.items():
             if key in known:
-                found += faults(item, known[key], root, f"{where}.{key}")
+                texts += faults(item, known[key], root, f"{where}.{key}")
             elif schema.get("additionalProperties", True) is False:
-                found.append(f"{where}.{key} is unknown")
-    return found
+                texts.append(f"{where}.{key} is unknown")
+    return texts
 
 
 _WORDS = set(
@@ -395,8 +395,8 @@ def test_the_schema_accepts_every_configuration(path):
 )
 def test_the_schema_refuses_what_the_program_refuses(changes, fault):
     content = {"parts": [{"builtin": "toothpaste"}]} | changes
-    found = faults(content, SCHEMA, SCHEMA)
-    assert any(fault in text for text in found), found
+    texts = faults(content, SCHEMA, SCHEMA)
+    assert any(fault in text for text in texts), texts
     with pytest.raises(ValueError):
         Config.model_validate(content)
 

@@ -32,7 +32,7 @@ from graycast.rig.pattern import CodeSpec
 
 def run(cell, out, *, scenes, seed=0, workers=1):
     """`generate`; returns its summary, the scenes found at the start and the ids made, in order."""
-    meter, made = Metered(), []
+    meter, ids = Metered(), []
     summary = generate(
         cell,
         out,
@@ -41,11 +41,11 @@ def run(cell, out, *, scenes, seed=0, workers=1):
         device="cpu",
         workers=Workers(count=workers),
         progress=meter,
-        on_result=lambda scene: made.append(scene.scene_id),
+        on_result=lambda scene: ids.append(scene.scene_id),
     )
     counts = [done for what, done, total in meter.counts if (what, total) == ("scenes", scenes)]
     assert counts == list(range(counts[0], scenes + 1 - len(summary.set_aside)))
-    return summary, counts[0], made
+    return summary, counts[0], ids
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +62,8 @@ def cell(config_file):
 def undisturbed(cell, tmp_path_factory):
     """Three scenes made in one go."""
     out = tmp_path_factory.mktemp("undisturbed") / "out"
-    summary, found, made = run(cell, out, scenes=3)
-    assert (summary.written, summary.found, found, made) == (3, 0, 0, [0, 1, 2])
+    summary, count, ids = run(cell, out, scenes=3)
+    assert (summary.written, summary.found, count, ids) == (3, 0, 0, [0, 1, 2])
     return out
 
 
@@ -109,24 +109,24 @@ def test_running_again_writes_nothing_and_says_so(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     train = tmp_path / "out" / "train"
     before = {path: path.stat().st_mtime_ns for path in train.rglob("*")}
-    summary, found, made = run(cell, tmp_path / "out", scenes=3)
-    assert (summary.written, summary.found, found, made) == (0, 3, 3, [])
+    summary, count, ids = run(cell, tmp_path / "out", scenes=3)
+    assert (summary.written, summary.found, count, ids) == (0, 3, 3, [])
     assert {path: path.stat().st_mtime_ns for path in train.rglob("*")} == before
     assert content(tmp_path / "out") == content(undisturbed)
 
 
 def test_more_scenes_later_are_the_scenes_of_one_go(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1)
-    summary, found, made = run(cell, tmp_path / "out", scenes=3)
-    assert (summary.written, summary.found, found, made) == (2, 1, 1, [1, 2])
+    summary, count, ids = run(cell, tmp_path / "out", scenes=3)
+    assert (summary.written, summary.found, count, ids) == (2, 1, 1, [1, 2])
     assert content(tmp_path / "out") == content(undisturbed)
 
 
 @pytest.mark.slow
 def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
-    summary, found, made = run(cell, tmp_path / "out", scenes=1)
-    assert (summary.written, summary.found, found, made) == (0, 1, 1, [])
+    summary, count, ids = run(cell, tmp_path / "out", scenes=1)
+    assert (summary.written, summary.found, count, ids) == (0, 1, 1, [])
     assert content(tmp_path / "out") == content(undisturbed)
 
 
@@ -134,8 +134,8 @@ def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path
 def test_a_scene_that_was_deleted_comes_back_the_same(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "train" / "000001")
-    _, _, made = run(cell, tmp_path / "out", scenes=3)
-    assert made == [1]
+    _, _, ids = run(cell, tmp_path / "out", scenes=3)
+    assert ids == [1]
     assert content(tmp_path / "out") == content(undisturbed)
 
 
@@ -174,13 +174,13 @@ def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
     for mix in (False, True):
         path = write_cell(tmp_path, parts=parts, mix=mix, count=[20, 40])
         cell = resolve_cell(load_config(path), tmp_path)
-        drawn = [counts_of(cell, scene_id, rng(scene_id)) for scene_id in range(300)]
-        totals = {sum(counts) for counts in drawn}
+        draws = [counts_of(cell, scene_id, rng(scene_id)) for scene_id in range(300)]
+        totals = {sum(counts) for counts in draws}
         assert totals == set(range(20, 41))  # 300 draws miss one of 21 in 1e-5 of all cases
         if mix:
-            assert np.mean(drawn, axis=0) == pytest.approx([10, 10, 10], rel=0.1)
+            assert np.mean(draws, axis=0) == pytest.approx([10, 10, 10], rel=0.1)
         else:
-            assert [np.flatnonzero(counts).tolist() for counts in drawn[:4]] == [[0], [1], [2], [0]]
+            assert [np.flatnonzero(counts).tolist() for counts in draws[:4]] == [[0], [1], [2], [0]]
 
 
 # --- accidents ---------------------------------------------------------------------------------
@@ -200,8 +200,8 @@ def test_what_cannot_be_dropped_leaves_the_folder_to_others(tmp_path):
 
 
 def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_path):
-    def stop(made):
-        if made.scene_id == 1:
+    def stop(result):
+        if result.scene_id == 1:
             raise KeyboardInterrupt
 
     out = tmp_path / "out"
@@ -215,8 +215,8 @@ def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_
             on_result=stop,
         )
     assert {entry.name for entry in (out / "train").iterdir()} == {"000000", "000001"}
-    _, _, made = run(cell, out, scenes=3)
-    assert made == [2]
+    _, _, ids = run(cell, out, scenes=3)
+    assert ids == [2]
     assert content(out) == content(undisturbed)
 
 
@@ -240,8 +240,8 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
         failing(patch, {1: (DropError("no rest"), 1)})
-        summary, _, made = run(cell, out, scenes=3)
-    assert made == [0, 2]
+        summary, _, ids = run(cell, out, scenes=3)
+    assert ids == [0, 2]
     (aside,) = summary.set_aside
     assert (aside.scene_id, aside.tries, aside.reason) == (1, 1, "no rest")
     recorded = {"reason": "no rest", "traceback": [], "tries": 1}
@@ -256,8 +256,8 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=4)
     assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
-    summary, found, made = run(cell, out, scenes=3)
-    assert (summary.set_aside, found, made) == ((), 2, [1])
+    summary, count, ids = run(cell, out, scenes=3)
+    assert (summary.set_aside, count, ids) == ((), 2, [1])
     assert content(out) == content(undisturbed)
 
 
@@ -266,8 +266,8 @@ def test_what_nobody_foresaw_is_tried_three_times_and_told_with_its_place(
 ):
     with monkeypatch.context() as patch:
         failing(patch, {0: (RuntimeError("driver lost"), 2), 2: (KeyError("a bug"), 3)})
-        summary, _, made = run(cell, tmp_path / "out", scenes=3)
-    assert made == [1, 0]
+        summary, _, ids = run(cell, tmp_path / "out", scenes=3)
+    assert ids == [1, 0]
     (aside,) = summary.set_aside
     assert (aside.scene_id, aside.tries, aside.reason) == (2, 3, "KeyError 'a bug'")
     assert "in make" in aside.traceback
@@ -292,8 +292,8 @@ def test_a_run_goes_on_where_others_came_out_however_many_fail(
     """Scenes that are there show that the cell is sound: those that fail are set aside."""
     out = shutil.copytree(undisturbed, tmp_path / "out")
     failing(monkeypatch, {scene_id: (DropError("no rest"), 1) for scene_id in range(3, 9)})
-    summary, found, made = run(cell, out, scenes=9)
-    assert (found, made, [aside.scene_id for aside in summary.set_aside]) == (3, [], [*range(3, 9)])
+    summary, count, ids = run(cell, out, scenes=9)
+    assert (count, ids, [aside.scene_id for aside in summary.set_aside]) == (3, [], [*range(3, 9)])
     assert validate(out) == ()
 
 
@@ -333,8 +333,8 @@ def test_the_command_makes_a_scene_again_from_the_dataset_alone(
 
 def test_a_datasets_origin_is_its_configuration(cell, undisturbed):
     origin = read_origin(undisturbed)
-    kept = {"scenes", "seed"}
-    assert origin.config.model_dump(exclude=kept) == cell.config.model_dump(exclude=kept)
+    run_keys = {"scenes", "seed"}
+    assert origin.config.model_dump(exclude=run_keys) == cell.config.model_dump(exclude=run_keys)
     assert (origin.seed, set(origin.files)) == (0, {"box.stl", "rig.yaml"})
 
 
@@ -410,14 +410,14 @@ def test_after_a_full_disk_the_same_command_goes_on(config_file, many, tmp_path)
         assert complaint.startswith(f"graycast: error: cannot write to {disk / 'out'} (No space")
         assert "free space and run the same command again" in complaint
         assert complaint.count("\n") == 1
-        kept = finished(disk / "out")
-        assert 0 < kept < 12
+        done = finished(disk / "out")
+        assert 0 < done < 12
         assert not list(disk.rglob(".tmp-*"))
         subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
         with start(*command) as run:
             printed, complaint = run.communicate()
         assert (run.returncode, complaint) == (0, "")
-        assert f"{12 - kept} scenes made, {kept} were there" in printed
+        assert f"{12 - done} scenes made, {done} were there" in printed
         assert content(disk / "out") == content(many[0])
     finally:
         subprocess.run(["umount", str(disk)], check=True)

@@ -55,10 +55,10 @@ def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
 
 
 def test_the_rig_is_the_smallest_that_sees_the_bin():
-    chosen = [rig_for(Bin(inner_m=(s, 0.75 * s, 0.375 * s))) for s in (0.12, 0.3, 0.5, 0.9, 3.0)]
-    places = [RIGS.index(name) for name, _ in chosen]
+    rigs = [rig_for(Bin(inner_m=(s, 0.75 * s, 0.375 * s))) for s in (0.12, 0.3, 0.5, 0.9, 3.0)]
+    places = [RIGS.index(name) for name, _ in rigs]
     assert places == sorted(places) and places[0] == 0 and places[-1] == len(RIGS) - 1
-    assert [covers for _, covers in chosen] == [True, True, True, True, False]
+    assert [covers for _, covers in rigs] == [True, True, True, True, False]
 
 
 def test_a_rig_has_to_light_the_whole_bin_and_to_see_its_rim():
@@ -67,11 +67,11 @@ def test_a_rig_has_to_light_the_whole_bin_and_to_see_its_rim():
     projector = rig.projector
     narrow = replace(projector, fx_px=3 * projector.fx_px, fy_px=3 * projector.fy_px)
     assert _sees(rig, room) and not _sees(replace(rig, projector=narrow), room)
-    floors = [length_m for length_m in np.arange(0.3, 1.0, 0.02) if seen(rig, length_m, 0.02)]
-    assert seen(rig, max(floors), 0.02) and not seen(rig, max(floors), 0.2)
+    floors = [length_m for length_m in np.arange(0.3, 1.0, 0.02) if sees_bin(rig, length_m, 0.02)]
+    assert sees_bin(rig, max(floors), 0.02) and not sees_bin(rig, max(floors), 0.2)
 
 
-def seen(rig, length_m, height_m):
+def sees_bin(rig, length_m, height_m):
     return _sees(rig, Bin(inner_m=(length_m, 0.75 * length_m, height_m)))
 
 

@@ -23,7 +23,7 @@ from graycast.rendering import GroundTruth, Renderer
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def cell_and_shot(tmp_path_factory):
     """A cell whose scanner takes two exposures, and a scene of it."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, render={"samples": 4, "denoise": False})
@@ -35,16 +35,16 @@ def made(tmp_path_factory):
         return cell, make_scene(cell, 3, seed=5, renderer=renderer)
 
 
-def test_the_manifest_s_exposure_is_the_one_that_the_gray_picture_is_of(made):
-    _, shot = made
+def test_the_manifest_s_exposure_is_the_one_that_the_gray_picture_is_of(cell_and_shot):
+    _, shot = cell_and_shot
     assert shot.sample.manifest["exposure_s"] == pytest.approx(0.02, rel=1e-6)
     assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.04]))
     assert shot.capture.exposure_s.max() > 0.03
 
 
-def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(made):
+def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(cell_and_shot):
     """Else a change in one would change the other, and a manifest would tell the wrong seed."""
-    cell, shot = made
+    cell, shot = cell_and_shot
     seeds = shot.sample.manifest["seeds"]
     assert len(set(seeds.values())) == len(seeds) == 5
     again = take(cell.scanner, shot.rendering.radiance, seed=seeds["noise"])
@@ -94,14 +94,14 @@ def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
         amodal=(),
     )
     depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason, camera=rig.camera)
-    found = with_field(rig, truth, codes, depth).reason
+    reasons = with_field(rig, truth, codes, depth).reason
     beside = ~lit & ~np.isnan(z_m) & ~coded
     assert 0.2 < beside.mean() < 0.7
-    assert np.array_equal(found, np.where(beside, Reason.OUTSIDE_PROJECTOR, reason))
+    assert np.array_equal(reasons, np.where(beside, Reason.OUTSIDE_PROJECTOR, reason))
 
 
-def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(made):
-    _, shot = made
+def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(cell_and_shot):
+    _, shot = cell_and_shot
     reason, on_part = shot.sample.scanner_depth.reason, shot.rendering.truth.instance >= 0
     assert on_part.any()
     for key, within in (("reasons", np.ones_like(on_part)), ("part_reasons", on_part)):
@@ -109,7 +109,7 @@ def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(made):
             assert share == pytest.approx((reason[within] == Reason[name.upper()]).mean())
 
 
-class Held(Renderer):
+class Playback(Renderer):
     """Shows what another renderer has made."""
 
     name, versions, device, denoiser = "held", {}, "cpu", "oidn"
@@ -130,9 +130,9 @@ class Held(Renderer):
         ({"denoise": True, "backend": "cycles", "cycles": {"denoise": "oidn"}}, None),
     ],
 )
-def test_a_colour_picture_is_denoised_once(made, monkeypatch, words, denoiser):
+def test_a_colour_picture_is_denoised_once(cell_and_shot, monkeypatch, words, denoiser):
     """A back end that cleans every picture has cleaned this one already."""
-    cell, shot = made
+    cell, shot = cell_and_shot
     render = RenderSection.model_validate(words)
     cell = replace(cell, config=cell.config.model_copy(update={"render": render}))
     used = []
@@ -142,7 +142,7 @@ def test_a_colour_picture_is_denoised_once(made, monkeypatch, words, denoiser):
         return shot.sample.rgb
 
     monkeypatch.setattr(simulate, "color_picture", picture)
-    make_scene(cell, 3, seed=5, renderer=Held(shot.rendering))
+    make_scene(cell, 3, seed=5, renderer=Playback(shot.rendering))
     assert used == [denoiser]
 
 

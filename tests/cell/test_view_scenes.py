@@ -29,9 +29,9 @@ SCANNERS = [{"name": "one", "rig": "rig.yaml"}, {"name": "two", "rig": "rig.yaml
 DENOISED = {"samples": 4}  # in a noisy picture `validate` may see edges where there are none
 
 
-def cell_of(folder, *without, **said):
+def cell_of(folder, *without, **sections):
     folder.mkdir(exist_ok=True)
-    path = write_cell(folder, *without, render=DENOISED, **said)
+    path = write_cell(folder, *without, render=DENOISED, **sections)
     return resolve_cell(load_config(path), folder)
 
 
@@ -48,7 +48,7 @@ def shots(cell, mitsuba_renderer):
 
 
 @pytest.fixture(scope="module")
-def made(cell, tmp_path_factory):
+def dataset(cell, tmp_path_factory):
     out = tmp_path_factory.mktemp("made") / "out"
     generate(cell, out, scenes=3, seed=3, device="cpu")
     return out
@@ -66,12 +66,12 @@ def test_depth_of_every_image_agrees_with_that_of_every_other(shots):
         world = transform_points(one.sample.scene.T_world_cam, point.reshape(-1, 3))
         for other in shots:
             scene = other.sample.scene
-            seen = transform_points(inverse(scene.T_world_cam), world)
-            px = np.rint(project(scene.rig.camera, seen)).astype(int)
+            point_cam = transform_points(inverse(scene.T_world_cam), world)
+            px = np.rint(project(scene.rig.camera, point_cam)).astype(int)
             h, w = other.sample.truth.depth_m.shape
             inside = ((px >= 1) & (px < [w - 1, h - 1])).all(axis=1)
             depth = other.sample.truth.depth_m[px[inside, 1], px[inside, 0]]
-            gap = depth - seen[inside, 2]
+            gap = depth - point_cam[inside, 2]
             assert (gap < 2e-3).mean() > 0.95  # a pixel aside on slopes; edges of parts
             assert (np.abs(gap) < 2e-3).mean() > 0.75  # the rest is hidden
 
@@ -123,23 +123,23 @@ def test_a_list_of_one_writes_the_files_of_a_single_view(tmp_path):
     generate(listed, tmp_path / "listed", scenes=1, seed=2, device="cpu")
     plain, other = content(tmp_path / "plain"), content(tmp_path / "listed")
     differing = {name for name in plain if plain[name] != other.get(name)}
-    told = {"graycast.json", "README.md", "train/000000/manifest.json"}
+    settings_files = {"graycast.json", "README.md", "train/000000/manifest.json"}
     assert plain.keys() == other.keys()
-    assert {name for name in differing if not name.startswith("card/")} <= told
+    assert {name for name in differing if not name.startswith("card/")} <= settings_files
     one, two = (files["train/000000/manifest.json"] for files in (plain, other))
     assert {key for key in one if one[key] != two[key]} == {"config", "manifest_sha256"}
 
 
-def test_a_dataset_of_views_is_sound_and_comes_out_the_same_again(cell, made):
-    assert validate(made) == ()
-    assert rerender(cell, made, 2, seed=3, device="cpu") == {}
-    stored = open_dataset(made)
+def test_a_dataset_of_views_is_sound_and_comes_out_the_same_again(cell, dataset):
+    assert validate(dataset) == ()
+    assert rerender(cell, dataset, 2, seed=3, device="cpu") == {}
+    stored = open_dataset(dataset)
     assert [scene.scene_id for scene in stored.scenes] == [0, 1, 2]
     assert len(stored.images_of(stored.scenes[0])) == 4
 
 
-def test_rerender_tells_of_a_further_image_that_was_changed(cell, made, tmp_path):
-    out = shutil.copytree(made, tmp_path / "out")
+def test_rerender_tells_of_a_further_image_that_was_changed(cell, dataset, tmp_path):
+    out = shutil.copytree(dataset, tmp_path / "out")
     scene = out / "train/000001"
     shutil.copy(scene / "rgb_two/000000.png", scene / "rgb_two/000001.png")
     assert list(rerender(cell, out, 1, seed=3, device="cpu")) == ["rgb_two/000001.png"]
@@ -153,7 +153,7 @@ def test_save_scene_takes_all_images_or_none(cell, shots, tmp_path):
         save_scene(cell, shots[0], tmp_path / "other")
 
 
-def test_a_killed_run_goes_on_and_comes_out_the_same(made, tmp_path):
+def test_a_killed_run_goes_on_and_comes_out_the_same(dataset, tmp_path):
     folder = tmp_path / "cell"
     folder.mkdir()
     mounted = [SCANNERS[0], SCANNERS[1] | {"T_first_cam": MOUNT}]
@@ -167,7 +167,7 @@ def test_a_killed_run_goes_on_and_comes_out_the_same(made, tmp_path):
     assert 1 <= finished(out) < 3
     with start(*command) as run:
         assert run.wait() == 0, run.stderr.read()
-    same = {name: held for name, held in content(made).items() if name.startswith("train")}
+    same = {name: data for name, data in content(dataset).items() if name.startswith("train")}
     again = content(out)
     assert {name: again[name] for name in same} == same
 
@@ -175,11 +175,11 @@ def test_a_killed_run_goes_on_and_comes_out_the_same(made, tmp_path):
 @pytest.mark.parametrize("kind", ["adapted", "randomized"])
 def test_a_domain_moves_all_places_of_a_scene_alike(kind, tmp_path):
     """Mounted scanners stay in place on the first; frames and code maps of all are checked, too."""
-    said = {"kind": kind}
+    domain = {"kind": kind}
     cell = cell_of(
         tmp_path / "cell",
         "rig",
-        domain=said,
+        domain=domain,
         views={"kind": "jitter", "count": 2, "position_m": 0.01, "rotation_deg": 1},
         scanners=[SCANNERS[0], SCANNERS[1] | {"T_first_cam": MOUNT}],
         store={"frames": True, "columns": True},

@@ -16,9 +16,9 @@ PARTS = {"parts": [{"builtin": "metal_workpiece_1"}], "resolution": "small"}
 ASIDE = [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 
 
-def resolved(folder, **said):
+def resolved(folder, **sections):
     path = folder / "cell.yaml"
-    path.write_text(yaml.safe_dump(PARTS | said), encoding="utf-8")
+    path.write_text(yaml.safe_dump(PARTS | sections), encoding="utf-8")
     return resolve_cell(load_config(path), folder)
 
 
@@ -44,8 +44,8 @@ def test_a_list_hangs_each_image_as_the_same_view_alone_would(tmp_path):
 
 def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path):
     """Oracle: on a sphere equal heights have equal areas (Archimedes), so cos(tilt) is uniform."""
-    said = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
-    cell = resolved(tmp_path, views=said, view={"target_m": [0.01, 0.02, 0.03]})
+    views = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
+    cell = resolved(tmp_path, views=views, view={"target_m": [0.01, 0.02, 0.03]})
     assert cell.draws_views
     middle, axis = middles(cell, poses(cell, seed=3))
     away = middle - np.array([0.01, 0.02, 0.03])
@@ -71,8 +71,8 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_an_even_pace(tmp_pat
     """A turn about one axis by 90 degrees in 9 steps: 10 degrees and a ninth of the way each."""
     start = rigid(np.diag([1.0, -1.0, -1.0]), np.array([-0.3, 0.0, 0.9]))
     end = rigid(axis_rotation("z", np.pi / 2) @ start[:3, :3], np.array([0.3, 0.0, 0.9]))
-    said = [{"T_world_cam": T.ravel().tolist()} for T in (start, end)]
-    cell = resolved(tmp_path, views={"kind": "path", "count": 10, "waypoints": said})
+    waypoints = [{"T_world_cam": T.ravel().tolist()} for T in (start, end)]
+    cell = resolved(tmp_path, views={"kind": "path", "count": 10, "waypoints": waypoints})
     T = poses(cell)
     np.testing.assert_allclose(T[[0, -1]], [start, end], atol=1e-12)
     step = inverse(T[:-1]) @ T[1:]
@@ -83,8 +83,8 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_an_even_pace(tmp_pat
 
 def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three(tmp_path):
     """A normal distribution cut at 3 sigma has 0.9866 of its standard deviation left."""
-    said = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}
-    cell = resolved(tmp_path, views=said, view={"tilt_deg": 10})
+    views = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}
+    cell = resolved(tmp_path, views=views, view={"tilt_deg": 10})
     nominal = resolved(tmp_path, view={"tilt_deg": 10}).scene.T_world_cam
     T = poses(cell, seed=5)
     assert all(is_rigid(one) for one in T)
@@ -244,9 +244,9 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_mistake_is_one_line_that_names_it(tmp_path, name):
-    said, must = BAD[name]
+    sections, must = BAD[name]
     with pytest.raises((ConfigError, GraycastError)) as error:
-        resolved(tmp_path, **said)
+        resolved(tmp_path, **sections)
     text = str(error.value)
     assert must in text, text
     assert "\n" not in text

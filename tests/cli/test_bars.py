@@ -11,19 +11,19 @@ from graycast.cli.bars import Bars, open_bars
 
 
 @pytest.fixture
-def drawn():
+def progress():
     return Progress(console=Console(file=io.StringIO(), width=60), auto_refresh=False)
 
 
-def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(drawn):
-    with Bars(drawn) as bars:
+def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(progress):
+    with Bars(progress) as bars:
         bars.stage("reading [red].stl")
         bars.count("scenes", 2, 5)
         bars.count("pictures", 1, 9)
         bars.count("scenes", 3, 5)
         bars.note("a part [is] coarse " + 60 * "-")
-    assert [(task.completed, task.total) for task in drawn.tasks] == [(0, None), (3, 5), (1, 9)]
-    text = drawn.console.file.getvalue()
+    assert [(task.completed, task.total) for task in progress.tasks] == [(0, None), (3, 5), (1, 9)]
+    text = progress.console.file.getvalue()
     assert "note: a part [is] coarse " + 60 * "-" + "\n" in text
     assert all(words in text for words in ("scenes", "pictures")) and "reading" not in text
 
@@ -36,23 +36,23 @@ def test_a_stage_has_no_number_and_is_gone_at_the_end(monkeypatch):
         bars.stage("reading [red].stl")
         bars._progress.refresh()
         (line,) = [part for part in bars._progress.get_renderables()]
-        shown = Console(file=io.StringIO(), width=90)
-        shown.print(line)
-        lines = shown.file.getvalue().splitlines()
+        console = Console(file=io.StringIO(), width=90)
+        console.print(line)
+        lines = console.file.getvalue().splitlines()
     assert "1/5" in lines[0] and "left" in lines[0]
     assert "reading [red].stl" in lines[1] and "?" not in lines[1] and "left" not in lines[1]
     assert "scenes" in file.getvalue() and "reading" not in file.getvalue()
 
 
-def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(drawn):
+def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(progress):
     """Of renders: those of the next scene are counted from one again."""
-    bars = Bars(drawn)
+    bars = Bars(progress)
     bars.count("renders", 22, 22)
-    first = drawn.tasks[0]
+    first = progress.tasks[0]
     assert first.finished
     bars.count("renders", 1, 22)
     assert not first.finished and first.completed == 1 and first.start_time > 0
 
 
-def test_bars_and_nobody_are_meters(drawn):
-    assert isinstance(Bars(drawn), ProgressMeter) and isinstance(UNWATCHED, ProgressMeter)
+def test_bars_and_nobody_are_meters(progress):
+    assert isinstance(Bars(progress), ProgressMeter) and isinstance(UNWATCHED, ProgressMeter)

@@ -128,14 +128,14 @@ def commands(parser, name=""):
     if not groups:
         return {name.strip(): parser}
     return {
-        key: found
+        key: subparser
         for word, inner in groups[0].choices.items()
-        for key, found in commands(inner, f"{name} {word}").items()
+        for key, subparser in commands(inner, f"{name} {word}").items()
     }
 
 
 def test_the_commands_are_these_with_these_options():
-    found = {
+    options_of = {
         name: [
             action.option_strings[-1] if action.option_strings else action.dest
             for action in parser._actions
@@ -143,7 +143,7 @@ def test_the_commands_are_these_with_these_options():
         ]
         for name, parser in commands(command._parser()).items()
     }
-    assert found == {name: options.split() for name, options in OPTIONS.items()}
+    assert options_of == {name: options.split() for name, options in OPTIONS.items()}
 
 
 @pytest.mark.parametrize("name", ["fit-bin", "measure", "twin"])
@@ -195,18 +195,18 @@ def flags_of(name_and_parser):
 
 
 def test_a_flag_has_one_meaning_one_type_and_one_metavar():
-    found = {}
+    uses_of = {}
     for item in commands(command._parser()).items():
         for name, flag, kind, text in flags_of(item):
-            found.setdefault(flag, {})[name] = (kind, text)
-    for flag, uses in found.items():
+            uses_of.setdefault(flag, {})[name] = (kind, text)
+    for flag, uses in uses_of.items():
         kinds, texts = ({use[i] for use in uses.values()} for i in (0, 1))
         assert len(kinds) == 1, f"{flag} is read in several ways: {uses}"
         if flag == "--out":
             assert {text for text in texts if not OUT.match(text)} == set()
         else:
             assert len(texts) == 1, f"{flag} has several meanings: {uses}"
-    assert {f for f, uses in found.items() if len(uses) > 1} == {"--debug", *SHARED_FLAGS}
+    assert {f for f, uses in uses_of.items() if len(uses) > 1} == {"--debug", *SHARED_FLAGS}
     assert {*arguments.SHARED, "--out"} == {*SHARED_FLAGS}
 
 
@@ -241,8 +241,8 @@ def test_each_example_is_a_command_that_is_understood():
 def test_help_is_whole_sentences():
     """So that each is understood alone; argparse's own words on --help are not ours."""
     for name, parser in commands(command._parser()).items():
-        told = {a.dest: a.help for a in parser._actions if a.dest != "help"}
-        for option, text in (told | {"": parser.description}).items():
+        helps = {a.dest: a.help for a in parser._actions if a.dest != "help"}
+        for option, text in (helps | {"": parser.description}).items():
             assert text[0].isupper() and text.endswith("."), f"{name} {option}: {text}"
             assert len(text.split()) >= 3, f"{name} {option}: {text}"
 
@@ -277,8 +277,8 @@ def run_help(capsys):
 def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
     config, out = write_cell(tmp_path), tmp_path / "d"
     assert main(["generate", str(config), "--out", str(out), "--threads", "100000"]) == 1
-    told = capsys.readouterr().err
-    assert "error: threads is 100000 per worker; give 1 to 1024" in told
+    message = capsys.readouterr().err
+    assert "error: threads is 100000 per worker; give 1 to 1024" in message
     assert not (tmp_path / "d").exists()
 
 
@@ -300,8 +300,8 @@ sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.module
 def test_the_installed_command_is_this_one_and_states_its_version():
     (script,) = entry_points(group="console_scripts", name="graycast")
     assert script.load() is main
-    said = subprocess.check_output([*GRAYCAST, "--version"], text=True)
-    assert said == f"graycast {__version__}\n"
+    output = subprocess.check_output([*GRAYCAST, "--version"], text=True)
+    assert output == f"graycast {__version__}\n"
 
 
 @pytest.mark.slow
@@ -320,7 +320,7 @@ def test_a_reader_that_goes_away_is_no_error():
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def cell_and_dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     path = write_cell(folder)
     with no_pixels():  # of the card's plots
@@ -338,14 +338,16 @@ def test_generate_estimates_the_other_scenes_by_the_first(tmp_path, workers, tex
         scene_id=0, files=(("a", bytes(1_500_000)), ("b", bytes(500_000))), seconds=3.0,
         reasons={}, rss_bytes=0,
     )  # fmt: skip
-    told = scene_commands._ahead(first, 10, workers, tmp_path)
-    assert told.startswith(f"the other 10 scenes take {text}")
+    line = scene_commands._ahead(first, 10, workers, tmp_path)
+    assert line.startswith(f"the other 10 scenes take {text}")
     huge = replace(first, files=(("a", bytes(1_000_000)),) * 100)
     assert "choose a larger disk" in scene_commands._ahead(huge, 10**9, workers, tmp_path)
 
 
-def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):
-    path, out = made
+def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(
+    capsys, cell_and_dataset, tmp_path
+):
+    path, out = cell_and_dataset
     card, text = out / "README.md", (out / "README.md").read_text()
     card.write_text("with a licence of its own")
     again = run(capsys, "generate", path, "--out", out, "--device", "cpu")
@@ -369,20 +371,22 @@ def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys,
 
 
 @pytest.mark.slow
-def test_the_options_go_before_the_configuration(made, tmp_path, capsys):
+def test_the_options_go_before_the_configuration(cell_and_dataset, tmp_path, capsys):
     same = write_cell(tmp_path, scenes=7, seed=5)
     arguments = ("--out", tmp_path / "out", "--scenes", 2, "--seed", 0, "--device", "cpu")
     run(capsys, "generate", same, *arguments)
-    assert content(tmp_path / "out") == content(made[1])
+    assert content(tmp_path / "out") == content(cell_and_dataset[1])
 
 
-def test_validate_ends_well_on_a_sound_dataset(capsys, made):
-    assert run(capsys, "validate", made[1]) == f"{made[1]}: valid\n"
+def test_validate_ends_well_on_a_sound_dataset(capsys, cell_and_dataset):
+    assert run(capsys, "validate", cell_and_dataset[1]) == f"{cell_and_dataset[1]}: valid\n"
 
 
 @pytest.mark.slow
-def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(capsys, made, tmp_path):
-    path, out = made
+def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(
+    capsys, cell_and_dataset, tmp_path
+):
+    path, out = cell_and_dataset
     printed = run(
         capsys, "preview", path, "--out", tmp_path / "p.png", "--scene", 1, "--device", "cpu"
     )
@@ -394,11 +398,11 @@ def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(capsy
         assert np.std(np.array(picture.convert("L"))) > 10
 
 
-def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made):
+def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, cell_and_dataset):
     builtin = run(capsys, "parts")
     for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
         assert f"\n{name} " in builtin
-    own = run(capsys, "parts", made[0])
+    own = run(capsys, "parts", cell_and_dataset[0])
     assert "\nbox " in own
     assert "60.0 x 40.0 x 30.0" in own
     assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
@@ -413,14 +417,18 @@ COARSE = "note: box: its collision hulls are too coarse: they are up to"
 
 
 @pytest.mark.slow
-def test_hulls_that_are_coarse_are_told_by_all_who_use_them(capsys, made, tmp_path, monkeypatch):
+def test_hulls_that_are_coarse_are_told_by_all_who_use_them(
+    capsys, cell_and_dataset, tmp_path, monkeypatch
+):
     """As if the bound were below what is measured, which is zero."""
     monkeypatch.setattr(Decomposition, "coarse", property(lambda self: True))
-    assert COARSE in run(capsys, "parts", made[0])
+    assert COARSE in run(capsys, "parts", cell_and_dataset[0])
     cpu = ("--device", "cpu")
-    assert COARSE in run(capsys, "preview", made[0], "--out", tmp_path / "p.png", *cpu)
-    told = run(capsys, "generate", made[0], "--out", tmp_path / "out", "--scenes", 1, *cpu)
-    assert COARSE in " ".join(told.split())
+    assert COARSE in run(capsys, "preview", cell_and_dataset[0], "--out", tmp_path / "p.png", *cpu)
+    output = run(
+        capsys, "generate", cell_and_dataset[0], "--out", tmp_path / "out", "--scenes", 1, *cpu
+    )
+    assert COARSE in " ".join(output.split())
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -433,9 +441,9 @@ def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resoluti
     assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
     if (name, resolution) == ("paper", "low"):
         with no_pixels(), drawn_by(drawing) as figures:
-            shown = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
+            output = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
         assert (
-            shown
+            output
             == run(capsys, "rig", "show", name, "--resolution", resolution)
             + f"{tmp_path / 'rig.png'}\n"
         )
@@ -489,9 +497,9 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, inverses):
+def test_patterns_count_columns_and_rows_in_gray_code(capsys, cell_and_dataset, tmp_path, inverses):
     """Oracle: bits of x ^ (x >> 1), most significant first, in the order of the file names."""
-    rig, out = made[0].parent / "rig.yaml", tmp_path / "patterns"
+    rig, out = cell_and_dataset[0].parent / "rig.yaml", tmp_path / "patterns"
     listed = run(
         capsys, "rig", "patterns", rig, "--out", out, *(["--inverses"] if inverses else [])
     )

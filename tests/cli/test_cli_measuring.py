@@ -93,19 +93,19 @@ def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
     codes, truth = np.load(out / "code.npz"), simulated.seen(rig)
     known = codes["reason"] == Reason.DECODED
     for axis, last in (("column", 127), ("row", 95)):
-        shown = last * shares_of(tile[f"decoded {axis}"], "viridis")
-        assert (np.isfinite(shown) == known).all()
-        off_px = np.abs(shown - getattr(truth, axis))[known]
+        index_px = last * shares_of(tile[f"decoded {axis}"], "viridis")
+        assert (np.isfinite(index_px) == known).all()
+        off_px = np.abs(index_px - getattr(truth, axis))[known]
         assert off_px.max() < 0.7 + last / 255  # half a pixel, noise, and a step of the colours
     depth_m = np.load(out / "depth.npy")
     reason = np.where(known & np.isnan(depth_m), Reason.OUTLIER, codes["reason"])
     colors = np.array([to_rgb(color) for color in REASON_COLOR.values()])
     assert np.array_equal(tile["reasons"], colors[reason])
-    shown = shares_of(tile["depth [m]"], "viridis_r")
+    shares = shares_of(tile["depth [m]"], "viridis_r")
     low_m, high_m = np.nanpercentile(depth_m, (1, 99))
-    off_m = np.abs(low_m + shown * (high_m - low_m) - np.clip(depth_m, low_m, high_m))
+    off_m = np.abs(low_m + shares * (high_m - low_m) - np.clip(depth_m, low_m, high_m))
     assert np.nanmax(off_m) <= (high_m - low_m) / 255
-    assert (np.isfinite(shown) == np.isfinite(depth_m)).all()
+    assert (np.isfinite(shares) == np.isfinite(depth_m)).all()
 
 
 @pytest.mark.parametrize("command", ["decode", "certify", "measure"])
@@ -118,9 +118,10 @@ def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path,
         "certify": ["rig", "certify", "paper"],
         "measure": ["real", "measure", tmp_path / "gone.npy", "--intrinsics", "1,1,0,0"],
     }
-    told = refused(capsys, *arguments[command], "--out", tmp_path / "letters")
+    message = refused(capsys, *arguments[command], "--out", tmp_path / "letters")
     assert (
-        "letters: is not empty and holds no earlier result of this command (it has dear.t" in told
+        "letters: is not empty and holds no earlier result of this command (it has dear.t"
+        in message
     )
     assert [path.name for path in (tmp_path / "letters").iterdir()] == ["dear.txt"]
 
@@ -167,41 +168,41 @@ def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
     rig, _, out, _ = decoded
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
-    made = tmp_path / "measured"
+    folder = tmp_path / "measured"
     with no_pixels(), drawn_by(depth_curves) as figures:
         printed = run(
-            capsys, "real", "measure", out / "depth.npy", "--intrinsics", K, "--out", made
+            capsys, "real", "measure", out / "depth.npy", "--intrinsics", K, "--out", folder
         )
     assert "missing pixels" in printed
     share = float(np.isnan(np.load(out / "depth.npy")).mean())
-    record = json.loads((made / "realism.json").read_text())
+    record = json.loads((folder / "realism.json").read_text())
     assert record["missing"]["share"] == pytest.approx(share, abs=1e-6)
     (figure,) = figures
     ((sigma_mm, _),) = lines_of(axes_of(figure)["noise about planes"])
     assert sigma_mm == pytest.approx(1e3 * np.array(record["noise"]["percentiles_m"]))
-    assert (made / "plots.png").is_file()
-    both = run(capsys, "real", "compare", made, made)
+    assert (folder / "plots.png").is_file()
+    both = run(capsys, "real", "compare", folder, folder)
     assert both.count("measured") >= 2
     maps = tmp_path / "maps"
     maps.mkdir()
     shutil.copy(out / "depth.npy", maps)
-    fresh = run(capsys, "real", "compare", made, maps, "--intrinsics", K)
+    fresh = run(capsys, "real", "compare", folder, maps, "--intrinsics", K)
     row = next(line for line in fresh.splitlines() if line.strip().startswith("median depth"))
     assert len(set(row.split()[2:])) == 2  # a value and its unit: both sets have the same
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["real", "measure", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
         (["rig", "decode", "gone.yaml", "--out", "o"], "gone.yaml"),
         (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),
     ],
 )
-def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, said):
+def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 1
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -217,7 +218,7 @@ K_TEXT = "190,190,79.5,59.5"
 
 
 @pytest.mark.parametrize(
-    ("array", "said"),
+    ("array", "message"),
     [
         (np.full((40, 50), 0.8 + 1j), "complex128 numbers"),
         (np.ones((40, 50), bool), "bool numbers"),
@@ -225,13 +226,13 @@ K_TEXT = "190,190,79.5,59.5"
         (np.full((2, 40, 50), 0.8), "give a depth map with rows and columns"),
     ],
 )
-def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, said):
+def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, message):
     np.save(tmp_path / "z.npy", array)
     out = tmp_path / "deep" / "out"
     text = refused(
         capsys, "real", "measure", tmp_path / "z.npy", "--intrinsics", K_TEXT, "--out", out
     )
-    assert said in text
+    assert message in text
     assert [path.name for path in tmp_path.iterdir()] == ["z.npy"]
 
 
@@ -246,8 +247,8 @@ def test_a_scale_that_is_no_length_is_refused(capsys, scale):
 def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
     np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
     (tmp_path / "K.json").write_text(content)
-    told = ("--intrinsics", tmp_path / "K.json", "--out", tmp_path / "o")
-    text = refused(capsys, "real", "measure", tmp_path / "z.npy", *told)
+    options = ("--intrinsics", tmp_path / "K.json", "--out", tmp_path / "o")
+    text = refused(capsys, "real", "measure", tmp_path / "z.npy", *options)
     assert "K.json" in text
     assert "give fx,fy,cx,cy" in text
 
@@ -281,10 +282,10 @@ def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
-    kept = tmp_path / "there"
-    kept.mkdir()
-    (kept / "old").write_text("old")
-    for out in (kept, tmp_path / "new" / "deeper"):
+    existing = tmp_path / "there"
+    existing.mkdir()
+    (existing / "old").write_text("old")
+    for out in (existing, tmp_path / "new" / "deeper"):
         with pytest.raises((GraycastError, KeyboardInterrupt)), whole_folder(out) as folder:
             (folder / "old").write_text("half")
             raise fault
@@ -292,10 +293,10 @@ def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
         "there",
         "there/old",
     ]
-    assert (kept / "old").read_text() == "old"
-    with whole_folder(kept) as folder:
+    assert (existing / "old").read_text() == "old"
+    with whole_folder(existing) as folder:
         (folder / "old").write_text("new")
-    assert [(path.name, path.read_text()) for path in kept.iterdir()] == [("old", "new")]
+    assert [(path.name, path.read_text()) for path in existing.iterdir()] == [("old", "new")]
 
 
 def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatch):
@@ -339,7 +340,7 @@ def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"code": {"codec": "gray_phase", "period_px": 5000}}, "code: column: one period spans"),
         ({"code": {"codec": "gray_phase", "period_px": 1}}, "code: "),
@@ -349,12 +350,12 @@ def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
     ],
 )
 def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
-    capsys, tmp_path, changes, said
+    capsys, tmp_path, changes, message
 ):
     path = tmp_path / "rig.yaml"
     save_scanner(Scanner(rig=simulated.small_rig()), path)
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | changes))
-    assert f"{path}: {said}" in refused(capsys, "rig", "show", path)
+    assert f"{path}: {message}" in refused(capsys, "rig", "show", path)
 
 
 def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
@@ -412,9 +413,9 @@ def test_calibrate_gives_the_rig_back_from_pictures(capsys, tmp_path, camera_ray
     assert "all: RMS camera" in printed
     rig = load_scanner(tmp_path / "rig.yaml").rig
     assert rig.baseline_m == pytest.approx(RIG.baseline_m, rel=1e-3)
-    for found, true in ((rig.camera, RIG.camera), (rig.projector, RIG.projector)):
-        assert found.fx_px == pytest.approx(true.fx_px, rel=1e-3)
-        assert found.fy_px == pytest.approx(true.fy_px, rel=1e-3)
+    for estimate, true in ((rig.camera, RIG.camera), (rig.projector, RIG.projector)):
+        assert estimate.fx_px == pytest.approx(true.fx_px, rel=1e-3)
+        assert estimate.fy_px == pytest.approx(true.fy_px, rel=1e-3)
 
 
 @pytest.mark.slow

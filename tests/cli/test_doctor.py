@@ -41,17 +41,17 @@ def no_trial(monkeypatch):
 
 
 def test_versions_are_those_that_the_modules_state_yet_none_is_loaded_for_it(examined):
-    found, stated, heavy, llvm = examined
-    assert {name: found[name] for name in stated} == stated
+    report, stated, heavy, llvm = examined
+    assert {name: report[name] for name in stated} == stated
     assert heavy == []
     assert not llvm
 
 
 def test_memory_and_cores_agree_with_the_system(examined):
-    found = examined[0]
+    report = examined[0]
     total_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    assert float(found["memory"].split()[0]) == pytest.approx(total_gib, abs=0.06)
-    assert found["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
+    assert float(report["memory"].split()[0]) == pytest.approx(total_gib, abs=0.06)
+    assert report["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
 
 
 def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch, no_trial):

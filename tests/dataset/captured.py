@@ -75,14 +75,14 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
             for k, factor in enumerate(exposure.factors)
         ]
     )
-    found, depth = measure(scanner, capture)
+    codes, depth = measure(scanner, capture)
     shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
     return replace(
         sample,
         scene=replace(sample.scene, rig=scanner.rig),
         gray=picture_of(capture),
         scanner_depth=depth,
-        modulation=found.modulation,
+        modulation=codes.modulation,
         manifest={**sample.manifest, "reasons": shares},
-        raw=Raw(scanner=scanner, capture=capture, codes=found),
+        raw=Raw(scanner=scanner, capture=capture, codes=codes),
     )

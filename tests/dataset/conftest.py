@@ -36,14 +36,14 @@ def opened(parts, rig):
     """Opens a store on a folder; keywords replace what it is opened with."""
 
     def open_folder(out, **changed):
-        given = {
+        settings = {
             "config": CONFIG,
             "seed": SEED,
             "parts": parts,
             "rig": rig,
             "depth_scale_mm": SCALE_MM,
         }
-        return open_store(out, **{**given, **changed})
+        return open_store(out, **{**settings, **changed})
 
     return open_folder
 

@@ -92,8 +92,8 @@ def rewritten(old, new):
 def shares(out):
     """The manifest's shares follow the map of reasons."""
     reason = cv2.imread(str(out / SCENE / "reason_sl/000000.png"), -1)
-    told = {r.name.lower(): float((reason == r).mean()) for r in Reason}
-    manifest(lambda m: m["reasons"].update(told))(out)
+    entries = {r.name.lower(): float((reason == r).mean()) for r in Reason}
+    manifest(lambda m: m["reasons"].update(entries))(out)
 
 
 def noisy(image):
@@ -171,9 +171,9 @@ def scale(factor, *, everywhere):
 def swapped(name):
     def do(out):
         one, other = out / SCENE / name, out / OTHER / name
-        held = one.read_bytes()
+        data = one.read_bytes()
         one.write_bytes(other.read_bytes())
-        other.write_bytes(held)
+        other.write_bytes(data)
 
     return do
 
@@ -236,19 +236,19 @@ def reseal(out):
     """What who knows the format does after his change: all sums anew."""
     for scene in (out / "train").iterdir():
         path = scene / "manifest.json"
-        told = json.loads(path.read_text())
-        told = {k: v for k, v in told.items() if k not in ("sha256", "manifest_sha256")}
+        record = json.loads(path.read_text())
+        record = {k: v for k, v in record.items() if k not in ("sha256", "manifest_sha256")}
         files = {
             str(p.relative_to(scene)): p.read_bytes()
             for p in scene.rglob("*")
             if p.is_file() and p != path
         }
-        path.write_bytes(dict(sealed(files.items(), told))["manifest.json"])
+        path.write_bytes(dict(sealed(files.items(), record))["manifest.json"])
     path = out / "graycast.json"
-    told = json.loads(path.read_text())
-    told["sha256"] = {name: sha256((out / name).read_bytes()) for name in told["sha256"]}
-    told["fingerprint"] = fingerprint(told)
-    path.write_text(json.dumps(told))
+    record = json.loads(path.read_text())
+    record["sha256"] = {name: sha256((out / name).read_bytes()) for name in record["sha256"]}
+    record["fingerprint"] = fingerprint(record)
+    path.write_text(json.dumps(record))
 
 
 # Noticed without sums, too: the words of the check that does.

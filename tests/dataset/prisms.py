@@ -85,8 +85,8 @@ def hit_depth(mesh, T_cam_part, x, y):
     z_m = np.full(x.shape, np.nan)
     corner = mesh.vertices_m[mesh.faces] @ T_cam_part[:3, :3].T + T_cam_part[:3, 3]
     assert corner[..., 2].min() > 0  # so that it lies between the rays to its corners
-    seen = (corner[..., :2] / corner[..., 2:]).reshape(-1, 2)
-    (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
+    corner_xy = (corner[..., :2] / corner[..., 2:]).reshape(-1, 2)
+    (left, top), (right, bottom) = corner_xy.min(axis=0), corner_xy.max(axis=0)
     near = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
     x, y = x[near], y[near]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -129,18 +129,18 @@ def test_info_counts_as_calc_gt_info_counts(scene, samples):
             crop = sample.truth.amodal[i]
             top, left = h + crop.top_px, w + crop.left_px
             large[top : top + crop.mask.shape[0], left : left + crop.mask.shape[1]] = crop.mask
-            seen = visible == i
+            mask = visible == i
             valid = large[h : 2 * h, w : 2 * w] & ~np.isnan(depth_m)
             box, box_visib = [-1] * 4, [-1] * 4
-            if seen.any():
-                (y, x), (yv, xv) = large.nonzero(), seen.nonzero()
+            if mask.any():
+                (y, x), (yv, xv) = large.nonzero(), mask.nonzero()
                 box = [x.min() - w, y.min() - h, np.ptp(x), np.ptp(y)]
                 box_visib = [xv.min() - w, yv.min() - h, np.ptp(xv), np.ptp(yv)]
             assert info == {
                 "px_count_all": large.sum(),
                 "px_count_valid": valid.sum(),
-                "px_count_visib": seen.sum(),
-                "visib_fract": pytest.approx(seen.sum() / large.sum(), abs=1e-12),
+                "px_count_visib": mask.sum(),
+                "visib_fract": pytest.approx(mask.sum() / large.sum(), abs=1e-12),
                 "bbox_obj": box,
                 "bbox_visib": box_visib,
             }
@@ -175,7 +175,7 @@ def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
     for part in parts:
         vertices_m = np.vstack([part.mesh.vertices_m, [[0.3, -0.4, 0.5]]])
         loose.append(replace(part, mesh=replace(part.mesh, vertices_m=vertices_m)))
-    expected, found = (
+    expected, result = (
         (
             dict(scene_files([build_sample(0, parts=tuple(p), rig=rig)], SCALE_MM)),
             model_files(tuple(p)),
@@ -183,8 +183,8 @@ def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
         )
         for p in (parts, loose)
     )
-    assert found == expected
-    assert "scene_gt_box3d.json" in found[0]
+    assert result == expected
+    assert "scene_gt_box3d.json" in result[0]
 
 
 def test_models_are_the_parts_in_millimetres_for_an_independent_reader(dataset, parts):

@@ -66,11 +66,11 @@ def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_pa
     monkeypatch.setattr(card, "SAMPLED", 2)
     out = shutil.copytree(five, tmp_path / "bins")
     places = open_dataset(out).scenes
-    drawn = card.sampled(places)
-    assert len(drawn) == 2 and drawn == card.sampled(open_dataset(out).scenes)
+    sample = card.sampled(places)
+    assert len(sample) == 2 and sample == card.sampled(open_dataset(out).scenes)
     monkeypatch.setattr(card, "_MOST", 0)
     for place in places:
-        if place not in drawn:
+        if place not in sample:
             shutil.rmtree(place.folder / "depth_sl")
             (place.folder / "rgb/000000.png").unlink()
     text = write_card(out).read_text()

@@ -19,8 +19,8 @@ def test_words_that_a_user_chose_are_shown_letter_by_letter():
     for token in inline:
         kinds = {child.type for child in token.children}
         assert kinds <= {"text", "text_special"}
-        shown = "".join(child.content for child in token.children)
-        assert shown.removeprefix("part ") == HOSTILE
+        text = "".join(child.content for child in token.children)
+        assert text.removeprefix("part ") == HOSTILE
 
 
 def test_a_fence_holds_whatever_is_in_it():
@@ -30,15 +30,15 @@ def test_a_fence_holds_whatever_is_in_it():
 
 
 @pytest.mark.parametrize(
-    ("given", "spelt"),
+    ("licence", "spelt"),
     [
         ("cc-by-4.0", "CC-BY-4.0"),
         ("mit OR apache-2.0", "MIT OR Apache-2.0"),
         ("LicenseRef-Ours",) * 2,
     ],
 )
-def test_a_licence_is_spelt_as_spdx_spells_it(given, spelt):
-    assert spdx(given) == spelt
+def test_a_licence_is_spelt_as_spdx_spells_it(licence, spelt):
+    assert spdx(licence) == spelt
 
 
 @pytest.mark.parametrize(

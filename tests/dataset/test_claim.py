@@ -100,8 +100,8 @@ def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
 
 def test_a_rig_is_told_with_all_its_fields_and_read_back():
     rig = replace(make_rig(), speckle_volume=2.0)
-    told = described_values(rig)
-    assert set(told) == {field.name for field in fields(rig)}
-    assert told["line_noise_length_m"] == "inf"
-    read = rig_of(told | {"T_cam_proj": told["T_cam_proj"].tolist()})
+    values = described_values(rig)
+    assert set(values) == {field.name for field in fields(rig)}
+    assert values["line_noise_length_m"] == "inf"
+    read = rig_of(values | {"T_cam_proj": values["T_cam_proj"].tolist()})
     assert read.speckle_volume == 2.0 and read.line_noise_length_m == np.inf

@@ -46,9 +46,9 @@ def test_the_split_holds_every_visible_instance_of_every_scene(dataset, samples)
             assert picture.size == (image["width"], image["height"])
             assert np.array_equal(np.array(picture), sample.rgb)
         anns = coco.loadAnns(coco.getAnnIds(imgIds=image["id"]))
-        seen = [i for i in range(8) if (sample.truth.instance == i).any()]
-        assert 4 <= len(seen) == len(anns) < 8
-        for i, ann in zip(seen, anns, strict=True):
+        instances = [i for i in range(8) if (sample.truth.instance == i).any()]
+        assert 4 <= len(instances) == len(anns) < 8
+        for i, ann in zip(instances, anns, strict=True):
             mask = coco.annToMask(ann).astype(bool)
             assert np.array_equal(mask, sample.truth.instance == i)
             y, x = mask.nonzero()
@@ -69,10 +69,10 @@ def test_a_scene_file_has_visible_masks_and_amodal_boxes_as_bop_toolkit_writes(
     assert (image["id"], image["file_name"]) == (0, f"{picture}/000000.png")
     assert (scene / image["file_name"]).is_file()
     truth = samples[3].truth
-    seen = [i for i in range(8) if (truth.instance == i).any()]
+    instances = [i for i in range(8) if (truth.instance == i).any()]
     anns = coco.loadAnns(coco.getAnnIds())
-    assert [ann["id"] for ann in anns] == list(range(1, len(seen) + 1))
-    for i, ann in zip(seen, anns, strict=True):
+    assert [ann["id"] for ann in anns] == list(range(1, len(instances) + 1))
+    for i, ann in zip(instances, anns, strict=True):
         assert isinstance(ann["segmentation"]["counts"], list)
         assert np.array_equal(coco.annToMask(ann).astype(bool), truth.instance == i)
         y, x = truth.amodal[i].in_image(*truth.instance.shape).nonzero()

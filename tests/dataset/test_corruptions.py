@@ -57,14 +57,14 @@ def test_a_changed_file_has_another_sum(copy, fault):
     """In the moment that hashing takes: neither pictures nor models are read."""
     do = SUMS_ALONE[fault] if fault in SUMS_ALONE else SENSED[fault][0]
     do(copy)
-    found = [problem.what for problem in validate(copy, fast=True)]
+    problems = [problem.what for problem in validate(copy, fast=True)]
     signs = (
         "not as it was written",
         "was changed after it was written",
         "missing",
         "a copy of another",
     )
-    assert any(sign in what for sign in signs for what in found), found
+    assert any(sign in what for sign in signs for what in problems), problems
 
 
 @pytest.mark.parametrize("fault", some(SENSED, 64))
@@ -72,8 +72,8 @@ def test_a_fault_whose_sums_were_made_anew_makes_no_sense(copy, fault):
     do, words = SENSED[fault]
     do(copy)
     reseal(copy)
-    found = [problem.what for problem in validate(copy)]
-    assert any(re.search(words, what) for what in found), found
+    problems = [problem.what for problem in validate(copy)]
+    assert any(re.search(words, what) for what in problems), problems
 
 
 @pytest.mark.slow
@@ -90,8 +90,8 @@ def test_what_no_check_of_sense_can_know_is_only_in_the_sums(copy, fault):
 def test_sums_must_be_there_and_of_all_files(copy, fault):
     do, words = OF_SUMS[fault]
     do(copy)
-    found = [problem.what for problem in validate(copy, fast=True)]
-    assert any(re.search(words, what) for what in found), found
+    problems = [problem.what for problem in validate(copy, fast=True)]
+    assert any(re.search(words, what) for what in problems), problems
 
 
 @pytest.mark.parametrize("read", [["validate"], ["validate", "--fast"], ["dataset", "stats"]])

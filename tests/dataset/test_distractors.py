@@ -61,18 +61,18 @@ def test_labels_are_those_of_the_boxes_alone_and_pictures_those_of_all():
 def test_a_distractor_in_front_takes_pixels_from_a_label():
     """The visible mask is what remains of the whole one; nothing of it goes to another label."""
     whole = sample((BOX, FOREIGN))
-    kept = labelled(whole)
+    own = labelled(whole)
     hidden = 0
     for number, i in enumerate((0, 2, 4, 6)):
-        assert ((kept.truth.instance == number) == (whole.truth.instance == i)).all()
+        assert ((own.truth.instance == number) == (whole.truth.instance == i)).all()
         mask = whole.truth.amodal[i].clipped(*whole.truth.instance.shape)
         window = np.zeros(whole.truth.instance.shape, dtype=bool)
         h, w = mask.mask.shape
         window[mask.top_px : mask.top_px + h, mask.left_px : mask.left_px + w] = mask.mask
         hidden += int((window & (whole.truth.instance % 2 == 1)).sum())
     assert hidden > 100
-    assert len(kept.truth.amodal) == len(kept.layout.part_index) == 4
-    assert labelled(kept) is kept
+    assert len(own.truth.amodal) == len(own.layout.part_index) == 4
+    assert labelled(own) is own
 
 
 def test_a_dataset_with_distractors_is_sound_and_has_no_model_of_them(dataset):
@@ -93,9 +93,9 @@ def test_a_label_that_lies_is_found_among_distractors(dataset):
         poses = json.loads(path.read_text())
         poses["0"][1]["cam_t_m2c"][0] += 1.0
         path.write_text(json.dumps(poses))
-    told = [problem.what for problem in validate(dataset)]
-    assert any("instance 1: mask differs from the model at its pose" in what for what in told)
-    assert not any("instance 0" in what or "instance 2" in what for what in told)
+    problems = [problem.what for problem in validate(dataset)]
+    assert any("instance 1: mask differs from the model at its pose" in what for what in problems)
+    assert not any("instance 0" in what or "instance 2" in what for what in problems)
 
 
 def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
@@ -105,8 +105,8 @@ def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
     assert (amodal != visible).any()
     for kind in ("mask_visib", "mask_visib_sl"):
         cv2.imwrite(str(scene / kind / "000000_000000.png"), amodal)
-    told = [problem.what for problem in validate(dataset)]
-    assert any("instance 0: depth is off the model at its pose" in what for what in told)
+    problems = [problem.what for problem in validate(dataset)]
+    assert any("instance 0: depth is off the model at its pose" in what for what in problems)
 
 
 def test_another_distractor_is_another_dataset(dataset):

@@ -25,8 +25,8 @@ def labelled(copy):
     """
     out = copy
     shutil.rmtree(out / "grasps", ignore_errors=True)
-    told = json.loads((out / "graycast.json").read_bytes())
-    write(out, "grasps.json", claim(told["fingerprint"]))
+    record = json.loads((out / "graycast.json").read_bytes())
+    write(out, "grasps.json", claim(record["fingerprint"]))
     infos = json.loads((out / "models/models_info.json").read_bytes())
     poses = json.loads((out / "train/000003/scene_gt.json").read_bytes())["0"]
     entries = []
@@ -103,14 +103,16 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("harm", "told"), FAULTS)
-def test_a_wrong_label_is_named(labelled, harm, told):
+@pytest.mark.parametrize(("harm", "message"), FAULTS)
+def test_a_wrong_label_is_named(labelled, harm, message):
     path = labelled / "grasps/jaws/train/000003.json"
     content = json.loads(path.read_bytes())
     harm(content["0"][1]["grasps"][0])
     path.write_text(json.dumps(content))
-    found = [str(problem) for problem in validate(labelled)]
-    assert any("grasps/jaws/train/000003.json" in what and told in what for what in found), found
+    problems = [str(problem) for problem in validate(labelled)]
+    assert any("grasps/jaws/train/000003.json" in what and message in what for what in problems), (
+        problems
+    )
 
 
 def test_labels_of_other_scenes_and_datasets_are_named(labelled):
@@ -120,7 +122,7 @@ def test_labels_of_other_scenes_and_datasets_are_named(labelled):
     content = json.loads((folder / "train/000003.json").read_bytes())
     content["0"].pop()
     (folder / "train/000000.json").write_text(json.dumps(content))
-    told = "\n".join(str(problem) for problem in validate(labelled))
-    assert "is of another dataset" in told
-    assert "000007.json: scene_gt.json is missing" in told
-    assert "its 7 instances are not the 8" in told
+    text = "\n".join(str(problem) for problem in validate(labelled))
+    assert "is of another dataset" in text
+    assert "000007.json: scene_gt.json is missing" in text
+    assert "its 7 instances are not the 8" in text

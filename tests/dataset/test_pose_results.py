@@ -18,10 +18,10 @@ def estimate(seed):
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    made = [estimate(seed) for seed in range(5)]
+    estimates = [estimate(seed) for seed in range(5)]
     path = tmp_path / "poses.csv"
-    path.write_text(pose_results_text(made))
-    for mine, its in zip(made, read_pose_results(path), strict=True):
+    path.write_text(pose_results_text(estimates))
+    for mine, its in zip(estimates, read_pose_results(path), strict=True):
         np.testing.assert_allclose(its.T_cam_part, mine.T_cam_part, rtol=0, atol=1e-15)
         ids = [(x.scene_id, x.im_id, x.obj_id, x.score, x.time_s) for x in (mine, its)]
         assert ids[0] == ids[1]
@@ -31,12 +31,12 @@ def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
     """By hand: a quarter turn about z takes x to y."""
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n3,0,1,0.5,0 -1 0 1 0 0 0 0 1,10 20 900,-1\n")
-    (found,) = read_pose_results(path)
-    np.testing.assert_allclose(found.T_cam_part @ [1, 0, 0, 1], [0.01, 1.02, 0.9, 1])
+    (result,) = read_pose_results(path)
+    np.testing.assert_allclose(result.T_cam_part @ [1, 0, 0, 1], [0.01, 1.02, 0.9, 1])
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (ONE.replace("3,0", "3.5,0"), "line 2: scene_id is '3.5'; it must be a whole number"),
         (ONE.replace("3,0", "-3,0"), "line 2: scene_id is '-3'; it must be a whole number"),
@@ -51,12 +51,12 @@ def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
         (f"{ONE}\n{ONE.replace('0.25', '0.5')}", "scene 3, image 0 has the times 0.25 and 0.5"),
     ],
 )
-def test_what_is_no_result_is_one_line(tmp_path, text, told):
+def test_what_is_no_result_is_one_line(tmp_path, text, message):
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n{text}\n")
     with pytest.raises(GraycastError) as caught:
         read_pose_results(path)
-    assert told in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["", "scene,im\n", ONE])

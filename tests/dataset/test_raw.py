@@ -73,12 +73,12 @@ CASES = (
 
 
 @pytest.fixture(scope="session")
-def kept(tmp_path_factory, opened, parts, rig):
+def dataset_of(tmp_path_factory, opened, parts, rig):
     """A dataset of one scene per case, made when first asked for."""
-    made = {}
+    datasets = {}
 
     def make(case):
-        if case not in made:
+        if case not in datasets:
             scanner = scanner_of(rig, case)
             plain = build_sample(0, parts=parts, rig=rig)
             sample = scanned(plain, scanner, seed=5, roll_rad=0.003 if "outliers" in case else 0.0)
@@ -86,8 +86,8 @@ def kept(tmp_path_factory, opened, parts, rig):
             with opened(out, rig=scanner.rig) as store:
                 store.write(0, [sample])
                 store.finish([0])
-            made[case] = out, sample
-        return made[case]
+            datasets[case] = out, sample
+        return datasets[case]
 
     return make
 
@@ -96,9 +96,9 @@ def kept(tmp_path_factory, opened, parts, rig):
     "case",
     [c if k == 0 else pytest.param(c, marks=pytest.mark.slow) for k, c in enumerate(CASES)],
 )
-def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(kept, case):
+def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(dataset_of, case):
     """Oracle: what the simulation measured, in memory and in its PNGs, from the files alone."""
-    out, sample = kept(case)
+    out, sample = dataset_of(case)
     scene = out / "train/000000"
     scanner = load_scanner(scene / "frames/rig.yaml")
     result = decode_stack(scene / "frames/stack.yaml", scanner.rig, filters=scanner.filters)
@@ -116,21 +116,21 @@ def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(kept, case):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["as the paper's", "exposures merged", "8 bits"])
-def test_a_capture_comes_back_as_it_was(kept, case):
-    out, sample = kept(case)
-    found = read_capture(out / "train/000000")
+def test_a_capture_comes_back_as_it_was(dataset_of, case):
+    out, sample = dataset_of(case)
+    stored = read_capture(out / "train/000000")
     capture = sample.raw.capture
-    np.testing.assert_array_equal(found.capture.frames, capture.frames)
-    np.testing.assert_array_equal(found.capture.exposure_s, capture.exposure_s)
-    assert found.capture.frames.dtype == (np.uint8 if case == "8 bits" else np.uint16)
-    assert found.scanner.light_code() == sample.raw.scanner.light_code()
-    assert found.capture.sensor == capture.sensor
+    np.testing.assert_array_equal(stored.capture.frames, capture.frames)
+    np.testing.assert_array_equal(stored.capture.exposure_s, capture.exposure_s)
+    assert stored.capture.frames.dtype == (np.uint8 if case == "8 bits" else np.uint16)
+    assert stored.scanner.light_code() == sample.raw.scanner.light_code()
+    assert stored.capture.sensor == capture.sensor
     assert (len(np.unique(capture.exposure_s)) == 2) == ("merged" in case)
 
 
-def test_code_maps_are_read_by_opencv_and_give_the_depth_again(kept):
+def test_code_maps_are_read_by_opencv_and_give_the_depth_again(dataset_of):
     """Oracles: a reader that is not Pillow; the triangulation of what was decoded."""
-    out, sample = kept("as the paper's")
+    out, sample = dataset_of("as the paper's")
     maps = {
         name: cv2.imread(str(out / f"train/000000/{folder}/000000.tiff"), cv2.IMREAD_UNCHANGED)
         for name, folder in (
@@ -150,8 +150,8 @@ def test_code_maps_are_read_by_opencv_and_give_the_depth_again(kept):
 
 
 @pytest.mark.slow
-def test_a_code_of_one_axis_has_maps_of_that_axis(kept):
-    out, _ = kept("phases, filtered")
+def test_a_code_of_one_axis_has_maps_of_that_axis(dataset_of):
+    out, _ = dataset_of("phases, filtered")
     assert list(read_code_maps(out / "train/000000")) == ["column", "sigma_column"]
     assert not (out / "train/000000/row_sl").exists()
 
@@ -168,16 +168,16 @@ def test_a_scene_that_keeps_nothing_has_the_bytes_it_had(parts, rig):
     }  # fmt: skip
     manifest = json.loads(after["manifest.json"])
     assert set(manifest) - set(json.loads(before["manifest.json"])) == {"frames", "code_maps"}
-    shown = manifest["frames"]["shown"]
-    assert shown[:2] == [
+    patterns = manifest["frames"]["shown"]
+    assert patterns[:2] == [
         {"file": "0000.png", "kind": "white"},
         {"file": "0001.png", "kind": "black"},
     ]
-    assert shown[2] == {"file": "0002.png", "kind": "gray", "axis": "column", "bit": 7}
+    assert patterns[2] == {"file": "0002.png", "kind": "gray", "axis": "column", "bit": 7}
 
 
-def test_a_stack_of_another_size_is_refused(rig, kept):
-    _, sample = kept("as the paper's")
+def test_a_stack_of_another_size_is_refused(rig, dataset_of):
+    _, sample = dataset_of("as the paper's")
     with pytest.raises(ValueError, match="the captured stack is"):
         replace(sample.raw, scanner=Scanner(rig=toed_in(rig), code=PHASES))
 
@@ -291,24 +291,24 @@ DAMAGE = {
 }  # fmt: skip
 
 
-def test_a_sound_dataset_with_frames_is_valid(kept):
-    assert problems(kept("as the paper's")[0]) == []
+def test_a_sound_dataset_with_frames_is_valid(dataset_of):
+    assert problems(dataset_of("as the paper's")[0]) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [c for c in CASES if "bent" not in c])  # its truth is straight
-def test_every_kind_of_stack_is_valid(kept, case):
-    assert validate(kept(case)[0]) == ()
+def test_every_kind_of_stack_is_valid(dataset_of, case):
+    assert validate(dataset_of(case)[0]) == ()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_to_frames_and_maps_is_found(kept, tmp_path, damage):
+def test_damage_to_frames_and_maps_is_found(dataset_of, tmp_path, damage):
     do, reason = DAMAGE[damage]
-    out = shutil.copytree(kept("as the paper's")[0], tmp_path / "out")
+    out = shutil.copytree(dataset_of("as the paper's")[0], tmp_path / "out")
     do(out / "train/000000")
-    found = problems(out)
-    assert any(reason in text for text in found), found
+    texts = problems(out)
+    assert any(reason in text for text in texts), texts
 
 
 # --- the whole way -----------------------------------------------------------------------------
@@ -320,15 +320,17 @@ def decoded(capsys, *arguments):
 
 
 @pytest.mark.slow
-def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(kept, capsys, tmp_path):
-    out, sample = kept("phases, filtered")
+def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(dataset_of, capsys, tmp_path):
+    out, sample = dataset_of("phases, filtered")
     decoded(capsys, out / "train/000000/frames", "--out", tmp_path)
     np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), sample.scanner_depth.depth_m)
 
 
 @pytest.mark.slow
-def test_a_rig_file_that_is_gone_is_named(kept, tmp_path, capsys):
-    folder = shutil.copytree(kept("as the paper's")[0] / "train/000000/frames", tmp_path / "frames")
+def test_a_rig_file_that_is_gone_is_named(dataset_of, tmp_path, capsys):
+    folder = shutil.copytree(
+        dataset_of("as the paper's")[0] / "train/000000/frames", tmp_path / "frames"
+    )
     (folder / "rig.yaml").unlink()
     assert main(["rig", "decode", str(folder), "--out", str(tmp_path / "o")]) != 0
     assert "rig.yaml" in capsys.readouterr().err
@@ -343,12 +345,12 @@ def test_a_generated_dataset_decodes_again_and_is_otherwise_the_same(capsys, tmp
         cell = write_cell(folder, store=store, scenes=1)
         out = folder / "out"
         assert main(["generate", str(cell), "--out", str(out), "--device", "cpu"]) == 0
-    plain, kept = (content(tmp_path / name / "out") for name in ("plain", "kept"))
+    plain, with_raw = (content(tmp_path / name / "out") for name in ("plain", "kept"))
     assert validate(tmp_path / "kept/out") == ()
-    new = {name.split("/")[2] for name in set(kept) - set(plain)}
-    assert new >= {"frames", "column_sl"} and not set(plain) - set(kept)
+    new = {name.split("/")[2] for name in set(with_raw) - set(plain)}
+    assert new >= {"frames", "column_sl"} and not set(plain) - set(with_raw)
     pictures = [name for name in plain if name.endswith(".png") and "train" in name]
-    assert all(plain[name] == kept[name] for name in pictures) and len(pictures) > 10
+    assert all(plain[name] == with_raw[name] for name in pictures) and len(pictures) > 10
     scene = tmp_path / "kept/out/train/000000"
     decoded(capsys, scene / "frames", "--out", tmp_path / "decoded")
     step = cv2.imread(str(scene / "depth_sl/000000.png"), cv2.IMREAD_UNCHANGED)

@@ -45,7 +45,7 @@ def test_a_picture_may_have_any_format_and_may_be_absent(scene):
 
 
 @pytest.mark.parametrize(
-    ("read", "told"),
+    ("read", "message"),
     [
         (lambda s: s.of_image("scene_gt_info", 9, AnyView), r"scene_gt_info\.json is missing"),
         (lambda s: s.of_image("scene_camera", 8, AnyView), "json says nothing of image 8"),
@@ -55,8 +55,8 @@ def test_a_picture_may_have_any_format_and_may_be_absent(scene):
         (lambda s: s.mask("mask_visib", 3, 9), r"mask_visib/000009_000003\.png is missing"),
     ],
 )
-def test_what_is_not_there_is_named(scene, read, told):
-    with pytest.raises(Unreadable, match=told):
+def test_what_is_not_there_is_named(scene, read, message):
+    with pytest.raises(Unreadable, match=message):
         read(scene)
 
 
@@ -68,7 +68,7 @@ def test_a_picture_that_ends_early_is_told(scene):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ({"first": {"cam_K": K, "depth_scale": 0.1}}, "first"),
         ({"9": {"cam_K": K[:8], "depth_scale": 0.1}}, r"9\.cam_K"),
@@ -76,8 +76,8 @@ def test_a_picture_that_ends_early_is_told(scene):
         ({"9": None}, "9: Input should be an object"),
     ],
 )
-def test_a_scene_without_its_cameras_is_no_traceback_of_realism(scene, content, told):
+def test_a_scene_without_its_cameras_is_no_traceback_of_realism(scene, content, message):
     path = scene.path / "scene_camera.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match=f"^{path}: {told}.*needs cam_K"):
+    with pytest.raises(DatasetError, match=f"^{path}: {message}.*needs cam_K"):
         list(read_scans([scene.path]))

@@ -31,7 +31,7 @@ PLACES = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def dataset_and_samples(tmp_path_factory):
     """A dataset of two scenes: two images of one scanner, one of another; and their samples."""
     parts, rig = (box_part(), wedge_part()), make_rig()
     out = tmp_path_factory.mktemp("several") / "out"
@@ -69,21 +69,21 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def copy(made, tmp_path):
-    return shutil.copytree(made[0], tmp_path / "out")
+def copy(dataset_and_samples, tmp_path):
+    return shutil.copytree(dataset_and_samples[0], tmp_path / "out")
 
 
-def told(out, name):
+def record_of(out, name):
     return json.loads((out / "train/000000" / f"{name}.json").read_text())
 
 
-def test_it_is_sound(made):
-    assert validate(made[0]) == ()
+def test_it_is_sound(dataset_and_samples):
+    assert validate(dataset_and_samples[0]) == ()
 
 
-def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(made):
+def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(dataset_and_samples):
     """By BOP's convention for several sensors; no file of a sensor without a name is there."""
-    out, _ = made
+    out, _ = dataset_and_samples
     scene = out / "train/000000"
     for kind in ("rgb", "depth", "gray_%s_sl", "depth_%s_sl", "reason_%s_sl", "modulation_%s_sl"):
         for sensor, images in (("left", 2), ("right", 1)):
@@ -94,21 +94,21 @@ def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(made):
         assert not (scene / name).exists()
     assert not (out / "camera.json").exists()
     assert (out / "camera_left.json").read_bytes() == (out / "camera_right.json").read_bytes()
-    assert set(told(out, "scene_gt_left")) == {"0", "1"}
-    assert set(told(out, "scene_gt_right_sl")) == {"0"}
+    assert set(record_of(out, "scene_gt_left")) == {"0", "1"}
+    assert set(record_of(out, "scene_gt_right_sl")) == {"0"}
 
 
-def test_all_images_place_an_instance_at_one_pose_in_the_world(made):
+def test_all_images_place_an_instance_at_one_pose_in_the_world(dataset_and_samples):
     """From the files alone: world to camera inverted, times model to camera."""
-    found = []
+    poses = []
     for sensor, image in PLACES:
-        view = told(made[0], f"scene_camera_{sensor}")[str(image)]
+        view = record_of(dataset_and_samples[0], f"scene_camera_{sensor}")[str(image)]
         R_w2c = np.reshape(view["cam_R_w2c"], (3, 3))
-        for pose in told(made[0], f"scene_gt_{sensor}")[str(image)]:
+        for pose in record_of(dataset_and_samples[0], f"scene_gt_{sensor}")[str(image)]:
             R = R_w2c.T @ np.reshape(pose["cam_R_m2c"], (3, 3))
             t = R_w2c.T @ (np.array(pose["cam_t_m2c"]) - view["cam_t_w2c"])
-            found.append(np.hstack([R, t[:, None]]))
-    of_image = np.array(found).reshape(len(PLACES), -1, 3, 4)
+            poses.append(np.hstack([R, t[:, None]]))
+    of_image = np.array(poses).reshape(len(PLACES), -1, 3, 4)
     assert np.abs(np.diff(of_image[..., 3], axis=0)).max() < 1e-9  # mm
     assert np.abs(np.diff(of_image[..., :3], axis=0)).max() < 1e-12
     gaps = [np.abs(view[0] - of_image[0, 1]).max() for view in of_image]
@@ -116,8 +116,8 @@ def test_all_images_place_an_instance_at_one_pose_in_the_world(made):
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
-def test_pycocotools_reads_masks_of_every_image(made):
-    out, samples = made
+def test_pycocotools_reads_masks_of_every_image(dataset_and_samples):
+    out, samples = dataset_and_samples
     coco = COCO(str(out / "train_coco.json"))
     assert sorted(coco.imgs) == [0, 1, 2, 9, 10, 11]  # three images a scene, scenes 0 and 3
     for image_id, image in coco.imgs.items():
@@ -135,8 +135,8 @@ def test_pycocotools_reads_masks_of_every_image(made):
             np.testing.assert_array_equal(mask, must)
 
 
-def test_what_is_stored_of_each_image_comes_back(made):
-    out, samples = made
+def test_what_is_stored_of_each_image_comes_back(dataset_and_samples):
+    out, samples = dataset_and_samples
     stored = open_dataset(out)
     assert stored.images == (("left", 0), ("left", 1), ("right", 0))
     for scene in stored.scenes:
@@ -149,11 +149,11 @@ def test_what_is_stored_of_each_image_comes_back(made):
             assert content.manifest["seeds"] == sample.manifest["seeds"]
 
 
-def test_the_first_image_is_as_it_would_be_alone(made, samples, opened, tmp_path):
+def test_the_first_image_is_as_it_would_be_alone(dataset_and_samples, samples, opened, tmp_path):
     """The names differ and the records tell of more images; what is told of the first does not."""
     with opened(tmp_path / "one") as store:
         store.write(0, [samples[0]])
-    one, several = tmp_path / "one/train/000000", made[0] / "train/000000"
+    one, several = tmp_path / "one/train/000000", dataset_and_samples[0] / "train/000000"
     for path in one.rglob("*.png"):
         kind, number = path.relative_to(one).parts
         plain = kind.removesuffix("_sl")
@@ -178,7 +178,7 @@ def _untold(scene):
     path.write_text(json.dumps(infos))
 
 
-def _told_of_more(scene):
+def _one_record_more(scene):
     path = scene / "scene_right_sl.json"
     entries = json.loads(path.read_text())
     path.write_text(json.dumps(entries | {"1": entries["0"]}))
@@ -187,7 +187,7 @@ def _told_of_more(scene):
 FAULTS = {
     "a pose that is another in the world": (_moved, "instance 2 lies 0.01 mm from where"),
     "an image that no record tells of": (_untold, "scene_gt_info_left.json tells of 1 images"),
-    "a record of an image too many": (_told_of_more, "it must tell of 1: see image 1"),
+    "a record of an image too many": (_one_record_more, "it must tell of 1: see image 1"),
     "depth of another image": (
         lambda scene: shutil.copy(scene / "depth_left/000000.png", scene / "depth_left/000001.png"),
         "image 1 left: instance",
@@ -209,16 +209,16 @@ FAULTS = {
 def test_validate_names_the_image_that_is_wrong(copy, fault):
     change, says = FAULTS[fault]
     change(copy / "train/000000")
-    found = [str(problem) for problem in validate(copy)]
-    assert any(says in what for what in found), found
-    assert not any(what.startswith("scene 000003") for what in found)
+    problems = [str(problem) for problem in validate(copy)]
+    assert any(says in what for what in problems), problems
+    assert not any(what.startswith("scene 000003") for what in problems)
 
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-def test_poses_are_judged_by_the_image_that_they_are_of(made, tmp_path):
+def test_poses_are_judged_by_the_image_that_they_are_of(dataset_and_samples, tmp_path):
     """True poses of both images of the first scanner score 1; those of exchanged images do not."""
-    examples = open_examples(made[0])
+    examples = open_examples(dataset_and_samples[0])
     (true,) = {sensor for _, sensor, _ in examples.place_of.values()} - {"right"}
     estimates = [
         PoseEstimate(
@@ -240,10 +240,12 @@ def test_poses_are_judged_by_the_image_that_they_are_of(made, tmp_path):
     recalls = []
     for name, content in (("true", estimates), ("exchanged", exchanged)):
         (tmp_path / f"{name}.csv").write_text(pose_results_text(content))
-        judged = evaluate_poses(tmp_path / f"{name}.csv", made[0], protocol=Protocol(draws=10))
-        recalls.append(judged.rows[0].figures["AR_MSSD"].value)
-        assert judged.scenes == 2
+        result = evaluate_poses(
+            tmp_path / f"{name}.csv", dataset_and_samples[0], protocol=Protocol(draws=10)
+        )
+        recalls.append(result.rows[0].figures["AR_MSSD"].value)
+        assert result.scenes == 2
     assert recalls[0] == 1.0 and recalls[1] < 0.5
     (tmp_path / "third.csv").write_text(pose_results_text([replace(estimates[0], im_id=2)]))
     with pytest.raises(GraycastError, match="scene 0, image 2"):
-        evaluate_poses(tmp_path / "third.csv", made[0], protocol=Protocol())
+        evaluate_poses(tmp_path / "third.csv", dataset_and_samples[0], protocol=Protocol())

@@ -47,8 +47,8 @@ def test_an_export_gives_every_picture_back_once(several, tmp_path, form):  # no
         sample = samples[scene_id][place]
         assert example.scene_id == image_id
         assert np.array_equal(example.rgb, sample.rgb)
-        seen = np.unique(sample.truth.instance[sample.truth.instance >= 0])
-        assert len(example.obj_id) == len(seen)
+        instances = np.unique(sample.truth.instance[sample.truth.instance >= 0])
+        assert len(example.obj_id) == len(instances)
         if form != "yolo":  # whose polygons round, and which knows no instance
             for i, mask in zip(example.instance, example.mask, strict=True):
                 assert np.array_equal(mask, sample.truth.instance == i)
@@ -71,13 +71,13 @@ def test_the_dataset_and_its_export_number_pictures_alike(several, tmp_path):  #
     """`train_coco.json`, which the store writes, against COCO from the export."""
     export(several[0], tmp_path / "out", Options(format="coco", split=Split()))
     own = json.loads((several[0] / "train_coco.json").read_text())
-    made = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
+    exported = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
     size = {image["id"]: (image["width"], image["height"]) for image in own["images"]}
-    assert size == {image["id"]: (image["width"], image["height"]) for image in made["images"]}
+    assert size == {image["id"]: (image["width"], image["height"]) for image in exported["images"]}
     assert sorted(size) == IMAGE_IDS and set(size.values()) == {(160, 120), (128, 96)}
     boxes = [
-        sorted((entry["image_id"], entry["category_id"], *entry["bbox"]) for entry in held)
-        for held in (own["annotations"], made["annotations"])
+        sorted((entry["image_id"], entry["category_id"], *entry["bbox"]) for entry in entries)
+        for entries in (own["annotations"], exported["annotations"])
     ]
     assert boxes[0] == boxes[1]
 
@@ -97,14 +97,14 @@ def test_figures_are_of_all_pictures_and_scenes_are_counted_once(several):  # no
     statistics = dataset_statistics(out)
     assert statistics.scenes == {"train": len(SCENES)}
     assert statistics.pictures == len(IMAGE_IDS)
-    every = [sample for held in samples.values() for sample in held]
+    every = [sample for pictures in samples.values() for sample in pictures]
     assert statistics.pixels == sum(sample.gray.size for sample in every)
     assert statistics.sizes_px == {(160, 120): 4, (128, 96): 4}
     assert list(statistics.of_picture) == list(NAMES)
-    for place, (name, told) in enumerate(statistics.of_picture.items()):
+    for place, (name, figures) in enumerate(statistics.of_picture.items()):
         reason = np.stack([samples[i][place].scanner_depth.reason for i in SCENES])
-        assert told.pictures == len(SCENES), name
-        assert told.decoded == pytest.approx((reason == 0).mean())
+        assert figures.pictures == len(SCENES), name
+        assert figures.decoded == pytest.approx((reason == 0).mean())
 
 
 def test_the_card_counts_scenes_and_instances_once(several, tmp_path, monkeypatch):  # noqa: F811

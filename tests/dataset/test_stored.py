@@ -17,13 +17,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def dataset_and_samples(tmp_path_factory):
     out = tmp_path_factory.mktemp("stored") / "out"
     return out, write_dataset(out, (0, 3))
 
 
-def test_instances_labels_and_label_map_are_those_of_the_sample(made):
-    out, samples = made
+def test_instances_labels_and_label_map_are_those_of_the_sample(dataset_and_samples):
+    out, samples = dataset_and_samples
     for scene in open_dataset(out).scenes:
         sample, content = samples[scene.scene_id], scene_content(scene)
         np.testing.assert_array_equal(content.label, sample.truth.instance)
@@ -37,8 +37,8 @@ def test_instances_labels_and_label_map_are_those_of_the_sample(made):
         assert [label.area_px for label in scene.labels()] == [a for a in area_px if a]
 
 
-def test_scenes_of_other_splits_are_told_apart(made, tmp_path):
-    out = shutil.copytree(made[0], tmp_path / "out")
+def test_scenes_of_other_splits_are_told_apart(dataset_and_samples, tmp_path):
+    out = shutil.copytree(dataset_and_samples[0], tmp_path / "out")
     (out / "val").mkdir()
     shutil.copytree(out / "train/000003", out / "val/000003")
     stored = open_dataset(out)
@@ -48,8 +48,8 @@ def test_scenes_of_other_splits_are_told_apart(made, tmp_path):
     assert pickle.loads(pickle.dumps(stored)) == stored
 
 
-def test_an_object_that_the_dataset_does_not_know_is_told(made, tmp_path):
-    out = shutil.copytree(made[0], tmp_path / "out")
+def test_an_object_that_the_dataset_does_not_know_is_told(dataset_and_samples, tmp_path):
+    out = shutil.copytree(dataset_and_samples[0], tmp_path / "out")
     path = out / "train/000003/scene_gt.json"
     poses = json.loads(path.read_bytes())
     poses["0"][2]["obj_id"] = 7
@@ -70,8 +70,8 @@ def test_an_object_that_the_dataset_does_not_know_is_told(made, tmp_path):
         ("scene_camera.json", StoredScene.example),
     ],
 )
-def test_a_file_that_is_missing_is_named(made, tmp_path, name, read):
-    out = shutil.copytree(made[0], tmp_path / "out")
+def test_a_file_that_is_missing_is_named(dataset_and_samples, tmp_path, name, read):
+    out = shutil.copytree(dataset_and_samples[0], tmp_path / "out")
     (out / "train/000003" / name).unlink()
     with pytest.raises(DatasetError, match=f"000003: {name} is missing: run graycast validate"):
         read(open_dataset(out).scene(3))

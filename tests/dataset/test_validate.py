@@ -74,9 +74,9 @@ def scale_focus(scene, factor=1.02, both=True):
 def swap(scene, a, b, kinds=("mask", "mask_visib", "mask_sl", "mask_visib_sl")):
     for kind in kinds:
         first, second = (scene / kind / f"000000_{i:06d}.png" for i in (a, b))
-        held = first.read_bytes()
+        data = first.read_bytes()
         first.write_bytes(second.read_bytes())
-        second.write_bytes(held)
+        second.write_bytes(data)
 
 
 def all_masks(scene, change):
@@ -308,10 +308,10 @@ def test_damage_in_a_scene_is_found_and_its_scene_named(damaged, damage):
     do, reason = SCENE_DAMAGE[damage]
     scene = damaged / "train" / "000000"
     do(scene)
-    found = validate(damaged)
-    elsewhere = {p.scene for p in found} - {0, None}
+    problems = validate(damaged)
+    elsewhere = {p.scene for p in problems} - {0, None}
     assert elsewhere == ({3} if "dataset" in damage else set())
-    texts = [problem.what for problem in found if problem.scene == 0]
+    texts = [problem.what for problem in problems if problem.scene == 0]
     assert any(re.search(reason, text) for text in texts), texts
 
 

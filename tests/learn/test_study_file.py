@@ -30,7 +30,7 @@ def test_a_folder_has_one_spelling_wherever_the_study_s_file_lies(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"gap": ["own", "moon"]}, "gap names 'moon', which is no test set"),
         ({"models": []}, "models"),
@@ -41,6 +41,6 @@ def test_a_folder_has_one_spelling_wherever_the_study_s_file_lies(tmp_path):
         ),
     ],
 )
-def test_an_impossible_study_is_refused(tmp_path, changed, told):
-    with pytest.raises(ConfigError, match=told):
+def test_an_impossible_study_is_refused(tmp_path, changed, message):
+    with pytest.raises(ConfigError, match=message):
         read_study(written(tmp_path, **changed))

@@ -43,7 +43,7 @@ class Bug:
 
 def planted() -> list[Bug]:
     """The bugs of `mutants.txt`, which says how they are written down."""
-    found = []
+    bugs = []
     for paragraph in LIST.read_text(encoding="utf-8").split("\n\n"):
         lines = [line for line in paragraph.splitlines() if not line.startswith("#")]
         if lines:
@@ -53,30 +53,30 @@ def planted() -> list[Bug]:
             text, other = "\n".join(gone) + end, "\n".join(come)
             slow, tests = tests.startswith(SLOW), tests.removeprefix(SLOW)
             bug = Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests, slow=slow)
-            found.append(bug)
-    return found
+            bugs.append(bug)
+    return bugs
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("words", nargs="*", help="only bugs whose name or file has one of these")
     parser.add_argument("--all-tests", action="store_true", help="ask all quick tests of survivors")
-    asked = parser.parse_args()
-    chosen = [
+    options = parser.parse_args()
+    bugs = [
         bug
         for bug in planted()
-        if not asked.words or any(word in f"{bug.bug} {bug.file}" for word in asked.words)
+        if not options.words or any(word in f"{bug.bug} {bug.file}" for word in options.words)
     ]
     with tempfile.TemporaryDirectory(prefix="graycast-mutants-") as folder:
         copy = Path(folder)
         copy_tree(copy)
-        print(f"{len(chosen)} bugs; first their tests without any", flush=True)
+        print(f"{len(bugs)} bugs; first their tests without any", flush=True)
         for slow in (False, True):
-            sound = {test for bug in chosen if bug.slow == slow for test in bug.tests.split()}
+            sound = {test for bug in bugs if bug.slow == slow for test in bug.tests.split()}
             if sound and (failed := failing_test(copy, sorted(sound), slow=slow)) is not None:
                 sys.exit(f"the tests fail without any bug: {failed}")
-        survivors = [bug for bug in chosen if not noticed(copy, bug, all_tests=asked.all_tests)]
-    print(f"{len(chosen) - len(survivors)} of {len(chosen)} bugs are noticed")
+        survivors = [bug for bug in bugs if not noticed(copy, bug, all_tests=options.all_tests)]
+    print(f"{len(bugs) - len(survivors)} of {len(bugs)} bugs are noticed")
     for bug in survivors:
         print(f"  not noticed: {bug.bug} ({bug.file})")
     return 1 if survivors else 0
@@ -146,10 +146,10 @@ def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | N
     )
     if run.returncode in (0, 5):  # 5: they are all slow
         return None
-    told = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
-    if run.returncode > 2 or told is None:
+    match = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
+    if run.returncode > 2 or match is None:
         sys.exit(f"pytest ended with {run.returncode}: {run.stdout[-2000:]}{run.stderr[-2000:]}")
-    return told[1]
+    return match[1]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def made(root: Path, out: Path) -> subprocess.CompletedProcess:
+def run_twin(root: Path, out: Path) -> subprocess.CompletedProcess:
     command = [sys.executable, "-W", "ignore", "-m", "studies.phoxi_twin", "--out", str(out)]
     return subprocess.run(command, cwd=root, capture_output=True, text=True)
 
@@ -26,7 +26,7 @@ def test_without_the_scans_it_stops_in_one_line(tmp_path):
     root = tmp_path / "stranger" / "repository"
     for folder in ("studies", "benchmarks"):
         shutil.copytree(ROOT / folder, root / folder)
-    ended = made(root, tmp_path / "out")
+    ended = run_twin(root, tmp_path / "out")
     assert ended.returncode == 1
     (line,) = ended.stderr.strip().splitlines()
     assert "shared/data/phoxi/bin.obj is missing: put the scans" in line
@@ -36,6 +36,6 @@ def test_without_the_scans_it_stops_in_one_line(tmp_path):
 @pytest.mark.slow
 def test_it_may_be_made_twice(shared, tmp_path):
     for _ in range(2):
-        ended = made(ROOT, tmp_path / "twin")
+        ended = run_twin(ROOT, tmp_path / "twin")
         assert ended.returncode == 0, ended.stderr
         assert len(open_examples(tmp_path / "twin" / "real")) == 5

@@ -17,9 +17,9 @@ def test_a_study_and_its_pages_name_each_other(file):
     assert not [node for node in tree.body[1:] if isinstance(node, work)]
     if not any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
         return  # a part of studies and of tests
-    told = ast.get_docstring(tree)
-    assert f"python -m studies.{file.stem}" in told
-    pages = re.findall(r"docs/[\w/-]+\.md", told)
+    docstring = ast.get_docstring(tree)
+    assert f"python -m studies.{file.stem}" in docstring
+    pages = re.findall(r"docs/[\w/-]+\.md", docstring)
     named = [page for page in pages if f"studies.{file.stem}" in text(page).replace("/", ".")]
     assert pages and named == pages
 

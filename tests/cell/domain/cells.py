@@ -60,4 +60,4 @@ def differences(a, b, where="scene"):
         return [where]
     else:
         return [] if a == b and repr(a) == repr(b) else [where]
-    return [found for x, y, name in pairs for found in differences(x, y, where + name)]
+    return [diff for x, y, name in pairs for diff in differences(x, y, where + name)]

@@ -57,12 +57,12 @@ def is_log_uniform(values, low, high):
 
 
 def test_the_rig_moves_as_stated(records):
-    drawn = [record["camera"] for record in records]
-    assert is_log_uniform([d["distance_factor"] for d in drawn], 0.8, 2.0)
-    assert is_uniform(np.degrees([d["tilt_rad"] for d in drawn]), -20, 40)
-    assert is_uniform(np.degrees([d["azimuth_rad"] for d in drawn]), -180, 180)
-    assert is_uniform(np.degrees([d["roll_rad"] for d in drawn]), -10, 30)
-    shift = np.array([d["shift_m"] for d in drawn])
+    cameras = [record["camera"] for record in records]
+    assert is_log_uniform([d["distance_factor"] for d in cameras], 0.8, 2.0)
+    assert is_uniform(np.degrees([d["tilt_rad"] for d in cameras]), -20, 40)
+    assert is_uniform(np.degrees([d["azimuth_rad"] for d in cameras]), -180, 180)
+    assert is_uniform(np.degrees([d["roll_rad"] for d in cameras]), -10, 30)
+    shift = np.array([d["shift_m"] for d in cameras])
     assert all(is_uniform(along, -0.1, 0.3) for along in shift.T)
     assert np.abs(np.corrcoef(shift.T) - np.eye(3)).max() < 4 / math.sqrt(DRAWS)
 
@@ -120,12 +120,12 @@ def test_distractors_leave_room_for_the_parts():
 
 def test_tolerances_are_uniform_either_way_and_independent():
     scene = cell()
-    said = {"kind": "adapted", "camera": {"position_m": 0.02, "rotation_deg": 3}}
-    said |= {"bin": {"position_m": 0.05, "rotation_deg": 7}}
-    said |= {"lamps": {"position_m": 0.1, "level": 0.2, "environment_level": 0.5}}
-    said |= {"parts": {"reflectance": 0.3, "roughness": 0.2}}
-    own = domain(scene, said)
-    drawn = [draw(own, scene, (1, 1), np.random.default_rng(seed)) for seed in range(DRAWS)]
+    settings = {"kind": "adapted", "camera": {"position_m": 0.02, "rotation_deg": 3}}
+    settings |= {"bin": {"position_m": 0.05, "rotation_deg": 7}}
+    settings |= {"lamps": {"position_m": 0.1, "level": 0.2, "environment_level": 0.5}}
+    settings |= {"parts": {"reflectance": 0.3, "roughness": 0.2}}
+    own = domain(scene, settings)
+    draws = [draw(own, scene, (1, 1), np.random.default_rng(seed)) for seed in range(DRAWS)]
     table = np.array(
         [
             [
@@ -139,7 +139,7 @@ def test_tolerances_are_uniform_either_way_and_independent():
                 *[(part["brightness"] - 1) / 0.3 for part in d["parts"].values()],
                 *[part["roughness"] / 0.2 for part in d["parts"].values()],
             ]
-            for d in drawn
+            for d in draws
         ]
     )
     assert table.shape == (DRAWS, 22)
@@ -155,8 +155,8 @@ def test_a_change_in_one_section_leaves_what_the_others_draw():
         other = replace(own, section=own.section.model_copy(update={name: None}))
         theirs = draw(other, scene, (5, 5), np.random.default_rng(4))
         assert theirs.get(name, {}) != ours[name]
-        kept = {key: value for key, value in theirs.items() if key != name}
-        assert kept == {key: value for key, value in ours.items() if key != name}
+        rest = {key: value for key, value in theirs.items() if key != name}
+        assert rest == {key: value for key, value in ours.items() if key != name}
 
 
 def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
@@ -179,7 +179,7 @@ def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
     own = domain(scene, {"kind": "randomized", "camera": None, "lamps": {**near, "count": [9, 9]}})
     for seed in range(5):
         record = draw(own, scene, (1, 1), np.random.default_rng(seed))
-        assert not any(in_the_way(lamp_of(drawn, scene), scene, cones) for drawn in record["lamps"])
+        assert not any(in_the_way(lamp_of(lamp, scene), scene, cones) for lamp in record["lamps"])
 
 
 def ball(center_m, radius_m):
@@ -189,7 +189,7 @@ def ball(center_m, radius_m):
     return center_m + radius_m * direction
 
 
-def is_seen(point_m, T_world_lens, lens):
+def is_visible(point_m, T_world_lens, lens):
     """Which points lie before a lens without distortion, inside of its picture."""
     x, y, z = transform_points(inverse(T_world_lens), point_m).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -209,10 +209,10 @@ def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
     low_m, high_m = scene.bin.bounds_m
     for seed in range(10):
         record = draw(own, scene, (1, 1), np.random.default_rng(seed))
-        for lamp in (lamp_of(drawn, scene) for drawn in record["lamps"]):
+        for lamp in (lamp_of(lamp_record, scene) for lamp_record in record["lamps"]):
             point_m = ball(np.array(lamp.center_m), lamp.size_m / math.sqrt(2))
-            assert not is_seen(point_m, scene.T_world_cam, scene.rig.camera).any()
-            assert not is_seen(point_m, T_world_proj, scene.rig.projector).any()
+            assert not is_visible(point_m, scene.T_world_cam, scene.rig.camera).any()
+            assert not is_visible(point_m, T_world_proj, scene.rig.projector).any()
             assert not ((point_m > low_m) & (point_m < high_m)).all(axis=-1).any()
 
 
@@ -254,15 +254,15 @@ def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_rea
 
 def test_lamps_that_can_stand_nowhere_are_refused():
     scene = cell()
-    said = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}
+    settings = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}
     with pytest.raises(
         ConfigError, match=r"domain\.lamps: 1000 consecutive lamps were inside the bin"
     ):
-        draw(domain(scene, said), scene, (1, 1), np.random.default_rng(0))
+        draw(domain(scene, settings), scene, (1, 1), np.random.default_rng(0))
 
 
 def test_a_rig_that_would_dive_below_the_rim_is_refused():
     scene = cell()
-    said = {"kind": "randomized", "camera": {"tilt_deg": [80, 80]}}
+    settings = {"kind": "randomized", "camera": {"tilt_deg": [80, 80]}}
     with pytest.raises(ConfigError, match=r"domain\.camera: camera or projector comes to z = "):
-        draw(domain(scene, said), scene, (1, 1), np.random.default_rng(0))
+        draw(domain(scene, settings), scene, (1, 1), np.random.default_rng(0))

@@ -18,8 +18,8 @@ from graycast.world.parts import Material
     ],
 )
 def test_a_drawn_colour_is_that_of_a_colour_picker(hue_deg, saturation, value, encoded):
-    drawn = {"hue_deg": hue_deg, "saturation": saturation, "value": value}
-    assert srgb(np.array(color_of(drawn))).tolist() == list(encoded)
+    color = {"hue_deg": hue_deg, "saturation": saturation, "value": value}
+    assert srgb(np.array(color_of(color))).tolist() == list(encoded)
 
 
 def test_a_factor_multiplies_the_linear_values_of_a_picture_and_ends_at_1():

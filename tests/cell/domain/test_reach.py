@@ -21,16 +21,16 @@ ADAPTED = {
 
 @pytest.mark.parametrize("domain", [None, slow("randomized"), ADAPTED])
 def test_no_drawn_view_sees_the_bin_deeper_than_it_is_said_to_lie(domain):
-    given = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
-    cell = resolve_cell(Config.model_validate(given | {"domain": domain}), Path("."))
-    said_m, seen_m = deepest_m(cell.config.domain, cell.scene), []
+    settings = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
+    cell = resolve_cell(Config.model_validate(settings | {"domain": domain}), Path("."))
+    limit_m, depths_m = deepest_m(cell.config.domain, cell.scene), []
     for seed in range(1 if domain is None else 150):
         scene = cell.scene
         if cell.domain is not None:
             record = draw(cell.domain, scene, (1,), np.random.default_rng(seed))
             scene = vary(cell.domain, scene, (1,), record).scene
         corner_m = np.array(list(itertools.product(*scene.bin.bounds_m.T)))
-        seen_m.append(transform_points(inverse(scene.T_world_cam), corner_m)[:, 2].max())
-    assert max(seen_m) <= said_m * 1.001
-    assert said_m < max(seen_m) + 0.06
-    assert reach_m(cell) == max(said_m, cell.scene.rig.far_m)
+        depths_m.append(transform_points(inverse(scene.T_world_cam), corner_m)[:, 2].max())
+    assert max(depths_m) <= limit_m * 1.001
+    assert limit_m < max(depths_m) + 0.06
+    assert reach_m(cell) == max(limit_m, cell.scene.rig.far_m)

@@ -25,7 +25,7 @@ RANDOM = {
 }
 
 
-def made(folder, scenes, **changes):
+def dataset_of(folder, scenes, **changes):
     """The cell, its scenes, and the dataset that they make."""
     folder.mkdir()
     path = write_cell(folder, **changes)
@@ -48,7 +48,7 @@ def made(folder, scenes, **changes):
 
 @pytest.fixture(scope="module")
 def random_scenes(tmp_path_factory):
-    return made(tmp_path_factory.mktemp("random") / "cell", 3, domain=RANDOM, count=[4, 8])
+    return dataset_of(tmp_path_factory.mktemp("random") / "cell", 3, domain=RANDOM, count=[4, 8])
 
 
 def test_a_randomized_dataset_is_sound_and_does_not_know_its_distractors(random_scenes):
@@ -87,14 +87,14 @@ def test_the_manifest_makes_the_scene_again(random_scenes):
 
 def test_one_seed_gives_one_random_scene(random_scenes, tmp_path):
     _, _, out = random_scenes
-    _, _, again = made(tmp_path / "again", 3, domain=RANDOM, count=[4, 8])
+    _, _, again = dataset_of(tmp_path / "again", 3, domain=RANDOM, count=[4, 8])
     assert content(again) == content(out)
 
 
 def test_a_cell_without_tolerances_gives_the_files_of_a_cell_without_a_domain(tmp_path):
     """All but what claim and manifest say of the domain, its seed and the configuration."""
-    _, _, plain = made(tmp_path / "plain", 2)
-    _, _, exact = made(tmp_path / "exact", 2, domain=NO_TOLERANCE)
+    _, _, plain = dataset_of(tmp_path / "plain", 2)
+    _, _, exact = dataset_of(tmp_path / "exact", 2, domain=NO_TOLERANCE)
     plain, exact = content(plain), content(exact)
     for name in [name for name in exact if name.endswith("manifest.json")]:
         assert "domain" not in plain[name]["seeds"] and "domain" not in plain[name]
@@ -106,8 +106,8 @@ def test_a_cell_without_tolerances_gives_the_files_of_a_cell_without_a_domain(tm
 
 
 def test_tolerances_change_the_pictures_and_the_poses(tmp_path):
-    _, _, plain = made(tmp_path / "plain", 1)
-    _, shots, adapted = made(tmp_path / "adapted", 1, domain="adapted")
+    _, _, plain = dataset_of(tmp_path / "plain", 1)
+    _, shots, adapted = dataset_of(tmp_path / "adapted", 1, domain="adapted")
     assert validate(adapted) == ()
     plain, adapted = content(plain), content(adapted)
     for name in ("rgb/000000.png", "depth/000000.png", "scene_gt.json", "scene_camera.json"):

@@ -35,7 +35,7 @@ def test_what_is_dumped_is_the_same_configuration_again():
 
 
 @pytest.mark.parametrize(
-    ("domain", "told"),
+    ("domain", "message"),
     [
         ("randomised", r"domain is 'randomised': give adapted or randomized"),
         ({"bin": {}}, r"domain: give adapted or randomized, or a mapping with one of them"),
@@ -61,10 +61,10 @@ def test_what_is_dumped_is_the_same_configuration_again():
         ({"kind": "adapted", "bin": {"position_m": -1}}, r"domain\.bin\.position_m is -1"),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_keys_of_the_file(tmp_path, domain, told):
+def test_what_cannot_be_is_refused_with_the_keys_of_the_file(tmp_path, domain, message):
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump({"parts": [{"builtin": "toothpaste"}], "domain": domain}))
-    with pytest.raises(ConfigError, match=rf"{path}: {told}"):
+    with pytest.raises(ConfigError, match=rf"{path}: {message}"):
         load_config(path)
 
 
@@ -77,7 +77,7 @@ def folder_of(path, *names):
 def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_path):
     folder_of(tmp_path / "skies", "b.exr", "a.hdr", "readme.txt")
     folder_of(tmp_path / "wood", "oak.png", "ash.JPG")
-    said = {
+    settings = {
         "kind": "randomized",
         "environment": {"maps": "skies"},
         "bin": {"textures": "wood"},
@@ -85,7 +85,7 @@ def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_pat
         "distractors": {"parts": [{"mesh": "bolt.stl", "unit": "mm"}]},
     }
     (tmp_path / "bolt.stl").write_bytes(b"bolt")
-    path = write_cell(tmp_path, domain=said)
+    path = write_cell(tmp_path, domain=settings)
     before = file_digests(load_config(path), tmp_path)
     assert set(before) == {
         "box.stl", "bolt.stl", "skies/a.hdr", "skies/b.exr", "wood/ash.JPG", "wood/oak.png",
@@ -99,12 +99,12 @@ def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_pat
     assert "skies/c.exr" in file_digests(load_config(path), tmp_path)
 
 
-@pytest.mark.parametrize("made", [False, True])
-def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, made):
-    if made:
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, exists):
+    if exists:
         folder_of(tmp_path / "skies", "license.txt")
-    said = {"kind": "randomized", "environment": {"maps": "skies"}}
-    path = write_cell(tmp_path, domain=said)
+    settings = {"kind": "randomized", "environment": {"maps": "skies"}}
+    path = write_cell(tmp_path, domain=settings)
     with pytest.raises(ConfigError, match=r"domain\.environment\.maps: .*skies"):
         file_digests(load_config(path), tmp_path)
 

@@ -48,7 +48,7 @@ def full(tmp_path):
         picture = np.random.default_rng(len(name)).integers(0, 256, (4, 4, 3), dtype=np.uint8)
         Image.fromarray(picture).save(tmp_path / "wood" / name)
     scene = textured()
-    said = {
+    settings = {
         "kind": "randomized",
         "camera": {"roll_deg": [-5, 5]},
         "environment": {"maps": "skies"},
@@ -57,13 +57,13 @@ def full(tmp_path):
         "parts": {"metallic": [-0.2, 0.2], "repainted_share": 0.3},
         "distractors": {"count": [1, 5]},
     }
-    return scene, domain(scene, said, tmp_path)
+    return scene, domain(scene, settings, tmp_path)
 
 
 def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
     """Through the bytes of a manifest: what was drawn and not recorded would be missing."""
     scene, own = full
-    seen = set()
+    places = set()
     for seed in range(8):
         record = draw(own, scene, (7, 0), np.random.default_rng(seed))
         once = vary(own, scene, (7, 0), record)
@@ -71,8 +71,8 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
         assert differences(once.scene, again.scene) == []
         assert once.counts == again.counts
         assert differences(once.scene, vary(own, scene, (7, 0), record).scene) == []
-        seen |= set(differences(scene, once.scene))
-    changed = {place.replace("scene", "").split("[")[0] for place in seen}
+        places |= set(differences(scene, once.scene))
+    changed = {place.replace("scene", "").split("[")[0] for place in places}
     assert {".T_world_cam", ".lamps", ".environment.map_file", ".bin.inner_m", ".parts"} <= changed
     assert {".table_texture_m", ".environment.rotation_rad", ".bin.texture_size_m"} <= changed
     assert not changed & {".rig", ".surfaces", ".bin.friction", ".bin.wall_m"}
@@ -168,7 +168,7 @@ def test_tilt_azimuth_and_distance_are_those_of_a_view():
     moved = {"distance_factor": 1.2, "tilt_rad": 0.15, "azimuth_rad": -0.9, "roll_rad": 0.0,
              "shift_m": [0.02, 0.01, -0.03]}  # fmt: skip
     record = {"kind": "randomized", "camera": moved, "count_share": 1.0, "distractors": {}}
-    found = vary(own, scene, (1, 1), record).scene.T_world_cam
+    pose = vary(own, scene, (1, 1), record).scene.T_world_cam
     expected = place(
         scene.rig,
         target_m=np.array(TARGET_M) + moved["shift_m"],
@@ -176,7 +176,7 @@ def test_tilt_azimuth_and_distance_are_those_of_a_view():
         tilt_rad=TILT_RAD + 0.15,
         azimuth_rad=AZIMUTH_RAD - 0.9,
     )
-    assert found == pytest.approx(expected, abs=1e-12)
+    assert pose == pytest.approx(expected, abs=1e-12)
 
 
 def test_roll_turns_the_rig_about_its_own_axis_and_moves_it_nowhere():
@@ -215,8 +215,8 @@ def test_a_bin_that_stands_aside_is_a_world_that_moves_the_other_way():
 
 def test_the_rig_hangs_within_its_tolerance():
     scene = cell()
-    said = {**NO_TOLERANCE, "camera": {"position_m": 0.01, "rotation_deg": 2}}
-    own = domain(scene, said)
+    settings = {**NO_TOLERANCE, "camera": {"position_m": 0.01, "rotation_deg": 2}}
+    own = domain(scene, settings)
     for seed in range(20):
         record = draw(own, scene, (1, 1), np.random.default_rng(seed))
         T = vary(own, scene, (1, 1), record).scene.T_world_cam
@@ -232,9 +232,9 @@ def test_the_rig_hangs_within_its_tolerance():
 def test_a_lamp_gives_the_irradiance_that_is_stated(share, less):
     """Oracle: radiance integrated over the lamp's square, L cos cos / r^2, at the bin's middle."""
     scene = cell()
-    drawn = {"distance_m": 1.6, "elevation_rad": 0.7, "azimuth_rad": 2.0, "size_m": 1.6 * share,
+    record = {"distance_m": 1.6, "elevation_rad": 0.7, "azimuth_rad": 2.0, "size_m": 1.6 * share,
              "irradiance": 3.0, "color_temperature_k": 4000.0}  # fmt: skip
-    lamp = lamp_of(drawn, scene)
+    lamp = lamp_of(record, scene)
     quad = lamp_quad(lamp)
     center, u, v = (np.array(x) for x in (quad.center_m, quad.half_u_m, quad.half_v_m))
     target = np.array([0.0, 0.0, 0.05])
@@ -271,9 +271,9 @@ def test_a_distractor_that_is_a_part_of_the_cell_is_refused_or_left_out():
     scene = replace(scene, parts=(part,))
     own = domain(scene, "randomized")
     assert [part.name for part in own.distractors] == ["metal_workpiece_2"]
-    said = {"kind": "randomized", "distractors": {"parts": [{"builtin": "metal_workpiece_1"}]}}
+    settings = {"kind": "randomized", "distractors": {"parts": [{"builtin": "metal_workpiece_1"}]}}
     with pytest.raises(ConfigError, match="another part metal_workpiece_1"):
-        domain(scene, said)
+        domain(scene, settings)
 
 
 def test_distractors_too_large_for_the_bin_are_not_put_in_unasked():

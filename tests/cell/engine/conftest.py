@@ -22,15 +22,15 @@ def task(config_file):
 @pytest.fixture(scope="session")
 def undisturbed(config_file, tmp_path_factory):
     """Makes a dataset of so many scenes by one undisturbed worker; each size once."""
-    made = {}
+    folders = {}
 
     def of(scenes):
-        if scenes not in made:
+        if scenes not in folders:
             out = tmp_path_factory.mktemp("undisturbed") / "out"
             with start("generate", config_file, "--out", out, "--scenes", scenes) as run:
                 _, complaint = run.communicate()
                 assert run.returncode == 0, complaint
-            made[scenes] = out
-        return made[scenes]
+            folders[scenes] = out
+        return folders[scenes]
 
     return of

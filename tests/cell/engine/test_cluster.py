@@ -56,9 +56,9 @@ def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_o
 def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
     command = ["generate", str(config_file), "--out", str(tmp_path / "out"), "--engine", "ray"]
     assert main([*command, "--address", "127.0.0.1:9"]) == 1
-    told = capsys.readouterr().err
-    assert "Ray at 127.0.0.1:9 does not answer" in told
-    assert "start it with 'ray start --head', or check --address" in told
+    message = capsys.readouterr().err
+    assert "Ray at 127.0.0.1:9 does not answer" in message
+    assert "start it with 'ray start --head', or check --address" in message
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
 
 
@@ -83,15 +83,15 @@ def cluster(monkeypatch):
 
 
 def raylets():
-    found = set()
+    pids = set()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             command = (folder / "cmdline").read_bytes().split(b"\0")[0]
         except OSError:
             continue
         if command.endswith(b"/raylet"):
-            found.add(int(folder.name))
-    return found
+            pids.add(int(folder.name))
+    return pids
 
 
 @contextmanager

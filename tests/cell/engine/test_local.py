@@ -24,7 +24,7 @@ from graycast.dataset.checking import validate
 
 def workers_of(pid):
     """Processes that a run has started to make scenes."""
-    found = []
+    pids = []
     for file in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in file.read_text().split():
             try:
@@ -32,8 +32,8 @@ def workers_of(pid):
             except OSError:
                 continue
             if b"spawn_main" in command:
-                found.append(int(child))
-    return found
+                pids.append(int(child))
+    return pids
 
 
 def alive(pid):
@@ -59,12 +59,12 @@ def test_workers_share_threads_and_gpus(task, monkeypatch):
         threads=None,
     )
     try:
-        told = [pool._variables(i) for i in range(3)]
+        environments = [pool._variables(i) for i in range(3)]
     finally:
         pool.close()
-    assert [variables["CUDA_VISIBLE_DEVICES"] for variables in told] == ["4", "6", "4"]
-    assert {variables["OIDN_NUM_THREADS"] for variables in told} == {"3"}
-    assert {variables["OIDN_SET_AFFINITY"] for variables in told} == {"0"}
+    assert [variables["CUDA_VISIBLE_DEVICES"] for variables in environments] == ["4", "6", "4"]
+    assert {variables["OIDN_NUM_THREADS"] for variables in environments} == {"3"}
+    assert {variables["OIDN_SET_AFFINITY"] for variables in environments} == {"0"}
 
 
 def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
@@ -85,9 +85,9 @@ def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
         "print(open(f'/proc/{worker._process.pid}/status').read())\n"
         "worker._process.kill()"  # It would import everything first, and then stop.
     )
-    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    (blocked,) = [line for line in told.stdout.splitlines() if line.startswith("SigBlk")]
-    assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), told.stderr
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    (blocked,) = [line for line in run.stdout.splitlines() if line.startswith("SigBlk")]
+    assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), run.stderr
 
 
 @pytest.mark.slow
@@ -103,11 +103,11 @@ def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_wait
         assert not listener.is_alive(), "it waits for the rest of what a dead process wrote"
         assert pool.free == 1
         pool.submit(1)
-        made = pool.gather()
+        result = pool.gather()
     finally:
         pool.close()
     assert isinstance(outcomes[0].error, WorkerDied)
-    assert (made.scene_id, made.files) == (1, (("large.bin", bytes(16_000_000)),))
+    assert (result.scene_id, result.files) == (1, (("large.bin", bytes(16_000_000)),))
 
 
 @pytest.mark.slow
@@ -127,8 +127,8 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
         "its worker process was killed (SIGKILL, by a user or "
         "by the operating system for lack of memory)"
     )
-    made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, TaskResult)]
-    assert sorted(made) == [0, 1, 2]
+    scene_ids = [outcome.scene_id for outcome in outcomes if isinstance(outcome, TaskResult)]
+    assert sorted(scene_ids) == [0, 1, 2]
     assert workers_of(os.getpid()) == []
 
 
@@ -136,16 +136,16 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
 def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, monkeypatch):
     def pids(share):
         monkeypatch.setattr(local_module, "_MEMORY_SHARE", share)
-        pool, seen = LocalPool(task, workers=1, threads=1), []
+        pool, child_pids = LocalPool(task, workers=1, threads=1), []
         try:
             for scene_id in range(3):
                 pool.submit(scene_id)
                 # By number: a process that has just been forked does not bear its name yet.
-                seen += [child.pid for child in multiprocessing.active_children()]
+                child_pids += [child.pid for child in multiprocessing.active_children()]
                 assert isinstance(pool.gather(), TaskResult)
         finally:
             pool.close()
-        return seen
+        return child_pids
 
     assert len(set(pids(0.8))) == 1
     assert len(set(pids(1e-6))) == 3

@@ -52,20 +52,20 @@ def outcomes(script=()):
     pool = Scripted(script)
     all_of_them = list(make_all(pool, IDS))
     assert not pool.running
-    made = sorted(o.scene_id for o in all_of_them if isinstance(o, TaskResult))
-    return made, [o for o in all_of_them if isinstance(o, Failed)], pool.submitted
+    done = sorted(o.scene_id for o in all_of_them if isinstance(o, TaskResult))
+    return done, [o for o in all_of_them if isinstance(o, Failed)], pool.submitted
 
 
 def test_each_scene_is_made_once():
-    made, failed, submitted = outcomes()
-    assert (made, failed) == (list(IDS), [])
+    done, failed, submitted = outcomes()
+    assert (done, failed) == (list(IDS), [])
     assert set(submitted.values()) == {1}
 
 
 @pytest.mark.parametrize("error", [WorkerDied("killed"), DeviceError("lost"), MemoryError()])
 def test_what_may_be_the_machines_fault_is_tried_again(error):
-    made, failed, submitted = outcomes({4: [error] * 2, 19: [error]})
-    assert made == list(IDS)
+    done, failed, submitted = outcomes({4: [error] * 2, 19: [error]})
+    assert done == list(IDS)
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [
         (4, 1, False),
         (19, 1, False),
@@ -75,8 +75,8 @@ def test_what_may_be_the_machines_fault_is_tried_again(error):
 
 
 def test_three_failures_end_a_scene_and_no_other():
-    made, failed, submitted = outcomes({4: [WorkerDied("killed")] * 9})
-    assert made == [scene_id for scene_id in IDS if scene_id != 4]
+    done, failed, submitted = outcomes({4: [WorkerDied("killed")] * 9})
+    assert done == [scene_id for scene_id in IDS if scene_id != 4]
     assert [f.final for f in failed] == [False, False, True]
     assert submitted[4] == TRIES == 3
 
@@ -90,13 +90,13 @@ def test_what_would_fail_again_is_given_up_at_once(error):
 
 def test_a_machine_that_loses_scene_after_scene_ends_the_run():
     """Its driver is lost after six scenes; with three at work 13 in a row come to nothing."""
-    seen = []
+    results = []
     lost = {scene_id: [DeviceError("no driver")] * 9 for scene_id in range(6, 40)}
     with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: repair the machine"):
         for outcome in make_all(Scripted(lost), range(40)):
-            seen.append(outcome)
-    assert all(isinstance(o, TaskResult) for o in seen[:-13])
-    assert all(isinstance(o, Failed) and not o.final for o in seen[-13:])
+            results.append(outcome)
+    assert all(isinstance(o, TaskResult) for o in results[:-13])
+    assert all(isinstance(o, Failed) and not o.final for o in results[-13:])
 
 
 def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
@@ -115,7 +115,7 @@ def test_an_unknown_engine_is_refused(task):
 
 def handed(monkeypatch, script, ids=IDS):
     """What `make_missing` hands over of a pool that fails so, what it gives up, and the pool."""
-    pool, made, failed, meter = Scripted(script), [], [], Metered()
+    pool, results, failed, meter = Scripted(script), [], [], Metered()
     monkeypatch.setattr(workers, "open_pool", lambda *_, **words: pool)
     try:
         lost = make_missing(
@@ -124,26 +124,26 @@ def handed(monkeypatch, script, ids=IDS):
             what="scenes",
             total=1 + len(ids),
             progress=meter,
-            on_result=made.append,
+            on_result=results.append,
             on_failed=failed.append,
         )
     except Exception as raised:
         lost = raised
     whole = 1 + len(ids)  # one was there before
-    assert meter.counts == [("scenes", 1 + k, whole) for k in range(1 + len(made))]
-    return [one.scene_id for one in made], [one.scene_id for one in failed], lost, pool
+    assert meter.counts == [("scenes", 1 + k, whole) for k in range(1 + len(results))]
+    return [one.scene_id for one in results], [one.scene_id for one in failed], lost, pool
 
 
 def test_scenes_that_are_given_up_are_told_once_the_others_are_made(monkeypatch):
-    made, failed, lost, pool = handed(monkeypatch, {4: [DropError("no rest")], 7: [MemoryError()]})
-    assert sorted(made) == [scene_id for scene_id in IDS if scene_id != 4]
+    done, failed, lost, pool = handed(monkeypatch, {4: [DropError("no rest")], 7: [MemoryError()]})
+    assert sorted(done) == [scene_id for scene_id in IDS if scene_id != 4]
     assert (sorted(failed), lost, pool.closed) == ([4, 7], (4,), True)
 
 
 def test_a_cell_that_serves_no_scene_stops_the_run(monkeypatch):
     error = ConfigError("the tool fits round no part")
-    made, failed, lost, pool = handed(monkeypatch, {0: [error], 1: [error], 2: [error]})
-    assert (made, failed, lost, pool.closed) == ([], [], error, True)
+    done, failed, lost, pool = handed(monkeypatch, {0: [error], 1: [error], 2: [error]})
+    assert (done, failed, lost, pool.closed) == ([], [], error, True)
 
 
 def test_where_all_are_given_up_the_last_error_is_raised(monkeypatch):

@@ -98,9 +98,9 @@ def test_an_option_of_another_format_is_refused():
 def test_links_are_the_same_files_and_copies_are_not(master, tmp_path):
     for name, link in (("linked", True), ("copied", False)):
         export(master, tmp_path / name, Options(format="yolo", link=link))
-        held = tmp_path / name / "images" / "train" / "000003.png"
-        assert held.samefile(master / "train/000003/rgb/000000.png") == link
-        with Image.open(held) as image:
+        picture = tmp_path / name / "images" / "train" / "000003.png"
+        assert picture.samefile(master / "train/000003/rgb/000000.png") == link
+        with Image.open(picture) as image:
             assert image.size == (160, 120)
 
 
@@ -118,11 +118,11 @@ def test_hidden_instances_are_left_out_where_that_is_wanted(master, samples, tmp
     export(master, tmp_path / "out", Options(format="coco", min_visibility=0.5))
     coco = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
     for scene_id, sample in samples.items():
-        seen, masks, _ = visible(sample)
+        instances, masks, _ = visible(sample)
         shares = {
             i: mask.sum() / sample.truth.amodal[i].mask.sum()
-            for i, mask in zip(seen, masks, strict=True)
+            for i, mask in zip(instances, masks, strict=True)
         }
-        held = [a["gt_id"] for a in coco["annotations"] if a["image_id"] == scene_id]
-        assert held == [i for i, share in shares.items() if share >= 0.5]
+        gt_ids = [a["gt_id"] for a in coco["annotations"] if a["image_id"] == scene_id]
+        assert gt_ids == [i for i, share in shares.items() if share >= 0.5]
         assert min(shares.values()) < 0.5

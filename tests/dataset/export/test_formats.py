@@ -56,12 +56,12 @@ def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, sample
             ("depth", sample.truth.depth_m),
             ("depth_sl", sample.scanner_depth.depth_m),
         ):
-            held = np.array(Image.open(out / folder / name))
-            assert np.array_equal(held, steps_of(depth_m))
-        seen, masks, boxes = visible(sample)
+            depth_steps = np.array(Image.open(out / folder / name))
+            assert np.array_equal(depth_steps, steps_of(depth_m))
+        instances, masks, boxes = visible(sample)
         anns = coco.loadAnns(coco.getAnnIds(imgIds=image["id"]))
-        assert [ann["gt_id"] for ann in anns] == seen
-        for i, mask, box, ann in zip(seen, masks, boxes, anns, strict=True):
+        assert [ann["gt_id"] for ann in anns] == instances
+        for i, mask, box, ann in zip(instances, masks, boxes, anns, strict=True):
             assert np.array_equal(coco.annToMask(ann), mask)
             assert ann["bbox"] == box
             assert ann["area"] == mask.sum()
@@ -76,17 +76,17 @@ def test_yolo_rows_are_the_boxes_or_masks_as_shares(exported, samples, labels):
     out = exported("yolo", labels=labels, split=Split(shares=(0.5, 0.5, 0.0)))
     data = yaml.safe_load((out / "data.yaml").read_text())
     assert data["names"] == {0: "box", 1: "wedge"}
-    found = []
+    scene_ids = []
     for split in ("train", "val"):
         for picture in sorted((out / data[split]).glob("*.png")):
             sample = samples[int(picture.stem)]
-            found.append(int(picture.stem))
+            scene_ids.append(int(picture.stem))
             assert np.array_equal(np.array(Image.open(picture)), sample.rgb)
             # Ultralytics finds labels by this replacement of the last "images" of the path.
             text = (out / "labels" / split / f"{picture.stem}.txt").read_text()
             rows = [line.split() for line in text.splitlines()]
-            seen, masks, boxes = visible(sample)
-            assert [int(row[0]) for row in rows] == [sample.layout.part_index[i] for i in seen]
+            instances, masks, boxes = visible(sample)
+            assert [int(row[0]) for row in rows] == [sample.layout.part_index[i] for i in instances]
             height_px, width_px = masks[0].shape
             for row, mask, box in zip(rows, masks, boxes, strict=True):
                 xy = np.array(row[1:], float).reshape(-1, 2) * [width_px, height_px]
@@ -96,7 +96,7 @@ def test_yolo_rows_are_the_boxes_or_masks_as_shares(exported, samples, labels):
                     continue
                 runs = coco_mask.frPyObjects([np.rint(xy).ravel().tolist()], height_px, width_px)
                 assert np.array_equal(coco_mask.decode(coco_mask.merge(runs)), mask)
-    assert sorted(found) == list(samples)
+    assert sorted(scene_ids) == list(samples)
 
 
 def test_yolo_boxes_are_read_by_globox(exported, samples):
@@ -107,10 +107,12 @@ def test_yolo_boxes_are_read_by_globox(exported, samples):
     )
     assert {one.image_id for one in read} == {f"{i:06d}.png" for i in samples}
     for scene_id, sample in samples.items():
-        seen, _, boxes = visible(sample)
-        found = read[f"{scene_id:06d}.png"].boxes
-        assert [int(b.label) for b in found] == [sample.layout.part_index[i] for i in seen]
-        edges = [[b.xmin, b.ymin, b.xmax - b.xmin, b.ymax - b.ymin] for b in found]
+        instances, _, boxes = visible(sample)
+        read_boxes = read[f"{scene_id:06d}.png"].boxes
+        assert [int(b.label) for b in read_boxes] == [
+            sample.layout.part_index[i] for i in instances
+        ]
+        edges = [[b.xmin, b.ymin, b.xmax - b.xmin, b.ymax - b.ymin] for b in read_boxes]
         np.testing.assert_allclose(edges, boxes, atol=1e-3)
 
 
@@ -126,10 +128,10 @@ def read_by_webdataset(folder, decode=None):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         data = webdataset.WebDataset(urls, shardshuffle=False)
-        found = list(data if decode is None else data.decode(decode))
+        items = list(data if decode is None else data.decode(decode))
         del data
         gc.collect()
-    return found
+    return items
 
 
 def check_bop(files, sample, depth_m, info_key):
@@ -155,8 +157,8 @@ def test_bops_imagewise_files_say_what_the_scene_says(exported, samples, depth):
     out = exported("bop-imagewise", depth=depth)
     for scene_id, sample in samples.items():
         key = f"{scene_id:06d}_000000"
-        found = (out / "train").glob(f"{key}.*")
-        files = {path.name.removeprefix(f"{key}."): path.read_bytes() for path in found}
+        paths = (out / "train").glob(f"{key}.*")
+        files = {path.name.removeprefix(f"{key}."): path.read_bytes() for path in paths}
         depth_m = sample.truth.depth_m if depth == "perfect" else sample.scanner_depth.depth_m
         check_bop(files, sample, depth_m, depth)
     assert json.loads((out / "models" / "models_info.json").read_text()).keys() == {"1", "2"}
@@ -166,8 +168,8 @@ def test_bops_shards_are_read_by_the_webdataset_package(exported, samples):
     out = exported("bop-webdataset", shard_scenes=3)
     shard_of = json.loads((out / "train" / "key_to_shard.json").read_text())
     assert shard_of == {f"{i:06d}_000000": n // 3 for n, i in enumerate(samples)}
-    found = read_by_webdataset(out / "train")
-    for item, sample in zip(found, samples.values(), strict=True):
+    items = read_by_webdataset(out / "train")
+    for item, sample in zip(items, samples.values(), strict=True):
         check_bop(item, sample, sample.truth.depth_m, item["__key__"])
         assert shard_of[item["__key__"]] == int(item["__url__"][-10:-4])
 
@@ -176,14 +178,14 @@ def test_training_shards_are_decoded_by_the_webdataset_package(exported, samples
     out = exported("webdataset", shard_scenes=2)
     data = read_by_webdataset(out / "train", "pil")
     for item, (scene_id, sample) in zip(data, samples.items(), strict=True):
-        seen, masks, boxes = visible(sample)
+        instances, masks, boxes = visible(sample)
         assert item["__key__"] == f"{scene_id:06d}"
         assert np.array_equal(np.array(item["rgb.png"]), sample.rgb)
         assert np.array_equal(item["depth.npy"], steps_of(sample.truth.depth_m))
         assert np.array_equal(item["depth_sl.npy"], steps_of(sample.scanner_depth.depth_m))
         assert np.array_equal(item["boxes.npy"], boxes)
-        assert np.array_equal(item["obj_id.npy"], sample.layout.part_index[seen] + 1)
-        np.testing.assert_allclose(item["poses.npy"], poses_of(sample)[seen], atol=1e-12)
+        assert np.array_equal(item["obj_id.npy"], sample.layout.part_index[instances] + 1)
+        np.testing.assert_allclose(item["poses.npy"], poses_of(sample)[instances], atol=1e-12)
         for runs, mask in zip(item["masks.json"], masks, strict=True):
             assert np.array_equal(coco_mask.decode(runs), mask)
 
@@ -202,7 +204,7 @@ def test_parquet_is_read_by_pyarrow(exported, samples):
     assert [pq.read_metadata(part).num_rows for part in parts] == [3, 1]
     rows = [row for part in parts for row in pq.read_table(part).to_pylist()]
     for row, (scene_id, sample) in zip(rows, samples.items(), strict=True):
-        seen, masks, boxes = visible(sample)
+        instances, masks, boxes = visible(sample)
         assert row["scene_id"] == scene_id
         assert row["rgb"] is None
         assert np.array_equal(decoded(row["gray"]["bytes"]), sample.gray)
@@ -211,7 +213,7 @@ def test_parquet_is_read_by_pyarrow(exported, samples):
         )
         assert row["boxes"] == boxes
         poses = np.reshape(row["poses"], (-1, 4, 4))
-        np.testing.assert_allclose(poses, poses_of(sample)[seen], atol=1e-12)
+        np.testing.assert_allclose(poses, poses_of(sample)[instances], atol=1e-12)
         for runs, mask in zip(row["masks"], masks, strict=True):
             assert np.array_equal(coco_mask.decode(runs), mask)
 
@@ -244,11 +246,11 @@ def test_pcd_clouds_say_what_the_format_demands(exported, samples, organised):
     sample = samples[3]
     data = (out / "train" / "000003_scanner.pcd").read_bytes()
     head, body = data.split(b"DATA binary\n", 1)
-    said = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
-    count = int(said["POINTS"])
-    assert int(said["WIDTH"]) * int(said["HEIGHT"]) == count
-    assert (int(said["HEIGHT"]) == 120) == organised
-    assert said["FIELDS"] == "x y z rgb"
+    header = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
+    count = int(header["POINTS"])
+    assert int(header["WIDTH"]) * int(header["HEIGHT"]) == count
+    assert (int(header["HEIGHT"]) == 120) == organised
+    assert header["FIELDS"] == "x y z rgb"
     values = np.array(list(struct.iter_unpack("<fffI", body)))
     point_m = expected_points(sample, sample.scanner_depth.depth_m)
     known = np.ones(point_m.shape[:2], bool) if organised else ~np.isnan(point_m[..., 2])
@@ -277,8 +279,8 @@ def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
 def test_a_cloud_through_a_lens_with_distortion_lies_on_the_true_rays(tmp_path):
     """Oracle: OpenCV's undistortion of the pixels, in whose terms a rig's lens is."""
     samples = pictured.write_dataset(tmp_path / "out", (0,), pictured.lensed_rig())
-    said = Options(format="clouds", split=Split(), organised=True, depth="perfect")
-    export(tmp_path / "out", tmp_path / "clouds", said)
+    options = Options(format="clouds", split=Split(), organised=True, depth="perfect")
+    export(tmp_path / "out", tmp_path / "clouds", options)
     cloud = trimesh.load(tmp_path / "clouds/train/000000_perfect.ply")
     camera = samples[0].scene.rig.camera
     y, x = np.mgrid[0:120, 0:160].astype(float)
@@ -308,9 +310,9 @@ def test_parquet_says_which_columns_are_pictures(exported):
     """Hugging Face reads a struct of bytes and path as an Image where the metadata calls it one."""
     pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
     schema = pq.read_schema(exported("parquet") / "train" / "part-000000.parquet")
-    told = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
-    assert told == {name: {"_type": "Image"} for name in ("rgb", "gray", "depth", "depth_sl")}
-    for name in told:
+    features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+    assert features == {name: {"_type": "Image"} for name in ("rgb", "gray", "depth", "depth_sl")}
+    for name in features:
         fields = {field.name: str(field.type) for field in schema.field(name).type}
         assert fields == {"bytes": "binary", "path": "string"}
 
@@ -371,9 +373,9 @@ def test_the_toolkits_renderers_draw_our_masks_where_the_origin_is_a_corner(
         for i in (0, 1, 2, 3, 5):  # inside the image
             T, part = poses_of(sample)[i], sample.scene.parts[sample.layout.part_index[i]]
             vertices_mm = 1e3 * (part.mesh.vertices_m @ T[:3, :3].T + T[:3, 3])
-            drawn = toolkit_mask(vertices_mm, part.mesh.faces, K, 160, 120)
+            theirs = toolkit_mask(vertices_mm, part.mesh.faces, K, 160, 120)
             own = sample.truth.amodal[i].in_image(120, 160)
-            met, joined = met + (drawn & own).sum(), joined + (drawn | own).sum()
+            met, joined = met + (theirs & own).sum(), joined + (theirs | own).sum()
         overlap[origin] = met / joined
     assert overlap["corner"] > 0.9995
     assert overlap["centre"] < 0.97

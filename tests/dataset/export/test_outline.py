@@ -81,8 +81,8 @@ def test_painted_outlines_of_small_parts_are_their_masks():
     rng, overlap = np.random.default_rng(1), []
     for _ in range(300):
         mask = blob(rng)
-        found = painted(polygons(mask), mask.shape)
-        overlap.append((found & mask).sum() / (found | mask).sum())
+        inside = painted(polygons(mask), mask.shape)
+        overlap.append((inside & mask).sum() / (inside | mask).sum())
     assert min(overlap) == 1.0
 
 
@@ -92,6 +92,6 @@ def test_painted_outlines_of_masks_full_of_holes_are_hardly_more(density):
     rng = np.random.default_rng(2)
     for _ in range(20):
         mask = rng.random((30, 30)) < density
-        found = painted(polygons(mask), mask.shape)
-        assert not (mask & ~found).any()
-        assert (found & ~mask).sum() <= 0.05 * mask.sum()
+        inside = painted(polygons(mask), mask.shape)
+        assert not (mask & ~inside).any()
+        assert (inside & ~mask).sum() <= 0.05 * mask.sum()

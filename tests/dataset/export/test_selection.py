@@ -25,17 +25,19 @@ def write_selection(path, master, scenes, **changed):
 
 
 def test_only_the_file_s_scenes_are_exported_each_in_its_own_set(master, samples, tmp_path):
-    chosen = write_selection(
+    selection = write_selection(
         tmp_path / "s.json", master, {"train-000005": ["odd"], "train-000003": []}
     )
-    command = ["dataset", "export", str(master), "--format", "coco", "--selection", str(chosen)]
+    command = ["dataset", "export", str(master), "--format", "coco", "--selection", str(selection)]
     assert main([*command, "--out", str(tmp_path / "coco")]) == 0
     assert read_record(tmp_path / "coco").splits == {"train": [3, 5]}
     pictures = sorted(path.stem for path in (tmp_path / "coco/images/train").iterdir())
     assert pictures == ["000003", "000005"]
     seed = next(s for s in range(100) if _place(s, 3) == "train" and _place(s, 5) == "val")
     split = Split(shares=(0.5, 0.5, 0.0), seed=seed)
-    record = export(master, tmp_path / "two", Options(format="yolo", split=split), selection=chosen)
+    record = export(
+        master, tmp_path / "two", Options(format="yolo", split=split), selection=selection
+    )
     whole = split.assign(samples)
     assert record.splits == {"train": [3], "val": [5]}
     assert 3 in whole["train"] and 5 in whole["val"]
@@ -58,9 +60,9 @@ def _place(seed, scene_id):
 def test_a_file_that_does_not_fit_is_refused_and_nothing_is_left(
     master, tmp_path, scenes, changed, says
 ):
-    chosen = write_selection(tmp_path / "s.json", master, scenes, **changed)
+    selection = write_selection(tmp_path / "s.json", master, scenes, **changed)
     with pytest.raises((DatasetError, GraycastError), match=says):
-        export(master, tmp_path / "out", Options(format="coco"), selection=chosen)
+        export(master, tmp_path / "out", Options(format="coco"), selection=selection)
     assert [path.name for path in tmp_path.iterdir()] == ["s.json"]
 
 

@@ -26,19 +26,19 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def dataset_and_samples(tmp_path_factory):
     out = tmp_path_factory.mktemp("statistics") / "out"
     return out, write_dataset(out)
 
 
 @pytest.fixture(scope="module")
-def statistics(made):
-    return dataset_statistics(made[0])
+def statistics(dataset_and_samples):
+    return dataset_statistics(dataset_and_samples[0])
 
 
-def test_labels_from_run_lengths_are_the_mask_pictures(made):
+def test_labels_from_run_lengths_are_the_mask_pictures(dataset_and_samples):
     """Oracle: the PNGs of mask_visib, which are written by other code."""
-    for scene in open_dataset(made[0]).scenes:
+    for scene in open_dataset(dataset_and_samples[0]).scenes:
         label = scene_content(scene).label
         painted = np.full(label.shape, -1)
         for path in (scene.folder / "mask_visib").glob("*.png"):
@@ -46,8 +46,8 @@ def test_labels_from_run_lengths_are_the_mask_pictures(made):
         np.testing.assert_array_equal(label, painted)
 
 
-def test_counts_are_those_of_the_samples(made, statistics):
-    _, samples = made
+def test_counts_are_those_of_the_samples(dataset_and_samples, statistics):
+    _, samples = dataset_and_samples
     visible = np.concatenate(
         [
             np.bincount(s.truth.instance[s.truth.instance >= 0], minlength=8)
@@ -67,9 +67,9 @@ def test_counts_are_those_of_the_samples(made, statistics):
     assert list(statistics.areas.values()) == np.bincount(sizes, minlength=3).tolist()
 
 
-def test_shares_of_reasons_are_those_of_the_maps(made, statistics):
-    reason = np.stack([s.scanner_depth.reason for s in made[1].values()])
-    on_part = np.stack([s.truth.instance >= 0 for s in made[1].values()])
+def test_shares_of_reasons_are_those_of_the_maps(dataset_and_samples, statistics):
+    reason = np.stack([s.scanner_depth.reason for s in dataset_and_samples[1].values()])
+    on_part = np.stack([s.truth.instance >= 0 for s in dataset_and_samples[1].values()])
     for one in Reason:
         name = one.name.lower()
         assert statistics.reason[name] == pytest.approx((reason == one).mean(), abs=1e-12)
@@ -89,23 +89,25 @@ def test_the_scanner_s_noise_comes_out_as_it_went_in(statistics):
     assert error.beyond_1mm < 1e-4
 
 
-def test_depth_range_holds_the_wall(made, statistics):
-    depth_mm = 1e3 * np.concatenate([s.truth.depth_m.ravel() for s in made[1].values()])
+def test_depth_range_holds_the_wall(dataset_and_samples, statistics):
+    depth_mm = 1e3 * np.concatenate(
+        [s.truth.depth_m.ravel() for s in dataset_and_samples[1].values()]
+    )
     for name, share in (("p01", 0.01), ("p50", 0.5), ("p99", 0.99)):
         assert abs(statistics.depth_quantiles_mm[name] - np.quantile(depth_mm, share)) <= 5.0 + 1e-6
 
 
-def test_figures_survive_json(made):
-    figures = scene_figures(scene_content(open_dataset(made[0]).scene(3)))
+def test_figures_survive_json(dataset_and_samples):
+    figures = scene_figures(scene_content(open_dataset(dataset_and_samples[0]).scene(3)))
     assert type(figures).model_validate_json(figures.model_dump_json()) == figures
 
 
-def test_files_and_table_are_written(made, statistics, tmp_path):
+def test_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
     with drawn_by(stats_plots) as figures:
         write_statistics(statistics, tmp_path / "figures")
-    held = json.loads((tmp_path / "figures/stats.json").read_text())
-    assert held == json.loads(json.dumps(statistics_json(statistics)))
-    assert held["pixels"] == 2 * 160 * 120
+    record = json.loads((tmp_path / "figures/stats.json").read_text())
+    assert record == json.loads(json.dumps(statistics_json(statistics)))
+    assert record["pixels"] == 2 * 160 * 120
     assert (tmp_path / "figures/stats.png").is_file()
     axes = axes_of(figures[0])
     instances = sum(one.instances for one in statistics.classes)
@@ -124,9 +126,9 @@ def test_files_and_table_are_written(made, statistics, tmp_path):
     assert statistics_table(statistics).row_count > 8
 
 
-def test_real_pictures_are_counted_without_what_nobody_knows(made, tmp_path):
+def test_real_pictures_are_counted_without_what_nobody_knows(dataset_and_samples, tmp_path):
     out = tmp_path / "real"
-    shutil.copytree(made[0], out)
+    shutil.copytree(dataset_and_samples[0], out)
     whole = dataset_statistics(out)
     forget(out)
     bare = dataset_statistics(out)
@@ -137,26 +139,28 @@ def test_real_pictures_are_counted_without_what_nobody_knows(made, tmp_path):
     assert sum(c.visib_fract.sum() for c in bare.classes) == 0
 
 
-def test_splits_are_counted_apart(made, tmp_path):
+def test_splits_are_counted_apart(dataset_and_samples, tmp_path):
     out = tmp_path / "split"
-    shutil.copytree(made[0], out)
+    shutil.copytree(dataset_and_samples[0], out)
     (out / "val").mkdir()
     (out / "train/000003").rename(out / "val/000003")
     assert [scene.key for scene in open_dataset(out).scenes] == ["train-000000", "val-000003"]
     assert dataset_statistics(out).scenes == {"train": 1, "val": 1}
 
 
-def test_a_folder_without_a_dataset_or_without_scenes_is_refused(made, tmp_path):
+def test_a_folder_without_a_dataset_or_without_scenes_is_refused(dataset_and_samples, tmp_path):
     with pytest.raises(DatasetError, match="is not a Graycast dataset"):
         dataset_statistics(tmp_path)
-    out = shutil.copytree(made[0], tmp_path / "out", ignore=shutil.ignore_patterns("train"))
+    out = shutil.copytree(
+        dataset_and_samples[0], tmp_path / "out", ignore=shutil.ignore_patterns("train")
+    )
     with pytest.raises(DatasetError, match="has no finished scene"):
         dataset_statistics(out)
 
 
-def test_a_damaged_picture_is_named(made, tmp_path):
+def test_a_damaged_picture_is_named(dataset_and_samples, tmp_path):
     out = tmp_path / "damaged"
-    shutil.copytree(made[0], out)
+    shutil.copytree(dataset_and_samples[0], out)
     path = out / "train/000003/depth_sl/000000.png"
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(DatasetError, match=r"000003.*depth_sl.*cut off"):
@@ -164,6 +168,6 @@ def test_a_damaged_picture_is_named(made, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_number_of_processes_changes_nothing(made, statistics):
-    again = dataset_statistics(made[0], workers=2)
+def test_the_number_of_processes_changes_nothing(dataset_and_samples, statistics):
+    again = dataset_statistics(dataset_and_samples[0], workers=2)
     assert statistics_json(again) == statistics_json(statistics)

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def datasets(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     write_dataset(folder / "ours", (0, 3, 4))
     export(folder / "ours", folder / "coco", Options(format="coco"))
@@ -26,9 +26,9 @@ def made(tmp_path_factory):
     return folder
 
 
-def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(made):
+def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(datasets):
     """Oracle: a dataset of ours is in BOP's form, and its own reader takes other files of it."""
-    own, theirs = open_examples(made / "ours"), open_examples(made / "ours" / "train")
+    own, theirs = open_examples(datasets / "ours"), open_examples(datasets / "ours" / "train")
     assert len(theirs) == len(own) == 3
     for mine, other in zip(own, theirs, strict=True):
         np.testing.assert_array_equal(other.mask, mine.mask)
@@ -41,19 +41,19 @@ def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(made):
         np.testing.assert_allclose(other.K, mine.K)
 
 
-def test_coco_annotations_are_read_whoever_wrote_them(made):
-    path = made / "coco" / "annotations" / "instances_train.json"
+def test_coco_annotations_are_read_whoever_wrote_them(datasets):
+    path = datasets / "coco" / "annotations" / "instances_train.json"
     theirs = open_examples(path)
-    for mine, other in zip(open_examples(made / "ours"), theirs, strict=True):
+    for mine, other in zip(open_examples(datasets / "ours"), theirs, strict=True):
         np.testing.assert_array_equal(other.mask, mine.mask)
         np.testing.assert_array_equal(other.obj_id, mine.obj_id)
         np.testing.assert_array_equal(other.box_px, mine.box_px)
         np.testing.assert_array_equal(other.rgb, mine.rgb)
-    assert dict(theirs.categories) == dict(open_examples(made / "ours").categories)
+    assert dict(theirs.categories) == dict(open_examples(datasets / "ours").categories)
 
 
-def test_a_crowd_does_not_count(made, tmp_path):
-    path = made / "coco" / "annotations" / "instances_train.json"
+def test_a_crowd_does_not_count(datasets, tmp_path):
+    path = datasets / "coco" / "annotations" / "instances_train.json"
     content = json.loads(path.read_bytes())
     first = content["images"][0]["id"]
     mine = [entry for entry in content["annotations"] if entry["image_id"] == first]
@@ -64,37 +64,37 @@ def test_a_crowd_does_not_count(made, tmp_path):
     assert example.hidden(0.1).tolist() == [True] + [False] * (len(mine) - 1)
 
 
-def test_pictures_of_a_scene_stay_together_when_they_are_divided(made):
+def test_pictures_of_a_scene_stay_together_when_they_are_divided(datasets):
     whole = Split(shares=(0.5, 0.5, 0.0))
     parts = [
-        open_examples(made / "ours" / "train", split=name, division=whole)
+        open_examples(datasets / "ours" / "train", split=name, division=whole)
         for name in ("train", "val")
     ]
     assert sorted([*parts[0].scene_ids, *parts[1].scene_ids]) == [0, 1, 2]
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "is not JSON, or is cut off"),
         ("{}", "holds no COCO annotations"),
         ('{"images": [], "annotations": [], "categories": []}', "has no images"),
     ],
 )
-def test_annotations_that_are_none_are_refused(tmp_path, text, told):
+def test_annotations_that_are_none_are_refused(tmp_path, text, message):
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(DatasetError, match=told):
+    with pytest.raises(DatasetError, match=message):
         open_examples(tmp_path / "a.json")
 
 
 IMAGE = {"id": 1, "file_name": "a[1].png", "width": 4, "height": 4}
 PART = {"id": 7, "name": "part"}
-FOUND = {"image_id": 1, "category_id": 7, "bbox": [0, 0, 2, 2]}
+LABEL = {"image_id": 1, "category_id": 7, "bbox": [0, 0, 2, 2]}
 
 
 def written(path, **changed):
     """One picture with one thing in it; `changed` are the file's lists."""
-    content = {"images": [IMAGE], "categories": [PART], "annotations": [FOUND]}
+    content = {"images": [IMAGE], "categories": [PART], "annotations": [LABEL]}
     path.write_text(json.dumps(content | changed))
     return path
 
@@ -104,14 +104,14 @@ def without(entry, key):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
-        ({"annotations": [FOUND, without(FOUND, "bbox")]}, r"annotations\[1\] has no bbox: add it"),
-        ({"annotations": [without(FOUND, "category_id")]}, "has no category_id: add it"),
-        ({"annotations": [FOUND | {"category_id": 8}]}, "category_id 8, and categories do not"),
-        ({"annotations": [FOUND | {"category_id": "7"}]}, 'category_id "7": it must be a whole'),
-        ({"annotations": [FOUND | {"bbox": [1, 2, 3]}]}, r"bbox \[1, 2, 3\]: it must be four"),
-        ({"annotations": [FOUND | {"bbox": [1, 2, 3, "4"]}]}, "it must be four numbers"),
+        ({"annotations": [LABEL, without(LABEL, "bbox")]}, r"annotations\[1\] has no bbox: add it"),
+        ({"annotations": [without(LABEL, "category_id")]}, "has no category_id: add it"),
+        ({"annotations": [LABEL | {"category_id": 8}]}, "category_id 8, and categories do not"),
+        ({"annotations": [LABEL | {"category_id": "7"}]}, 'category_id "7": it must be a whole'),
+        ({"annotations": [LABEL | {"bbox": [1, 2, 3]}]}, r"bbox \[1, 2, 3\]: it must be four"),
+        ({"annotations": [LABEL | {"bbox": [1, 2, 3, "4"]}]}, "it must be four numbers"),
         ({"annotations": [None]}, r"annotations\[0\] is null: it must be an object"),
         ({"annotations": 3}, "a list of annotations is missing"),
         ({"images": [without(IMAGE, "file_name")]}, r"images\[0\] has no file_name: add it"),
@@ -120,9 +120,11 @@ def without(entry, key):
         ({"categories": [without(PART, "name")]}, r"categories\[0\] has no name: add it"),
     ],
 )
-def test_an_entry_without_what_is_read_is_named_before_a_picture_is_read(tmp_path, changed, told):
+def test_an_entry_without_what_is_read_is_named_before_a_picture_is_read(
+    tmp_path, changed, message
+):
     path = written(tmp_path / "a.json", **changed)
-    with pytest.raises(DatasetError, match=f"^{path}: .*{told}"):
+    with pytest.raises(DatasetError, match=f"^{path}: .*{message}"):
         open_examples(path)
 
 
@@ -137,7 +139,7 @@ def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("poses", "told"),
+    ("poses", "message"),
     [
         ({"0": [{"cam_R_m2c": []}]}, r"0\.0\.obj_id: Field required"),
         (
@@ -150,18 +152,18 @@ def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
         ([], "Input should be an object: each key must be the number"),
     ],
 )
-def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, told):
+def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, message):
     (tmp_path / "000000").mkdir()
     file = tmp_path / "000000" / "scene_gt.json"
     file.write_text(json.dumps(poses))
     (tmp_path / "0_notes").mkdir()  # no scene: its name is no number
     (tmp_path / "0_notes" / "scene_gt.json").write_text("{}")
-    with pytest.raises(DatasetError, match=f"^{file}: .*{told}"):
+    with pytest.raises(DatasetError, match=f"^{file}: .*{message}"):
         open_examples(tmp_path)
 
 
-def test_a_bop_picture_whose_camera_is_missing_is_named(made, tmp_path):
-    shutil.copytree(made / "ours" / "train", tmp_path / "train")
+def test_a_bop_picture_whose_camera_is_missing_is_named(datasets, tmp_path):
+    shutil.copytree(datasets / "ours" / "train", tmp_path / "train")
     file = tmp_path / "train" / "000003" / "scene_camera.json"
     camera = json.loads(file.read_text())
     del camera["0"]["cam_K"]
@@ -170,7 +172,7 @@ def test_a_bop_picture_whose_camera_is_missing_is_named(made, tmp_path):
         open_examples(tmp_path / "train")[1]
 
 
-def test_a_picture_or_a_mask_that_is_missing_is_named(made, tmp_path):
+def test_a_picture_or_a_mask_that_is_missing_is_named(datasets, tmp_path):
     path = tmp_path / "a.json"
     image = {"id": 1, "file_name": "nowhere.png", "width": 4, "height": 4}
     path.write_text(json.dumps({"images": [image], "annotations": [], "categories": []}))
@@ -187,17 +189,17 @@ def test_a_picture_or_a_mask_that_is_missing_is_named(made, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda mask: mask // 2, "values other than 0 and 255"),
         (lambda mask: mask.astype(np.uint16) * 257, "one channel of uint8"),
         (lambda mask: 0 * mask, "mask 0 is empty, and px_count_visib is"),
     ],
 )
-def test_masks_that_validate_refuses_are_not_trained_on(made, tmp_path, change, told):
+def test_masks_that_validate_refuses_are_not_trained_on(datasets, tmp_path, change, message):
     """Nonzero values were taken for inside, and an empty mask for a box of no size."""
-    shutil.copytree(made / "ours" / "train", tmp_path / "train")
+    shutil.copytree(datasets / "ours" / "train", tmp_path / "train")
     path = tmp_path / "train" / "000000" / "mask_visib" / "000000_000000.png"
     cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
-    with pytest.raises(DatasetError, match=f"{told}.*: training needs"):
+    with pytest.raises(DatasetError, match=f"{message}.*: training needs"):
         open_examples(tmp_path / "train")[0]

@@ -72,29 +72,29 @@ def test_the_datasets_examples_are_what_was_simulated(master, samples):
     assert examples.categories == {1: "box", 2: "wedge"}
     assert len(examples) == len(samples)
     for example, (scene_id, sample) in zip(examples, samples.items(), strict=True):
-        seen, masks, boxes = visible(sample)
+        instances, masks, boxes = visible(sample)
         assert example.scene_id == scene_id
         np.testing.assert_array_equal(example.rgb, sample.rgb)
         np.testing.assert_array_equal(example.gray, sample.gray)
         np.testing.assert_array_equal(example.mask, masks)
         np.testing.assert_array_equal(example.box_px, boxes)
-        np.testing.assert_array_equal(example.instance, seen)
-        np.testing.assert_array_equal(example.obj_id, sample.layout.part_index[seen] + 1)
+        np.testing.assert_array_equal(example.instance, instances)
+        np.testing.assert_array_equal(example.obj_id, sample.layout.part_index[instances] + 1)
         half_step_m = 0.51e-3 * SCALE_MM  # the rounding of the file, and of single precision
         np.testing.assert_allclose(example.depth_m, sample.truth.depth_m, atol=half_step_m)
         scanner = np.where(sample.scanner_depth.reason == 0, sample.scanner_depth.depth_m, np.nan)
         np.testing.assert_allclose(example.scanner_depth_m, scanner, atol=half_step_m)
-        T = inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part[seen]
+        T = inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part[instances]
         np.testing.assert_allclose(example.T_cam_part, T, atol=1e-12)
         np.testing.assert_array_equal(example.K, sample.scene.rig.camera.K)
 
 
 @pytest.mark.parametrize("name", EXPORTS)
 def test_an_export_gives_the_same_examples_as_the_dataset(master, exported, name):
-    said, fields = EXPORTS[name]
+    options, fields = EXPORTS[name]
     if name == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
-    out = exported(name.split()[0], **said)
+    out = exported(name.split()[0], **options)
     for a, b in zip(open_examples(master), open_examples(out), strict=True):
         assert a.scene_id == b.scene_id
         same(a, b, fields)
@@ -103,12 +103,12 @@ def test_an_export_gives_the_same_examples_as_the_dataset(master, exported, name
 def test_sets_are_the_same_from_the_dataset_and_from_an_export(master, exported):
     division = Split(shares=(0.5, 0.5, 0.0), seed=4)
     out = exported("webdataset", split=division)
-    found = []
+    scene_ids = []
     for split in ("train", "val"):
         own = open_examples(master, split=split, division=division)
         assert own.scene_ids == open_examples(out, split=split).scene_ids
-        found += own.scene_ids
-    assert sorted(found) == [0, 3, 4, 5]
+        scene_ids += own.scene_ids
+    assert sorted(scene_ids) == [0, 3, 4, 5]
     with pytest.raises(DatasetError, match="has no set 'test': choose one of train, val"):
         open_examples(out, split="test")
     with pytest.raises(DatasetError, match="was divided when it was exported"):
@@ -165,8 +165,8 @@ def test_clouds_and_other_folders_are_no_examples(exported, tmp_path, master):
 def test_a_dataset_and_its_exports_are_read_alike_where_little_is_installed(
     master, exported, tmp_path
 ):
-    said = {name: options for name, (options, _) in EXPORTS.items() if name != "parquet"}
-    folders = [master, *(exported(name.split()[0], **said[name]) for name in said)]
+    options_of = {name: options for name, (options, _) in EXPORTS.items() if name != "parquet"}
+    folders = [master, *(exported(name.split()[0], **options_of[name]) for name in options_of)]
     out = tmp_path / "examples.pickle"
     subprocess.run([sys.executable, "-c", READ, out, *folders], check=True)
     for folder, there in zip(folders, pickle.loads(out.read_bytes()), strict=True):

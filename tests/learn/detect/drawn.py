@@ -15,7 +15,7 @@ FLOOR_M, TOP_M = 1.0, 0.9
 NAMES = ("disc", "box")
 
 
-def write_drawn(folder: Path, count: int, *, seed: int = 0, size_px: tuple[int, int] = (96, 128)):
+def write_shapes(folder: Path, count: int, *, seed: int = 0, size_px: tuple[int, int] = (96, 128)):
     """A real dataset of `count` pictures in `folder/dataset`, with colour, depth and masks."""
     rng = np.random.default_rng(seed)
     source = folder / "source"

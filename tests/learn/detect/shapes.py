@@ -14,7 +14,7 @@ from graycast.learn.detect.network import Target
 CLASSES = 2  # discs and boxes
 
 
-def drawn_pictures(count, *, size_px, channels, seed, parts=5):
+def shape_pictures(count, *, size_px, channels, seed, parts=5):
     """Bright parts on dark noise, later ones over earlier ones: images and targets."""
     draw = torch.Generator().manual_seed(seed)
     images, targets = [], []
@@ -26,9 +26,9 @@ def drawn_pictures(count, *, size_px, channels, seed, parts=5):
             mask = _part(label, size_px, torch.rand(3, generator=draw).tolist())
             image[:, mask] = (0.4 + 0.6 * torch.rand(channels, generator=draw))[:, None]
             masks = torch.cat([masks & ~mask, mask[None]])
-        seen = masks.flatten(1).sum(dim=1) > 60
+        visible = masks.flatten(1).sum(dim=1) > 60
         images.append(image)
-        targets.append(target_of(masks[seen], labels[seen]))
+        targets.append(target_of(masks[visible], labels[visible]))
     return torch.stack(images), targets
 
 
@@ -54,7 +54,7 @@ def target_of(mask, label, *, ignored=()):
     return Target(box=box, label=label, mask=mask, ignored=hidden)
 
 
-def ap50(targets, found, kind):
+def ap50(targets, answers, kind):
     """COCO's average precision at an overlap of one half; `kind` is `bbox` or `segm`."""
     truth, results = COCO(), []
     truth.dataset = {
@@ -66,7 +66,7 @@ def ap50(targets, found, kind):
         "categories": [{"id": i} for i in range(CLASSES)],
         "info": {},
     }
-    for image, (target, answer) in enumerate(zip(targets, found, strict=True)):
+    for image, (target, answer) in enumerate(zip(targets, answers, strict=True)):
         for index, entry in enumerate(_entries(image, target.box, target.label, target.mask)):
             number = len(truth.dataset["annotations"]) + 1
             area = float(target.mask[index].sum())

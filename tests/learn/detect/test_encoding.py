@@ -14,8 +14,8 @@ SIZE = (64, 96)
 
 
 def deep(**changed):
-    said = {"input": "depth_sl", "size_px": SIZE, "near_m": 0.5, "far_m": 1.0, "relief": False}
-    return Encoding(**(said | changed))
+    settings = {"input": "depth_sl", "size_px": SIZE, "near_m": 0.5, "far_m": 1.0, "relief": False}
+    return Encoding(**(settings | changed))
 
 
 def scan(depth_m):
@@ -27,8 +27,8 @@ def test_depth_is_metric_whatever_else_is_in_the_picture():
     for rest_m in (0.55, 0.7, 0.95, np.nan):
         depth_m = np.full(SIZE, rest_m)
         depth_m[10, 20], depth_m[11, 20], depth_m[12, 20] = 0.5, 0.625, 1.0
-        found = deep().encode(scan(depth_m), seed=0)
-        np.testing.assert_allclose(found[0, 10:13, 20], [-1.0, -0.5, 1.0], atol=1e-6)
+        channels = deep().encode(scan(depth_m), seed=0)
+        np.testing.assert_allclose(channels[0, 10:13, 20], [-1.0, -0.5, 1.0], atol=1e-6)
 
 
 def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
@@ -44,12 +44,12 @@ def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
 def test_a_hole_is_what_was_chosen(holes, value):
     depth_m = np.full(SIZE, 0.8)
     depth_m[5:9, 7:9] = np.nan
-    found = deep(holes=holes).encode(scan(depth_m), seed=0)
-    np.testing.assert_allclose(found[0, 5:9, 7:9], value, atol=1e-6)
-    assert found[0, 20, 20] == pytest.approx(0.2, abs=1e-5)
-    assert len(found) == (2 if holes == "channel" else 1)
+    channels = deep(holes=holes).encode(scan(depth_m), seed=0)
+    np.testing.assert_allclose(channels[0, 5:9, 7:9], value, atol=1e-6)
+    assert channels[0, 20, 20] == pytest.approx(0.2, abs=1e-5)
+    assert len(channels) == (2 if holes == "channel" else 1)
     if holes == "channel":
-        assert found[1, 6, 7] == 0 and found[1, 20, 20] == 1
+        assert channels[1, 6, 7] == 0 and channels[1, 20, 20] == 1
 
 
 def test_relief_is_height_over_the_neighbourhood():
@@ -67,19 +67,19 @@ def test_relief_is_height_over_the_neighbourhood():
 def test_colour_is_scaled_as_the_published_backbones_want_it():
     rgb = np.zeros((*SIZE, 3), np.uint8)
     rgb[:, :] = (255, 0, 128)
-    found = Encoding(input="rgb", size_px=SIZE).encode(Example(scene_id=0, rgb=rgb), seed=0)
+    channels = Encoding(input="rgb", size_px=SIZE).encode(Example(scene_id=0, rgb=rgb), seed=0)
     mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
     np.testing.assert_allclose(
-        found[:, 3, 3], (np.array([1, 0, 128 / 255]) - mean) / deviation, rtol=1e-5
+        channels[:, 3, 3], (np.array([1, 0, 128 / 255]) - mean) / deviation, rtol=1e-5
     )
 
 
 def test_a_picture_of_another_shape_keeps_its_proportions_in_the_corner():
     """Oracle: 60 x 100 pixels into 64 x 96 are 58 x 96; what remains is empty."""
     encoding = deep()
-    found = encoding.encode(scan(np.full((60, 100), 0.6)), seed=0)
+    channels = encoding.encode(scan(np.full((60, 100), 0.6)), seed=0)
     assert encoding.scale((60, 100)) == pytest.approx(0.96)
-    assert (found[1, :58, :] == 1).all() and (found[1, 58:] == 0).all()
+    assert (channels[1, :58, :] == 1).all() and (channels[1, 58:] == 0).all()
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_an_encoding_comes_back_from_json():
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"input": "xray"}, "input is 'xray': choose one of rgb"),
         ({"holes": "none"}, "holes is 'none'"),
@@ -115,8 +115,8 @@ def test_an_encoding_comes_back_from_json():
         ({"near_m": 2.0}, "0 < near < far"),
     ],
 )
-def test_an_impossible_encoding_is_refused(changed, told):
-    with pytest.raises(GraycastError, match=told.replace("'", ".")):
+def test_an_impossible_encoding_is_refused(changed, message):
+    with pytest.raises(GraycastError, match=message.replace("'", ".")):
         deep(**changed)
 
 

@@ -18,16 +18,18 @@ def test_boxes_and_outlines_are_as_many_times_as_large_as_the_picture_is(times):
     """An input of 40 x 30 pixels of a picture so many times as large; edges lie between pixels."""
     mask = torch.zeros(2, 30, 40, dtype=torch.uint8)
     mask[0, 5:15, 10:30], mask[1, 0:10, 30:40] = 255, 255
-    found = NetworkOutput(
+    output = NetworkOutput(
         box=torch.tensor([[10.0, 5, 30, 15], [30, -2, 45, 10]]), label=torch.tensor([1, 0]),
         score=torch.tensor([0.5, 0.9]), mask=mask,
     )  # fmt: skip
     picture_px = 30 * times, 40 * times
-    told = _detections(found, 7, np.array([11, 12]), picture_px, 1 / times)
-    assert told.obj_id.tolist() == [11, 12] and told.score.tolist() == pytest.approx([0.9, 0.5])
+    detections = _detections(output, 7, np.array([11, 12]), picture_px, 1 / times)
+    assert detections.obj_id.tolist() == [11, 12] and detections.score.tolist() == pytest.approx(
+        [0.9, 0.5]
+    )
     expected = np.array([[30, 0, 10, 10], [10, 5, 20, 10]]) * times  # cut at the picture's edges
-    np.testing.assert_array_equal(told.box_px, expected)
-    for run, (x, y, columns, rows) in zip(told.mask, expected, strict=True):
+    np.testing.assert_array_equal(detections.box_px, expected)
+    for run, (x, y, columns, rows) in zip(detections.mask, expected, strict=True):
         whole = np.zeros(picture_px, np.uint8)
         whole[y : y + rows, x : x + columns] = 1
         np.testing.assert_array_equal(coco_mask.decode(dict(run)), whole)

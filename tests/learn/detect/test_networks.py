@@ -13,7 +13,7 @@ from graycast.base.errors import GraycastError
 from graycast.learn.detect.network import Network, NetworkOutput
 from graycast.learn.detect.networks import MODELS, network_class
 
-from .shapes import CLASSES, ap50, drawn_pictures
+from .shapes import CLASSES, ap50, shape_pictures
 
 # The smallest of each; `None` where it has but one.
 BACKBONES = {
@@ -70,7 +70,7 @@ def ready():
 
 
 def pictures(*, channels=3, seed=3):
-    return drawn_pictures(2, size_px=SIZE_PX, channels=channels, seed=seed, parts=3)
+    return shape_pictures(2, size_px=SIZE_PX, channels=channels, seed=seed, parts=3)
 
 
 def total(network, images, targets, *, seed=0):
@@ -84,17 +84,17 @@ def test_what_is_found_has_the_form_that_is_promised(model, ready):
     network = ready(model)
     assert isinstance(network, Network)
     images, _ = pictures()
-    for found in network.find(images, most=7, least_score=0.0):
-        count = len(found.score)
+    for output in network.find(images, most=7, least_score=0.0):
+        count = len(output.score)
         assert 0 < count <= 7
-        assert found.box.shape == (count, 4) and found.label.shape == (count,)
-        assert found.score.tolist() == sorted(found.score.tolist(), reverse=True)
-        assert found.label.min() >= 0 and found.label.max() < CLASSES
-        assert found.box.min() >= 0 and (found.box.amax(0) <= torch.tensor([96, 64] * 2)).all()
-        assert (found.box[:, 2:] >= found.box[:, :2]).all()
-        assert (found.mask is not None) == network.finds_masks
-        if found.mask is not None:
-            assert found.mask.shape == (count, *SIZE_PX) and found.mask.dtype == torch.uint8
+        assert output.box.shape == (count, 4) and output.label.shape == (count,)
+        assert output.score.tolist() == sorted(output.score.tolist(), reverse=True)
+        assert output.label.min() >= 0 and output.label.max() < CLASSES
+        assert output.box.min() >= 0 and (output.box.amax(0) <= torch.tensor([96, 64] * 2)).all()
+        assert (output.box[:, 2:] >= output.box[:, :2]).all()
+        assert (output.mask is not None) == network.finds_masks
+        if output.mask is not None:
+            assert output.mask.shape == (count, *SIZE_PX) and output.mask.dtype == torch.uint8
 
 
 @pytest.mark.slow
@@ -106,9 +106,9 @@ def test_fewer_or_better_are_the_first_of_all(model, ready):
     for index, all_of_it in enumerate(network.find(images, most=40, least_score=0.0)):
         middle = float(all_of_it.score[len(all_of_it.score) // 2])
         better = network.find(images, most=40, least_score=middle)[index]
-        kept = all_of_it.score >= middle
-        torch.testing.assert_close(better.box, all_of_it.box[kept])
-        torch.testing.assert_close(better.score, all_of_it.score[kept])
+        above = all_of_it.score >= middle
+        torch.testing.assert_close(better.box, all_of_it.box[above])
+        torch.testing.assert_close(better.score, all_of_it.score[above])
         few = network.find(images, most=4, least_score=0.0)[index]
         assert 0 < len(few.score) <= 4
         torch.testing.assert_close(few.box, all_of_it.box[: len(few.box)])
@@ -117,10 +117,10 @@ def test_fewer_or_better_are_the_first_of_all(model, ready):
 @MASKS_ONCE
 def test_nothing_found_has_the_form_too(model, ready):
     network = ready(model)
-    for found in network.find(pictures()[0], most=5, least_score=1.0):
-        assert found.box.shape == (0, 4)
-        assert len(found.label) == len(found.score) == 0
-        assert found.mask is None or found.mask.shape == (0, *SIZE_PX)
+    for output in network.find(pictures()[0], most=5, least_score=1.0):
+        assert output.box.shape == (0, 4)
+        assert len(output.label) == len(output.score) == 0
+        assert output.mask is None or output.mask.shape == (0, *SIZE_PX)
 
 
 @FIRST
@@ -227,7 +227,7 @@ def test_the_judge_knows_what_is_right_and_what_is_not():
         NetworkOutput(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)
         for t in targets
     ]
-    wrong = [replace(found, label=1 - found.label) for found in right]
+    wrong = [replace(output, label=1 - output.label) for output in right]
     for kind in ("bbox", "segm"):
         assert ap50(targets, right, kind) == 1.0
         assert ap50(targets, wrong, kind) < 0.1
@@ -244,7 +244,7 @@ def test_four_pictures_are_learnt_by_heart(model):
     """Oracle: average precision by pycocotools; a network that cannot do this learns nothing."""
     size_px = (128, 128)
     network = opened(model, size_px=size_px)
-    images, targets = drawn_pictures(4, size_px=size_px, channels=3, seed=0)
+    images, targets = shape_pictures(4, size_px=size_px, channels=3, seed=0)
     recipe = network.recipe
     rate = RATES.get(model, recipe.learning_rate)
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0)
@@ -254,7 +254,7 @@ def test_four_pictures_are_learnt_by_heart(model):
         optimizer.zero_grad()
         sum(network.losses(images, targets).values()).backward()
         optimizer.step()
-    found = network.eval().find(images, most=50, least_score=0.05)
-    assert ap50(targets, found, "bbox") >= 0.95
+    outputs = network.eval().find(images, most=50, least_score=0.05)
+    assert ap50(targets, outputs, "bbox") >= 0.95
     if network.finds_masks:
-        assert ap50(targets, found, "segm") >= 0.95
+        assert ap50(targets, outputs, "segm") >= 0.95

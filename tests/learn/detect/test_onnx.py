@@ -60,11 +60,11 @@ def test_onnxruntime_finds_what_torch_finds_in_other_pictures(tmp_path, model):
 class Session:
     """onnxruntime's, giving what it is told to give."""
 
-    def __init__(self, *told):
-        self.told = told
+    def __init__(self, *outputs):
+        self.outputs = outputs
 
     def run(self, names, fed):
-        return self.told
+        return self.outputs
 
 
 @pytest.mark.parametrize(

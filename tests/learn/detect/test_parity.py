@@ -183,8 +183,8 @@ def test_detections_are_those_of_mmdetection(model, backbone, answers):
     case, answer = answers(model, backbone)
     network = with_their_weights(model, backbone, answer["state"])
     limit = torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
-    found = network.find(case["image"], most=MOST, least_score=LEAST_SCORE)
-    for ours, theirs in zip(found, answer["found"], strict=True):
+    outputs = network.find(case["image"], most=MOST, least_score=LEAST_SCORE)
+    for ours, theirs in zip(outputs, answer["found"], strict=True):
         assert len(ours.score) == len(theirs["scores"]) >= 15
         torch.testing.assert_close(ours.score, theirs["scores"], rtol=1e-4, atol=0)
         assert torch.equal(ours.label, theirs["labels"])

@@ -5,7 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-from learn.detect.drawn import write_drawn
+from learn.detect.drawn import write_shapes
 
 from graycast.base.errors import GraycastError
 from graycast.dataset.example import Example
@@ -27,8 +27,8 @@ SIZE = (96, 128)
 DEPTH = Encoding(input="depth_sl", size_px=SIZE, near_m=0.5, far_m=1.1, relief=False)
 
 
-def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **said):
-    held = Examples(
+def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **settings):
+    examples = Examples(
         folder=tmp_path,
         split="train",
         scene_ids=(0,),
@@ -36,9 +36,9 @@ def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **
         place_of={0: (0, "", 0)},
         read=lambda _: example,
     )
-    augmentation = Augmentation(**said) if said else NO_AUGMENTATION
+    augmentation = Augmentation(**settings) if settings else NO_AUGMENTATION
     return TrainingPictures(
-        [(held, {1: 0})],
+        [(examples, {1: 0})],
         encoding,
         tmp_path / "pictures.npy",
         masks=masks,
@@ -68,7 +68,7 @@ def block(*, rows, columns, visib_fract=1.0):
 def test_picture_mask_and_box_move_alike(tmp_path):
     """Oracle: the block's own pixels in the moved picture, found by their height."""
     pictures = one(block(rows=(30, 50), columns=(40, 75)), tmp_path, zoom=1.5, depth_shift=0.0)
-    seen = set()
+    corners = set()
     for epoch in range(40):
         image, target = pictures.at(epoch)[0]
         if target.ignored[0]:
@@ -77,11 +77,11 @@ def test_picture_mask_and_box_move_alike(tmp_path):
         risen = (height < 0.0) & (image[1].numpy() > 0.5)  # floor 0.67, block -0.67
         rows, columns = np.nonzero(risen)
         box = target.box[0].numpy()
-        found = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
-        np.testing.assert_allclose(box, found, atol=1.01)
+        extent_px = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        np.testing.assert_allclose(box, extent_px, atol=1.01)
         assert (target.mask[0].numpy() ^ risen).sum() <= 0.06 * risen.sum() + 8
-        seen.add((round(float(box[0])), round(float(box[1]))))
-    assert len(seen) > 15  # it did move
+        corners.add((round(float(box[0])), round(float(box[1]))))
+    assert len(corners) > 15  # it did move
 
 
 def test_without_augmentation_a_picture_is_as_encoded(tmp_path):
@@ -149,7 +149,7 @@ def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spike
 
 
 def test_pictures_of_a_dataset_make_batches(tmp_path):
-    examples = open_examples(write_drawn(tmp_path, 3))
+    examples = open_examples(write_shapes(tmp_path, 3))
     pictures = TrainingPictures(
         [(examples, {1: 0, 2: 1})],
         DEPTH,

@@ -11,7 +11,7 @@ import yaml
 
 pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-from learn.detect.drawn import write_drawn
+from learn.detect.drawn import write_shapes
 
 from graycast.base.errors import GraycastError
 from graycast.cli import main
@@ -126,7 +126,7 @@ def test_the_mean_of_sets_is_more_certain_than_each():
 
 def boxes_alone(folder, name):
     """A drawn set as others give theirs: COCO annotations without masks, colour alone."""
-    write_drawn(folder / name, 4)
+    write_shapes(folder / name, 4)
     path = folder / name / "source" / "annotations" / "drawn.json"
     content = json.loads(path.read_text())
     for entry in content["annotations"]:
@@ -135,9 +135,9 @@ def boxes_alone(folder, name):
     return str(path)
 
 
-def all_found(detector, dataset, world, folder):
+def true_detections(detector, dataset, world, folder):
     """What a perfect detector of masks finds: the truth, where nobody drew masks as rectangles."""
-    found = []
+    detections = []
     for example in open_examples(dataset):
         size = example.rgb.shape[:2]
         mask = example.mask
@@ -145,7 +145,7 @@ def all_found(detector, dataset, world, folder):
             mask = np.zeros((len(example.obj_id), *size), bool)
             for one, (x, y, columns, rows) in zip(mask, example.box_px.astype(int), strict=True):
                 one[y : y + rows, x : x + columns] = True
-        found.append(
+        detections.append(
             Detections(
                 scene_id=example.scene_id,
                 score=np.ones(len(example.obj_id)),
@@ -154,11 +154,11 @@ def all_found(detector, dataset, world, folder):
                 mask=run_lengths_of(mask),
             )
         )
-    return found
+    return detections
 
 
 def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
-    masked = write_drawn(tmp_path / "own", 4)
+    masked = write_shapes(tmp_path / "own", 4)
     tests = {
         "own": {"datasets": [str(masked)]},
         "other": {"datasets": [boxes_alone(tmp_path, "theirs")]},
@@ -167,7 +167,7 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
     spec = read_study(written(tmp_path, **changed))
     detector = SimpleNamespace(network=SimpleNamespace(finds_masks=True))
     monkeypatch.setattr(study_runs, "_trained", lambda *_: detector)
-    monkeypatch.setattr(study_runs, "_detections", all_found)
+    monkeypatch.setattr(study_runs, "_detections", true_detections)
     done = []
     results = run_study(spec, tmp_path / "out", on_done=done.append)
     assert done == results
@@ -181,10 +181,10 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
 
 
 def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatch):
-    masked, theirs = str(write_drawn(tmp_path / "own", 6)), boxes_alone(tmp_path, "theirs")
+    masked, theirs = str(write_shapes(tmp_path / "own", 6)), boxes_alone(tmp_path, "theirs")
     monkeypatch.setattr(study_runs, "train", lambda *_, **__: pytest.fail("a training has begun"))
     own = {"own": {"datasets": [masked], "split": "test"}}
-    for changed, told in (
+    for changed, message in (
         ({"tests": own | {"other": {"datasets": [theirs]}}}, "has no scanner depth"),
         ({"training": {"drawn": [masked, theirs]}}, "has no scanner depth"),
         (
@@ -196,14 +196,14 @@ def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatc
             "has no masks, which mask-rcnn needs",
         ),
     ):
-        given = {"tests": own, "training": {"drawn": [masked]}, "gap": None} | changed
-        with pytest.raises(GraycastError, match=f"^{theirs}: scene .* {told}"):
-            run_study(read_study(written(tmp_path, **given)), tmp_path / "out")
+        settings = {"tests": own, "training": {"drawn": [masked]}, "gap": None} | changed
+        with pytest.raises(GraycastError, match=f"^{theirs}: scene .* {message}"):
+            run_study(read_study(written(tmp_path, **settings)), tmp_path / "out")
 
 
 @pytest.mark.slow
 def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
-    own, other = (write_drawn(tmp_path / name, 14, seed=i) for i, name in enumerate("ab"))
+    own, other = (write_shapes(tmp_path / name, 14, seed=i) for i, name in enumerate("ab"))
     own.rename(tmp_path / "own")
     other.rename(tmp_path / "other")
     path, out = written(tmp_path), tmp_path / "out"
@@ -212,20 +212,20 @@ def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
     row = first_row(out)
     division = Split(shares=(0.5, 0.2, 0.3))
     examples = open_examples(tmp_path / "own", split="test", division=division)
-    found = read_results(
+    detections = read_results(
         out / "runs/yolov3_mobilenet-v3-small_rgb_default_drawn_seed0/found_own_0/results.json",
         examples.scene_ids,
     )
     labels = [labels_of(example, min_visibility=0.1) for example in examples]
-    assert float(row["own"]) == pytest.approx(score(labels, found, kind="box").ap50)
+    assert float(row["own"]) == pytest.approx(score(labels, detections, kind="box").ap50)
     checkpoints = {path: path.stat().st_mtime_ns for path in out.rglob("detector.pt")}
     assert main(["detector", "study", str(path), "--out", str(out), "--threads", "1"]) == 0
     assert (out / "table.csv").read_text() == table
     assert checkpoints == {path: path.stat().st_mtime_ns for path in out.rglob("detector.pt")}
     tests = STUDY["tests"] | {"other": {"datasets": ["other"], "split": "test"}}
     assert main(["detector", "study", str(written(tmp_path, tests=tests)), "--out", str(out)]) == 0
-    held = json.loads(next(out.glob("runs/*_rgb_*/found_other_0/detect.json")).read_text())
-    assert 0 < len(held["scene_ids"]) < 14  # not those of before
-    told = capsys.readouterr().out.splitlines()
-    line = next(one for one in told if one.startswith("yolov3_mobilenet-v3-small_rgb_default"))
+    record = json.loads(next(out.glob("runs/*_rgb_*/found_other_0/detect.json")).read_text())
+    assert 0 < len(record["scene_ids"]) < 14  # not those of before
+    lines = capsys.readouterr().out.splitlines()
+    line = next(one for one in lines if one.startswith("yolov3_mobilenet-v3-small_rgb_default"))
     assert f"box own {float(row['own']):.2f}" in line and "box other 0." in line

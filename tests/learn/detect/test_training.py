@@ -17,7 +17,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
 from drawn import no_pixels
-from learn.detect.drawn import write_drawn
+from learn.detect.drawn import write_shapes
 
 from benchmarks import detectors as bench_detectors
 from graycast.base.errors import GraycastError
@@ -48,7 +48,7 @@ SMALL = TrainSpec(
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory) -> Path:
-    return write_drawn(tmp_path_factory.mktemp("drawn"), 10)
+    return write_shapes(tmp_path_factory.mktemp("drawn"), 10)
 
 
 def weights(run: Path) -> dict:
@@ -77,8 +77,8 @@ def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
     encoding = detector.about.encoding
     assert detector.about.names == ("disc", "box")
     assert encoding.near_m < 0.9 < 1.0 < encoding.far_m  # the drawn floor and tops
-    said = json.loads((tmp_path / "run" / "run.json").read_text())
-    train_ids, val_ids = (said["trained"]["datasets"][0][name] for name in ("train", "val"))
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    train_ids, val_ids = (record["trained"]["datasets"][0][name] for name in ("train", "val"))
     assert sorted(train_ids + val_ids) == list(range(10)) and len(val_ids) == 3
 
 
@@ -110,12 +110,12 @@ def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model)
         detector = load_detector(run)
     else:
         detector = train([dataset], tmp_path / "run", replace(SMALL, model=model, epochs=1))
-    chosen = pictures_of(dataset, detector.about, split="all", scale_m=None)
-    looked = detect(detector, chosen, tmp_path / "found")
-    held = read_results(tmp_path / "found" / "results.json", range(10))
-    assert [len(each) for each in held] == [len(each) for each in looked.found]
-    assert (held[0].mask is None) == (model == "yolov3")
-    box = np.concatenate([each.box_px for each in held])
+    pictures = pictures_of(dataset, detector.about, split="all", scale_m=None)
+    result = detect(detector, pictures, tmp_path / "found")
+    detections = read_results(tmp_path / "found" / "results.json", range(10))
+    assert [len(each) for each in detections] == [len(each) for each in result.found]
+    assert (detections[0].mask is None) == (model == "yolov3")
+    box = np.concatenate([each.box_px for each in detections])
     assert (box[:, :2] >= 0).all() and (box[:, 0] + box[:, 2] <= 128.001).all()
     assert len(list((tmp_path / "found" / "drawings").iterdir())) == 10
 
@@ -135,17 +135,17 @@ def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
 @pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
 def test_it_learns_what_is_drawn(tmp_path, model, epochs):
     """On pictures that it has not seen. A detector whose boxes are off by a scale has almost 0."""
-    dataset = write_drawn(tmp_path, 40, seed=3)
+    dataset = write_shapes(tmp_path, 40, seed=3)
     spec = replace(
         SMALL, model=model, epochs=epochs, batch=4, split=Split(shares=(0.6, 0.15, 0.25))
     )
     detector = train([dataset], tmp_path / "run", spec)
     examples = open_examples(dataset, split="test", division=spec.split)
     ids = {"disc": 1, "box": 2}
-    found = [detector.detect(example, obj_ids=ids) for example in examples]
+    detections = [detector.detect(example, obj_ids=ids) for example in examples]
     labels = [labels_of(example, min_visibility=0.1) for example in examples]
     for kind in ("box", "mask") if model == "mask-rcnn" else ("box",):
-        assert score(labels, found, kind=kind).ap50 >= 0.7, kind
+        assert score(labels, detections, kind=kind).ap50 >= 0.7, kind
 
 
 SMALL_NETWORK = "--model yolov3 --backbone mobilenet-v3-small --longest-side 128"
@@ -153,9 +153,9 @@ COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast", "detector", "train"
 
 
 def command(dataset, out, *, epochs=8):
-    said = f"{SMALL_NETWORK} --batch 2 --shares 0.7,0.3,0"
+    options = f"{SMALL_NETWORK} --batch 2 --shares 0.7,0.3,0"
     return [
-        *COMMAND, str(dataset), "--out", str(out), *said.split(), "--epochs", str(epochs),
+        *COMMAND, str(dataset), "--out", str(out), *options.split(), "--epochs", str(epochs),
         "--device", "cpu", "--threads", "1",
     ]  # fmt: skip
 
@@ -194,34 +194,34 @@ def _epochs(run: Path) -> int:
 
 def refusal(capsys, *arguments) -> str:
     assert main([str(each) for each in arguments]) == 1
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and told[0].startswith("graycast: error: "), told
-    return told[0]
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("graycast: error: "), lines
+    return lines[0]
 
 
 def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
     """Each mistake names the thing and the remedy."""
-    said = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
+    options = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
     out = tmp_path / "run"
 
-    def told(*arguments, given=dataset, to=out):
-        return refusal(capsys, "detector", "train", given, "--out", to, *said, *arguments)
+    def message(*arguments, data=dataset, to=out):
+        return refusal(capsys, "detector", "train", data, "--out", to, *options, *arguments)
 
-    assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
-    assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
-    assert "split: val gets none" in told("--shares", "0.99,0.01,0", to=tmp_path / "s")
-    assert "does not exist: give a file of weights" in told(
+    assert "is not a Graycast dataset" in message(data=tmp_path / "nowhere")
+    assert "no backbone 'vgg'" in message("--backbone", "vgg", to=tmp_path / "v")
+    assert "split: val gets none" in message("--shares", "0.99,0.01,0", to=tmp_path / "s")
+    assert "does not exist: give a file of weights" in message(
         "--weights", tmp_path / "no.pth", to=tmp_path / "w"
     )
     (tmp_path / "text.pth").write_text("no weights")
-    assert "is damaged or is not a file of weights" in told(
+    assert "is damaged or is not a file of weights" in message(
         "--weights", tmp_path / "text.pth", to=tmp_path / "w2"
     )
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("mine")
-    assert "is not empty and holds no run" in told(to=tmp_path / "full")
+    assert "is not empty and holds no run" in message(to=tmp_path / "full")
     (tmp_path / "file").write_text("")
-    assert "is a file: choose a folder" in told(to=tmp_path / "file")
+    assert "is a file: choose a folder" in message(to=tmp_path / "file")
 
 
 @pytest.mark.slow
@@ -274,17 +274,17 @@ def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run,
         "graycast.learn.detect.detector.autocast",
         lambda device: torch.autocast("cpu", torch.bfloat16),
     )
-    detector, seen = load_detector(run, device="cpu"), []
+    detector, states = load_detector(run, device="cpu"), []
 
     def find(image, *, most, least_score):
         tiny = np.full(1, np.finfo(float).tiny)
-        seen.append((torch.is_autocast_enabled("cpu"), (tiny / 2 == 0).all()))
+        states.append((torch.is_autocast_enabled("cpu"), (tiny / 2 == 0).all()))
         none = torch.zeros(0)
         return [NetworkOutput(box=torch.zeros(0, 4), label=none.long(), score=none, mask=None)]
 
     monkeypatch.setattr(detector.network, "find", find)
     bench_detectors._detection(detector, dataset)
-    assert len(seen) >= 2 * 5 and all(cast and flushed for cast, flushed in seen)
+    assert len(states) >= 2 * 5 and all(cast and flushed for cast, flushed in states)
 
 
 @pytest.mark.slow
@@ -296,16 +296,16 @@ def test_a_processor_trains_in_bfloat16_where_it_has_it(
     dataset, tmp_path, monkeypatch, capabilities, mixed
 ):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
-    seen, conv2d = set(), torch.nn.functional.conv2d
+    casts, conv2d = set(), torch.nn.functional.conv2d
     monkeypatch.setattr(
         torch.nn.functional,
         "conv2d",
         lambda *args, **kwargs: (
-            seen.add(torch.is_autocast_enabled("cpu")) or conv2d(*args, **kwargs)
+            casts.add(torch.is_autocast_enabled("cpu")) or conv2d(*args, **kwargs)
         ),
     )
     detector = train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
-    assert seen == {mixed}
+    assert casts == {mixed}
     kernels = [w for w in detector.network.parameters() if w.ndim == 4 and min(w.shape) > 1]
     assert kernels and all(w.is_contiguous(memory_format=torch.channels_last) for w in kernels)
     assert {w.dtype for w in detector.network.parameters()} == {torch.float32}
@@ -361,9 +361,9 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
 
 
 def test_weights_that_a_release_does_not_know_are_said_to_be_such(run, tmp_path):
-    held = torch.load(run / "detector.pt", weights_only=True)
-    held["state"] = {f"renamed.{name}": value for name, value in held["state"].items()}
-    torch.save(held, tmp_path / "detector.pt")
+    checkpoint = torch.load(run / "detector.pt", weights_only=True)
+    checkpoint["state"] = {f"renamed.{name}": value for name, value in checkpoint["state"].items()}
+    torch.save(checkpoint, tmp_path / "detector.pt")
     with pytest.raises(GraycastError, match="weights do not fit the network yolov3 of this"):
         load_detector(tmp_path)
 
@@ -386,19 +386,19 @@ def run(dataset, tmp_path_factory) -> Path:
 
 
 def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
-    def told(*arguments, given=dataset, out=tmp_path / "found"):
-        return refusal(capsys, "detector", "find", run, given, "--out", out, *arguments)
+    def message(*arguments, data=dataset, out=tmp_path / "found"):
+        return refusal(capsys, "detector", "find", run, data, "--out", out, *arguments)
 
     (tmp_path / "empty").mkdir()
-    assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
-    assert "is not a dataset, so it has no set test" in told("--split", "test", given=tmp_path)
-    assert "has no set 'test'" in told("--split", "test")
-    assert "--device optix applies only to Cycles" in told("--device", "optix")
+    assert "has no pictures: put them into the folders" in message(data=tmp_path / "empty")
+    assert "is not a dataset, so it has no set test" in message("--split", "test", data=tmp_path)
+    assert "has no set 'test'" in message("--split", "test")
+    assert "--device optix applies only to Cycles" in message("--device", "optix")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
-    assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
+    assert "is not empty and holds no earlier result" in message(out=tmp_path / "mine")
     if not torch.cuda.is_available():
-        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
+        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in message(
             "--device", "cuda"
         )
     assert not (tmp_path / "found").exists()
@@ -416,7 +416,7 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
     noise = np.random.default_rng(0).normal(0.0, 1e-3 / scale_m, steps.shape)  # it is drawn flat
     steps = np.where(steps > 0, steps + noise, 0).astype(np.uint16)
 
-    def found(scale_m):
+    def find(scale_m):
         cv2.imwrite(str(shots / "depth" / "a.png"), steps)
         arguments = (
             "detector",
@@ -431,33 +431,33 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
         return main([str(word) for word in arguments]), capsys.readouterr()
 
     for factor in (10, 0.1):
-        code, told = found(factor * scale_m)
-        assert code == 1 and told.err.count("\n") == 1
-        assert "and the detector learnt" in told.err and "another unit" in told.err
-    code, told = found(scale_m)
-    assert code == 0 and "note:" not in told.out
+        code, output = find(factor * scale_m)
+        assert code == 1 and output.err.count("\n") == 1
+        assert "and the detector learnt" in output.err and "another unit" in output.err
+    code, output = find(scale_m)
+    assert code == 0 and "note:" not in output.out
     steps[::2, ::2] = steps.max()
-    code, told = found(scale_m)
-    assert code == 0 and "note: scene 0: " in told.out and "holes that were filled" in told.out
+    code, output = find(scale_m)
+    assert code == 0 and "note: scene 0: " in output.out and "holes that were filled" in output.out
 
 
 def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
-    other = write_drawn(tmp_path, 2)
+    other = write_shapes(tmp_path, 2)
     for name in ("graycast.json", "train_coco.json"):
         text = (other / name).read_text()
         (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
-    told = refusal(capsys, "detector", "find", run, other, "--out", tmp_path / "found")
-    assert "has nut, bolt, and the detector was trained on disc, box" in told
+    message = refusal(capsys, "detector", "find", run, other, "--out", tmp_path / "found")
+    assert "has nut, bolt, and the detector was trained on disc, box" in message
 
 
 def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
-    broken = write_drawn(tmp_path, 6, seed=9)
+    broken = write_shapes(tmp_path, 6, seed=9)
     picture = next((broken / "train").glob("000003/depth_sl/*.png"))
     picture.write_bytes(picture.read_bytes()[:200])
-    said = f"{SMALL_NETWORK} --shares 0.7,0.3,0".split()
-    for arguments in (("find", run, broken), ("train", broken, *said)):
-        told = refusal(capsys, "detector", *arguments, "--out", tmp_path / f"out_{arguments[0]}")
-        assert "000003" in told and "depth_sl" in told
+    options = f"{SMALL_NETWORK} --shares 0.7,0.3,0".split()
+    for arguments in (("find", run, broken), ("train", broken, *options)):
+        message = refusal(capsys, "detector", *arguments, "--out", tmp_path / f"out_{arguments[0]}")
+        assert "000003" in message and "depth_sl" in message
 
 
 def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch):
@@ -470,7 +470,7 @@ def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"epochs": 0}, "epochs is 0: give a whole number of at least 1"),
         ({"batch": 0}, "batch is 0"),
@@ -481,6 +481,6 @@ def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch)
         ({"range_m": (2.0, 1.0)}, "the depth's range is 2.0 to 1.0 m"),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused(dataset, tmp_path, changed, told):
-    with pytest.raises(GraycastError, match=told):
+def test_a_setting_that_cannot_be_is_refused(dataset, tmp_path, changed, message):
+    with pytest.raises(GraycastError, match=message):
         train([dataset], tmp_path / "run", replace(SMALL, **changed))

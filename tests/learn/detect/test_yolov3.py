@@ -24,11 +24,11 @@ def test_of_boxes_on_one_thing_the_surest_stays_and_is_cut_at_the_picture():
     much. The fourth reaches beyond a picture of 100 x 50 pixels."""
     box = [[-5, -5, 10, 10], [-1, -1, 10, 10], [0, 0, 10, 10], [40, 20, 120, 70]]
     score = [[0.9, 0.0], [0.8, 0.3], [0.7, 0.0], [0.6, 0.1]]
-    found = best_boxes(
+    output = best_boxes(
         torch.tensor(box, dtype=torch.float32), torch.tensor(score),
         most=4, least_score=0.2, size_px=(50, 100),
     )  # fmt: skip
-    torch.testing.assert_close(found.score, torch.tensor([0.9, 0.7, 0.6, 0.3]))
-    assert found.label.tolist() == [0, 0, 0, 1]
-    kept = [[0, 0, 10, 10], [0, 0, 10, 10], [40, 20, 100, 50], [0, 0, 10, 10]]
-    assert found.box.tolist() == kept
+    torch.testing.assert_close(output.score, torch.tensor([0.9, 0.7, 0.6, 0.3]))
+    assert output.label.tolist() == [0, 0, 0, 1]
+    expected = [[0, 0, 10, 10], [0, 0, 10, 10], [40, 20, 100, 50], [0, 0, 10, 10]]
+    assert output.box.tolist() == expected

@@ -27,7 +27,7 @@ def upper(n, seed):
     return np.stack(direction(z, turn))
 
 
-def drawn(bsdf, wi, n, seed=0):
+def samples_of(bsdf, wi, n, seed=0):
     """Directions (3, n), densities and weights (3, n) of samples."""
     import mitsuba as mi
 
@@ -61,7 +61,7 @@ def assert_samples_fall_where_densities_say(bsdf, wi, *, fine, n=200_000):
     grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
     density = evaluated(bsdf, wi, grid)[1].reshape(8, fine // 8, 8, fine // 8)
     cells = density.sum(axis=(1, 3)) * 2 * np.pi / fine**2
-    wo, _, weight = drawn(bsdf, wi, n)
+    wo, _, weight = samples_of(bsdf, wi, n)
     above = weight[0] > 0
     assert abs(cells.sum() + (~above).mean() - 1) < 0.004
     place = np.arctan2(wo[1], wo[0])[above] % (2 * np.pi)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 
 @contextmanager
-def drawn_by(module):
+def figures_of(module):
     """The figures that a module writes meanwhile, in order; their files are written, too."""
     figures, write = [], module.save_png
 

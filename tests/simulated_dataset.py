@@ -33,20 +33,20 @@ def write_dataset(out, scene_ids=(0, 3, 4, 5)):
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory):
+def master_and_samples(tmp_path_factory):
     """One dataset for all formats. Tests that change it copy it."""
     out = tmp_path_factory.mktemp("master") / "out"
     return out, write_dataset(out)
 
 
 @pytest.fixture(scope="session")
-def master(made):
-    return made[0]
+def master(master_and_samples):
+    return master_and_samples[0]
 
 
 @pytest.fixture(scope="session")
-def samples(made):
-    return made[1]
+def samples(master_and_samples):
+    return master_and_samples[1]
 
 
 @pytest.fixture

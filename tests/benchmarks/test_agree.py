@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by
+from drawn import axes_of, figures_of
 
 from benchmarks import agree, plots
 from benchmarks.cells import opened
@@ -100,7 +100,7 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
     figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
     assert "median_abs_columns" in describe(figures)
     assert len(describe(figures).splitlines()) < 60
-    with drawn_by(plots) as pictures:
+    with figures_of(plots) as pictures:
         plots.draw(figures | {"benchmark": "agree"}, tmp_path / "agree.png")
     axes, counts = axes_of(pictures[0]), figures["histograms"]
     for title, light in (("Projector's light", "white"), ("All other light", "ambient")):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by, points_of
+from drawn import axes_of, figures_of, points_of
 
 from benchmarks import denoise, plots
 from benchmarks.cells import opened
@@ -78,7 +78,7 @@ def test_denoising_takes_bad_pixels_off_cycles_at_few_samples(cycles_renderer, t
     by = {(r["renderer"], r["denoise"], r["samples"]): r for r in figures["rows"]}
     assert by["cycles", "oidn", 4]["bad_share"] < 0.8 * by["cycles", "none", 4]["bad_share"]
     assert by["mitsuba", "none", 4]["bad_share"] < by["cycles", "none", 4]["bad_share"]
-    with drawn_by(plots) as pictures:
+    with figures_of(plots) as pictures:
         plots.draw(figures | {"benchmark": "denoise"}, tmp_path / "denoise.png")
     axes = axes_of(pictures[0])
     for title, x, y in (

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated_dataset import made, master, samples  # noqa: F401
+from simulated_dataset import master, master_and_samples, samples  # noqa: F401
 
 from benchmarks.poses import CASES, measure, scaled
 from graycast.dataset.pose_results import read_pose_results

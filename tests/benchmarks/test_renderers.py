@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by, points_of
+from drawn import axes_of, figures_of, points_of
 
 from benchmarks import plots, renderers
 from benchmarks.cells import opened
@@ -124,7 +124,7 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
     )
     figures = json.loads(json.dumps(figures))
     assert "cycles_over_onepass" in describe(figures)
-    with drawn_by(plots) as pictures:
+    with figures_of(plots) as pictures:
         plots.draw(figures | {"benchmark": "renderers"}, tmp_path / "r.png")
     axes = axes_of(pictures[0])
     for title, y in (

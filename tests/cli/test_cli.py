@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 from backends import slow
-from drawn import axes_of, drawn_by, no_pixels
+from drawn import axes_of, figures_of, no_pixels
 from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
 
@@ -440,7 +440,7 @@ def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resoluti
     assert (back.camera, back.projector, back.name) == (rig.camera, rig.projector, rig.name)
     assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
     if (name, resolution) == ("paper", "low"):
-        with no_pixels(), drawn_by(drawing) as figures:
+        with no_pixels(), figures_of(drawing) as figures:
             output = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
         assert (
             output

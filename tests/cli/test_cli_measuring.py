@@ -9,7 +9,7 @@ import pytest
 import trimesh
 import yaml
 from camera.stack import simulated
-from drawn import axes_of, drawn_by, lines_of, no_pixels, shares_of
+from drawn import axes_of, figures_of, lines_of, no_pixels, shares_of
 from matplotlib.colors import to_rgb
 from PIL import Image
 from real.calibrate.test_calibrate import (  # noqa: F401 (fixtures)
@@ -53,7 +53,7 @@ def decoded(tmp_path_factory):
     stack = simulated.save(folder, simulated.describe(code), simulated.shoot(rig, code))
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     out = folder / "out"
-    with no_pixels(), drawn_by(stack_sheet) as figures:
+    with no_pixels(), figures_of(stack_sheet) as figures:
         words = ["rig", "decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
         assert main(words) == 0
     return rig, folder, out, *figures
@@ -61,7 +61,7 @@ def decoded(tmp_path_factory):
 
 def test_decode_writes_what_the_documentation_lists(decoded):
     rig, _, out, _ = decoded
-    truth = simulated.seen(rig)
+    truth = simulated.view_of(rig)
     codes = np.load(out / "code.npz")
     for name in ("column", "row", "sigma_column", "sigma_row", "modulation"):
         assert codes[name].shape == truth.column.shape
@@ -90,7 +90,7 @@ def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
     tile = {title: ax.images[0].get_array() for title, ax in axes_of(figure).items()}
     white = np.array(Image.open(folder / "white.png"))
     assert np.array_equal(tile["picture"], np.repeat(white[..., None], 3, axis=-1))
-    codes, truth = np.load(out / "code.npz"), simulated.seen(rig)
+    codes, truth = np.load(out / "code.npz"), simulated.view_of(rig)
     known = codes["reason"] == Reason.DECODED
     for axis, last in (("column", 127), ("row", 95)):
         index_px = last * shares_of(tile[f"decoded {axis}"], "viridis")
@@ -169,7 +169,7 @@ def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
     folder = tmp_path / "measured"
-    with no_pixels(), drawn_by(depth_curves) as figures:
+    with no_pixels(), figures_of(depth_curves) as figures:
         printed = run(
             capsys, "real", "measure", out / "depth.npy", "--intrinsics", K, "--out", folder
         )

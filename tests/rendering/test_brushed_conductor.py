@@ -7,9 +7,9 @@ from bsdf_samples import (
     arriving,
     assert_samples_fall_where_densities_say,
     direction,
-    drawn,
     evaluated,
     leaning,
+    samples_of,
     upper,
 )
 
@@ -71,7 +71,7 @@ def test_white_grooves_return_all_light(
 ):
     """The limits are those that `grained_lost_share` states."""
     bsdf = metal(*widths(roughness, anisotropy), WHITE)
-    weight = drawn(bsdf, leaning(angle_deg, turn_deg), 400_000)[2][0]
+    weight = samples_of(bsdf, leaning(angle_deg, turn_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
     assert error < 0.004
     assert abs(weight.mean() - 1) < limit + 4 * error
@@ -106,11 +106,11 @@ def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
     alpha, color = roughness**2, {"type": "rgb", "value": list(GOLD)}
     plain = mi.load_dict({"type": "rough_conductor", "alpha": alpha, "reflectance": color})
     grooved, wi = metal(alpha, alpha), leaning(50, 35)
-    wo = drawn(plain, wi, 3000, seed=2)[0]
+    wo = samples_of(plain, wi, 3000, seed=2)[0]
     wo = wo[:, wo[2] > 0.01]
     for one, other in zip(evaluated(plain, wi, wo), evaluated(grooved, wi, wo), strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-3)
-    for one, other in zip(drawn(plain, wi, 3000), drawn(grooved, wi, 3000), strict=True):
+    for one, other in zip(samples_of(plain, wi, 3000), samples_of(grooved, wi, 3000), strict=True):
         assert np.abs(other - one)[..., one.ravel()[-3000:] > 0].max() < 2e-3 * np.abs(one).max()
 
 
@@ -118,7 +118,7 @@ def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(50, 25), (75, 80)])
 def test_samples_bring_value_over_density(cpu_device, roughness, anisotropy, angle_deg, turn_deg):
     bsdf, wi = metal(*widths(roughness, anisotropy)), leaning(angle_deg, turn_deg)
-    wo, density, weight = drawn(bsdf, wi, 5000)
+    wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
     value, again = evaluated(bsdf, wi, wo)
     value, again, weight = (value * wo[2])[:, above], again[above], weight[:, above]
@@ -140,7 +140,7 @@ def test_densities_sum_to_one_and_samples_fall_where_they_say(
 def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
     """The light that leaves, and where it goes on the whole, by samples and by a sum of values."""
     bsdf, wi, n = metal(*widths(0.7, 0.8)), leaning(angle_deg, 25), 400_000
-    wo, _, weight = drawn(bsdf, wi, n)
+    wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)
     value = evaluated(bsdf, wi, other)[0] * other[2] * 2 * np.pi
     for moment, same in ((weight[1], value[1]), (weight[1] * wo, value[1] * other)):

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from backends import slow
-from bsdf_samples import assert_samples_fall_where_densities_say, drawn, evaluated, leaning
+from bsdf_samples import assert_samples_fall_where_densities_say, evaluated, leaning, samples_of
 from stage import centred, in_camera, make_rig, wall
 
 from graycast.rendering.wavelength import refuse_layers
@@ -37,7 +37,7 @@ def fresnel(cosine, index=INDEX):
 def test_white_metal_under_a_film_returns_all_light(cpu_device, roughness, film):
     bsdf = filmed(roughness, film)
     for angle_deg in (0, 45, 70, 85):
-        weight = drawn(bsdf, leaning(angle_deg), 400_000)[2]
+        weight = samples_of(bsdf, leaning(angle_deg), 400_000)[2]
         assert abs(weight[0].mean() - 1) < 0.005, angle_deg
 
 
@@ -46,7 +46,7 @@ def test_two_smooth_planes_reflect_as_the_sum_of_all_ways(cpu_device, angle_deg)
     """`E + T^2 R / (1 - R E)` to 1 %, with Schlick's R at the angle inside: `S_2` is one mean over
     all angles, and not that of this one.
     """
-    weight = drawn(filmed(0.05, 0.02), leaning(angle_deg), 400_000)[2].mean(axis=1)
+    weight = samples_of(filmed(0.05, 0.02), leaning(angle_deg), 400_000)[2].mean(axis=1)
     cosine = np.cos(np.radians(angle_deg))
     film, inside = fresnel(cosine), np.sqrt(1 - (1 - cosine**2) / INDEX**2)
     for band, normal in enumerate((1.0, 0.5, 0.1)):
@@ -120,7 +120,7 @@ def test_samples_fall_where_the_density_says(cpu_device, roughness, film, angle_
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_bring_value_over_density(cpu_device, angle_deg):
     bsdf, wi = filmed(0.3, 0.3), leaning(angle_deg)
-    wo, density, weight = drawn(bsdf, wi, 20_000)
+    wo, density, weight = samples_of(bsdf, wi, 20_000)
     above = weight[0] > 0
     value, again = evaluated(bsdf, wi, wo[:, above])
     assert np.abs(density[above] / again - 1).max() < 1e-3

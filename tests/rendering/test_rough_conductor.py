@@ -7,9 +7,9 @@ from bsdf_samples import (
     arriving,
     assert_samples_fall_where_densities_say,
     direction,
-    drawn,
     evaluated,
     leaning,
+    samples_of,
     upper,
 )
 
@@ -58,7 +58,7 @@ def compensation(cosine, alpha, normal, mean):
 @pytest.mark.parametrize("angle_deg", [slow(0), 45, slow(70), 85, slow(89)])
 def test_white_metal_returns_all_light(cpu_device, roughness, angle_deg):
     """A limit of 0.2 %: 128 nodes of a table that is itself a mean of 4096 facets."""
-    weight = drawn(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
+    weight = samples_of(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
     assert error < 0.002
     assert abs(weight.mean() - 1) < 0.002 + 4 * error
@@ -109,7 +109,7 @@ def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
     whose facet leans less (the integral of D cos). Kolmogorov's bound at one in a million.
     """
     n = 100_000
-    wo = drawn(metal(roughness), np.array([0.0, 0.0, 1.0]), n)[0]
+    wo = samples_of(metal(roughness), np.array([0.0, 0.0, 1.0]), n)[0]
     tangent2 = (wo[0] ** 2 + wo[1] ** 2) / (1 + wo[2]) ** 2
     share = np.sort(tangent2 / (roughness**4 + tangent2))
     assert np.abs(share - (np.arange(n) + 0.5) / n).max() < 2.7 / np.sqrt(n)
@@ -119,7 +119,7 @@ def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
 def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
     bsdf, wi = metal(roughness), leaning(angle_deg)
-    wo, density, weight = drawn(bsdf, wi, 5000)
+    wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
     assert (density[~above] == 0).all() and (wo[2, above] > 0).all()
     value, again = evaluated(bsdf, wi, wo)
@@ -138,7 +138,7 @@ def test_densities_sum_to_one_and_samples_fall_where_they_say(cpu_device, roughn
 def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
     """The light that leaves, and where it goes on the whole, by samples and by a sum of values."""
     bsdf, wi, n = metal(0.7), leaning(angle_deg), 400_000
-    wo, _, weight = drawn(bsdf, wi, n)
+    wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)
     value = evaluated(bsdf, wi, other)[0] * other[2] * 2 * np.pi
     for moment, same in ((weight[1], value[1]), (weight[1] * wo, value[1] * other)):
@@ -149,7 +149,7 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
 def test_colours_deepen_as_metal_gets_rough(cpu_device):
     """Reflected twice, a colour is squared: half of the light that strikes again is lost."""
     shares = [
-        drawn(metal(roughness, (0.5, 0.5, 0.5)), leaning(0), 100_000)[2][0].mean()
+        samples_of(metal(roughness, (0.5, 0.5, 0.5)), leaning(0), 100_000)[2][0].mean()
         for roughness in (0.1, 0.5, 1.0)
     ]
     assert abs(shares[0] - 0.5) < 0.002
@@ -179,7 +179,7 @@ def test_a_texture_takes_the_colours_place(cpu_device):
 def test_the_back_reflects_nothing(cpu_device):
     below = leaning(30) * [1, 1, -1]
     bsdf = metal(0.5)
-    assert (drawn(bsdf, below, 100)[2] == 0).all()
+    assert (samples_of(bsdf, below, 100)[2] == 0).all()
     for wi, wo in ((below, leaning(10)), (leaning(10), below), (below, below)):
         assert (evaluated(bsdf, wi, wo[:, None])[0] == 0).all()
 
@@ -188,10 +188,10 @@ def test_another_roughness_needs_no_new_kernel(cpu_device):
     """What differs from metal to metal is data: many materials, or another run, compile once."""
     import drjit as dr
 
-    drawn(metal(0.31), leaning(20), 64)
+    samples_of(metal(0.31), leaning(20), 64)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        drawn(metal(0.77, (0.2, 0.3, 0.4)), leaning(20), 64)
+        samples_of(metal(0.77, (0.2, 0.3, 0.4)), leaning(20), 64)
         history = dr.kernel_history()
     launched = [kernel for kernel in history if "cache_hit" in kernel]
     assert launched and all(kernel["cache_hit"] for kernel in launched)

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from graycast.rig.pattern import Code, level_share
 
-from .simulated import seen, small_rig
+from .simulated import small_rig, view_of
 
 TOP_DN, BLACK_DN = 255, 5.0
 FAR_PX = 12.0  # over which light from elsewhere is the mean of the pattern
@@ -37,7 +37,7 @@ class Look:
 
 def shoot_cluttered(code: Code, look: Look, *, seed: int = 3) -> np.ndarray:
     """The stack: (n, h, w) digital numbers of 8 bits."""
-    scene = seen(small_rig())
+    scene = view_of(small_rig())
     h, w = scene.column.shape
     y, x = np.mgrid[:h, :w]
     albedo = np.full((h, w), 0.9)

@@ -54,7 +54,7 @@ class View:
     row: np.ndarray
 
 
-def seen(rig: Rig) -> View:
+def view_of(rig: Rig) -> View:
     """Ray against plane and sphere; nothing shadows anything."""
     ray = rays(rig.camera, pixel_grid(rig.camera.height_px, rig.camera.width_px))
     a = np.square(ray).sum(axis=-1)
@@ -71,7 +71,7 @@ def shoot(
     rig: Rig, code: Code, *, bits: int = 8, gain: float = 0.02, seed: int = 3, bright=0.75
 ) -> np.ndarray:
     """The stack: (n, h, w) digital numbers, photon noise of `gain` DN per electron and 0.5 DN."""
-    scene = seen(rig)
+    scene = view_of(rig)
     top = 2**bits - 1
     inside = (np.abs(scene.column - (code.width_px - 1) / 2) < code.width_px / 2) & (
         np.abs(scene.row - (code.height_px - 1) / 2) < code.height_px / 2

@@ -13,7 +13,7 @@ from graycast.camera.decode import Reason
 from graycast.camera.stack import decode_stack
 from graycast.rig.pattern import gray, gray_phase, multi_frequency
 
-from .simulated import describe, save, seen, shoot, small_rig, write_yaml
+from .simulated import describe, save, shoot, small_rig, view_of, write_yaml
 
 RIG = small_rig()
 GRAY = gray(128, 96, inverses=True)
@@ -224,7 +224,7 @@ def test_pictures_whose_lit_stripes_are_at_the_top_decode_by_their_inverses(make
     over = decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=3.0)))
     assert over.figures.decoded_share > 0.97
     assert over.figures.clipped_share > 0.9
-    off_px = np.abs(over.codes.column - seen(RIG).column)[over.codes.reason == Reason.DECODED]
+    off_px = np.abs(over.codes.column - view_of(RIG).column)[over.codes.reason == Reason.DECODED]
     assert np.quantile(off_px, 0.98) < 0.51
 
 

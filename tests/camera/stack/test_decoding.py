@@ -24,7 +24,7 @@ from graycast.rig.optics import project
 from graycast.rig.pattern import gray, gray_line_shift, gray_phase, micro_phase, xor_gray
 
 from .filtered import PRESET_FILTERS, check_depth_of_no_filters
-from .simulated import BALL_M, RADIUS_M, WALL_M, describe, save, seen, shoot, small_rig
+from .simulated import BALL_M, RADIUS_M, WALL_M, describe, save, shoot, small_rig, view_of
 
 BOTH = ("column", "row")
 CODES = {
@@ -57,7 +57,7 @@ def test_a_sound_stack_decodes_without_a_warning(name, tmp_path):
     result = decode_stack(path)
     assert result.warnings == ()
     assert result.figures.decoded_share > 0.97
-    for miss in misses_px(result, seen(rig)):
+    for miss in misses_px(result, view_of(rig)):
         assert np.quantile(miss, 0.98) < (0.75 if code.subpixel else 0.51)
 
 
@@ -82,7 +82,7 @@ def test_any_part_of_a_code_decodes_to_half_of_its_cell(keep, cell_px, tmp_path)
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)))
     assert result.warnings == ()
     assert result.figures.decoded_share > 0.95
-    for miss in misses_px(result, seen(rig)):
+    for miss in misses_px(result, view_of(rig)):
         assert np.quantile(miss, 0.98) < 0.5 * cell_px + 0.01
     known = result.codes.reason == Reason.DECODED
     assert np.isfinite(result.codes.column[known]).all()
@@ -109,7 +109,7 @@ def test_pictures_of_any_kind_decode_alike(suffix, bits, color, tmp_path):
     assert result.warnings == ()
     assert result.figures.decoded_share > 0.97
     assert result.levels.levels.saturation_dn == 2**bits - 1
-    for miss in misses_px(result, seen(rig)):
+    for miss in misses_px(result, view_of(rig)):
         assert np.quantile(miss, 0.97) < 0.51
 
 
@@ -164,7 +164,7 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     assert result.warnings == ()
     known = np.isfinite(result.depth.depth_m)
-    error_m = np.abs(result.depth.depth_m - seen(rig).depth_m)[known]
+    error_m = np.abs(result.depth.depth_m - view_of(rig).depth_m)[known]
     half_pixel_m = 0.5 * WALL_M**2 / (150.0 * 0.2)  # z^2 / (f b) per pixel
     assert known.mean() > 0.9 * result.figures.lit_share
     assert np.quantile(error_m, 0.98) < 1.3 * half_pixel_m  # toe-in stretches it
@@ -183,7 +183,7 @@ def test_filters_of_a_preset_add_nothing_to_the_depth_of_a_stack(filters, tmp_pa
 def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_does():
     """Oracle: positions with normal noise of the deviation that is told, 0.05 to 4 px."""
     rig = small_rig()
-    truth, rng = seen(rig), np.random.default_rng(6)
+    truth, rng = view_of(rig), np.random.default_rng(6)
     sigma_px = np.geomspace(0.05, 4.0, truth.column.size)
     sigma_px = rng.permutation(sigma_px).reshape(truth.column.shape).astype(np.float32)
     column, row = (

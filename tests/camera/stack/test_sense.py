@@ -11,7 +11,7 @@ from graycast.camera.stack import decode_stack
 from graycast.rig.pattern import gray_line_shift, gray_phase
 
 from .cluttered import Look, shoot_cluttered
-from .simulated import describe, save, seen, small_rig, write_yaml
+from .simulated import describe, save, small_rig, view_of, write_yaml
 
 FOUR = gray_phase(128, 96, axes=("column", "row"), steps=4)
 THREE = gray_phase(128, 96, steps=3, inverses=True)  # cells of half a period alone
@@ -78,7 +78,7 @@ def test_phases_that_run_as_they_should_are_not_warned_of(code, tmp_path):
 def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_path):
     """Oracle: the projection of the wall and the ball. A sine that runs backwards, in 3 steps."""
     stack = shoot_cluttered(THREE, Look())
-    truth = seen(small_rig()).column
+    truth = view_of(small_rig()).column
     miss_px = {}
     for name, renumber in {
         "stated": lambda k: 0.75 - k,
@@ -108,7 +108,7 @@ def test_a_period_that_is_wrong_is_said_to_agree_in_no_sense(tmp_path):
 def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first, tmp_path):
     """Oracle: the pictures are made by hand from the cosine's own formula, not by the code."""
     code = gray_phase(128, 96, steps=3)
-    truth = seen(small_rig()).column
+    truth = view_of(small_rig()).column
     stack = shoot_cluttered(code, Look(indirect=0.0))
     for k, frame in enumerate(code.frames):
         if frame.kind == "phase":
@@ -116,7 +116,7 @@ def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first,
             share = 0.5 + 0.5 * np.cos(2 * np.pi * turns)
             stack[k] = np.clip(np.rint(8 + 170 * share), 0, 255)
     result = decoded(tmp_path, code, stack, lambda k: k + first)
-    lit = (np.abs(truth - 63.5) < 63) & (np.abs(seen(small_rig()).row - 47.5) < 47)
+    lit = (np.abs(truth - 63.5) < 63) & (np.abs(view_of(small_rig()).row - 47.5) < 47)
     off = (result.codes.column - truth)[lit]
     assert not result.warnings
     assert np.isfinite(off).mean() > 0.99
@@ -131,12 +131,12 @@ def test_stripes_given_as_phase_are_off_by_what_docs_stacks_says(steps, worst, t
     1 / (2 N) of odd and of even N, is half of the place that a stripe's edge keeps for itself.
     """
     code = gray_phase(128, 96, period_px=32.0, steps=steps, inverses=True)
-    truth = seen(small_rig()).column
+    truth = view_of(small_rig()).column
     stack = shoot_cluttered(code, Look(indirect=0.0))
     for k, frame in enumerate(code.frames):
         if frame.kind == "phase":
             stack[k] = np.where(np.cos(2 * np.pi * (truth / 32 - frame.step / steps)) > 0, 180, 8)
-    lit = (np.abs(truth - 63.5) < 60) & (np.abs(seen(small_rig()).row - 47.5) < 47)
+    lit = (np.abs(truth - 63.5) < 60) & (np.abs(view_of(small_rig()).row - 47.5) < 47)
     off = (decoded(tmp_path, code, stack).codes.column - truth)[lit]
     assert 0.8 * worst * 32 < np.nanmax(np.abs(off)) < 1.03 * worst * 32
 

@@ -1,3 +1,3 @@
-from simulated_dataset import exported, made, master, samples
+from simulated_dataset import exported, master, master_and_samples, samples
 
-__all__ = ["exported", "made", "master", "samples"]
+__all__ = ["exported", "master", "master_and_samples", "samples"]

@@ -6,7 +6,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by, heights_of
+from drawn import axes_of, figures_of, heights_of
 from pictured import SCALE_MM, forget, write_dataset
 
 from graycast.base.errors import DatasetError
@@ -103,7 +103,7 @@ def test_figures_survive_json(dataset_and_samples):
 
 
 def test_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
-    with drawn_by(stats_plots) as figures:
+    with figures_of(stats_plots) as figures:
         write_statistics(statistics, tmp_path / "figures")
     record = json.loads((tmp_path / "figures/stats.json").read_text())
     assert record == json.loads(json.dumps(statistics_json(statistics)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by
+from drawn import axes_of, figures_of
 from small_cell import shrunk, write_cell
 
 from graycast.camera.picture import color_picture
@@ -140,7 +140,7 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     write_shot(tmp_path, depth.depth_m, rgb, capture)
     base = make_cell(tmp_path / "cell", base_words())
     out = base.with_name("fitted.yaml")
-    with drawn_by(residual_picture) as figures:
+    with figures_of(residual_picture) as figures:
         run(
             tmp_path / "depth.npy", "--rgb", tmp_path / "rgb.png", "--config", base, "--out", out,
             "--floor-reflectance", np.mean(FLOOR), "--azimuth", 10,

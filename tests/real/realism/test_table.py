@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from drawn import axes_of, drawn_by, heights_of, lines_of
+from drawn import axes_of, figures_of, heights_of, lines_of
 
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.real.realism import depth_curves, draw_realism, pool, read_record, table, write_record
@@ -82,7 +82,7 @@ def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
 def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
     """Oracle: the record itself, in the units of the axes."""
     other = record.model_copy(update={"name": "other", "jumps": Jumps(**dict.fromkeys(SIDES, 7.0))})
-    with drawn_by(depth_curves) as figures:
+    with figures_of(depth_curves) as figures:
         draw_realism([record, other], tmp_path / "two.png")
     axes = axes_of(figures[0])
     for sigma_mm, share in lines_of(axes["noise about planes"]):

@@ -1,5 +1,5 @@
 """A small dataset on disk, shared with the tests of exports and of training."""
 
-from simulated_dataset import exported, made, master, samples
+from simulated_dataset import exported, master, master_and_samples, samples
 
-__all__ = ["exported", "made", "master", "samples"]
+__all__ = ["exported", "master", "master_and_samples", "samples"]

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from several_pictures import NAMES, SIGMA_M, several  # noqa: F401
-from simulated_dataset import made, master, samples  # noqa: F401
+from simulated_dataset import master, master_and_samples, samples  # noqa: F401
 
 from graycast.base.errors import GraycastError
 from graycast.base.ply import read_vertices

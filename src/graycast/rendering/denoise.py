@@ -5,7 +5,6 @@ OptiX has a denoiser, too, but where the driver's file of weights is missing, as
 it ends the whole process.
 """
 
-import importlib
 import logging
 import math
 import sys
@@ -71,13 +70,15 @@ def _library() -> Any:
 
     All pictures here are NumPy's, and PyTorch takes seconds and 200 MB of every process.
     """
-    if "pyoidn" in sys.modules or "torch" in sys.modules:
-        return importlib.import_module("pyoidn")
-    sys.modules["torch"] = None  # type: ignore[assignment]  # so that an import of it fails
+    hides = "torch" not in sys.modules
+    if hides:
+        sys.modules["torch"] = None  # type: ignore[assignment]  # An import of it fails now.
     try:
-        return importlib.import_module("pyoidn")
+        import pyoidn
     finally:
-        del sys.modules["torch"]
+        if hides:
+            del sys.modules["torch"]
+    return pyoidn
 
 
 @final

@@ -40,6 +40,7 @@ def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(mo
     assert "denoised on the processor, because the GPU cannot" in record.getMessage()
 
 
+@pytest.mark.slow
 def test_the_denoiser_does_not_load_pytorch(tmp_path):
     """PyTorch takes 2 s and 500 MB of every worker; who needs it can load it afterwards."""
     (tmp_path / "torch.py").write_text("name = 'stand-in'")

@@ -34,7 +34,7 @@ renderer, detector, exporter or gripper goes.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+from .base.version import __version__
 
 if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
     from .base.errors import GraycastError as GraycastError

@@ -2,6 +2,7 @@
 
 Each imports only from those above it:
 
+    version          the version of Graycast, which the files that it writes state
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
     file_limits      JSON and pictures of users, refused before they fill the memory

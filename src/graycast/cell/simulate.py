@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from .. import __version__
 from ..base.frames import transform_points
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.streams import image_seeds, scene_seeds
+from ..base.version import __version__
 from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take

@@ -11,8 +11,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..base.errors import GraycastError, error_line
+from ..base.version import __version__
 from . import (
     dataset_commands,
     detector_commands,

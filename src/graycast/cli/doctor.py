@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from .. import __version__
 from ..base.errors import DeviceError
+from ..base.version import __version__
 from ..rendering.cycles import examine_cycles
 from ..rendering.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
 from ..rendering.trial import try_device

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
+from ..base.version import __version__
 from ..camera.decode import DecodeSpec
 from ..camera.scanner import ExposureSpec
 from ..camera.sensor import SensorSpec

@@ -17,10 +17,10 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 
-from .. import __version__
 from ..base.errors import GraycastError
 from ..base.file_limits import parse_json
 from ..base.folder import cache_folder, write_whole
+from ..base.version import __version__
 
 _LIMIT_S = 300.0  # A first picture on a GPU compiles for some 10 s.
 _CHILD = f"{__package__}.trial_picture"

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ... import __version__
 from ...base.errors import GraycastError, WorkerDied
+from ...base.version import __version__
 from .job import Job, TaskResult, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed

@@ -7,9 +7,9 @@ from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numba
 
-from ... import __version__
 from ...base.errors import DeviceError, GraycastError, WorkerDied
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.version import __version__
 from ...rendering import Renderer
 from ...world.parts import Part
 from ..config import RenderSection

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from ... import __version__
 from ...base.errors import DatasetError
+from ...base.version import __version__
 from .. import records
 from ..json_text import json_bytes
 from ..safe_reading import Unreadable, read_json

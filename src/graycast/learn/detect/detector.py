@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Float32
 from pycocotools import mask as coco_mask
 
-from ... import __version__
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import fill_whole
+from ...base.version import __version__
 from ...dataset.detections import WEIGHTS, Detections
 from ...dataset.example import Example
 from ...real.depth_sense import refuse_beyond

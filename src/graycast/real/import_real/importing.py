@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ... import __version__
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ...base.folder import new_folder
 from ...base.mask_box import mask_box
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.version import __version__
 from ...dataset.coco import coco_categories, run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM

@@ -11,11 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ... import __version__
 from ...base.errors import ConfigError, DatasetError, DecodeError, one_line
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import image_seeds
 from ...base.usage import rss_bytes
+from ...base.version import __version__
 from ...camera.decode import mean_shares, reason_shares
 from ...camera.picture import gray_picture
 from ...camera.scanner import Scanner, measure, take

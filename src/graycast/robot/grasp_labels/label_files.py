@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ... import __version__
 from ...base.errors import DatasetError
 from ...base.folder import remove_left, take_lock, write_whole
+from ...base.version import __version__
 from ...dataset.claim import difference
 from ...dataset.grasp_files import (
     GRASP_CLAIM,

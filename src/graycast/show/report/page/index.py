@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .... import __version__
+from ....base.version import __version__
 from ....dataset.scene_content import NO_REASON
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures

@@ -5,9 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from .... import __version__
 from ....base.folder import write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
+from ....base.version import __version__
 from ....robot.pick import StoredEpisode, read_episodes, summarize
 from ....robot.pick.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary

@@ -345,7 +345,7 @@ def test_the_child_ends_with_a_parent_that_was_killed(tmp_path):
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     with process:
-        assert any(line.startswith("cutting") for line in process.stdout)
+        assert any(line.startswith("ring: cutting") for line in process.stdout)
         (pid,) = _children(process.pid)
         process.kill()
         process.wait()

@@ -20,7 +20,7 @@ from statistics import median
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
-from .figures import table as markdown
+from graycast.base.tables import markdown_table
 
 SLOWER = 1.05  # above this ratio a stage is marked
 LEAST_ROUNDS = 2
@@ -183,4 +183,4 @@ def table(rows: Sequence[Record]) -> str:
         ratio = ["{ratio:.2f}", "{lowest:.2f}..{highest:.2f}"] if has_ratio else ["", ""]
         note = row["note"].replace("|", "\\|")
         lines.append([row["row"], here, there, *(one.format(**row) for one in ratio), note])
-    return markdown(["Stage", *SIDES, "ratio", "spread", ""], lines)
+    return markdown_table(["Stage", *SIDES, "ratio", "spread", ""], lines)

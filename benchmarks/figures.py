@@ -1,7 +1,7 @@
 """The figures of a benchmark: how two jobs are timed, and the text form of plain numbers."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from statistics import median
 from typing import Any
 
@@ -29,12 +29,6 @@ def in_turn(
             times.append(time.perf_counter() - start)
     ratios = [one / other for one, other in zip(*seconds, strict=True)]
     return median(seconds[0]), median(seconds[1]), median(ratios)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows of words in Markdown."""
-    lines = [f"| {' | '.join(words)} |" for words in (head, *rows)]
-    return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
 
 
 def describe(figures: Figures) -> str:

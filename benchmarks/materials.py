@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from graycast.base.tables import markdown_table
 from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
 from graycast.camera.scanner import Scanner, measure, take
 from graycast.cell.resolve import patterns_of
@@ -21,7 +22,6 @@ from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.drop import DropLimits, drop
 from graycast.world.parts import Material
 
-from .figures import table
 from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
@@ -153,7 +153,7 @@ def _table(
 ) -> str:
     by_key = {(row.scanner, row.code, row.material): row for row in rows if row.place == place}
     rows_of = [[each, *(by_key[*column, each].words for column in columns)] for each in MATERIALS]
-    return table(["decoded; wrong; error/sigma", *columns.values()], rows_of)
+    return markdown_table(["decoded; wrong; error/sigma", *columns.values()], rows_of)
 
 
 def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:

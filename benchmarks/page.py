@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from graycast.base.tables import markdown_table
 from graycast.camera.decode import DecodeSpec, Levels, decode
 from graycast.cell.config import load_config, resolve_quality
 from graycast.cell.generate import depth_step_mm
@@ -26,7 +27,7 @@ from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
 from graycast.world.drop import DropLimits, drop
 from graycast.world.drop.decomposition import decompose, measure
 
-from .figures import in_turn, table
+from .figures import in_turn
 from .processes import peak_rss_bytes
 from .stages import PARTS, cell_of
 from .zoo_parts import ZOO, wavy_ring, zoo_part
@@ -89,7 +90,7 @@ def rendering() -> str:
         f"without the footprint filter: {PARTS} brackets in a wooden box, {camera.width_px} x "
         f"{camera.height_px} pixels, {quality.samples} samples, path depth {quality.depth}, a lamp "
         "and an environment. The ratio is the median of five pairs.\n\n"
-    ) + table(
+    ) + markdown_table(
         ["stack", "one white frame", "ratio", "build", "ground truth"],
         [[stack, frame, f"{ratio:.2f}", build_time, ground_truth]],
     )
@@ -112,7 +113,7 @@ def dropping() -> str:
     head = ["brackets", "median", "most", "simulated, median", "attempts at most"]
     return (
         "Processor seconds of `metal_workpiece_1` in a bin of 0.5 x 0.4 x 0.2 m, seeds 1 to 5, one "
-        "thread.\n\n" + table(head, rows)
+        "thread.\n\n" + markdown_table(head, rows)
     )
 
 
@@ -137,7 +138,7 @@ def one_scene() -> str:
     return (
         f"The scene of *Rendering*, from the drop to the files, median of {SCENES} after one that "
         "compiles the kernels; the process had "
-        f"{peak:.2f} GB of memory at most.\n\n" + table(["stage", "seconds"], rows)
+        f"{peak:.2f} GB of memory at most.\n\n" + markdown_table(["stage", "seconds"], rows)
     )
 
 
@@ -157,7 +158,7 @@ def paper_scenes() -> str:
     return (
         f"Median seconds of {PAPER_SCENES} scenes of `configs/paper/` in one process, without "
         "writing: 100 to 255 brackets or 5 to 10 cartons, 20 samples.\n\n"
-    ) + table(["", *stages, "scenes an hour"], rows)
+    ) + markdown_table(["", *stages, "scenes an hour"], rows)
 
 
 def decoding() -> str:
@@ -178,7 +179,7 @@ def decoding() -> str:
     return (
         "Pictures of 8 bit become positions, standard deviations and reasons: Gray code of both "
         "axes with inverses, codes with phases of 1280 columns.\n\n"
-    ) + table(["", "ms"], [[what, f"{1e3 * s:.0f}"] for what, s in times.items()])
+    ) + markdown_table(["", "ms"], [[what, f"{1e3 * s:.0f}"] for what, s in times.items()])
 
 
 def camera_frames(
@@ -212,7 +213,7 @@ def hulls() -> str:
         f"{len(rows)} parts [collide](../explanation/drop.md#what-collides) by more than one "
         f"convex hull. The hulls of {within} are nearer to the part's surface than their bound. "
         f"These {MOST_HULLS} have the most:\n\n"
-    ) + table(
+    ) + markdown_table(
         ["part", "hulls", "off mm", "bound mm", "processor s"],
         [
             [name, str(count), f"{1e3 * off_m:.2f}", f"{1e3 * bound_m:.2f}", f"{worked_s:.2f}"]

@@ -7,6 +7,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
+from graycast.base.tables import markdown_table
 from graycast.camera.scanner import Scanner, preset
 from graycast.rendering import Renderer, open_renderer
 from graycast.rig import shelf
@@ -16,8 +17,6 @@ from graycast.score.metrology import Certificate, Scope, certify
 from graycast.show.report import draw_rig
 from graycast.show.report.rig_picture import common_field
 from graycast.show.report.shelf_list import stored_noise_m
-
-from .figures import table
 
 SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
 READOUT_S = 0.01  # of a frame, as the design study has it
@@ -83,7 +82,7 @@ def with_table(page: str, figures: dict[str, ShelfFigures]) -> str:
     before, rest = page.split(START)
     _, after = rest.split(END)
     rows = [_row(name, shelf_entry(name), figures.get(name)) for name in SHELF]
-    return f"{before}{START}\n\n{table(HEAD, rows)}\n\n{END}{after}"
+    return f"{before}{START}\n\n{markdown_table(HEAD, rows)}\n\n{END}{after}"
 
 
 def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> list[str]:

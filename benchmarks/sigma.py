@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from graycast.base.tables import markdown_table
 from graycast.camera.decode import FilterSpec
 from graycast.camera.scanner import Scanner, preset, scan
 from graycast.rendering import Quality, Radiance, Renderer, Rendering, open_renderer
@@ -13,7 +14,7 @@ from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene
 
 from .cells import cropped
-from .figures import Show, table
+from .figures import Show
 
 CODECS: tuple[Codec, ...] = ("gray", "gray_phase", "multi_frequency", "micro_phase")
 SAMPLES = (1, 2, 4, 16, 64)
@@ -40,7 +41,7 @@ def honesty(show: Show) -> str:
                     for samples in SAMPLES
                 ]
                 rows.append([f"`{codec}`", *cells])
-            texts.append(table([f"{name}, {kind}", *map(str, SAMPLES)], rows))
+            texts.append(markdown_table([f"{name}, {kind}", *map(str, SAMPLES)], rows))
     return "\n\n".join(texts)
 
 

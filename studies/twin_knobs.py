@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.figures import table
 from graycast.base.progress import UNWATCHED
+from graycast.base.tables import markdown_table
 from graycast.camera.scanner import Scanner
 from graycast.cell.config import load_config
 from graycast.cell.resolve import Cell, open_cell_renderer, resolve_cell
@@ -155,7 +155,7 @@ def table_of(results: Mapping[str, Mapping[str, Any]]) -> str:
         cells = [f"{a.mean():.2f} ± {a.std(ddof=1):.2f}" for a in auc]
         first = [title, f"{one['misfit']:.2f}", f"{one['met'][1]} of {one['of']}"]
         rows.append([*first, *cells])
-    return table(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def main() -> None:

@@ -4,11 +4,11 @@ from argparse import Namespace
 
 from benchmarks import __main__ as program
 from benchmarks import page
-from benchmarks.figures import table
+from graycast.base.tables import markdown_table
 
 
 def test_a_page_has_its_sections_in_order_and_does_not_wrap_tables(monkeypatch, tmp_path, capsys):
-    rows = table(["a", "b"], [["x" * 80, "y" * 80]])
+    rows = markdown_table(["a", "b"], [["x" * 80, "y" * 80]])
 
     def sections(circumstances, commit, names):
         yield "Benchmarks", f"on {circumstances['date']}"

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
@@ -35,7 +34,6 @@ def draw_sheet(result: StackResult, path: Path) -> None:
     tile_in = (TILE_IN, TILE_IN * height / width + 0.9)
     layout = ConstrainedLayoutEngine(h_pad=0.15, w_pad=0.1)
     figure = Figure(figsize=(2 * tile_in[0], rows * tile_in[1]), dpi=DPI, layout=layout)
-    FigureCanvasAgg(figure)
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
     for ax in grid:
         ax.set(xticks=[], yticks=[])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
-from ...base.tables import records_csv
+from ...base.tables import markdown_table, records_csv
 from ...dataset.json_text import json_bytes
 from ..study_file import StudySpec
 from .study_runs import Result
@@ -118,10 +118,7 @@ def _table(spec: StudySpec, rows: Sequence[Row]) -> tuple[list[str], list[list[s
 
 
 def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
-    heads, cells = _table(spec, rows)
-    lines = [" | ".join(row) for row in (heads, *cells)]
-    lines = [f"| {line} |" for line in lines]
-    return "\n".join([lines[0], "|" + "---|" * len(heads), *lines[1:]]) + "\n"
+    return markdown_table(*_table(spec, rows)) + "\n"
 
 
 def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.frames import transform_points
@@ -27,7 +26,6 @@ def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], pat
         GraycastError: the file cannot be written.
     """
     figure = Figure(figsize=(13, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     limit_mm = 1e3 * max(3 * pose.rms_m, 0.3e-3)
     residual_mm = 1e3 * residual_map(views[0], shape, pose.T_world_cam)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
@@ -21,7 +20,6 @@ def draw_realism(records: Sequence[Realism], path: Path) -> None:
         GraycastError: the file cannot be written.
     """
     figure = Figure(figsize=(15, 9), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
     _draw_missing(axes[0, 0], records)
     _draw_noise_over_brightness(axes[0, 1], records)

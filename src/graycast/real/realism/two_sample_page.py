@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
+from ...base.tables import markdown_table
 from .patches import GROUPS, PARABOLOID, SQUARE_PX, Squares
 from .scan import DepthScan
 from .two_sample import PLACES, TwoSample
@@ -25,19 +25,19 @@ def two_sample_table(test: TwoSample) -> str:
     """The table in Markdown, which reads as plain text, too."""
     lines = []
     for place in PLACES:
-        lines += [
-            f"AUC on {_PLACE[place]} (0.5: the sets cannot be distinguished; 1: they are always "
-            "distinguished)",
-            "",
-            "| sets | " + " | ".join(GROUPS) + " | squares |",
-            "|---" * (len(GROUPS) + 2) + "|",
-        ]
+        rows = []
         for name, places in test.row.items():
             aucs = [places[place][group] for group in GROUPS]
             cells = ["-" if a.mean is None else f"{a.mean:.2f} ± {a.spread:.2f}" for a in aucs]
             first, second = places[place]["sensor"].squares
-            lines.append(f"| {name} | " + " | ".join(cells) + f" | {first}, {second} |")
-        lines.append("")
+            rows.append([name, *cells, f"{first}, {second}"])
+        lines += [
+            f"AUC on {_PLACE[place]} (0.5: the sets cannot be distinguished; 1: they are always "
+            "distinguished)",
+            "",
+            markdown_table(["sets", *GROUPS, "squares"], rows),
+            "",
+        ]
         if telling := test.telling[place][:5]:
             lines += [f"What tells them apart on {_PLACE[place]}, each feature alone:", ""]
             lines += [
@@ -79,7 +79,6 @@ def _draw(
         ("second set, classified as the first", b, second, _best(-of_second)),
     )
     figure = Figure(figsize=(1.6 * _COLUMNS, 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(len(rows), _COLUMNS, squeeze=False)
     for line, (name, squares, scans, order) in zip(axes, rows, strict=True):
         for ax in line:

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...base.folder import whole_folder
 from ...base.plotting import save_png
 from ...base.settings import read_text
+from ...base.tables import markdown_table
 from ...camera.rig_file import ScannerSections, save_scanner
 from ...cell.resolve import Cell
 from ...world.scene import bin_of
@@ -68,9 +68,7 @@ def report_text(twin: Twin) -> str:
         "",
         "## Statistics",
         "",
-        "| statistic | real | spread | as configured | twin | met |",
-        "|---|---|---|---|---|---|",
-        *_rows(fit.before, fit.after),
+        _statistics(fit.before, fit.after),
         "",
         "## What was fitted",
         "",
@@ -78,16 +76,18 @@ def report_text(twin: Twin) -> str:
         "Between `from` and `to`, other parameters can make up for a parameter, as far as the "
         "statistics change in proportion to the parameters (docs/how-to/twin.md).",
         "",
-        "| key | twin | from | to |",
-        "|---|---|---|---|",
-        *(
-            f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
-            for one in fit.estimates
+        markdown_table(
+            ["key", "twin", "from", "to"],
+            [
+                [one.parameter.key, *(f"{value:.4g}" for value in (one.value, one.low, one.high))]
+                for one in fit.estimates
+            ],
         ),
         "",
-        "| period of the code [px] | least misfit |",
-        "|---|---|",
-        *(f"| {period or '-'} | {loss:.3f} |" for period, loss in fit.by_code.items()),
+        markdown_table(
+            ["period of the code [px]", "least misfit"],
+            [[str(period or "-"), f"{loss:.3f}"] for period, loss in fit.by_code.items()],
+        ),
         "",
         "## Can a classifier distinguish the twin from the real scans?",
         "",
@@ -117,7 +117,6 @@ def summary(twin: Twin) -> list[str]:
 def draw_twin(twin: Twin, path: Path) -> None:
     """Real, as configured and twin side by side; the misfit of each statistic below."""
     figure = Figure(figsize=(15, 11), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
     known = np.concatenate([s.depth_m[s.valid] for s in twin.examples])
     low, high = np.percentile(known, [1, 99])
@@ -147,18 +146,16 @@ def _met(rows: Sequence[Row]) -> int:
     return sum(row.is_met for row in rows)
 
 
-def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
+def _statistics(before: Sequence[Row], after: Sequence[Row]) -> str:
     old = {row.name: row for row in before}
-    lines = []
+    rows = []
     for row in after:
         was = f"{old[row.name].twin:.3g}" if row.name in old else "-"
         unit = f" [{row.unit}]" if row.unit else ""
         verdict = "yes" if row.is_met else f"no, {row.off:+.1f} spreads"
-        lines.append(
-            f"| {row.name}{unit} | {row.real:.3g} | {row.spread:.2g} | {was} | {row.twin:.3g} | "
-            f"{verdict} |"
-        )
-    return lines
+        figures = f"{row.real:.3g}", f"{row.spread:.2g}", was, f"{row.twin:.3g}"
+        rows.append([f"{row.name}{unit}", *figures, verdict])
+    return markdown_table(["statistic", "real", "spread", "as configured", "twin", "met"], rows)
 
 
 def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:

@@ -16,7 +16,7 @@ Each imports only from those above it:
     rough_conductor    metal, also brushed or turned
     denoise            denoising by Open Image Denoise
     path_noise         the error that a finite number of light paths leaves in a pixel
-    device             render devices: found, chosen, opened
+    device             which render devices work, and how one is opened
     mitsuba_sight      what rays meet where there may be glass
     mitsuba_projector  the projector as a light
     filmed_conductor   metal under oil or lacquer

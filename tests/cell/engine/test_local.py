@@ -201,20 +201,28 @@ def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, und
     command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
     kills = ["run"] * RUN_KILLS + ["worker"] * WORKER_KILLS
     kills = [str(kind) for kind in rng.permutation(kills)]
-    run = start(*command)
-    for number, kind in enumerate(kills):
-        goal = (number + 1) * (SCENES - 10) // len(kills)  # spread over the whole run
-        while finished(out) < goal and run.poll() is None:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 0.3))
-        assert run.poll() is None, "it was done before all kills"
-        if kind == "run":
+    run, before = start(*command), 0
+    try:
+        for number, kind in enumerate(kills):
+            # Spread over the whole run. A scene is finished between two kills: so there are workers
+            # to kill, and none of them is the third that the same scene loses.
+            goal = max((number + 1) * (SCENES - 10) // len(kills), before + 1)
+            while (finished(out) < goal or not workers_of(run.pid)) and run.poll() is None:
+                time.sleep(0.01)
+            time.sleep(rng.uniform(0, 0.3))
+            assert run.poll() is None, "it was done before all kills"
+            if kind == "run":
+                os.killpg(run.pid, signal.SIGKILL)
+                run.communicate()
+                run = start(*command)
+            else:
+                os.kill(int(rng.choice(workers_of(run.pid))), signal.SIGKILL)
+            before = finished(out)
+        _, complaint = run.communicate()
+    finally:
+        if run.poll() is None:  # It would go on, and its open pipes would fail the next test.
             os.killpg(run.pid, signal.SIGKILL)
             run.communicate()
-            run = start(*command)
-        else:
-            os.kill(int(rng.choice(workers_of(run.pid))), signal.SIGKILL)
-    _, complaint = run.communicate()
     assert (run.returncode, complaint) == (0, "")
     assert content(out) == content(undisturbed(SCENES))
     assert validate(out) == ()

@@ -17,6 +17,7 @@ from ...rig.optics import Optics, project, rays
 from ...world.parts import Mesh
 
 STEP_M = 0.5e-3  # The nodes of the patch under a tool that is tried lie this far apart.
+_STEEPEST_RAD = math.radians(80)  # A triangle that stands steeper to the line of sight is none.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +67,6 @@ def patch_of_depth(
     *,
     radius_m: float,
     step_m: float,
-    steepest_rad: float = np.radians(80),
 ) -> Patch:
     """The patch of a depth map: triangles between neighbouring pixels.
 
@@ -75,14 +75,13 @@ def patch_of_depth(
 
     Args:
         depth_m: z of each pixel, NaN where it is missing.
-        steepest_rad: between a triangle's normal and the line of sight.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
     y, x = np.mgrid[rows, columns].astype(np.float64)
     point = rays(camera, np.stack([x, y], axis=-1)) * depth_m[rows, columns, None]
     height = _nothing(radius_m, step_m)
     here = transform_points(inverse(T_cam_tool), point)
-    _highest_of_depth(point, here, math.cos(steepest_rad), step_m, height)
+    _highest_of_depth(point, here, math.cos(_STEEPEST_RAD), step_m, height)
     return _patch(height, step_m)
 
 

@@ -57,11 +57,8 @@ class Ranking:
         return lifted / self.simulated, *wilson(lifted, self.simulated)
 
 
-def rank(dataset: Path, name: str, *, seed: int = 0) -> Ranking:
+def rank(dataset: Path, name: str) -> Ranking:
     """Read a set of labels.
-
-    Args:
-        seed: of the draws behind intervals.
 
     Raises:
         DatasetError: a file is damaged.
@@ -86,8 +83,8 @@ def rank(dataset: Path, name: str, *, seed: int = 0) -> Ranking:
         reach=dict(reach.most_common()),
         ended=dict(ended.most_common()),
         bands=tuple(_band(score, success, *band) for band in BANDS),
-        auc=roc_auc_of_scenes(score, success, scene, seed=seed),
-        auc_above_0=roc_auc_of_scenes(score[above], success[above], scene[above], seed=seed),
+        auc=roc_auc_of_scenes(score, success, scene, seed=0),
+        auc_above_0=roc_auc_of_scenes(score[above], success[above], scene[above], seed=0),
     )
 
 

@@ -20,6 +20,7 @@ from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
 # Poses of a path that are checked for collisions lie this far apart at most: 30 mm at 0.8 m.
 CHECKED_RAD = 0.04
+STEP_M, STEP_RAD = 0.01, 0.1  # Poses on a straight line are at most this far apart.
 JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
 MOST_CALLS = 20_000  # The planner asks its end condition this often before it gives up.
 SHORTCUTS = 60
@@ -177,9 +178,6 @@ def straight(
     start: Joints,
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
-    *,
-    step_m: float = 0.01,
-    step_rad: float = 0.1,
 ) -> Float[np.ndarray, "k joints"] | None:
     """A straight motion of the flange with even rotation, for the approach and the retreat.
 
@@ -188,7 +186,7 @@ def straight(
     here = robot.flange(start)
     away_m = T_base_flange[:3, 3] - here[:3, 3]
     turn_rad = Rotation.from_matrix(T_base_flange[:3, :3] @ here[:3, :3].T).as_rotvec()
-    steps = max(np.linalg.norm(away_m) / step_m, np.linalg.norm(turn_rad) / step_rad)
+    steps = max(np.linalg.norm(away_m) / STEP_M, np.linalg.norm(turn_rad) / STEP_RAD)
     count = max(int(np.ceil(steps)), 1)
     corners = [start]
     for i in range(1, count + 1):

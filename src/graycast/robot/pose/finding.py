@@ -93,18 +93,13 @@ def find_pose_in_box(
     depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
     camera: Optics,
     box_px: Float[np.ndarray, "4"],
-    *,
-    near: Float[np.ndarray, "4 4"] | None = None,
 ) -> PoseMatch:
-    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`.
-
-    `near` is that of `find_pose`.
-    """
+    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`."""
     inside = np.zeros(depth_m.shape, dtype=bool)
     left, top = np.maximum(np.rint(box_px[:2]).astype(int), 0)
     right, bottom = np.maximum(np.rint(box_px[:2] + box_px[2:]).astype(int), 0)
     inside[top:bottom, left:right] = True
-    return _match(model, depth_m, camera, inside, tight=False, near=near)
+    return _match(model, depth_m, camera, inside, tight=False, near=None)
 
 
 def find_poses(

@@ -15,7 +15,7 @@ class Scope:
     `distances` facing planes from near to far, planes tilted by `tilts_deg` about the baseline,
     `spheres` for probing, the ball bar in its first `bars` positions. Light is traced with
     `samples` paths a pixel and `depth` vertices: 1 is direct light alone. Artefacts are perfect
-    diffusers of `albedo`; `ambient_w_sr_m2` shines evenly from all around in each band.
+    diffusers of `albedo`.
     """
 
     distances: int = 5
@@ -26,7 +26,6 @@ class Scope:
     samples: int = 16
     depth: int = 1
     albedo: float = 0.8
-    ambient_w_sr_m2: float = 0.0
 
     def __post_init__(self) -> None:
         if self.distances < 3 or self.distances % 2 == 0:
@@ -46,8 +45,6 @@ class Scope:
             raise ValueError(f"captures is {self.captures}; give at least 2, which the noise needs")
         if not 0 < self.albedo <= 1:
             raise ValueError(f"albedo is {self.albedo}; give a value greater than 0 and at most 1")
-        if not 0 <= self.ambient_w_sr_m2 < math.inf:
-            raise ValueError(f"ambient_w_sr_m2 is {self.ambient_w_sr_m2}; it must be at least 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

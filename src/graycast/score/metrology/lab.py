@@ -123,7 +123,7 @@ def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Renderi
         rig=lab.rig,
         T_world_cam=np.eye(4),  # the world is the camera's frame
         surfaces=surfaces,
-        environment=Environment(radiance=(scope.ambient_w_sr_m2,) * 3),
+        environment=Environment(radiance=(0.0, 0.0, 0.0)),
     )
     quality = Quality(samples=scope.samples, depth=scope.depth)
     return lab.renderer.render(scene, EMPTY_LAYOUT, lab.pattern, quality=quality, seed=seed)
@@ -230,7 +230,6 @@ def conditions(lab: Lab, seed: int) -> dict[str, Any]:
     }
     return {
         "albedo": scope.albedo,
-        "ambient_w_sr_m2": scope.ambient_w_sr_m2,
         "samples": scope.samples,
         "path_vertices": scope.depth,
         "captures": scope.captures,

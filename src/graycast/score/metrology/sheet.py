@@ -231,8 +231,8 @@ def _method(certificate: Certificate) -> list[str]:
     c = certificate
     box = f"{1e3 * c.diagonal_m:.0f} mm"
     return [
-        "Artefacts are exact planes and spheres, perfect diffusers, alone in the dark or in even "
-        "ambient light; light is path traced, then passes lens, sensor, decoder and filters.",
+        "Artefacts are exact planes and spheres, perfect diffusers, alone in the dark; "
+        "light is path traced, then passes lens, sensor, decoder and filters.",
         f"The space diagonal of the box around the working volume is {box}. Probing sphere "
         f"{c.probing_diameter_m / c.diagonal_m:.2f}, ball bar {c.bar_length_m / c.diagonal_m:.2f}, "
         f"its spheres {c.bar_diameter_m / c.diagonal_m:.2f} of it.",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from ..base.errors import DatasetError
@@ -140,12 +140,6 @@ def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float
             f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.535 m: "
             "correct the scale, or remove such points"
         ) from error
-
-
-def depth_steps(depth_m: Float[np.ndarray, "h w"], step_mm: float) -> UInt16[np.ndarray, "h w"]:
-    """Depth in steps; 0 where there is none."""
-    steps = np.rint(np.nan_to_num(depth_m, nan=0.0) * (1e3 / step_mm))
-    return np.where(np.isnan(depth_m), 0, np.maximum(steps, 1)).astype(np.uint16)
 
 
 def is_whole(path: Path) -> bool:

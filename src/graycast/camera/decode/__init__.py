@@ -13,7 +13,7 @@ outliers, median, filters   what a device removes from its depth
 """
 
 from .displaced import with_bends, with_displacement, with_place_sigma
-from .filters import depth_steps, filter_depth
+from .filters import filter_depth
 from .maps import (
     REASON_COLOR,
     CodeMap,
@@ -47,7 +47,6 @@ __all__ = [
     "Mark",
     "Reason",
     "decode",
-    "depth_steps",
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",

@@ -49,16 +49,6 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
     return filtered
 
 
-def depth_steps(depth: DepthMap, camera: Optics, *, angle_deg: float) -> Bool[np.ndarray, "2 h w"]:
-    """Whether each pixel's right neighbour, and its lower one, belongs to another surface.
-
-    Args:
-        angle_deg: the surface through both would be seen at more than this angle of incidence.
-    """
-    fall = _falls_of(_framed(depth, camera, 1), math.tan(math.radians(angle_deg)))
-    return fall[:, 1:-1, 1:-1] != 0
-
-
 class _Framed(NamedTuple):
     """A depth map with a border of NaN, so that no loop needs a special case.
 

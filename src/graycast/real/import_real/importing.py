@@ -8,7 +8,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from ...base.errors import DatasetError
@@ -19,13 +18,14 @@ from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.version import __version__
 from ...dataset.coco import coco_categories, run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
+from ...dataset.picture_bytes import depth_steps, png
 from ...dataset.places import CLAIM
-from ...dataset.records import FORMAT_VERSION, split_annotation
+from ...dataset.records import FORMAT_VERSION, MM_PER_M, split_annotation
 from ...dataset.seal import sealed, sha256
 from ...rendering.radiance import Silhouette
 from ..depth_file import NO_OPTIONS, FileOptions
 from ..depth_sense import filled_holes, refuse_beyond
-from ..picture_pairs import RealPicture, ShotData, depth_step_mm, depth_steps, find_shots, read_shot
+from ..picture_pairs import RealPicture, ShotData, depth_step_mm, find_shots, read_shot
 from .annotations import Annotation, read_annotations
 
 
@@ -189,11 +189,16 @@ class _Writer:
         for suffix in suffixes:
             files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
         if images.rgb is not None:
-            files["rgb/000000.png"] = _png(images.rgb[..., ::-1])
+            files["rgb/000000.png"] = png(np.ascontiguousarray(images.rgb[..., ::-1]))
         if images.gray is not None:
-            files["gray_sl/000000.png"] = _png(images.gray)
+            files["gray_sl/000000.png"] = png(images.gray)
         if images.depth_m is not None:
-            files["depth_sl/000000.png"] = _png(depth_steps(images.depth_m, self.step_mm))
+            known = ~np.isnan(images.depth_m)
+            depth_m = np.maximum(
+                images.depth_m, self.step_mm / MM_PER_M
+            )  # Step 0 means no depth.
+            steps = depth_steps(depth_m, self.step_mm, needed=known)
+            files["depth_sl/000000.png"] = png(steps)
         if labels is not None:
             files |= self._label_files(shot, images, labels, suffixes)
         originals = {
@@ -259,7 +264,7 @@ class _Writer:
             entries.append({"id": i + 1} | annotation)
             for suffix in suffixes:
                 name = f"mask_visib{suffix}/000000_{i:06d}.png"
-                files[name] = _png(mask.astype(np.uint8) * 255)
+                files[name] = png(mask.astype(np.uint8) * 255)
         for suffix in suffixes:
             picture = "rgb" if suffix == "" and "rgb" in self.holds else _picture(self.holds)
             coco = scene_coco(
@@ -283,8 +288,3 @@ class _Writer:
 
 def _picture(holds: Sequence[str]) -> str:
     return next(name for name in ("gray_sl", "rgb", "depth_sl") if name in holds)
-
-
-def _png(image: np.ndarray) -> bytes:
-    """OpenCV's channel order."""
-    return cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes()

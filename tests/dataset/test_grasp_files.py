@@ -122,7 +122,9 @@ def test_labels_of_other_scenes_and_datasets_are_named(labelled):
     content = json.loads((folder / "train/000003.json").read_bytes())
     content["0"].pop()
     (folder / "train/000000.json").write_text(json.dumps(content))
+    (labelled / "grasps/cup").mkdir()
     text = "\n".join(str(problem) for problem in validate(labelled))
+    assert "grasps/cup: grasps.json is missing" in text
     assert "is of another dataset" in text
     assert "000007.json: scene_gt.json is missing" in text
     assert "its 7 instances are not the 8" in text

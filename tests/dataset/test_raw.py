@@ -284,6 +284,21 @@ DAMAGE = {
         lambda s: repaint(s / "row_sl/000000.tiff", np.nan_to_num),
         "map of row and reason_sl disagree",
     ),
+    "half a stack file": (
+        lambda s: (s / "frames/stack.yaml").write_text("frames: ["),
+        "frames/stack.yaml: ",
+    ),
+    "frames of another size": (
+        lambda s: [
+            *(repaint(p, lambda v: v[:-1]) for p in s.glob("frames/00*")),
+            edit_yaml(s / "frames/rig.yaml", lambda c: c["camera"].update(height_px=119)),
+        ],
+        "frames/ has pictures of [119, 160], the camera has [120, 160]",
+    ),
+    "a map of another size": (
+        lambda s: repaint(s / "row_sl/000000.tiff", lambda v: v[:-1]),
+        "map of row is",
+    ),
     "a map below its first pixel": (
         lambda s: repaint(s / "column_sl/000000.tiff", lambda v: v - 200),
         "under -0.5",

@@ -184,6 +184,14 @@ def _one_record_more(scene):
     path.write_text(json.dumps(entries | {"1": entries["0"]}))
 
 
+def _of_another_part(scene):
+    for suffix in ("", "_sl"):
+        path = scene / f"scene_gt_left{suffix}.json"
+        poses = json.loads(path.read_text())
+        poses["1"][2]["obj_id"] = 3 - poses["1"][2]["obj_id"]
+        path.write_text(json.dumps(poses))
+
+
 FAULTS = {
     "a pose that is another in the world": (_moved, "instance 2 lies 0.01 mm from where"),
     "an image that no record tells of": (_untold, "scene_gt_info_left.json tells of 1 images"),
@@ -202,6 +210,10 @@ FAULTS = {
         lambda scene: (scene / "rgb_right/000000.png").unlink(),
         "rgb_right/000000.png is missing",
     ),
+    "an instance that another image has not": (
+        _of_another_part,
+        "image 1: its instances are not those of the first image",
+    ),
 }
 
 
@@ -212,6 +224,14 @@ def test_validate_names_the_image_that_is_wrong(copy, fault):
     problems = [str(problem) for problem in validate(copy)]
     assert any(says in what for what in problems), problems
     assert not any(what.startswith("scene 000003") for what in problems)
+
+
+def test_the_rig_is_that_of_the_first_scanner(copy):
+    path = copy / "graycast.json"
+    claim = json.loads(path.read_text())
+    claim["rig"]["far_m"] *= 2
+    path.write_text(json.dumps(claim))
+    assert any("rig is not that of the first" in problem.what for problem in validate(copy))
 
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.

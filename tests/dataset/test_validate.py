@@ -253,6 +253,33 @@ SCENE_DAMAGE = {
         ),
         "is of category 2",
     ),
+    "a COCO image of another size": (
+        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["images"][0].update(width=7)),
+        "images must have one entry of image 0",
+    ),
+    "a COCO image of another number": (
+        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["images"][0].update(id=3)),
+        "images and image_id must go from 0 to 0",
+    ),
+    "a COCO annotation of another number": (
+        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["annotations"][0].update(id=9)),
+        "annotation 1 has id 9",
+    ),
+    "a COCO annotation of a crowd": (
+        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["annotations"][0].update(iscrowd=1)),
+        "annotation 1 has id 1",
+    ),
+    "a COCO annotation to ignore": (
+        lambda s: edit(
+            s / "scene_gt_coco.json",
+            lambda c: c["annotations"][0].update(ignore=not c["annotations"][0]["ignore"]),
+        ),
+        "annotation 1: ignore is",
+    ),
+    "fewer pixels across the border than in the image": (
+        lambda s: set_info(s, "px_count_all", 1),
+        "px_count_all is 1, the image alone has",
+    ),
 }
 
 
@@ -292,6 +319,24 @@ DATASET_DAMAGE = {
         "annotation 1: segmentation differs from scene 0",
     ),
     "a split category renamed": (coco(lambda c: c["categories"][0].update(name="x")), "categories"),
+    "a split annotation renumbered": (
+        coco(lambda c: c["annotations"][0].update(id=99)),
+        "annotation ids are not 1, 2, 3",
+    ),
+    "a split annotation of no image": (
+        coco(lambda c: c["annotations"][0].update(image_id=99)),
+        "1 annotations of image 99, which is none",
+    ),
+    "an axis of symmetry of length 2": (
+        models(
+            lambda i: i["1"].update(symmetries_continuous=[{"axis": [0, 0, 2], "offset": [0] * 3}])
+        ),
+        "the axis of continuous symmetry 0 has not length 1",
+    ),
+    "a rig without a camera": (
+        lambda out: edit(out / "graycast.json", lambda c: c["rig"].pop("camera")),
+        "rig is none",
+    ),
 }
 
 

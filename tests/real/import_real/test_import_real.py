@@ -166,6 +166,35 @@ DAMAGE = {
         ),
         "annotations of image 0 are not",
     ),
+    "half a camera": (lambda s: (s.parents[1] / "camera.json").write_text("{"), "camera.json"),
+    "another scale of the camera": (
+        lambda s: flip(s.parents[1] / "camera.json", lambda c: c.update(depth_scale=1.0)),
+        "camera.json: depth_scale is not",
+    ),
+    "no scene": (lambda s: [shutil.rmtree(p) for p in s.parent.iterdir()], "holds no scene"),
+    "a picture of another size": (
+        lambda s: cv2.imwrite(str(s / "rgb/000000.png"), np.zeros((9, 7, 3), np.uint8)),
+        r"rgb/000000.png is \(9, 7, 3\) uint8, it must be",
+    ),
+    "an empty mask": (
+        lambda s: cv2.imwrite(
+            str(s / "mask_visib/000000_000001.png"), np.zeros((120, 160), np.uint8)
+        ),
+        "000000_000001.png is empty",
+    ),
+    "no list of the set": (
+        lambda s: (s.parents[1] / "train_coco.json").unlink(), "train_coco.json is missing"
+    ),
+    "another category of the set": (
+        lambda s: flip(
+            s.parents[1] / "train_coco.json", lambda c: c["categories"][0].update(name="lid")
+        ),
+        "categories are not the parts",
+    ),
+    "an image less in the set": (
+        lambda s: flip(s.parents[1] / "train_coco.json", lambda c: c["images"].pop()),
+        "images are not the scenes",
+    ),
 }  # fmt: skip
 
 

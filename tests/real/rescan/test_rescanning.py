@@ -21,6 +21,8 @@ from graycast.base.errors import ConfigError, DatasetError, GraycastError
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
 from graycast.dataset.checking import validate
+from graycast.dataset.rescan_check import scene_records
+from graycast.dataset.rescanned import image_records
 from graycast.dataset.stored import open_dataset
 from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder
@@ -290,6 +292,107 @@ def test_validate_finds_what_was_changed(dataset, tmp_path, file, damage, words)
     cv2.imwrite(str(path), damage(image).astype(image.dtype))
     assert any(words in str(problem) for problem in validate(out))
     assert validate(out, fast=True)
+
+
+def sealed_again(scene):
+    """What somebody does who knows the format: all sums and JSON files of a scene made anew."""
+    for path in (scene / "scan_sl").iterdir():
+        record = json.loads(path.read_text())
+        sums = {
+            name: hashlib.sha256((scene / name).read_bytes()).hexdigest()
+            for name in record["sha256"]
+        }
+        write_json(path, record | {"sha256": sums})
+    for name, content in scene_records(image_records(scene)).items():
+        write_json(scene / f"{name}.json", content)
+
+
+def repainted(name, change):
+    def do(scene):
+        image = cv2.imread(str(scene / name), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(scene / name), change(image))
+
+    return do
+
+
+def recorded(change):
+    def do(scene):
+        record = json.loads((scene / "scan_sl/000004.json").read_text())
+        change(record["entries"])
+        write_json(scene / "scan_sl/000004.json", record)
+
+    return do
+
+
+def twice(scene):
+    recorded(lambda e: e["scene_gt_info_sl"].append(e["scene_gt_info_sl"][0]))(scene)
+    for kind in ("mask_sl", "mask_visib_sl"):
+        shutil.copy(scene / kind / "000004_000000.png", scene / kind / "000004_000001.png")
+
+
+RESEALED = {
+    "a depth picture of another size": (
+        repainted("depth_sl/000004.png", lambda image: image[1:]), "depth_sl is (47, 64) uint16"
+    ),
+    "another step of depth": (
+        recorded(lambda e: e["scene_camera_sl"].update(depth_scale=9.0)), "its depth_scale is not"
+    ),
+    "a mask of another size": (
+        repainted("mask_sl/000004_000000.png", lambda image: image[1:]), "the masks of instance 0"
+    ),
+    "an instance twice": (twice, "the visible mask of instance 1 overlaps"),
+    "another count of pixels": (
+        recorded(lambda e: e["scene_gt_info_sl"][0].update(px_count_visib=1)),
+        "scene_gt_info_sl others",
+    ),
+    "another box": (
+        recorded(lambda e: e["scene_gt_info_sl"][0].update(bbox_visib=[0, 0, 1, 1])),
+        "instance 0: bbox_visib is not",
+    ),
+    "another outline": (
+        recorded(
+            lambda e: e["scene_gt_coco_sl"]["annotations"][0]["segmentation"].update(counts=[3072])
+        ),
+        "instance 0: its segmentation",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", RESEALED)
+def test_a_fault_whose_sums_were_made_anew_makes_no_sense(dataset, tmp_path, fault):
+    out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
+    do, words = RESEALED[fault]
+    do(out / "train_pbr/000000")
+    sealed_again(out / "train_pbr/000000")
+    problems = [problem.what for problem in validate(out)]
+    assert any(what.startswith("image 4: ") and words in what for what in problems), problems
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "words"),
+    [
+        ("graycast.json", '{"kind": "rescan"}', "graycast.json: "),
+        ("train_pbr/000000/scan_sl/000004.json", "{", "000004.json: "),
+        (
+            "train_pbr/000000/scene_camera_sl.json",
+            "{",
+            "scene_camera_sl.json is missing or damaged",
+        ),
+        ("train_pbr/000000/scene_gt_sl.json", "{}", "scene_gt_sl.json is not what the records"),
+    ],
+)
+def test_validate_names_a_changed_record(dataset, tmp_path, file, content, words):
+    out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
+    (out / file).write_text(content)
+    problems = [problem.what for problem in validate(out, fast=True)]
+    assert any(words in what for what in problems), problems
+
+
+def test_a_rescan_without_images_is_no_dataset(dataset, tmp_path):
+    out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
+    for path in (out / "train_pbr").glob("*/scan_sl"):
+        shutil.rmtree(path)
+    assert ["holds no image with a scan" in problem.what for problem in validate(out)] == [True]
 
 
 def test_validate_finds_depth_of_another_scene(dataset, tmp_path):

@@ -1,14 +1,16 @@
 """Views that cannot be of one rig are left out or refused by name, and so are impossible rigs."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.real.calibrate import parse_board
 from graycast.real.calibrate.adjust import adjust
 from graycast.real.calibrate.board import CalibrationError
-from graycast.real.calibrate.calibration import _impossible
+from graycast.real.calibrate.calibration import _impossible, _without_spoiling
 from graycast.real.calibrate.observing import (
     BoardView,
     Observed,
@@ -68,6 +70,30 @@ def test_a_view_that_is_not_of_the_rig_is_left_out_by_name(edit, observed):
     left = agreeing(with_one(observed, edit), SIZE, SIZE)
     assert list(left.left_out) == ["v2"]
     assert len(left.views) == 4
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Twelve views of 27 corners: the fit cannot follow a single one that is wrong."""
+    views = []
+    for seed, depth_m in ((5, 0.6), (6, 0.65), (7, 0.55)):
+        corners = corners_of(*LENSES, depth_m=depth_m, seed=seed)
+        for k in range(4):
+            some = corners.only((corners.view == k) & (np.arange(len(corners.view)) % 3 == 0))
+            views.append(ViewCorners(name=f"v{len(views)}", corners=some, undecoded=0))
+    return Observed(views=tuple(views), left_out={})
+
+
+@pytest.mark.parametrize("shift_px", [slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))])
+def test_a_view_whose_board_moved_by_a_few_pixels_spoils_no_fit(shift_px, many):
+    """All its corners are outliers then, so no pose of its board can be fitted."""
+    wrong = with_one(many, lambda px, views: px + np.array(shift_px))
+    assert agreeing(wrong, SIZE, SIZE).left_out == {}, "it is found before the fit"
+    good, fit = _without_spoiling(wrong, (SIZE, SIZE), 1, False)
+    assert list(good.left_out) == ["v2"]
+    assert re.search("% of its corners disagree|may have moved", good.left_out["v2"])
+    for device, truth in zip((fit.camera, fit.projector), LENSES, strict=True):
+        np.testing.assert_allclose(device.fx_px, truth.fx_px, rtol=5e-4)
 
 
 def test_too_few_views_that_agree_are_refused_with_the_reason_of_each(observed):

@@ -25,6 +25,7 @@ OUTLIER = 6.0  # A residual above so many medians means a wrong corner, not an i
 RADIAL = ("k1", "k2", "k3")
 DETERMINED = 5.0  # A device's last radial term must differ from 0 by so many standard deviations.
 OUTLIER_FLOOR_PX = 0.05  # The median counts as at least this, so the worst good corner stays.
+LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of their board.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,13 +95,16 @@ def adjust(
     fitted, _ = _fit(start, free, obs)
     size = np.linalg.norm(_independent(_residuals(fitted, obs), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    fitted, jacobian = _fit(fitted, free, obs.only(inlier))
+    # A view of nothing but outliers would have no pose: it stays in until the caller leaves it out.
+    whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
+    good = obs.only(inlier) if whole else obs
+    fitted, jacobian = _fit(fitted, free, good)
     undetermined: dict[str, tuple[float, float]] = {}
     while loose := _loose_terms(fitted, free, jacobian):
         undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
         free = free.copy()
         free[[place for place, *_ in loose.values()]] = False
-        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, obs.only(inlier))
+        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, good)
     residual = _residuals(fitted, obs)
     camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
     return Adjustment(

@@ -194,9 +194,7 @@ class _Writer:
             files["gray_sl/000000.png"] = png(images.gray)
         if images.depth_m is not None:
             known = ~np.isnan(images.depth_m)
-            depth_m = np.maximum(
-                images.depth_m, self.step_mm / MM_PER_M
-            )  # Step 0 means no depth.
+            depth_m = np.maximum(images.depth_m, self.step_mm / MM_PER_M)  # Step 0 means no depth.
             steps = depth_steps(depth_m, self.step_mm, needed=known)
             files["depth_sl/000000.png"] = png(steps)
         if labels is not None:

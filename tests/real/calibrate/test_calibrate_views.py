@@ -84,7 +84,9 @@ def many():
     return Observed(views=tuple(views), left_out={})
 
 
-@pytest.mark.parametrize("shift_px", [slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))])
+@pytest.mark.parametrize(
+    "shift_px", [slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))]
+)
 def test_a_view_whose_board_moved_by_a_few_pixels_spoils_no_fit(shift_px, many):
     """All its corners are outliers then, so no pose of its board can be fitted."""
     wrong = with_one(many, lambda px, views: px + np.array(shift_px))

@@ -1,6 +1,7 @@
 """The command: what it offers, prints and writes, and with which code it ends."""
 
 import argparse
+import ast
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -178,6 +180,24 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
         line, below, *_ = [*lines[starts[0] :], ""]
         words = line.strip().partition("  ")[2] or (below[:20].isspace() and below.strip())
         assert words, f"{option} is not explained"
+
+
+def _given(tree):
+    """The words that calls and lists of a test hold, side by side."""
+    for node in ast.walk(tree):
+        is_list = isinstance(node, ast.List | ast.Tuple)
+        items = node.args if isinstance(node, ast.Call) else node.elts if is_list else []
+        words = [item.value if isinstance(item, ast.Constant) else "-" for item in items]
+        yield f" {' '.join(map(str, words))} "
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield f" {node.value} "  # It may be split into words.
+
+
+@pytest.mark.slow
+def test_each_command_is_run_by_a_test():
+    files = Path(__file__).parents[1].rglob("test_*.py")
+    given = [text for file in files for text in _given(ast.parse(file.read_text()))]
+    assert {name for name in OPTIONS if not any(f" {name} " in text for text in given)} == set()
 
 
 def test_the_list_of_commands_is_short():

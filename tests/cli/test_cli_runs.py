@@ -6,6 +6,9 @@ What the steps compute is tested in their rooms; here is that the options reach 
 import csv
 import json
 import shutil
+from argparse import Namespace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +19,14 @@ from real.rescan.scene_files import write_dataset as write_others
 from simulated_dataset import master, master_and_samples, samples  # noqa: F401 (fixtures)
 from small_cell import write_cell
 
-from graycast.cli import main
+from graycast.base.errors import GraycastError
+from graycast.camera.decode import Reason
+from graycast.cli import main, robot_commands
 from graycast.dataset.checking import validate
+from graycast.dataset.export import Split
+from graycast.real.rescan import open_source, rescanning
+from graycast.real.rescan.source import SourceOptions
+from graycast.robot.pick import load_pick_config
 
 
 def run(capsys, *arguments):
@@ -33,6 +42,7 @@ def copied(master, tmp_path):  # noqa: F811
     return shutil.copytree(master, tmp_path / "bins")
 
 
+@pytest.mark.slow
 def test_statistics_and_the_card_of_a_dataset(copied, capsys, tmp_path):
     words = ["--out", tmp_path / "stats", "--card", "--licence", "CC-BY-4.0"]
     printed = run(capsys, "dataset", "stats", copied, *words)
@@ -63,6 +73,122 @@ def test_scanner_depth_is_scored_against_the_truth(copied, samples, capsys, tmp_
     assert (pixels * decoded).sum() == pytest.approx(np.isfinite(scanned_m).sum(), rel=1e-5)
 
 
+EXPORTS = {
+    "coco": (
+        "--picture gray --depth-files perfect --polygons --link --min-visibility 0.3",
+        {
+            "image": "gray",
+            "depth": "perfect",
+            "polygons": True,
+            "link": True,
+            "min_visibility": 0.3,
+        },
+    ),
+    "yolo": ("--labels boxes", {"labels": "boxes"}),
+    "bop-webdataset": (
+        "--shard-scenes 2 --pixel-origin corner",
+        {"shard_scenes": 2, "pixel_origin": "corner"},
+    ),
+    "clouds": (
+        "--cloud pcd --organised --depth-files scanner",
+        {"cloud": "pcd", "organised": True, "depth": "scanner"},
+    ),
+}
+
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+@pytest.mark.parametrize("form", EXPORTS)
+def test_the_options_of_an_export_reach_its_record(copied, capsys, tmp_path, form):
+    words, options = EXPORTS[form]
+    out = tmp_path / "export"
+    run(capsys, "dataset", "export", copied, "--format", form, "--out", out, *words.split())
+    record = json.loads((out / "export.json").read_text())
+    assert record["format"] == form and record["options"].items() >= options.items()
+
+
+def test_maps_of_reasons_and_their_size_belong_to_depth(capsys, tmp_path):
+    """A map in a raw list of numbers has no size of its own; two thirds of it are missing."""
+    depth_m = np.full((60, 90), np.nan)
+    depth_m[:, :30] = 0.8 + 1e-3 * np.random.default_rng(0).random((60, 30))
+    np.save(tmp_path / "z.npy", depth_m)
+    reason = np.full((60, 90), Reason.SHADOW, np.uint8)
+    reason[:, :30], reason[:, 30:60] = Reason.DECODED, Reason.SATURATED
+    Image.fromarray(reason).save(tmp_path / "r.png")
+    words = ["--intrinsics", "100,100,45,30", "--reason", tmp_path / "r.png"]
+    run(capsys, "real", "measure", tmp_path / "z.npy", *words, "--out", tmp_path / "out")
+    missing = json.loads((tmp_path / "out/realism.json").read_text())["missing"]
+    assert missing["share"] == pytest.approx(2 / 3)
+    shares = {name: share for name, share in missing["by_reason"].items() if share}
+    assert set(shares) == {"saturated", "shadow"} and len(set(shares.values())) == 1
+
+
+def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
+    given = {}
+
+    def opened(path, options):
+        given.update(path=path, options=options)
+        return SimpleNamespace(images=((0, 0), (0, 1)), folder=path, parts={}, plain=())
+
+    def made(source, scanner, out, spec, *, workers, **watchers):
+        given.update(scanner=scanner, out=out, spec=spec, workers=workers)
+        return rescanning.RescanSummary(
+            written=1, there=1, set_aside={(0, 1): "dark"}, seconds=1.0, reasons={}, part_reasons={}
+        )
+
+    monkeypatch.setattr(open_source, "open_source", opened)
+    monkeypatch.setattr(rescanning, "rescan", made)
+    words = (
+        "rescan d --rig paper --resolution small --out o --camera rig --models m "
+        "--materials k.yaml --sensor left --depth-scale 0.5 --intrinsics 1,2,3,4 --depth-only "
+        "--images 7 --copy --seed 3 --backend cycles --device cpu --workers 2"
+    )
+    assert main(words.split()) == 1  # An image is set aside.
+    assert "image 000000/000001 is set aside: dark" in capsys.readouterr().out
+    assert given["options"] == SourceOptions(
+        sensor="left", models=Path("m"), materials=Path("k.yaml"), depth_scale_mm=0.5,
+        intrinsics="1,2,3,4", depth_only=True,
+    )  # fmt: skip
+    spec = given["spec"]
+    assert (spec.camera, spec.seed, spec.images, spec.copies) == ("rig", 3, 7, True)
+    assert (spec.render.backend, spec.device) == ("cycles", "cpu")
+    assert (given["path"], given["out"]) == (Path("d"), Path("o"))
+    assert (given["scanner"].rig.name, given["workers"].count) == ("paper", 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "picking"),
+    [
+        ({"detector": "truth"}, {"detector": "truth"}),
+        ({"detector": "nuts"}, {"detector": str(Path("nuts").absolute())}),
+        ({"depth": "perfect"}, {"depth": "perfect", "depth_noise_m": None}),
+        ({"depth": "0.002"}, {"depth": "noisy", "depth_noise_m": 0.002}),
+        ({"pose": "truth"}, {"pose": "truth"}),
+    ],
+)
+def test_what_a_robot_knows_is_said_by_options_too(tmp_path, words, picking):
+    path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
+    options = Namespace(**{"detector": None, "pose": None, "depth": None, "config": path} | words)
+    config = robot_commands._with_options(load_pick_config(path), options)
+    assert config.picking.model_dump(mode="json").items() >= picking.items()
+
+
+def test_options_that_no_robot_has_are_refused_in_a_line(tmp_path, capsys):
+    path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
+    options = Namespace(detector="none", pose=None, depth=None, config=path)
+    with pytest.raises(GraycastError) as caught:
+        robot_commands._with_options(load_pick_config(path), options)
+    assert str(caught.value).startswith(f"{path}: ") and "give truth or a folder" in str(
+        caught.value
+    )
+    assert "pydantic" not in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(
+        GraycastError, match="--depth is 'deep': give scanner, perfect, or a number"
+    ):
+        robot_commands._depth("deep")
+
+
+@pytest.mark.slow
 def test_others_depth_is_scanned_again_and_shown(capsys, tmp_path):
     split = write_others(tmp_path / "lm", images=(0, 4), rgb=np.full((48, 64, 3), 150, np.uint8))
     out = tmp_path / "out"
@@ -109,6 +235,37 @@ def test_the_parts_of_a_cell_are_drawn(capsys, tmp_path):
     assert "box" in printed and "hulls" in printed
     with Image.open(tmp_path / "parts.png") as picture:
         assert np.ptp(np.array(picture)) > 50
+
+
+@pytest.mark.slow
+def test_what_is_given_to_a_training_reaches_it(capsys, monkeypatch, tmp_path):
+    pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+    from graycast.learn import detect
+    from graycast.learn.detect import Augmentation, TrainSpec
+
+    given = {}
+
+    def trained(datasets, out, spec, **watchers):
+        given.update(datasets=datasets, out=out, spec=spec)
+        raise GraycastError("enough")
+
+    monkeypatch.setattr(detect, "train", trained)
+    (tmp_path / "w.pth").write_bytes(b"")
+    words = (
+        "detector train a b --out o --model solov2 --input rgbd --one-class --backbone resnet50 "
+        f"--weights {tmp_path / 'w.pth'} --longest-side 200 --epochs 3 --patience 2 --batch 5 "
+        "--learning-rate 0.01 --shares 0.6,0.2,0.2 --split-seed 4 --min-visibility 0.3 "
+        "--holes zero --no-relief --range 0.5,1.5 --no-flips --seed 9 --device cpu --readers 1"
+    )
+    assert main(words.split()) == 1 and "enough" in capsys.readouterr().err
+    assert (given["datasets"], given["out"]) == ([Path("a"), Path("b")], Path("o"))
+    assert given["spec"] == TrainSpec(
+        model="solov2", input="rgbd", one_class=True, backbone="resnet50",
+        weights=tmp_path / "w.pth", longest_px=200, epochs=3, patience=2, batch=5,
+        learning_rate=0.01, split=Split(shares=(0.6, 0.2, 0.2), seed=4), min_visibility=0.3,
+        holes="zero", relief=False, range_m=(0.5, 1.5), augmentation=Augmentation(flip=False),
+        seed=9, device="cpu", workers=1,
+    )  # fmt: skip
 
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.

@@ -177,6 +177,7 @@ def _pick(options: argparse.Namespace) -> int:
 
 def _with_options(config, options: argparse.Namespace):
     """The configuration with the options of the command line, checked like a file."""
+    from ..base.settings import check_settings
     from ..robot.pick.pick_sections import PickConfig
 
     changed = {}
@@ -190,7 +191,8 @@ def _with_options(config, options: argparse.Namespace):
     if not changed:
         return config
     settings = config.model_dump(mode="json")
-    return PickConfig.model_validate(settings | {"picking": settings["picking"] | changed})
+    changed = {"picking": settings["picking"] | changed}
+    return check_settings(settings | changed, PickConfig, options.config)
 
 
 def _depth(text: str) -> dict[str, object]:

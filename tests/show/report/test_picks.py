@@ -70,6 +70,19 @@ def test_limbs_are_where_the_robot_has_them(replay, motions):
         np.testing.assert_allclose(tip, T @ T_flange_tip(replay.cell.config.tool), atol=1e-9)
 
 
+def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
+    """By hand: of four grips in two bins two took a part out, the other two lost it."""
+    other = shutil.copytree(picks, tmp_path / "other")
+    plot = tmp_path / "runs.png"
+    assert main(["robot", "summary", str(picks), str(other), "--out", str(plot)]) == 0
+    text = capsys.readouterr().out
+    assert "2 of 4 grips took a part out: 50.0%" in text
+    assert "2 bins, 0 cleared; of 4 parts 2 taken, " in text
+    assert str(other) in text and f"{plot}: a row for each of 2 folders" in text
+    with Image.open(plot) as picture:
+        assert picture.height > 200
+
+
 def test_a_part_stands_still_to_the_tool_that_carries_it(replay, motions, picks):
     """Law: the tool's frame and the part's keep their places to each other."""
     motion = motions[0]

@@ -105,7 +105,8 @@ def test_bias_noise_spikes_and_holes_come_out_as_put_in():
     error = np.rint(rng.normal(3, 4, SIZE)).astype(int)
     error[rng.random(SIZE) < 0.02] = 80
     missing = rng.random(SIZE) < 0.1
-    rows = depth_rows([scene(55, error_steps=error, missing=missing)])
+    tables = depth_rows([scene(55, error_steps=error, missing=missing)])
+    rows = tables["all"]
     large = [row for row in rows[:EDGE] if row.pixels > 3000]
     assert {row.name for row in large} <= {"40 to 50 deg", "50 to 60 deg", "60 to 70 deg"}
     for row in large:
@@ -116,15 +117,14 @@ def test_bias_noise_spikes_and_holes_come_out_as_put_in():
         assert row.error.sigma_mm == pytest.approx(0.41, rel=0.06)
     assert sum(row.pixels for row in rows) == 120 * 160
     assert rows[EDGE].pixels == 2 * (120 + 160) - 4
-    parts = depth_rows([scene(55, error_steps=error, missing=missing)], parts_only=True)
-    assert sum(row.pixels for row in parts) == 120 * 80
+    assert sum(row.pixels for row in tables["parts"]) == 120 * 80
 
 
 def test_scenes_in_other_depth_steps_add_up():
     none = np.zeros(SIZE, bool)
     coarse = scene(10, error_steps=np.full(SIZE, 2), missing=none, scale_mm=0.1)
     fine = scene(10, error_steps=np.full(SIZE, 4), missing=none, scale_mm=0.05)
-    rows = depth_rows([coarse, fine])
+    rows = depth_rows([coarse, fine])["all"]
     known = [row for row in rows if row.pixels]
     assert all(row.error.median_mm == pytest.approx(0.2, abs=1e-9) for row in known)
 
@@ -132,7 +132,7 @@ def test_scenes_in_other_depth_steps_add_up():
 def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
     meter = Metered()
     tables = evaluate_depth(master, progress=meter)
-    assert meter.counts == [("scenes", k, 8) for k in range(1, 9)]
+    assert meter.counts == [("scenes", k, 4) for k in range(1, 5)]
     with no_pixels():
         write_depth(tables, tmp_path, colors={"shadow": "#123456"})
     assert {file.name for file in tmp_path.iterdir()} == {

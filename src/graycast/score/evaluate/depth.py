@@ -7,9 +7,10 @@ the border of the picture or of perfect depth) there is no such angle: these pix
 their own.
 """
 
+import itertools
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -71,33 +72,29 @@ def evaluate_depth(
             "perfect depth, so give a simulated dataset"
         )
 
-    def read(pass_: int) -> Iterable[SceneContent]:
+    def read() -> Iterator[SceneContent]:
         pictures = stored.pictures
         for done, picture in enumerate(pictures, start=1):
             yield scene_content(picture)
-            progress.count("scenes", pass_ * len(pictures) + done, 2 * len(pictures))
+            progress.count("scenes", done, len(pictures))
 
-    return {"all": depth_rows(read(0)), "parts": depth_rows(read(1), parts_only=True)}
+    return depth_rows(read())
 
 
-def depth_rows(scenes: Iterable[SceneContent], *, parts_only: bool = False) -> list[DepthRow]:
-    """Every scene is read once; a row for each range of angles and one for edges.
+def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
+    """Rows over all pixels and over the visible parts: one for each range of angles and of edges.
 
-    Args:
-        parts_only: count only pixels of visible parts.
+    Every scene is read once.
     """
-    steps = [Counter[int]() for _ in range(EDGE + 1)]
-    reasons = [Counter[str]() for _ in range(EDGE + 1)]
-    scale_mm = 0.0
+    everything, parts, scale_mm = _Tally(), _Tally(), 0.0
     for scene in scenes:
         if scene.depth is None or scene.scanner is None:
             continue
         scale_mm = scale_mm or scene.depth_scale_mm
         row = rows_of_pixels(scene)
-        if parts_only:
-            row = np.where(scene.label >= 0, row, -1)
-        _count(scene, row, steps, reasons, scale_mm)
-    return [_depth_row(k, steps[k], reasons[k], scale_mm) for k in range(EDGE + 1)]
+        everything.add(scene, row, scale_mm)
+        parts.add(scene, np.where(scene.label >= 0, row, -1), scale_mm)
+    return {"all": everything.rows(scale_mm), "parts": parts.rows(scale_mm)}
 
 
 def rows_of_pixels(scene: SceneContent) -> Int[np.ndarray, "h w"]:
@@ -164,34 +161,40 @@ def _with_border(image: Float[np.ndarray, "h w *n"]) -> Float[np.ndarray, "h2 w2
     return np.pad(image, ((1, 1), (1, 1), *[(0, 0)] * (image.ndim - 2)), constant_values=np.nan)
 
 
-def _count(
-    scene: SceneContent,
-    row: Int[np.ndarray, "h w"],
-    steps: list[Counter[int]],
-    reasons: list[Counter[str]],
-    scale_mm: float,
-) -> None:
-    assert scene.depth is not None and scene.scanner is not None
-    ratio = scene.depth_scale_mm / scale_mm
-    for k in range(EDGE + 1):
-        here = row == k
-        counts = np.bincount(scene.reason[here], minlength=256)
-        reasons[k].update({n: int(counts[number]) for number, n in scene.reason_name.items()})
-        both = here & (scene.scanner > 0)
-        error = scene.scanner[both].astype(np.int64) - scene.depth[both]
-        value, times = np.unique(np.rint(error * ratio).astype(np.int64), return_counts=True)
-        steps[k].update(dict(zip(value.tolist(), times.tolist(), strict=True)))
+class _Tally:
+    """Errors in steps of depth and reasons, counted for each row."""
 
+    def __init__(self) -> None:
+        self._steps = [Counter[int]() for _ in range(EDGE + 1)]
+        self._reasons = [Counter[str]() for _ in range(EDGE + 1)]
 
-def _depth_row(k: int, steps: Counter[int], reasons: Counter[str], scale_mm: float) -> DepthRow:
-    pixels = sum(reasons.values())
-    ends = ANGLE_EDGES_DEG[k : k + 2]
-    return DepthRow(
-        name="edges" if k == EDGE else f"{ends[0]} to {ends[1]} deg",
-        pixels=pixels,
-        reason={name: count / max(pixels, 1) for name, count in reasons.items() if count},
-        error=error_figures(dict(steps), scale_mm),
-    )
+    def add(self, scene: SceneContent, row: Int[np.ndarray, "h w"], scale_mm: float) -> None:
+        assert scene.depth is not None and scene.scanner is not None
+        ratio = scene.depth_scale_mm / scale_mm
+        for k in range(EDGE + 1):
+            here = row == k
+            counts = np.bincount(scene.reason[here], minlength=256)
+            self._reasons[k].update({n: int(counts[i]) for i, n in scene.reason_name.items()})
+            both = here & (scene.scanner > 0)
+            error = scene.scanner[both].astype(np.int64) - scene.depth[both]
+            value, times = np.unique(np.rint(error * ratio).astype(np.int64), return_counts=True)
+            self._steps[k].update(dict(zip(value.tolist(), times.tolist(), strict=True)))
+
+    def rows(self, scale_mm: float) -> list[DepthRow]:
+        names = [f"{low} to {high} deg" for low, high in itertools.pairwise(ANGLE_EDGES_DEG)]
+        return [
+            DepthRow(
+                name=name,
+                pixels=reasons.total(),
+                reason={
+                    n: count / max(reasons.total(), 1) for n, count in reasons.items() if count
+                },
+                error=error_figures(dict(steps), scale_mm),
+            )
+            for name, steps, reasons in zip(
+                [*names, "edges"], self._steps, self._reasons, strict=True
+            )
+        ]
 
 
 # --- files ----------------------------------------------------------------------------------------

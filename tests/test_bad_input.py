@@ -155,7 +155,7 @@ def test_what_is_no_configuration_is_refused_by_line(capsys, tmp_path, text, wor
 
 def test_a_configuration_that_is_no_file_is_refused(capsys, tmp_path):
     assert f"{tmp_path}: cannot be read (Is a directory)" in refusal(capsys, "preview", tmp_path,
-                                                                     "--out", "x")  # fmt: skip
+                                                                     "--out", "x.png")  # fmt: skip
     assert "none.yaml: no such file: check the path" in refusal(capsys, "parts", "none.yaml")
 
 
@@ -464,7 +464,7 @@ def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
         (["generate", "x.yaml", "--out", "x", "--scenes", "-3"], "--scenes"),
         (["generate", "x.yaml", "--out", "x", "--seed", "1.5"], "'1.5' is not a whole number"),
         (["generate", "x.yaml", "--out", "x", "--device", "tpu"], "did you mean cpu?"),
-        (["preview", "x.yaml", "--out", "x", "--scene", "-1"], "'-1' is not a whole number"),
+        (["preview", "x.yaml", "--out", "x.png", "--scene", "-1"], "'-1' is not a whole number"),
         (["schema", "part"], "invalid choice: 'part'"),
         (["rig", "import", "x", "--out", "y", "--near", "1", "--far", "2", "--camera-size", "9"],
          "'9' is not a size such as 1280x720"),

@@ -209,7 +209,8 @@ def flags_of(name_and_parser):
     name, parser = name_and_parser
     for action in parser._actions:
         if action.option_strings and action.dest != "help":
-            kind = (action.type, action.metavar, action.nargs, action.choices)
+            is_path = action.type is arguments.png_path  # A path that is refused in time.
+            kind = (Path if is_path else action.type, action.metavar, action.nargs, action.choices)
             text = re.sub(r" \(default: .*\)", "", action.help)
             yield name, action.option_strings[-1], kind, text
 

@@ -228,6 +228,15 @@ def test_two_sets_are_compared_by_a_classifier(copied, capsys, tmp_path):
     assert list((tmp_path / "compared").glob("*.png"))
 
 
+@pytest.mark.parametrize(
+    "words", ["preview cell.yaml", "parts", "rig show paper", "robot summary picks"]
+)
+def test_a_picture_that_would_be_no_png_is_refused(capsys, words):
+    with pytest.raises(SystemExit):
+        main([*words.split(), "--out", "picture.jpg"])
+    assert "'picture.jpg' is not the name of a PNG file: end it with" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_parts_of_a_cell_are_drawn(capsys, tmp_path):
     path = write_cell(tmp_path)

@@ -107,6 +107,9 @@ sides_m = reader(
     lambda sides: len(sides) == 2 and all(map(_above_zero, sides)),
     "two lengths such as 0.6x0.4",
 )
+png_path = reader(
+    Path, lambda path: path.suffix.lower() == ".png", "the name of a PNG file: end it with .png"
+)
 distortion = reader(
     numbers, lambda k: len(k) == 5, "five numbers k1,k2,p1,p2,k3, separated by commas"
 )
@@ -230,6 +233,13 @@ def add_shared(
 def add_out(parser: argparse.ArgumentParser, help: str, *, required: bool = True) -> None:
     """Add `--out`, the folder or the file that a command writes."""
     add_option(parser, "--out", Path, help, required=required)
+
+
+def add_png(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """Add `--out`, the picture that a command writes."""
+    add_option(
+        parser, "--out", png_path, "The PNG file to write.", required=required, metavar="PATH"
+    )
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

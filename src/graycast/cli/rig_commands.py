@@ -16,6 +16,7 @@ from .arguments import (
     add_group,
     add_option,
     add_out,
+    add_png,
     add_rig,
     add_shared,
     add_workers,
@@ -47,7 +48,7 @@ def add_commands(commands) -> None:
         example="phoxi-m --out rig.png",
     )  # fmt: skip
     add_rig(show)
-    add_out(show, "The PNG file to write.", required=False)
+    add_png(show)
     write = add_command(
         group, "write", _write, "Write a preset as a rig file, which can then be edited.",
         example="phoxi-m --out rig.yaml",

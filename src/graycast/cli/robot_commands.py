@@ -12,6 +12,7 @@ from .arguments import (
     add_group,
     add_option,
     add_out,
+    add_png,
     add_scoring,
     add_shared,
     add_workers,
@@ -55,7 +56,7 @@ def add_commands(commands) -> None:
         example="out/picks", more=SUMMARY,
     )  # fmt: skip
     add_option(summary, "picks", Path, "Folders that graycast robot pick wrote.", nargs="+")
-    add_out(summary, "The PNG file to write.", required=False)
+    add_png(summary)
 
     film = add_command(
         group, "film", _film, "Make a film of how the robot emptied a bin.",

@@ -13,6 +13,7 @@ from .arguments import (
     add_device,
     add_option,
     add_out,
+    add_png,
     add_shared,
     add_workers,
     cell_of,
@@ -48,7 +49,7 @@ def add_commands(commands) -> None:
         example="configs/demo.yaml --out preview.png",
     )  # fmt: skip
     add_config(preview)
-    add_out(preview, "The PNG file to write.")
+    add_png(preview, required=True)
     add_shared(preview, "--scene", default=0)
     add_option(
         preview,
@@ -126,7 +127,7 @@ def _add_reading(commands) -> None:
     )  # fmt: skip
     own = "A configuration whose parts are listed instead of the built-in ones."
     add_option(parts, "config", Path, own, nargs="?")
-    add_out(parts, "The PNG file to write.", required=False)
+    add_png(parts)
     add_device(parts)
 
 

@@ -6,6 +6,7 @@ import pytest
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
 from graycast.robot.grasp import DepthView
+from graycast.robot.pick import aim as aiming
 from graycast.robot.pick.aim import (
     Aim,
     Candidate,
@@ -13,7 +14,10 @@ from graycast.robot.pick.aim import (
     covered_share,
     ranked,
     spread,
+    whole_bin,
 )
+from graycast.robot.pose import PoseMatch
+from graycast.world.scene import Bin
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -42,6 +46,27 @@ def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():
     share = covered_share(below.mask, view.depth_m)
     # The window of five pixels also sees the strip from the second and last rows beside it.
     assert share == pytest.approx((2 * 20 + 4) / (2 * (2 * 20 + 2 * 4)), abs=0.03)
+
+
+def test_without_a_detector_all_that_is_seen_in_the_bin_may_be_parts():
+    """The floor, what stands beyond the walls, and pixels without depth are none."""
+    view, (inside, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
+    view.depth_m[25, 35] = np.nan
+    expected = inside.mask.copy()
+    expected[25, 35] = False
+    assert np.array_equal(whole_bin(view, Bin(inner_m=(0.3, 0.4, 0.1))), expected)
+
+
+@pytest.mark.parametrize("kind", ["box", "mask"])
+def test_a_pose_is_found_by_the_box_of_a_detector_and_by_the_mask_of_truth(kind, monkeypatch):
+    called = []
+    for name, sort in (("find_pose", "mask"), ("find_pose_in_box", "box")):
+        result = PoseMatch(T_cam_part=np.eye(4), score=1.0)
+        monkeypatch.setattr(aiming, name, lambda *given, s=sort, r=result: called.append(s) or r)
+    view, (target, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
+    box_px = np.array([30.0, 20, 20, 20]) if kind == "box" else None
+    target = Candidate(kind=0, score=1.0, mask=target.mask, box_px=box_px)
+    assert aiming._pose(None, target, view) is not None and called == [kind]
 
 
 def test_nothing_covers_what_lies_highest_or_alone():

@@ -11,12 +11,14 @@ from graycast.robot.pick import carry
 from graycast.robot.pick.aim import Aim, Candidate
 from graycast.robot.pick.carry import FREED_M, BinState, carry_out
 from graycast.robot.pick.choose import Choice
+from graycast.robot.pick.contact import PartGrip
 from graycast.robot.pick.motion import Trajectory
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.ready import Ready
 from graycast.robot.pick.tools import SuctionTool
 from graycast.robot.pick.touch import NoGrip
 from graycast.robot.pick.ways import Ways
+from graycast.world.drop import Lift
 from graycast.world.parts import Mesh
 from graycast.world.scene import Layout
 
@@ -104,3 +106,57 @@ def bare(kind, **fields):
     for name, value in fields.items():
         object.__setattr__(result, name, value)
     return result
+
+
+@pytest.mark.parametrize(
+    ("outside", "lost_s", "error", "outcome", "detail", "left"),
+    [
+        ((False, True, False), None, None, Outcome.PICKED, "", (0, 2)),
+        ((False, False, False), None, None, Outcome.PICKED, "", (0, 2)),  # held above the bin
+        ((True, True, False), None, None, Outcome.TWO_AT_ONCE, "1 more", (2,)),
+        ((False, False, False), 0.4, None, Outcome.LOST_SEAL, "after 0.40 s, by 5.0 N", (0, 1, 2)),
+        ((False, True, False), 0.4, None, Outcome.LOST_SEAL, "after 0.40 s, by 5.0 N", (0, 2)),
+        ((False, False, False), 0.4, (1.0, 0.0), Outcome.WRONG_POSE, "after 0.40 s", (0, 1, 2)),
+    ],
+)
+def test_what_a_lift_takes_out_and_what_stays(
+    monkeypatch, outside, lost_s, error, outcome, detail, left
+):
+    """Part 1 is gripped; parts outside of the bin and the one that is carried away are gone."""
+    lay = Layout(T_world_part=np.stack(POSES), part_index=np.array([0, 0, 1]))
+    world = BinState(layout=lay, numbers=np.arange(3), hand_eye=np.eye(4), q=np.zeros(6))
+    cell = SimpleNamespace(
+        box=None, config=SimpleNamespace(tool=SuctionTool(), drop=SimpleNamespace(simulated_s=1.0))
+    )
+    ready = bare(Ready, cell=cell, kinds=(), bodies=())
+    lifted = Lift(
+        T_world_part=lay.T_world_part, lost_s=lost_s, least_factor=0.9,
+        force_n=np.array([3.0, 0.0, 4.0]), moment_nm=np.zeros(3),
+    )  # fmt: skip
+    outside = np.array(outside)
+
+    def parts_outside(box, bodies, T_world_part, index):
+        return outside if len(index) == 3 else np.zeros(len(index), bool)
+
+    def simulate(box, bodies, T_world_part, index, *, simulated_s):
+        return Layout(T_world_part=T_world_part, part_index=index)
+
+    for name, instead in (
+        ("touch", lambda *_, **__: PartGrip(part=1, hold=None, T_world_tool=np.eye(4))),
+        ("_pose_error", lambda *_: error),
+        ("_path", lambda *_: np.eye(4)[None]),
+        ("lift", lambda *_: lifted),
+        ("parts_outside", parts_outside),
+        ("simulate", simulate),
+    ):
+        monkeypatch.setattr(carry, name, instead)
+    pose = Aim(
+        T_world_tool=rigid(np.eye(3), MIDDLE), score=1.0,
+        target=Candidate(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
+    )  # fmt: skip
+    carried, after = carry_out(ready, world, Choice(aim=pose, ways=bare(Ways, away=JOINTS)))
+    assert (carried.outcome, carried.part, carried.lost_s) == (outcome, 1, lost_s)
+    assert carried.detail.startswith(detail) and bool(carried.detail) == bool(detail)
+    np.testing.assert_array_equal(after.numbers, left)
+    assert len(after.layout.part_index) == len(left)
+    assert bool(after.tabu) is (lost_s is not None)

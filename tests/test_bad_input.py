@@ -60,7 +60,7 @@ def assert_untouched(out: Path):
             {"parts": [{"mesh": "box.stl", "unti": "mm"}]},
             ["unknown key parts.0.unti: did you mean unit?\n"],
         ),
-        ({"seed": "many"}, ["seed is 'many'", "valid integer"]),
+        ({"seed": "many"}, ["seed is 'many'", "it should be a whole number"]),
         (
             {"count": "many"},
             ["count is 'many'", "give one number of parts, or two numbers [lowest, highest]"],
@@ -79,6 +79,12 @@ def assert_untouched(out: Path):
             {"bin": {"inner_m": [25, 2, 1], "material": {}}},
             ["bin.inner_m.0 is 25", "less than or equal to 5"],
         ),
+        ({"bin": 3}, ["bin is 3: it should be a section with keys\n"]),
+        ({"parts": "box"}, ["parts is 'box': it should be a list\n"]),
+        ({"scanners": {"a": 1}}, ["scanners is a mapping: it should be a list\n"]),
+        ({"scenes": {"a": 1}}, ["scenes is a mapping: it should be a whole number\n"]),
+        ({"render": {"denoise": "maybe"}}, ["denoise is 'maybe': it should be true or false\n"]),
+        ({"light": {"environment": {"map": 3}}}, ["map is 3: it should be a path\n"]),
         ({"parts": []}, ["parts is []", "at least 1"]),
         ({"parts": [{"builtin": "bracket"}]}, ["'bracket'", "choose metal_workpiece_1"]),
         (

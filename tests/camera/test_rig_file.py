@@ -411,7 +411,7 @@ BAD_RIGS = {
     "no camera": (drop_key("camera"), "camera is missing"),
     "NaN": (set_key("camera", "fx_px", float("nan")), "camera.fx_px is nan: it should be"),
     "negative": (set_key("near_m", -1.0), "near_m is -1.0: it should be greater than 0"),
-    "word": (set_key("far_m", "far"), "far_m is 'far': it should be a valid number"),
+    "word": (set_key("far_m", "far"), "far_m is 'far': it should be a number"),
     "half a pixel": (set_key("camera", "width_px", 10.5), "camera.width_px is 10.5"),
     "R not a rotation": (
         set_key("R_cam_proj", [[1, 0, 0], [0, 1, 0], [0, 0, 2]]),

@@ -274,6 +274,9 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
         return f"unknown key {key}: {_hint(model, first['loc'])}{more}"
     if first["type"] == "missing":
         return f"{key} is missing: add it{more}"
+    if kind := _KINDS.get(first["type"]):
+        value = "a mapping" if isinstance(first["input"], Mapping) else repr(first["input"])
+        return f"{key} is {value}: it should be {kind}{more}"
     if isinstance(first["input"], Mapping):
         return f"{key}: {first['msg'].removeprefix('Value error, ')}{more}"
     return f"{key} is {first['input']!r}: {_reason(first['msg'])}{more}"
@@ -290,6 +293,21 @@ def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
     return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
 
 
+# Pydantic names these kinds in words of Python, which a file does not have.
+_KINDS = {
+    "tuple_type": "a list",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "a text",
+    "path_type": "a path",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "model_type": "a section with keys",
+    "model_attributes_type": "a section with keys",
+    "dataclass_type": "a section with keys",
+}
 # Pydantic gives these types to a key that a section, or a dataclass in its place, does not know.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "graycast"
 
 # It was 74,160 before every file was read for what could go. A file, a function or an option that
 # comes needs a reason here, with its lines.
-MOST_LINES = 71_824
+MOST_LINES = 71_766
 # These are the words in README.md and the pages of docs.
 MOST_WORDS = 44_850
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8

@@ -9,15 +9,7 @@ from stage import in_camera, lambert, leaning_wall
 
 from graycast.camera import scanner as scanner_module
 from graycast.camera.decode import triangulate
-from graycast.camera.scanner import (
-    ExposureSpec,
-    Scanner,
-    measure,
-    preset,
-    scan,
-    scan_seconds,
-    take,
-)
+from graycast.camera.scanner import ExposureSpec, Scanner, measure, preset, scan, scan_seconds, take
 from graycast.camera.sensor import Capture, SensorSpec
 from graycast.rendering import Quality
 from graycast.rig.pair import preset_rig

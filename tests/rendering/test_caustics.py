@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 from backends import slow
 from scipy.ndimage import binary_erosion
-from stage import (
-    centred,
-    in_camera,
-    lambert,
-    make_rig,
-    optics,
-    plain_pattern,
-    turned,
-    wall,
-)
+from stage import centred, in_camera, lambert, make_rig, optics, plain_pattern, turned, wall
 
 from graycast.base.frames import transform_points
 from graycast.rendering import Quality

@@ -2,13 +2,7 @@
 
 import numpy as np
 import pytest
-from stage import (
-    centred,
-    in_camera,
-    make_rig,
-    plain_pattern,
-    wall,
-)
+from stage import centred, in_camera, make_rig, plain_pattern, wall
 
 from graycast.rendering import Quality
 from graycast.world.parts import Material

@@ -130,13 +130,7 @@ def _need_robot() -> None:
 
 def _pick(options: argparse.Namespace) -> int:
     _need_robot()
-    from ..robot.pick import (
-        load_pick_config,
-        pick,
-        read_episodes,
-        resolve_pick_cell,
-        summarize,
-    )
+    from ..robot.pick import load_pick_config, pick, read_episodes, resolve_pick_cell, summarize
 
     workers = workers_of(options)
     config = _with_options(load_pick_config(options.config), options)

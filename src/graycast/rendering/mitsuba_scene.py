@@ -10,16 +10,7 @@ import numpy as np
 from ..base.errors import ConfigError
 from ..world.parts import Material, Mesh
 from ..world.parts.part import corner_grain
-from ..world.scene import (
-    Lamp,
-    Layout,
-    Quad,
-    Scene,
-    bin_surfaces,
-    lamp_quad,
-    quad_mesh,
-    table_quad,
-)
+from ..world.scene import Lamp, Layout, Quad, Scene, bin_surfaces, lamp_quad, quad_mesh, table_quad
 from .coated_diffuse import CoatedDiffuse
 from .dielectric import Dielectric, ThinDielectric
 from .filmed_conductor import FilmedConductor

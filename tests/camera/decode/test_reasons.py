@@ -10,14 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from plain_decoder import decode_plain
 
-from graycast.camera.decode import (
-    DecodeSpec,
-    Mark,
-    Reason,
-    decode,
-    levels_of,
-    reason_shares,
-)
+from graycast.camera.decode import DecodeSpec, Mark, Reason, decode, levels_of, reason_shares
 from graycast.camera.sensor import SensorSpec
 from graycast.rig.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
 from studies.projected import LEVELS, crisp, frames_of, share_of_white

@@ -3,13 +3,7 @@
 import pytest
 
 from graycast.camera.stack import decode_stack
-from graycast.rig.pattern import (
-    gray,
-    gray_phase,
-    micro_phase,
-    multi_frequency,
-    xor_gray,
-)
+from graycast.rig.pattern import gray, gray_phase, micro_phase, multi_frequency, xor_gray
 
 from .cluttered import Look, shoot_cluttered
 from .simulated import describe, save, write_yaml

@@ -9,13 +9,7 @@ from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
 from graycast.camera.scanner import preset
 from graycast.real.rescan.source import SourceImage
-from graycast.real.rescan.staging import (
-    BACKGROUND,
-    _membrane,
-    reflectance_of,
-    stage,
-    with_camera,
-)
+from graycast.real.rescan.staging import BACKGROUND, _membrane, reflectance_of, stage, with_camera
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics
 from graycast.world.parts import Material, Mesh, Part

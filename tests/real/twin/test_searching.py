@@ -13,11 +13,7 @@ from graycast.camera.sensor import SensorSpec
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
-from graycast.real.twin.parameters import (
-    PARAMETERS,
-    shares_of,
-    with_values,
-)
+from graycast.real.twin.parameters import PARAMETERS, shares_of, with_values
 from graycast.real.twin.rows import Figures, Row, compare, figures_of, loss_of
 from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import BinLook, LitScene, in_projector_corner, scan_lit

@@ -14,12 +14,7 @@ from typing import final
 import torch
 from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor, nn
-from torch.nn.functional import (
-    binary_cross_entropy_with_logits,
-    interpolate,
-    max_pool2d,
-    one_hot,
-)
+from torch.nn.functional import binary_cross_entropy_with_logits, interpolate, max_pool2d, one_hot
 from torchvision.ops import FeaturePyramidNetwork, masks_to_boxes
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 

@@ -8,15 +8,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field
 
 from ...base.settings import check_fields
-from .code import (
-    Code,
-    gray,
-    gray_line_shift,
-    gray_phase,
-    micro_phase,
-    multi_frequency,
-    xor_gray,
-)
+from .code import Code, gray, gray_line_shift, gray_phase, micro_phase, multi_frequency, xor_gray
 from .frame import Axis
 
 Codec = Literal[

@@ -13,13 +13,7 @@ from ...base.errors import DatasetError
 from ...base.folder import remove_left, take_lock, write_whole
 from ...base.version import __version__
 from ...dataset.claim import difference
-from ...dataset.grasp_files import (
-    GRASP_CLAIM,
-    GRASP_FORMAT,
-    GRASPS,
-    GraspClaim,
-    SceneGrasps,
-)
+from ...dataset.grasp_files import GRASP_CLAIM, GRASP_FORMAT, GRASPS, GraspClaim, SceneGrasps
 from ...dataset.json_text import json_bytes, plain
 from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable, read_json

@@ -8,16 +8,7 @@ from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
 from ..grasp import DepthView, Doubt, patch_of_depth
-from .aim import (
-    PLACES,
-    Aim,
-    Candidate,
-    aims_by_pose,
-    aims_in_depth,
-    best_first,
-    ranked,
-    spread,
-)
+from .aim import PLACES, Aim, Candidate, aims_by_pose, aims_in_depth, best_first, ranked, spread
 from .clock import Clock
 from .obstacles import heap_obstacle, measured_heap, measured_points
 from .outcome import Outcome

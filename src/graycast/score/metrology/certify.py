@@ -20,13 +20,7 @@ from .artefacts import (
     sphere_centre_m,
     spheres,
 )
-from .certificate import (
-    Certificate,
-    PlaneResult,
-    ProbingResult,
-    Scope,
-    SpacingResult,
-)
+from .certificate import Certificate, PlaneResult, ProbingResult, Scope, SpacingResult
 from .lab import (
     Lab,
     Shots,

@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "graycast"
 # comes needs a reason here, with its lines.
 MOST_LINES = 71_766
 # These are the words in README.md and the pages of docs.
-MOST_WORDS = 44_850
+MOST_WORDS = 44_977
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A run's last arguments say whom it tells of its steps.

@@ -16,7 +16,7 @@ from graycast.robot.pick.aim import (
     spread,
     whole_bin,
 )
-from graycast.robot.pose import PoseMatch
+from graycast.robot.pose import PoseMatch, PoseModel
 from graycast.world.scene import Bin
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
@@ -66,7 +66,7 @@ def test_a_pose_is_found_by_the_box_of_a_detector_and_by_the_mask_of_truth(kind,
     view, (target, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
     box_px = np.array([30.0, 20, 20, 20]) if kind == "box" else None
     target = Candidate(kind=0, score=1.0, mask=target.mask, box_px=box_px)
-    assert aiming._pose(None, target, view) is not None and called == [kind]
+    assert aiming._pose(object.__new__(PoseModel), target, view) is not None and called == [kind]
 
 
 def test_nothing_covers_what_lies_highest_or_alone():

@@ -19,6 +19,7 @@ from graycast.robot.pick.tools import SuctionTool
 from graycast.robot.pick.touch import NoGrip
 from graycast.robot.pick.ways import Ways
 from graycast.world.drop import Lift
+from graycast.world.drop.lift import Hold
 from graycast.world.parts import Mesh
 from graycast.world.scene import Layout
 
@@ -142,7 +143,7 @@ def test_what_a_lift_takes_out_and_what_stays(
         return Layout(T_world_part=T_world_part, part_index=index)
 
     for name, instead in (
-        ("touch", lambda *_, **__: PartGrip(part=1, hold=None, T_world_tool=np.eye(4))),
+        ("touch", lambda *_, **__: PartGrip(part=1, hold=bare(Hold), T_world_tool=np.eye(4))),
         ("_pose_error", lambda *_: error),
         ("_path", lambda *_: np.eye(4)[None]),
         ("lift", lambda *_: lifted),

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from drawn import no_pixels
 from PIL import Image
 from real.rescan.scene_files import true_depth_m
 from real.rescan.scene_files import write_dataset as write_others
@@ -62,7 +63,8 @@ def test_a_licence_is_refused_before_the_dataset_is_read(capsys, tmp_path):
 def test_scanner_depth_is_scored_against_the_truth(copied, samples, capsys, tmp_path):  # noqa: F811
     """Oracle: the errors of the samples that were written."""
     out = tmp_path / "depth"
-    printed = run(capsys, "dataset", "score-depth", copied, "--out", out)
+    with no_pixels():
+        printed = run(capsys, "dataset", "score-depth", copied, "--out", out)
     assert printed.endswith((out / "depth.md").read_text() + f"{out}\n")
     with open(out / "depth.csv", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["of"] == "all"]
@@ -116,7 +118,8 @@ def test_maps_of_reasons_and_their_size_belong_to_depth(capsys, tmp_path):
     reason[:, :30], reason[:, 30:60] = Reason.DECODED, Reason.SATURATED
     Image.fromarray(reason).save(tmp_path / "r.png")
     words = ["--intrinsics", "100,100,45,30", "--reason", tmp_path / "r.png"]
-    run(capsys, "real", "measure", tmp_path / "z.npy", *words, "--out", tmp_path / "out")
+    with no_pixels():
+        run(capsys, "real", "measure", tmp_path / "z.npy", *words, "--out", tmp_path / "out")
     missing = json.loads((tmp_path / "out/realism.json").read_text())["missing"]
     assert missing["share"] == pytest.approx(2 / 3)
     shares = {name: share for name, share in missing["by_reason"].items() if share}

@@ -182,7 +182,7 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
         assert words, f"{option} is not explained"
 
 
-def _given(tree):
+def _rows_of_words(tree):
     """The words that calls and lists of a test hold, side by side."""
     for node in ast.walk(tree):
         is_list = isinstance(node, ast.List | ast.Tuple)
@@ -196,8 +196,8 @@ def _given(tree):
 @pytest.mark.slow
 def test_each_command_is_run_by_a_test():
     files = Path(__file__).parents[1].rglob("test_*.py")
-    given = [text for file in files for text in _given(ast.parse(file.read_text()))]
-    assert {name for name in OPTIONS if not any(f" {name} " in text for text in given)} == set()
+    texts = [text for file in files for text in _rows_of_words(ast.parse(file.read_text()))]
+    assert {name for name in OPTIONS if not any(f" {name} " in text for text in texts)} == set()
 
 
 def test_the_list_of_commands_is_short():

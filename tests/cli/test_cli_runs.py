@@ -127,20 +127,20 @@ def test_maps_of_reasons_and_their_size_belong_to_depth(capsys, tmp_path):
 
 
 def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
-    given = {}
+    record = {}
 
     def opened(path, options):
-        given.update(path=path, options=options)
+        record.update(path=path, options=options)
         return SimpleNamespace(images=((0, 0), (0, 1)), folder=path, parts={}, plain=())
 
-    def made(source, scanner, out, spec, *, workers, **watchers):
-        given.update(scanner=scanner, out=out, spec=spec, workers=workers)
+    def scan(source, scanner, out, spec, *, workers, **watchers):
+        record.update(scanner=scanner, out=out, spec=spec, workers=workers)
         return rescanning.RescanSummary(
             written=1, there=1, set_aside={(0, 1): "dark"}, seconds=1.0, reasons={}, part_reasons={}
         )
 
     monkeypatch.setattr(open_source, "open_source", opened)
-    monkeypatch.setattr(rescanning, "rescan", made)
+    monkeypatch.setattr(rescanning, "rescan", scan)
     words = (
         "rescan d --rig paper --resolution small --out o --camera rig --models m "
         "--materials k.yaml --sensor left --depth-scale 0.5 --intrinsics 1,2,3,4 --depth-only "
@@ -148,15 +148,15 @@ def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
     )
     assert main(words.split()) == 1  # An image is set aside.
     assert "image 000000/000001 is set aside: dark" in capsys.readouterr().out
-    assert given["options"] == SourceOptions(
+    assert record["options"] == SourceOptions(
         sensor="left", models=Path("m"), materials=Path("k.yaml"), depth_scale_mm=0.5,
         intrinsics="1,2,3,4", depth_only=True,
     )  # fmt: skip
-    spec = given["spec"]
+    spec = record["spec"]
     assert (spec.camera, spec.seed, spec.images, spec.copies) == ("rig", 3, 7, True)
     assert (spec.render.backend, spec.device) == ("cycles", "cpu")
-    assert (given["path"], given["out"]) == (Path("d"), Path("o"))
-    assert (given["scanner"].rig.name, given["workers"].count) == ("paper", 2)
+    assert (record["path"], record["out"]) == (Path("d"), Path("o"))
+    assert (record["scanner"].rig.name, record["workers"].count) == ("paper", 2)
 
 
 @pytest.mark.parametrize(
@@ -255,10 +255,10 @@ def test_what_is_given_to_a_training_reaches_it(capsys, monkeypatch, tmp_path):
     from graycast.learn import detect
     from graycast.learn.detect import Augmentation, TrainSpec
 
-    given = {}
+    record = {}
 
     def trained(datasets, out, spec, **watchers):
-        given.update(datasets=datasets, out=out, spec=spec)
+        record.update(datasets=datasets, out=out, spec=spec)
         raise GraycastError("enough")
 
     monkeypatch.setattr(detect, "train", trained)
@@ -270,8 +270,8 @@ def test_what_is_given_to_a_training_reaches_it(capsys, monkeypatch, tmp_path):
         "--holes zero --no-relief --range 0.5,1.5 --no-flips --seed 9 --device cpu --readers 1"
     )
     assert main(words.split()) == 1 and "enough" in capsys.readouterr().err
-    assert (given["datasets"], given["out"]) == ([Path("a"), Path("b")], Path("o"))
-    assert given["spec"] == TrainSpec(
+    assert (record["datasets"], record["out"]) == ([Path("a"), Path("b")], Path("o"))
+    assert record["spec"] == TrainSpec(
         model="solov2", input="rgbd", one_class=True, backbone="resnet50",
         weights=tmp_path / "w.pth", longest_px=200, epochs=3, patience=2, batch=5,
         learning_rate=0.01, split=Split(shares=(0.6, 0.2, 0.2), seed=4), min_visibility=0.3,
@@ -299,13 +299,13 @@ def test_a_detector_is_trained_used_scored_and_exported(copied, capsys, tmp_path
     ]
     printed = run(capsys, "detector", "train", copied, "--out", tmp_path / "run", *words)
     assert "epoch 1: loss " in printed
-    found = tmp_path / "found"
+    folder = tmp_path / "found"
     words = ["--drawings", 2, "--min-score", 0, "--max-detections", 5, "--device", "cpu"]
-    run(capsys, "detector", "find", tmp_path / "run", copied, "--out", found, *words)
-    assert len(list((found / "drawings").glob("*.jpg"))) == 2
+    run(capsys, "detector", "find", tmp_path / "run", copied, "--out", folder, *words)
+    assert len(list((folder / "drawings").glob("*.jpg"))) == 2
     scores = tmp_path / "scores"
     words = ["--on", copied, "--out", scores, "--one-class", "--resamples", 20]
-    assert "AP" in run(capsys, "detector", "score", found / "results.json", *words)
+    assert "AP" in run(capsys, "detector", "score", folder / "results.json", *words)
     onnx = tmp_path / "detector.onnx"
     assert f"{onnx}: written" in run(capsys, "detector", "onnx", tmp_path / "run", "--out", onnx)
     assert onnx.stat().st_size > 1e5

@@ -62,7 +62,7 @@ def test_a_pose_is_found_by_the_box_of_a_detector_and_by_the_mask_of_truth(kind,
     called = []
     for name, sort in (("find_pose", "mask"), ("find_pose_in_box", "box")):
         result = PoseMatch(T_cam_part=np.eye(4), score=1.0)
-        monkeypatch.setattr(aiming, name, lambda *given, s=sort, r=result: called.append(s) or r)
+        monkeypatch.setattr(aiming, name, lambda *_, s=sort, r=result: called.append(s) or r)
     view, (target, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
     box_px = np.array([30.0, 20, 20, 20]) if kind == "box" else None
     target = Candidate(kind=0, score=1.0, mask=target.mask, box_px=box_px)

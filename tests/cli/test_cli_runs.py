@@ -109,8 +109,8 @@ def test_the_options_of_an_export_reach_its_record(copied, capsys, tmp_path, for
     assert record["format"] == form and record["options"].items() >= options.items()
 
 
-def test_maps_of_reasons_and_their_size_belong_to_depth(capsys, tmp_path):
-    """A map in a raw list of numbers has no size of its own; two thirds of it are missing."""
+def test_maps_of_reasons_belong_to_depth(capsys, tmp_path):
+    """Two thirds of the depth are missing, half of them for each of two reasons."""
     depth_m = np.full((60, 90), np.nan)
     depth_m[:, :30] = 0.8 + 1e-3 * np.random.default_rng(0).random((60, 30))
     np.save(tmp_path / "z.npy", depth_m)
@@ -197,7 +197,7 @@ def test_others_depth_is_scanned_again_and_shown(capsys, tmp_path):
     out = tmp_path / "out"
     words = "--rig paper --resolution small --images 1 --copy --seed 3 --device cpu".split()
     printed = run(capsys, "rescan", split, "--out", out, *words)
-    assert "2 images of" not in printed and "1 images made, 0 were there" in printed
+    assert printed.startswith("1 images of ") and "1 images made, 0 were there" in printed
     assert "decoded" in printed
     scene = out / "train_pbr/000000"
     assert not (scene / "depth").is_symlink() and (scene / "depth").is_dir()

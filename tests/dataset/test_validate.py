@@ -110,6 +110,13 @@ def gt_entry(change):
     return lambda scene: edit_both(scene, "scene_gt", lambda gt: change(gt["0"]))
 
 
+def coco_first(kind, **changes):
+    """The first of a scene's own COCO images or annotations."""
+    return lambda scene: edit(
+        scene / "scene_gt_coco.json", lambda coco: coco[kind][0].update(**changes)
+    )
+
+
 SCENE_DAMAGE = {
     "a pose 2 mm to the right": (lambda s: shift(s, 0, 2.0), "mask differs from the model"),
     "a pose 2 mm down": (lambda s: shift(s, 1, -2.0), "mask differs from the model"),
@@ -248,25 +255,23 @@ SCENE_DAMAGE = {
         "annotations for",
     ),
     "a COCO category swapped": (
-        lambda s: edit(
-            s / "scene_gt_coco.json", lambda c: c["annotations"][0].update(category_id=2)
-        ),
+        coco_first("annotations", category_id=2),
         "is of category 2",
     ),
     "a COCO image of another size": (
-        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["images"][0].update(width=7)),
+        coco_first("images", width=7),
         "images must have one entry of image 0",
     ),
     "a COCO image of another number": (
-        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["images"][0].update(id=3)),
+        coco_first("images", id=3),
         "images and image_id must go from 0 to 0",
     ),
     "a COCO annotation of another number": (
-        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["annotations"][0].update(id=9)),
+        coco_first("annotations", id=9),
         "annotation 1 has id 9",
     ),
     "a COCO annotation of a crowd": (
-        lambda s: edit(s / "scene_gt_coco.json", lambda c: c["annotations"][0].update(iscrowd=1)),
+        coco_first("annotations", iscrowd=1),
         "annotation 1 has id 1",
     ),
     "a COCO annotation to ignore": (

@@ -186,8 +186,8 @@ def _with_options(config, options: argparse.Namespace):
     if not changed:
         return config
     settings = config.model_dump(mode="json")
-    changed = {"picking": settings["picking"] | changed}
-    return check_settings(settings | changed, PickConfig, options.config)
+    picking = settings["picking"] | changed
+    return check_settings(settings | {"picking": picking}, PickConfig, options.config)
 
 
 def _depth(text: str) -> dict[str, object]:

@@ -23,7 +23,6 @@ REMAINING = {
     "found": 2,
     "held": 1,
     "held_until_s": 1,
-    "lines_seen": 1,
     "seen": 2,
     "seen_px": 1,
     "shown": 6,

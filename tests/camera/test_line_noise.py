@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, lambert, make_rig, wall
 
-from graycast.camera.line_noise import lines_seen, place_sigma_px, with_line_noise
+from graycast.camera.line_noise import place_sigma_px, with_line_noise
 from graycast.camera.scanner import ExposureSpec, Scanner, measure, take
 from graycast.camera.sensor import SensorSpec
 from graycast.rendering import Quality
@@ -52,12 +52,46 @@ def places(scanner, radiance, seeds):
     return np.stack([codes.column[inner] for codes, _ in scans]), scans
 
 
-def test_each_pixel_s_line_is_the_one_that_its_ray_meets(scanner, radiance):
+def test_the_renderer_says_which_line_each_pixel_sees(scanner, radiance):
     """Oracle: similar triangles, u_proj = u_cam - f b / z."""
-    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
     rig = scanner.rig
     expected = np.arange(96) - 47.5 - 160.0 * rig.T_cam_proj[0, 3] / 1.0 + 95.5
-    np.testing.assert_array_equal(line, np.broadcast_to(expected.round(), (72, 96)))
+    np.testing.assert_allclose(
+        radiance.place_px[0], np.broadcast_to(expected, (72, 96)), atol=1e-4, rtol=0
+    )
+
+
+def test_a_glint_does_not_switch_off_the_noise_of_other_pixels(scanner, radiance):
+    """Law: light adds pixel by pixel, so a facet that mirrors the projector, 26,000 times as bright
+    as white paper, changes no digital number of any other pixel at a fixed exposure.
+    """
+    fixed = replace(scanner, exposure=ExposureSpec(exposure_s=2e-3))
+    pattern = radiance.pattern.copy()
+    pattern[:, 36, 48] *= 26_000
+    one, other = (
+        take(fixed, light, seed=4).frames
+        for light in (radiance, replace(radiance, pattern=pattern))
+    )
+    same = np.ones((72, 96), dtype=bool)
+    same[36, 48] = False
+    np.testing.assert_array_equal(one[:, same], other[:, same])
+    assert (one[:, ~same] < other[:, ~same]).any()
+
+
+def test_a_dark_scene_with_a_fixed_exposure_is_a_dark_picture(scanner, radiance):
+    dark = replace(
+        radiance,
+        pattern=np.zeros_like(radiance.pattern),
+        place_px=np.full_like(radiance.place_px, np.nan),
+    )
+    fixed = replace(scanner, exposure=ExposureSpec(exposure_s=2e-3))
+    frames = take(fixed, dark, seed=1).frames
+    assert frames.max() < scanner.sensor.offset_dn + 5
+
+
+def test_line_noise_without_the_places_of_light_is_refused_by_name(scanner, radiance):
+    with pytest.raises(ValueError, match=r"line_noise 0\.02.*place_px"):
+        take(scanner, replace(radiance, place_px=None), seed=1)
 
 
 def test_positions_scatter_by_the_closed_form_and_alike_along_a_line(scanner, radiance):
@@ -103,10 +137,10 @@ def test_errors_as_long_as_the_picture_scatter_by_their_share():
 
 
 def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
-    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
-    upright = with_line_noise(radiance.pattern, line, 0.1, axis="column", length_px=2.0, seed=1)
+    place = radiance.place_px[0]
+    upright = with_line_noise(radiance.pattern, place, 0.1, axis="column", length_px=2.0, seed=1)
     lying = with_line_noise(
-        radiance.pattern.swapaxes(1, 2), line.T, 0.1, axis="row", length_px=2.0, seed=1
+        radiance.pattern.swapaxes(1, 2), place.T, 0.1, axis="row", length_px=2.0, seed=1
     )
     np.testing.assert_array_equal(upright, lying.swapaxes(1, 2))
 
@@ -136,17 +170,18 @@ def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radianc
     np.testing.assert_array_equal(
         take(still, radiance, seed=3).frames, take(sensor, radiance, seed=3).frames
     )
-    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    place = radiance.place_px[0]
     first, again, other = (
-        with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=seed) for seed in (1, 1, 2)
+        with_line_noise(radiance.pattern, place, 0.1, axis="column", seed=seed)
+        for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
 
 def test_light_of_no_known_line_is_left(scanner, radiance):
-    line = lines_seen(radiance.pattern, scanner.light_code(), "column").copy()
-    line[:, 40:] = np.nan
-    noisy = with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=1)
+    place = radiance.place_px[0].copy()
+    place[:, 40:] = np.nan
+    noisy = with_line_noise(radiance.pattern, place, 0.1, axis="column", seed=1)
     np.testing.assert_array_equal(noisy[..., 40:], radiance.pattern[..., 40:].astype(np.float32))
     assert not np.array_equal(noisy[..., :40], radiance.pattern[..., :40])

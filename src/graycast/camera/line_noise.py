@@ -20,49 +20,42 @@ from scipy import fft
 
 from ..base.streams import CaptureStream, stream
 from ..rig.pattern import Axis, Code
-from .decode import DecodeSpec, Levels, decode
 from .decode.plan import plan_axes
 
 _LEAST_WEIGHT = 1e-4  # Fine frequencies below this share of the greatest weight are not drawn.
-_TOP_DN = 60_000  # Light is decoded without noise, with its brightest pixel at this value.
-
-
-def lines_seen(
-    stack: Float[np.ndarray, "n h w"], code: Code, axis: Axis
-) -> Float[np.ndarray, "h w"]:
-    """The projector's line, a whole number, that each pixel sees along an axis; NaN where none."""
-    top = float(stack.max())
-    frames = np.rint(stack * np.float32(_TOP_DN / top)).astype(np.uint16)
-    levels = Levels(offset_dn=0.0, saturation_dn=_TOP_DN + 1.0, floor_dn2=1.0, slope_dn=0.0)
-    codes = decode(frames, code, DecodeSpec(min_contrast=1e-4), levels)
-    return np.rint(codes.column if axis == "column" else codes.row)
 
 
 def with_line_noise(
     stack: Float[np.ndarray, "n h w"],
-    line: Float[np.ndarray, "h w"],
+    place_px: Float[np.ndarray, "h w"],
     share: float,
     *,
     axis: Axis,
     length_px: float = math.inf,
     seed: int,
 ) -> Float[np.ndarray, "n h w"]:
-    """Each picture's light, times one plus the error (one sigma: `share`) of the line it is of.
+    """Return each picture's light times one plus the error of the projector line that lit it.
+
+    The line is the projector column (or row) next to where a pixel's light comes from. How bright
+    other pixels are has no influence.
 
     Args:
-        axis: that of `line`.
+        place_px: where each pixel's light comes from along `axis` in the projector's picture; NaN
+            where that is not known, which leaves the light as it is.
+        share: the standard deviation of a line's relative error.
+        axis: the projector axis across the lines.
         length_px: at which distance along a line, in the camera's picture, the errors have a
             correlation of 1/e: `exp(-(r / length_px)^2)`. Infinite: a line has one error.
     """
-    known = np.isfinite(line)
-    number = np.where(known, line, 0).astype(np.int64)
+    known = np.isfinite(place_px)
+    number = np.rint(np.where(known, place_px, 0)).astype(np.int64)
     number -= min(int(number.min()), 0)  # a line just outside the picture is one, too
     if math.isinf(length_px):
         lines, places, place = int(number.max()) + 1, 1, np.zeros_like(number)
     else:
         place = np.indices(number.shape)[0 if axis == "column" else 1]
-        seen, number = np.unique(number, return_inverse=True)
-        lines, places = len(seen), int(place.max()) + 1
+        occurring, number = np.unique(number, return_inverse=True)
+        lines, places = len(occurring), int(place.max()) + 1
 
     def with_error(k: int) -> Float[np.ndarray, "h w"]:
         rng = stream(seed, CaptureStream.LINES, k)

@@ -35,7 +35,7 @@ from .decode import (
 from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
 from .light import camera_light
-from .line_noise import lines_seen, place_sigma_px, with_line_noise
+from .line_noise import place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .speckle import (
     PATCH_M,
@@ -155,7 +155,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
-    stack_of = _pictures(scanner, stack)
+    stack_of = _pictures(scanner, radiance, stack)
     capture = merge_exposures(
         [
             expose(
@@ -199,17 +199,27 @@ def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
 
 
 def _pictures(
-    scanner: Scanner, stack: Float[np.ndarray, "n h w"]
+    scanner: Scanner, radiance: Radiance, stack: Float[np.ndarray, "n h w"]
 ) -> Callable[[int], Float[np.ndarray, "n h w"]]:
-    """The light of one exposure, by its seed: the projector shines anew in each."""
+    """Return a function from a seed to the light of one exposure.
+
+    The projector shines anew in each exposure.
+    `stack` is the light of the radiance's patterns on the sensor.
+    """
     share = scanner.rig.line_noise
     if not share:
         return lambda seed: stack
+    if radiance.place_px is None:
+        raise ValueError(
+            f"rig {scanner.rig.name} has line_noise {share:g}, which needs the place in the "
+            "projector's picture that lights each pixel: give a radiance with place_px, as the "
+            "renderers make it, or set line_noise to 0"
+        )
     axis = triangulation_axis(scanner.rig)
-    line = lines_seen(stack, scanner.light_code(), axis)
+    place_px = radiance.place_px[AXES.index(axis)]
     length_px = _in_picture_px(scanner.rig, scanner.rig.line_noise_length_m)
     return lambda seed: with_line_noise(
-        stack, line, share, axis=axis, length_px=length_px, seed=seed
+        stack, place_px, share, axis=axis, length_px=length_px, seed=seed
     )
 
 

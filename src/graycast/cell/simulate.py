@@ -233,6 +233,7 @@ def compile_kernels(cell: Cell) -> None:
             white_rgb=colour,
             ambient_rgb=colour,
             albedo=colour,
+            place_px=np.stack(np.broadcast_arrays(np.float32(column), np.float32(row))),
         )
         measure(scanner, take(scanner, radiance, seed=0))
         developed(colour, scanner, seed=0)

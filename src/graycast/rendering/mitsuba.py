@@ -145,7 +145,8 @@ def light(
     gray = dr.sum(white), dr.dot(ambient, passed)
     color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
     # All that the paths gave at once: what is asked for later would trace them again.
-    dr.eval(stack, gray, color, paths.placed, paths.straight, paths.stray, paths.stray2)
+    place = paths.placed / paths.straight
+    dr.eval(stack, gray, color, place, paths.straight, paths.stray, paths.stray2)
 
     white_rgb, ambient_rgb, albedo = (channels.numpy().reshape(h, w, 3) for channels in color)
     return Radiance(
@@ -155,7 +156,8 @@ def light(
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
         albedo=albedo,
-        path_noise=_path_noise(stage, paths, scene) if stage.finest else None,
+        path_noise=_path_noise(stage, paths, place, scene) if stage.finest else None,
+        place_px=place.numpy().reshape(2, h, w) if len(pattern) else None,
     )
 
 
@@ -167,14 +169,14 @@ def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None
     return field if field.count else None
 
 
-def _path_noise(stage: Stage, paths: Paths, scene: Scene) -> PathNoise:
+def _path_noise(stage: Stage, paths: Paths, mean: mi.Point2f, scene: Scene) -> PathNoise:
     size = scene.rig.camera.height_px, scene.rig.camera.width_px
-    mean, centre = paths.placed / paths.straight, centre_places(stage, scene)
+    centre = centre_places(stage, scene)
     samples = stage.quality.samples
     stray2 = {
         axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray
     }
-    dr.eval(mean, centre, stray2)
+    dr.eval(centre, stray2)
     places = {"column": (mean.x, centre.x), "row": (mean.y, centre.y)}
     return path_noise(
         {

@@ -82,6 +82,11 @@ class Radiance:
     `white` is `white_rgb` summed over the bands, and `ambient` is `ambient_rgb` over those that the
     filter passes, unless a material has a `projector_reflectance`. `path_noise` is None where the
     renderer does not know it.
+
+    `place_px` is the mean place (column, row) in the projector's picture of the light that comes
+    to a pixel straight from the projector, by the first surface alone [projector px]; NaN where
+    there is no such light. A renderer may count whole projector pixels, which is off by at most
+    half of one. It is None where no pattern was rendered.
     """
 
     pattern: Float[np.ndarray, "n h w"]
@@ -91,10 +96,13 @@ class Radiance:
     ambient_rgb: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w 3"]  # first surface's base reflectance, for denoisers
     path_noise: PathNoise | None = None
+    place_px: Float[np.ndarray, "2 h w"] | None = None
 
     def __post_init__(self) -> None:
         for name in ("pattern", "white", "ambient", "white_rgb", "ambient_rgb", "albedo"):
             getattr(self, name).flags.writeable = False
+        if self.place_px is not None:
+            self.place_px.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

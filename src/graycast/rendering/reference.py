@@ -55,18 +55,21 @@ class ReferenceRenderer(Renderer):
         measured = at_projector_wavelength(scene)
         weights, level = np.array(scene.rig.band_weights), emission(scene.rig, pattern)
         image, white = np.zeros((len(pattern), h, w)), np.zeros((h, w))
+        placed = np.zeros((2, h, w))
         white_rgb, albedo = np.zeros((h, w, 3)), np.zeros((h, w, 3))
         share = relative_illumination(camera) / side**2
         for dy in offsets:
             for dx in offsets:
                 place = grid + np.array([dx, dy])
-                irradiance, base, pixel = _direct(scene, place)
+                irradiance, base, place_px = _direct(scene, place)
+                pixel = np.floor(place_px + 0.5).astype(int)
                 surface = base if measured is scene else _direct(measured, place)[1]
                 arriving = share * irradiance / math.pi
                 white_rgb += arriving[..., None] * base * weights
                 albedo += base / side**2
                 mono = arriving * (surface @ weights)
                 white += mono
+                placed += mono * np.moveaxis(place_px, -1, 0)
                 image += level[:, pixel[..., 1], pixel[..., 0]] * mono
         radiance = Radiance(
             pattern=image.astype(np.float32),
@@ -75,6 +78,7 @@ class ReferenceRenderer(Renderer):
             white_rgb=white_rgb.astype(np.float32),
             ambient_rgb=np.zeros((h, w, 3), dtype=np.float32),
             albedo=albedo.astype(np.float32),
+            place_px=(placed / np.where(white > 0, white, np.nan)).astype(np.float32),
         )
         return Rendering(radiance=radiance, truth=_truth(scene, grid))
 
@@ -104,7 +108,10 @@ def _refuse_beyond_limits(
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
-    """Irradiance by an all-white projector, base colour, and the projector pixel of each ray."""
+    """Return the irradiance by an all-white projector, the base colour, and the projector place.
+
+    The place [px] is 0 where a ray meets nothing that lies in the projector's picture.
+    """
     rig = scene.rig
     direction, _, index, point = _first(scene, pixel)
     normal = _normals(scene, point, index)
@@ -119,7 +126,7 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
         # The light comes from a pixel's shining square rather than from between them.
         aside = np.abs(place_px - np.floor(place_px + 0.5))
         inside &= (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
-    column_row = np.where(inside[..., None], np.floor(place_px + 0.5), 0).astype(int)
+    place_px = np.where(inside[..., None], place_px, 0.0)
     to_lens = T_world_proj[:3, 3] - point
     distance = np.linalg.norm(to_lens, axis=-1)
     cosine = (normal * to_lens).sum(axis=-1) / distance
@@ -134,7 +141,7 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
         irradiance *= 1 - rig.projector.falloff * np.where(
             lit, corner_share(rig.projector, place_px), 0.0
         )
-    return irradiance, base, column_row
+    return irradiance, base, place_px
 
 
 def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:

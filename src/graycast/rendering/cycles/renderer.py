@@ -9,16 +9,17 @@ by `rig.meshdepth`, and with a distorted lens end at the image.
 """
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...base.errors import DeviceError, GraycastError
 from ...base.frames import inverse, transform_points
 from ...rig.meshdepth import rasterize
-from ...rig.optics import picture_rays, project, relative_illumination
+from ...rig.optics import in_picture, picture_rays, points, project, relative_illumination
 from ...rig.pair import Rig
 from ...world.scene import Layout, Scene
 from ..denoise import open_denoiser
@@ -139,10 +140,10 @@ class CyclesRenderer(Renderer):
         pictures = colour = shoot(measured, own, bands, seeds[0])
         if not both:
             colour = shoot(look, (*LOOK, *ALBEDO), scene.rig.band_weights, seeds[1])
-        return Rendering(
-            radiance=_radiance(scene.rig, pictures, colour, pattern, frames),
-            truth=_truth(scene, layout, pictures),
-        )
+        truth = _truth(scene, layout, pictures)
+        radiance = _radiance(scene.rig, pictures, colour, pattern, frames)
+        place_px = _centre_places(scene.rig, truth, radiance.white > 0)
+        return Rendering(radiance=replace(radiance, place_px=place_px), truth=truth)
 
     def _refuse(self, rig: Rig, pattern: Patterns, quality: Quality) -> None:
         refuse_other_size(pattern, rig.projector)
@@ -227,6 +228,20 @@ def _radiance(
         ambient_rgb=colour["ambient"][..., :3] * share,
         albedo=np.ascontiguousarray(colour["albedo"][..., :3]),
     )
+
+
+def _centre_places(
+    rig: Rig, truth: GroundTruth, lit: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "2 h w"]:
+    """Return the projector place [px] of the surface at each lit pixel's centre; NaN beside it.
+
+    Cycles does not tell where light came from. Where another surface shades the centre, the place
+    is that of a projector without obstacles.
+    """
+    point = transform_points(rig.T_proj_cam, points(rig.camera, truth.depth_m))
+    place_px = project(rig.projector, point)
+    inside = lit & np.isfinite(truth.depth_m) & in_picture(rig.projector, place_px)
+    return np.moveaxis(np.where(inside[..., None], place_px, np.nan), -1, 0).astype(np.float32)
 
 
 def _truth(scene: Scene, layout: Layout, pictures: Pictures) -> GroundTruth:

@@ -169,7 +169,8 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
         for code, scanner in scanners.items():
             own = [keys.index(key) for key in _keys(scanner)]
             light = replace(rendering.radiance, pattern=rendering.radiance.pattern[own])
-            depth = measure(scanner, take(scanner, light, seed=SEED))[1]
+            capture = take(scanner, light, seed=SEED)
+            depth = measure(scanner, capture, path_noise=light.path_noise)[1]
             own_pixels = rendering.truth.instance >= 0
             for place, pixels in ((PARTS_PLACE, own_pixels), (AROUND_PLACE, around(own_pixels))):
                 figures = worth(depth, rendering.truth.depth_m, pixels)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, lambert, make_rig, wall
 
-from graycast.camera.line_noise import place_sigma_px, with_line_noise
+from graycast.camera.line_noise import with_line_noise
 from graycast.camera.scanner import ExposureSpec, Scanner, measure, take
 from graycast.camera.sensor import SensorSpec
+from graycast.camera.sigma import line_noise_px
 from graycast.rendering import Quality
 from graycast.rendering.reference import ReferenceRenderer
 from graycast.rig.pattern import CodeSpec
@@ -47,7 +48,8 @@ def light_of(scanner):
 
 def places(scanner, radiance, seeds):
     """Decoded columns and their stated depth sigma over the code's own, of several captures."""
-    scans = [measure(scanner, take(scanner, radiance, seed=seed)) for seed in seeds]
+    captures = [take(scanner, radiance, seed=seed) for seed in seeds]
+    scans = [measure(scanner, capture, path_noise=None) for capture in captures]
     inner = np.s_[2:-2, 2:-2]
     return np.stack([codes.column[inner] for codes, _ in scans]), scans
 
@@ -151,7 +153,7 @@ def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
 def test_several_periods_scatter_less_by_their_mean(scanner, words):
     scanner = replace(scanner, code=replace(scanner.code, **words))
     u, _ = places(scanner, light_of(scanner), range(12))
-    stated_px = place_sigma_px(scanner.light_code(), "column", SHARE)
+    stated_px = line_noise_px(scanner.light_code(), "column", SHARE)
     assert np.sqrt(u.var(axis=0, ddof=1).mean()) == pytest.approx(stated_px, rel=0.08)
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from stage import centred, make_rig
 
-from graycast.camera.decode import DepthMap, Reason, with_displacement
+from graycast.camera.decode import DepthMap, Reason
 from graycast.camera.decode.maps import CodeMap
 from graycast.camera.sensor import SensorSpec
+from graycast.camera.sigma import speckle_m, with_depth_term
 from graycast.camera.speckle import (
     Speckle,
     draw_speckle,
@@ -219,7 +220,8 @@ def test_sigma_of_a_displaced_plane_is_that_of_its_errors():
             reason=np.full(column.shape, int(Reason.DECODED), dtype=np.uint8),
             camera=rig.camera,
         )
-        displaced = with_displacement(plain, codes, rig, spread + np.float32(off_px))
+        off_map_px = spread + np.float32(off_px)
+        displaced = with_depth_term(plain, speckle_m(plain, codes, rig, off_map_px))
         error = depth - 0.9 / (1 - slope * x)
         inside = np.s_[2:-2, 2:-2]
         assert np.std((error / displaced.sigma_m)[inside]) == pytest.approx(1, rel=0.02)

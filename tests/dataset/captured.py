@@ -75,7 +75,7 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
             for k, factor in enumerate(exposure.factors)
         ]
     )
-    codes, depth = measure(scanner, capture)
+    codes, depth = measure(scanner, capture, path_noise=None)
     shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
     return replace(
         sample,

@@ -128,7 +128,7 @@ def again(request, on_cpu):
             cell.scanner, rendering, denoiser=renderer.denoiser, seed=seeds["picture"]
         )
     capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
-    _, depth = measure(cell.scanner, capture)
+    _, depth = measure(cell.scanner, capture, path_noise=None)
     return Again(folder=folder, rendering=rendering, depth_m=depth.depth_m, rgb=rgb)
 
 

@@ -8,7 +8,8 @@ from stage import centred, in_camera, lambert, leaning_wall, make_rig
 
 from benchmarks.cells import QUIET_SENSOR
 from graycast.camera.decode import triangulate
-from graycast.camera.scanner import Scanner, scan
+from graycast.camera.scanner import Scanner, measure, scan
+from graycast.camera.sigma import light_path_px
 from graycast.rendering import Quality
 from graycast.rendering.path_noise import path_noise
 from graycast.rig.pattern import CodeSpec
@@ -64,8 +65,9 @@ def test_the_code_alone_does_not_know_of_few_paths(mitsuba_renderer):
     share_px = {}
     for samples in (1, 16):
         quality = replace(FINE, samples=samples)
-        rendering, shot = taken(mitsuba_renderer, scanner, wall, quality=quality, seed=samples)
-        share_px[samples] = np.median(shot.capture.place_sigma_px[0])
+        rendering, _ = taken(mitsuba_renderer, scanner, wall, quality=quality, seed=samples)
+        noise = rendering.radiance.path_noise
+        share_px[samples] = np.median(light_path_px(scanner.light_code(), noise)["column"])
     assert share_px[16] < share_px[1] / 4
     codes = scan(scanner, replace(rendering.radiance, path_noise=None), seed=3).codes
     alone = triangulate(codes, scanner.rig)  # sigma as the code has it
@@ -86,7 +88,9 @@ def test_sigma_has_the_share_of_stray_light(mitsuba_renderer):
     )
     sigma_px = np.hypot(shot.codes.sigma_column, other.codes.sigma_column)
     off = np.abs(shot.codes.column - other.codes.column) / sigma_px
-    of_both, of_place = shot.capture.place_sigma_px[0], one.radiance.path_noise.place_px[0]
+    noise = one.radiance.path_noise
+    of_both = light_path_px(scanner.light_code(), noise)["column"]
+    of_place = noise.place_sigma_px[0]
     assert np.isfinite(off).mean() > 0.9
     assert np.median(of_both) > 1.2 * np.median(of_place)
     assert 0.8 < np.nanquantile(off, 0.6827) < 1.2
@@ -108,17 +112,21 @@ def test_edges_and_shadows_leave_the_place_alone():
     places = {axis: (mean[..., i], centre[..., i]) for i, axis in enumerate(("column", "row"))}
     noise = path_noise(places, straight, stray2, samples=16)
     lit = straight > 0
-    np.testing.assert_allclose(np.median(noise.place_px[:, lit], axis=1), 0.05, rtol=0.1)
-    assert noise.place_px[0, lit].max() < 0.08
-    assert (noise.place_px[:, ~lit] == 0).all() and (noise.stray[:, ~lit] == 0).all()
+    np.testing.assert_allclose(np.median(noise.place_sigma_px[:, lit], axis=1), 0.05, rtol=0.1)
+    assert noise.place_sigma_px[0, lit].max() < 0.08
+    assert (noise.place_sigma_px[:, ~lit] == 0).all() and (noise.stray[:, ~lit] == 0).all()
     np.testing.assert_allclose(noise.stray[0, lit], 0.01, rtol=1e-5)
     assert (noise.stray[1] == 0).all()
 
 
 def test_what_has_no_known_error_adds_none(mitsuba_renderer):
-    """Real pictures, and those of renderers that do not know theirs."""
+    """Real pictures have no path noise, nor have those of renderers that do not know theirs."""
     scanner = Scanner(rig=RIG, code=CodeSpec(codec="gray_phase", axes=("column",)))
     wall = leaning_wall((0.35, 0.2, 1.0), 0.8, lambert(0.6))
-    rendering, _ = taken(mitsuba_renderer, scanner, wall, quality=FINE, seed=1)
-    light = replace(rendering.radiance, path_noise=None)
-    assert scan(scanner, light, seed=1).capture.place_sigma_px is None
+    rendering, shot = taken(mitsuba_renderer, scanner, wall, quality=FINE, seed=1)
+    codes, _ = measure(scanner, shot.capture, path_noise=None)
+    own = light_path_px(scanner.light_code(), rendering.radiance.path_noise)["column"]
+    np.testing.assert_allclose(
+        shot.codes.sigma_column, np.hypot(codes.sigma_column, own), rtol=1e-6
+    )
+    assert np.nanmedian(shot.codes.sigma_column / codes.sigma_column) > 1.5

@@ -8,7 +8,8 @@ Each imports only from those above it:
     decode      from pictures to projector positions and depth: Capture -> DepthMap; the reason of
                 each pixel without depth (`maps.Reason`); periods that are in doubt (`phases`,
                 `settling`, `positions`)
-    line_noise  projector lines that are brighter or darker in each picture, and their noise
+    line_noise  projector lines that are brighter or darker in each picture
+    sigma       standard deviation of depth: all of its terms in one list
     faults      errors of depth that grow with the slope of the surface and stay from scan to scan
     scanner     a rig with its code, sensor, exposure, decoder, filters and faults
     picture     the colour picture and the grey picture of the measuring camera

@@ -27,6 +27,7 @@ from scipy import ndimage
 
 from ..base.settings import check_fields
 from .decode import DepthMap
+from .sigma import with_depth_term
 
 STEEPEST = 0.02  # A surface rises by less than this share of its depth over two pixels.
 _SEED = 15  # It fixes the raster, and any number would do.
@@ -105,11 +106,8 @@ def with_faults(
     spread_m = spec.raster_px * np.hypot(along, across) / inverse**2
     left = light_contrast / np.hypot(1, spread_m / limit_m)
     depth_m = 1 / (inverse + left * (right * along + down * across))
-    return replace(
-        depth,
-        depth_m=depth_m.astype(np.float32),
-        sigma_m=np.hypot(depth.sigma_m, left * spread_m).astype(np.float32),
-    )
+    measured = replace(depth, depth_m=depth_m.astype(np.float32))
+    return with_depth_term(measured, left * spread_m)
 
 
 def places(shape: tuple[int, ...]) -> Float[np.ndarray, "2 h w"]:

@@ -19,8 +19,7 @@ from jaxtyping import Float
 from scipy import fft
 
 from ..base.streams import CaptureStream, stream
-from ..rig.pattern import Axis, Code
-from .decode.plan import plan_axes
+from ..rig.pattern import Axis
 
 _LEAST_WEIGHT = 1e-4  # Fine frequencies below this share of the greatest weight are not drawn.
 
@@ -86,21 +85,3 @@ def _correlated(
     # White noise has a white spectrum, so it is drawn there, up to the finest that the length has.
     spectrum = rng.standard_normal((len(weight), 2 * lines), dtype=np.float32).view(np.complex64)
     return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=count, axis=0)[:places]
-
-
-def place_sigma_px(code: Code, axis: Axis, share: float) -> float:
-    """What it makes of a decoded position: one sigma [projector px]; 0 without phases.
-
-    With N steps of a period p the phase is off by `-2/N sum e_k (1 + cos t_k) sin t_k`, t_k evenly
-    spread and e_k the errors: `(p / 2 pi) share sqrt(5 / (2 N))`. Several periods are averaged,
-    each with a weight of one over this squared.
-
-    Leaves out: combs of lines, which lose a little, too.
-    """
-    plan = plan_axes(code, fine_bits=0).get(axis)
-    precision = sum(
-        len(period.frames) / period.period_px**2
-        for period in (plan.periods if plan else ())
-        if period.full and code.frames[period.frames[0]].kind == "phase"
-    )
-    return share / (2 * math.pi) * math.sqrt(5 / (2 * precision)) if precision else 0.0

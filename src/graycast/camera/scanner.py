@@ -28,15 +28,20 @@ from .decode import (
     levels_of,
     triangulate,
     triangulation_axis,
-    with_bends,
-    with_displacement,
-    with_place_sigma,
 )
-from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
 from .light import camera_light
-from .line_noise import place_sigma_px, with_line_noise
+from .line_noise import with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
+from .sigma import (
+    bend_m,
+    light_path_px,
+    line_noise_px,
+    ripple_px,
+    speckle_m,
+    with_depth_term,
+    with_position_term,
+)
 from .speckle import (
     PATCH_M,
     draw_speckle,
@@ -119,9 +124,9 @@ class Scan:
 
 
 def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
-    """All the way from light to depth."""
+    """Take the pictures of a scanner and measure them: all the way from light to depth."""
     capture = take(scanner, radiance, seed=seed)
-    codes, depth = measure(scanner, capture)
+    codes, depth = measure(scanner, capture, path_noise=radiance.path_noise)
     return Scan(capture=capture, codes=codes, depth=depth)
 
 
@@ -170,32 +175,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     )
     if len(exposure.factors) > 1:
         capture = replace(capture, reference_s=time_s)
-    if radiance.path_noise is None:
-        return capture
-    return replace(capture, place_sigma_px=_place_sigma(scanner.light_code(), radiance.path_noise))
-
-
-def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
-    """What a finite number of paths makes of decoded positions (column, row), one sigma.
-
-    A phase has the error of the mean place of straight light. Stray stripes of a share s turn it by
-    up to s, at random, which is `s / sqrt(2) * period / (2 pi)` of place. Several periods share
-    the stray light of near places and not that of distant ones: half of its variance is taken as
-    common to them, and of the other half their mean has what independent ones leave. A Gray code's
-    own sigma has the width of a cell, which the mean place has, too.
-    """
-    sigma_px = np.zeros_like(noise.place_px)
-    for axis, plan in plan_axes(code, fine_bits=0).items():
-        i = AXES.index(axis)
-        if plan.periods:
-            lengths_px = [period.period_px for period in plan.periods if period.full]
-            weight = sum(1 / length_px**2 for length_px in lengths_px)
-            per_share2 = (min(lengths_px) ** 2 + 1 / weight) / 2 / (8 * math.pi**2)
-            variance = noise.place_px[i] ** 2 + np.float32(per_share2) * noise.stray[i] ** 2
-        else:
-            variance = np.maximum(noise.place_px[i] ** 2 - np.float32(plan.cell_px**2 / 12), 0)
-        sigma_px[i] = np.sqrt(variance)
-    return sigma_px
+    return capture
 
 
 def _pictures(
@@ -233,36 +213,39 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
     return len(capture.frames) * (exposed_s + len(factors) * readout_s)
 
 
-def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
+def measure(
+    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
+) -> tuple[CodeMap, DepthMap]:
     """Simulated pictures to projector positions to depth, with the scanner's filters and faults.
 
-    `stack.decode_stack` is the function for real pictures.
+    `sigma.TERMS` lists what is in the standard deviations. `stack.decode_stack` is the function for
+    real pictures.
+
+    Args:
+        path_noise: that of the radiance that the pictures were taken of; None where it has none.
     """
-    codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
-    if capture.place_sigma_px is not None:
-        codes = with_place_sigma(codes, capture.place_sigma_px)
-    depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
-    rig = scanner.rig
+    rig, code = scanner.rig, scanner.light_code()
+    axis = triangulation_axis(rig)
+    codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
+    codes = with_position_term(codes, ripple_px(codes, code))
+    codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
+    if path_noise is not None:
+        codes = with_position_term(codes, light_path_px(code, path_noise))
+    depth = triangulate(codes, rig, max_epipolar_px=scanner.decode.max_epipolar_px)
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
     if rig.speckle_contrast:
         own_reflectance = _effective_reflectance(scanner, capture, depth)
         light_contrast = material_contrast(own_reflectance, rig.speckle_volume)
-    if rig.speckle_contrast or rig.line_noise:
-        # By how much speckle puts each pixel's light off its centre (one sigma).
+        # This is how far speckle puts a black pixel's light off its centre (one sigma).
         off_px = footprint_px(scanner.sensor, side=_side(scanner)) * _of_black(scanner)
-        depth = with_displacement(
-            depth,
-            codes,
-            rig,
-            np.float32(off_px) * light_contrast,
-            place_px=place_sigma_px(scanner.light_code(), triangulation_axis(rig), rig.line_noise),
-        )
+        off_map_px = np.float32(off_px) * light_contrast
+        depth = with_depth_term(depth, speckle_m(depth, codes, rig, off_map_px))
     depth = with_faults(
         filter_depth(depth, scanner.filters, rig),
         scanner.faults,
         light_contrast=light_contrast,
     )
-    return codes, with_bends(depth)
+    return codes, with_depth_term(depth, bend_m(depth))
 
 
 def _of_black(scanner: Scanner) -> float:

@@ -158,23 +158,17 @@ class Capture:
 
     `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
     light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
-    `place_sigma_px` is what the pictures' light is off by, as a standard deviation of the decoded
-    column and row [projector px]: simulated light has an error that no real light has. None where
-    there is none, or it is not known.
     """
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
-    place_sigma_px: Float[np.ndarray, "2 h w"] | None = None
     reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):
             object.__setattr__(self, "reference_s", float(np.min(self.exposure_s)))
         self.frames.flags.writeable = False
-        if self.place_sigma_px is not None:
-            self.place_sigma_px.flags.writeable = False
         if isinstance(self.exposure_s, np.ndarray):
             self.exposure_s.flags.writeable = False
 

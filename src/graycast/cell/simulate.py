@@ -157,7 +157,7 @@ def _taken(
             seed=seeds["picture"],
         )
     with _timed(timings, "decode"):
-        codes, depth = measure(scanner, capture)
+        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
         depth = with_field(scene.rig, rendering.truth, codes, depth)
     manifest = manifest | {
         "backend": renderer.name,
@@ -235,7 +235,7 @@ def compile_kernels(cell: Cell) -> None:
             albedo=colour,
             place_px=np.stack(np.broadcast_arrays(np.float32(column), np.float32(row))),
         )
-        measure(scanner, take(scanner, radiance, seed=0))
+        measure(scanner, take(scanner, radiance, seed=0), path_noise=None)
         developed(colour, scanner, seed=0)
 
 

@@ -58,7 +58,7 @@ def path_noise(
         if axis in stray2:
             off = np.sqrt(_near_mean(stray2[axis], lit, side_px))
             np.divide(off, straight, out=stray[i], where=lit)
-    return PathNoise(place_px=place, stray=stray)
+    return PathNoise(place_sigma_px=place, stray=stray)
 
 
 def _place_sigma(

@@ -56,17 +56,17 @@ class Quality:
 class PathNoise:
     """The error that a finite number of light paths leaves in all patterns of a stack alike.
 
-    Standard deviations for the projector's columns and rows, in this order: `place_px` of the mean
-    place in the projector's picture that a pixel's straight light comes from, `stray` of the
-    stripes in the light that other surfaces sent on, as a share of those in the straight light.
-    Both are 0 where no light comes straight.
+    Both are standard deviations for the projector's columns and rows, in this order, and 0 where no
+    light comes straight: `place_sigma_px` of the mean place in the projector's picture that a
+    pixel's straight light comes from, `stray` of the stripes in the light that other surfaces sent
+    on, as a share of those in the straight light.
     """
 
-    place_px: Float[np.ndarray, "2 h w"]
+    place_sigma_px: Float[np.ndarray, "2 h w"]
     stray: Float[np.ndarray, "2 h w"]
 
     def __post_init__(self) -> None:
-        for array in (self.place_px, self.stray):
+        for array in (self.place_sigma_px, self.stray):
             array.flags.writeable = False
 
 

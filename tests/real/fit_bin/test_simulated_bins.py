@@ -87,7 +87,8 @@ def photographed(path, renderer, *, seed, samples=64):
         cell.scene, EMPTY_LAYOUT, cell.patterns(), quality=quality, seed=seed
     )
     capture = take(cell.scanner, rendering.radiance, seed=seed)
-    depth = measure(cell.scanner, capture)[1]
+    noise = rendering.radiance.path_noise
+    depth = measure(cell.scanner, capture, path_noise=noise)[1]
     rgb = color_picture(cell.scanner, rendering, denoiser=None, seed=seed)
     return cell, rendering, capture, depth, rgb
 

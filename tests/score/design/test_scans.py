@@ -27,7 +27,8 @@ def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
     rendering = renderer.render(
         dark, layout, pattern, quality=Quality(samples=samples, depth=depth), seed=3
     )
-    _, depth_map = measure(scanner, take(scanner, rendering.radiance, seed=4))
+    capture = take(scanner, rendering.radiance, seed=4)
+    _, depth_map = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
     surface = spread_surface(scene, layout, points=20_000, cone_deg=0.0)
     view = view_of(scene, layout, surface)
     fates = judge(view, surface, rendering.truth, depth_map, wrong_m=0.005)

@@ -8,11 +8,9 @@ settling       ambiguous periods, which neighbours resolve
 visibility     pixels that a nearer surface must hide
 separation     direct and global light
 triangulation  from positions to depth
-displaced      sigma of speckle, uneven lines and bends, beyond the noise of the sensor
 outliers, median, filters   what a device removes from its depth
 """
 
-from .displaced import with_bends, with_displacement, with_place_sigma
 from .filters import filter_depth
 from .maps import (
     REASON_COLOR,
@@ -57,7 +55,4 @@ __all__ = [
     "separate",
     "triangulate",
     "triangulation_axis",
-    "with_bends",
-    "with_displacement",
-    "with_place_sigma",
 ]

@@ -28,9 +28,9 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
-    with_bends,
 )
 from ..decode.plan import plan_axes
+from ..sigma import bend_m, ripple_px, with_depth_term, with_position_term
 from .averaging import join_pixels, meet_rays
 from .description import code_of, read_description
 from .diagnosis import symptoms
@@ -117,6 +117,7 @@ def decode_stack(
         levels = measure_levels(pictures.frames, code, description.levels)
     clock.lap("levels")
     codes = decode(pictures.frames, code, spec, levels.levels)
+    codes = with_position_term(codes, ripple_px(codes, code))
     clock.lap("decode")
     warnings = [*symptoms(pictures, code, codes, spec=spec, levels=levels.levels)]
     _check_light(pictures, codes, warnings, path)
@@ -138,7 +139,7 @@ def decode_stack(
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig)
-        depth = with_bends(depth)
+        depth = with_depth_term(depth, bend_m(depth))
         warnings += _rig_symptoms(codes, rig, first, residual_px)
         clock.lap("triangulate")
         if average:

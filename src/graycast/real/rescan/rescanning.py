@@ -138,7 +138,7 @@ class ImageScanner:
             )
         self._progress.stage("decoding the pictures")
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
-        codes, depth = measure(scanner, capture)
+        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
         depth = with_field(scanner.rig, rendering.truth, codes, depth)
         reasons = reason_shares(depth.reason)
         _refuse_undecoded(reasons)

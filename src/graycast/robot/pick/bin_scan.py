@@ -76,7 +76,8 @@ def _acted_on(
     """The scanner's depth, or what simulators without one would give the robot."""
     picking = cell.config.picking
     if picking.depth == "scanner":
-        return measure(cell.cell.scanner, capture)[1].depth_m
+        noise = rendering.radiance.path_noise
+        return measure(cell.cell.scanner, capture, path_noise=noise)[1].depth_m
     perfect = rendering.truth.depth_m.astype(np.float64)
     if picking.depth_noise_m is None:
         return perfect

@@ -86,7 +86,7 @@ class Comparer:
             scanner, name = placed.cell.scanner, placed.setting.name
             radiance = replace(rendering.radiance, pattern=rendering.radiance.pattern[patterns])
             capture = take(scanner, radiance, seed=heap.noise_seed)
-            _, depth = measure(scanner, capture)
+            _, depth = measure(scanner, capture, path_noise=radiance.path_noise)
             fates = judge(
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
             )

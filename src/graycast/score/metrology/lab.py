@@ -92,8 +92,10 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     where = _in_volume(lab, rendering)
     metered, exposure_s = _metered(lab, rendering, where)
     # All shots share the error of the light's paths, so it is no part of the noise they show.
-    light = replace(rendering.radiance, path_noise=None)
-    scans = [measure(metered, take(metered, light, seed=own))[1] for own in seeds[1:]]
+    light = rendering.radiance
+    scans = [
+        measure(metered, take(metered, light, seed=own), path_noise=None)[1] for own in seeds[1:]
+    ]
     _check_decoded(scans[0], where, exposure_s)
     return Shots(
         truth_m=rendering.truth.depth_m,

@@ -199,7 +199,8 @@ class Line:
         if self._taken is None or self._taken[0] != key:
             capture = take(scanner, rendering.radiance, seed=run.seeds["noise"])
             self._taken = key, capture
-        codes, depth = measure(scanner, self._taken[1])
+        noise = rendering.radiance.path_noise
+        codes, depth = measure(scanner, self._taken[1], path_noise=noise)
         depth = with_field(run.scene.rig, rendering.truth, codes, depth)
         look = (light, exact, scanner.sensor, run.seeds["picture"])
         rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None

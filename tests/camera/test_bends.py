@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from stage import centred
 
-from graycast.camera.decode import DepthMap, Reason, with_bends
+from graycast.camera.decode import DepthMap, Reason
+from graycast.camera.sigma import bend_m, with_depth_term
 
 SIGMA_M = 1e-4
 
@@ -14,6 +15,10 @@ def map_of(inverse):
     reason = np.where(np.isnan(depth_m), Reason.SHADOW, Reason.DECODED).astype(np.uint8)
     sigma_m = np.where(np.isnan(depth_m), np.nan, SIGMA_M).astype(np.float32)
     return DepthMap(depth_m=depth_m, sigma_m=sigma_m, reason=reason, camera=centred(40, 30, 100.0))
+
+
+def with_bends(depth):
+    return with_depth_term(depth, bend_m(depth))
 
 
 def grid():

@@ -14,18 +14,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from ..base.frames import transform_points
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.streams import image_seeds, scene_seeds
 from ..base.version import __version__
-from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
+from ..camera.decode import CodeMap, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
 from ..dataset.sample import Raw, Sample
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
-from ..rig.optics import in_picture, points, project
-from ..rig.pair import Rig
 from ..world.drop import PARTS_MAX, drop
 from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
@@ -158,7 +155,6 @@ def _taken(
         )
     with _timed(timings, "decode"):
         codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
-        depth = with_field(scene.rig, rendering.truth, codes, depth)
     manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
@@ -192,18 +188,6 @@ def _taken(
         image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
-
-
-def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) -> DepthMap:
-    """A scanner's depth map that names the pixels whose surface is beside the projector's picture.
-
-    To a decoder they are as dark as a shadow; where the true depth is known, so is the difference.
-    Pixels with a code keep their reason: their light came by way of another surface.
-    """
-    point = transform_points(rig.T_proj_cam, points(rig.camera, truth.depth_m))
-    lit = in_picture(rig.projector, project(rig.projector, point))
-    beside = np.isfinite(truth.depth_m) & ~lit & (codes.reason != Reason.DECODED)
-    return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))
 
 
 def on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:

@@ -7,6 +7,7 @@ from ...base.frames import transform_points
 from ...rig.optics import picture_rays, project, rays, undistort
 from ...rig.pair import Rig
 from ...rig.pattern import Axis
+from .field import beside_projector
 from .maps import CodeMap, DepthMap, Reason
 
 DISTORTION_ITERATIONS = 5
@@ -27,6 +28,8 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     the one unknown Z (docs/explanation/depth.md, "Triangulation"). Distortion is taken off
     first: the camera's from its rays, the projector's from (u, v), v decoded or else iterated.
     The standard deviation is that of the code, carried through dZ/du; the rig is taken as exact.
+    Pixels without a code that the projector cannot light within the working range have the reason
+    OUTSIDE_PROJECTOR.
 
     Args:
         max_epipolar_px: where both axes are coded, a point whose other coordinate lies farther
@@ -60,6 +63,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
         off_px[decoded] = _off_the_line_px(point, along[decoded], rig, axis)
         far = off_the_line(codes, off_px, rig, limit_px=max_epipolar_px)
         reason[(reason == Reason.DECODED) & far] = Reason.OUTLIER
+    reason[~decoded & beside_projector(rig)] = Reason.OUTSIDE_PROJECTOR
     known = reason == Reason.DECODED
     return DepthMap(
         depth_m=np.where(known, depth_m, np.nan).astype(np.float32),

@@ -23,7 +23,7 @@ from ...cell.config import RenderSection, quality_of
 from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
 from ...cell.generate import described_scanner
 from ...cell.resolve import patterns_of
-from ...cell.simulate import on_part, with_field
+from ...cell.simulate import on_part
 from ...dataset.bop import scanner_files
 from ...dataset.claim import described_values, fingerprint, part_digest
 from ...dataset.json_text import plain
@@ -139,7 +139,6 @@ class ImageScanner:
         self._progress.stage("decoding the pictures")
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
         codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
-        depth = with_field(scanner.rig, rendering.truth, codes, depth)
         reasons = reason_shares(depth.reason)
         _refuse_undecoded(reasons)
         own = on_part(staged.scene, staged.layout, rendering.truth)

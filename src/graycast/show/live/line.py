@@ -26,7 +26,7 @@ from ...camera.scanner import measure, take
 from ...camera.sensor import Capture
 from ...cell.config import Config, resolve_quality, resolve_scanner
 from ...cell.resolve import Cell, open_cell_renderer, resolve_cell
-from ...cell.simulate import cell_seeds, varied, with_field
+from ...cell.simulate import cell_seeds, varied
 from ...rendering import Quality, Renderer, Rendering
 from ...world.drop import DropLimits, drop
 from ...world.scene import Layout, Scene
@@ -201,7 +201,6 @@ class Line:
             self._taken = key, capture
         noise = rendering.radiance.path_noise
         codes, depth = measure(scanner, self._taken[1], path_noise=noise)
-        depth = with_field(run.scene.rig, rendering.truth, codes, depth)
         look = (light, exact, scanner.sensor, run.seeds["picture"])
         rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None
         self.content = PageContent(

@@ -16,13 +16,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from graycast.base.kernels import kernel_folder
+
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutants.txt")
-KERNELS = "*.nb[ic]"
+KERNELS = "kernels"  # The copy keeps its compiled kernels in this folder.
 SLOW = "slow "  # Before the tests of a bug, this word asks their slow ones.
 
 
@@ -83,29 +84,27 @@ def main() -> int:
 
 
 def copy_tree(copy: Path) -> None:
-    """What git knows or would add, as it is in the working tree."""
+    """Copy what git knows or would add, as it is in the working tree, and the compiled kernels."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     names = subprocess.check_output(command, cwd=ROOT, text=True).split("\0")
     for name in filter(None, names):
         if (ROOT / name).is_file():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, copy / name)
-    for kernel in (ROOT / "src").rglob(f"__pycache__/{KERNELS}"):  # compiling takes minutes
-        (copy / kernel.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(kernel, copy / kernel.relative_to(ROOT))
+    kernels = kernel_folder()  # Compiling all of them takes minutes.
+    if kernels is not None and kernels.is_dir():
+        shutil.copytree(kernels, copy / KERNELS)
 
 
 def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
-    """Break the copy, run the tests, mend the copy."""
+    """Break the copy, run the tests, mend the copy; return whether a test failed."""
     path = copy / "src/graycast" / bug.file
     sound, times = path.read_text(encoding="utf-8"), path.stat()
     if sound.count(bug.text) != 1:
         sys.exit(f"{bug.file} has {sound.count(bug.text)} times {bug.text!r}: mend mutants.txt")
     broken = sound.replace(bug.text, bug.replaced_by)
     compile(broken, bug.file, "exec")
-    kernels = {kernel: kernel.read_bytes() for kernel in kernels_beside(path)}
     path.write_text(broken, encoding="utf-8")
-    forget(kernels)
     start = time.monotonic()
     try:
         failed = failing_test(copy, bug.tests.split(), slow=bug.slow)
@@ -114,23 +113,10 @@ def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
     finally:
         path.write_text(sound, encoding="utf-8")
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-        forget(kernels_beside(path))
-        for kernel, content in kernels.items():
-            kernel.write_bytes(content)
     seconds = time.monotonic() - start
     print(f"{'noticed ' if failed else 'SURVIVES'} {seconds:4.0f} s  {bug.bug}", flush=True)
     print(f"                   {failed or bug.tests}", flush=True)
     return failed is not None
-
-
-def kernels_beside(path: Path) -> list[Path]:
-    """Compiled ones: Numba knows when a kernel's own file changes, and not what that imports."""
-    return list(path.parent.glob(f"__pycache__/{KERNELS}"))
-
-
-def forget(kernels: Iterable[Path]) -> None:
-    for kernel in kernels:
-        kernel.unlink()
 
 
 def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | None:
@@ -140,7 +126,7 @@ def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | N
         + (["-m", "slow and not gpu"] if slow else [])
         + [str(Path("tests", test)) for test in tests],
         cwd=copy,
-        env=os.environ | {"PYTHONPATH": str(copy / "src")},
+        env=os.environ | {"PYTHONPATH": str(copy / "src"), "NUMBA_CACHE_DIR": str(copy / KERNELS)},
         capture_output=True,
         text=True,
     )

@@ -4,6 +4,7 @@ import fcntl
 import os
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,10 +15,27 @@ from .errors import DatasetError, GraycastError
 ASIDE = ".tmp-"
 
 
-def cache_folder(kind: str) -> Path:
-    """Where results of a kind are kept between runs: in `$XDG_CACHE_HOME`, else `~/.cache`."""
+def cache_folder(kind: str) -> Path | None:
+    """Return the folder where results of a kind are kept between runs; it may not exist yet.
+
+    It lies in `$XDG_CACHE_HOME`, else in `~/.cache`; None if the user has no home. What is kept is
+    never needed: whoever uses the folder goes on where it cannot be read or written.
+    """
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "graycast" / kind
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "graycast" / kind
+    except RuntimeError:  # No HOME is set, and the system does not know the user.
+        return None
+
+
+def why_unwritable(folder: Path) -> str | None:
+    """Make a folder if it is missing, and return why it cannot be written; None if it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return f"{folder} cannot be written ({error.strerror or error})"
+    return None
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -285,6 +285,13 @@ def test_a_good_device_is_used_also_where_no_file_can_be_kept(monkeypatch, tmp_p
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
     monkeypatch.setattr(trial, "try_device", lambda name: good)
     assert trial.tried_before("cuda", "driver 1") == good
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", no_home)
+    assert trial.tried_before("cuda", "driver 1") == good
+
+
+def no_home():
+    raise RuntimeError("Could not determine home directory.")
 
 
 @pytest.mark.slow

@@ -68,7 +68,10 @@ def tried_before(device: str, machine: object) -> Trial:
     versions = [__version__, sys.version, *(version(name) for name in _PACKAGES)]
     stated = repr((device, machine, versions))
     key = hashlib.sha256(stated.encode()).hexdigest()[:32]
-    file = cache_folder("devices") / f"{key}.json"
+    folder = cache_folder("devices")
+    if folder is None:
+        return try_device(device)
+    file = folder / f"{key}.json"
     try:
         return Trial(**parse_json(file.read_bytes()))
     except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged

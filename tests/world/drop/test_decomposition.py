@@ -1,4 +1,5 @@
 import os
+import pwd
 import signal
 import subprocess
 import sys
@@ -214,6 +215,22 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
     prepare((part,))
     for folder in (tmp_path / "graycast" / "hulls", tmp_path / ".cache" / "graycast" / "hulls"):
         assert [file.suffix for file in folder.iterdir()] == [".npz"]
+
+
+@pytest.mark.parametrize("home", ["a file", "a folder that may not be made", "none"])
+def test_hulls_are_made_where_none_can_be_kept(tmp_path, monkeypatch, home):
+    """The user of a container has no home; nobody named this folder, so nothing may ask for it."""
+    part = box_part((0.04, 0.05, 0.06))
+    good = convex_hulls(part, tmp_path / "hulls").hulls
+    file = tmp_path / "file"
+    file.write_text("in the place of a folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none" if "may not" in home else str(file))
+    if home == "none":
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        monkeypatch.delenv("HOME", raising=False)
+        monkeypatch.setattr(pwd, "getpwuid", lambda user: {}[user])
+    (result,) = prepare((part,))
+    assert same(result.hulls, good)
 
 
 @pytest.mark.slow

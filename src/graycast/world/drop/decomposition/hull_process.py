@@ -33,8 +33,8 @@ _LOG_LINES = 5
 
 
 def decompose_apart(
-    jobs: Iterable[tuple[Path, Part]],
-) -> Generator[tuple[Path, str | Decomposition], None, None]:
+    jobs: Iterable[tuple[str, Part]],
+) -> Generator[tuple[str, str | Decomposition], None, None]:
     """`decompose` and `measure` of each mesh in a child process, one child per processor.
 
     One thread follows all children, so that an exception in it ends them all. A caller that may

@@ -2,12 +2,13 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from ....base.errors import GraycastError
 from ....base.folder import cache_folder
 from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh, Part
@@ -44,7 +45,8 @@ def prepare(
     Args:
         parts: their meshes are closed, as `parts` delivers them.
         hull_folder: the disk cache; the user's if None. A file that is damaged or of another mesh,
-            version or setting is made anew, and appears at once or not at all.
+            version or setting is made anew, and appears at once or not at all. Where the folder
+            cannot be written, nothing is kept.
         progress: hears the number of kinds that are ready, or, while the last one is made, what is
             being done.
 
@@ -53,33 +55,37 @@ def prepare(
         GraycastError: a child was killed.
     """
     folder, parts = hull_folder or cache_folder("hulls"), tuple(parts)
-    files = [folder / f"{_key(part.mesh)}.npz" for part in parts]
-    kinds = dict(zip(files, parts, strict=True))
-    ready = {file: hulls for file in kinds if (hulls := read_decomposition(file)) is not None}
+    keys = [_key(part.mesh) for part in parts]
+    kinds = dict(zip(keys, parts, strict=True))
+    files = {} if folder is None else {key: folder / f"{key}.npz" for key in kinds}
+    stored = {key: read_decomposition(file) for key, file in files.items()}
+    ready = {key: hulls for key, hulls in stored.items() if hulls is not None}
 
-    def keep(file: Path, hulls: Decomposition) -> None:
-        write_decomposition(file, hulls)
-        ready[file] = hulls
+    def keep(key: str, hulls: Decomposition) -> None:
+        ready[key] = hulls
+        if key in files:
+            with suppress(OSError, GraycastError):  # Without a file the next run makes them again.
+                write_decomposition(files[key], hulls)
 
-    def jobs() -> Iterator[tuple[Path, Part]]:
-        for file, part in kinds.items():
-            if file in ready:
+    def jobs() -> Iterator[tuple[str, Part]]:
+        for key, part in kinds.items():
+            if key in ready:
                 continue
             if len(part.mesh.faces) <= FEW_FACES and mesh_hulls.is_one_hull(part.mesh):
-                keep(file, measure(part.mesh, decompose(part.mesh)))
+                keep(key, measure(part.mesh, decompose(part.mesh)))
             else:
-                yield file, part
+                yield key, part
 
     with closing(decompose_apart(jobs())) as all_news:
-        for file, news in all_news:
+        for key, news in all_news:
             if isinstance(news, Decomposition):
-                keep(file, news)
+                keep(key, news)
             left = len(kinds) - len(ready)
             if left == 1 and isinstance(news, str):
-                progress.stage(f"{kinds[file].name}: {news}")
+                progress.stage(f"{kinds[key].name}: {news}")
             elif left:
                 progress.stage(f"collision hulls: {len(ready)} of {len(kinds)} kinds are ready")
-    return tuple(ready[file] for file in files)
+    return tuple(ready[key] for key in keys)
 
 
 def _key(mesh: Mesh) -> str:

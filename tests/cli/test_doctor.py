@@ -2,6 +2,7 @@
 
 import json
 import os
+import pwd
 import subprocess
 import sys
 
@@ -87,3 +88,23 @@ def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
     findings = {finding.name: finding for finding in examine()}
     assert findings["NVIDIA GPU"].text == "NVIDIA A, NVIDIA B; driver for CUDA 12.8"
     assert findings["OptiX"].ok
+
+
+def test_an_unwritable_cache_is_no_need_and_is_named_with_its_variable(monkeypatch, tmp_path):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    good = doctor._cache()
+    assert good.ok and good.text == str(tmp_path / "graycast")
+    (tmp_path / "file").write_text("in the place of a folder")
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, str(tmp_path / "file"))
+            bad = doctor._cache()
+        assert not bad.ok and not bad.needed
+        assert f"(Not a directory): set {name} to a folder" in bad.text.replace(
+            "File exists", "Not a directory"
+        )
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", lambda user: {}[user])
+    assert "no home: set XDG_CACHE_HOME" in doctor._cache().text

@@ -71,6 +71,17 @@ def kernel_folder() -> Path | None:
     return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else cache_folder("kernels")
 
 
+def uncached_note() -> str | None:
+    """Return why compiled kernels are not kept; None if they are, or if none was compiled."""
+    return _problem(kernel_folder()) if _problem.cache_info().currsize else None
+
+
+@cache
+def _problem(folder: Path | None) -> str | None:
+    """Return why compiled kernels cannot be kept in a folder; None if they can."""
+    return "this user has no home" if folder is None else why_unwritable(folder)
+
+
 @cache
 def package_files() -> dict[str, Path]:
     """Return the file of each module of this package by the module's full name."""
@@ -148,7 +159,7 @@ class _Locator(_CacheLocator):
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
         """Return the place of a function's compiled code; None if none can be written."""
         module, folder = py_func.__module__, kernel_folder()
-        if folder is None or module not in package_files():
+        if _problem(folder) is not None or folder is None or module not in package_files():
             return None
         try:
             digest = sources_digest(module)

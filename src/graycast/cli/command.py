@@ -112,6 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = options.run(options) or 0
         sys.stdout.flush()
+        _note_lack_of_cache()
         return code
     except KeyboardInterrupt:
         print(f"graycast: the command was stopped; {options.when_stopped}", file=sys.stderr)
@@ -123,6 +124,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"graycast: error: {error_line(error)}", file=sys.stderr)
         return 1
+
+
+def _note_lack_of_cache() -> None:
+    """Say that this command compiled what the next one will compile again."""
+    kernels = sys.modules.get("graycast.base.kernels")  # Loading it takes a while.
+    problem = None if kernels is None else kernels.uncached_note()
+    if problem is not None:
+        print(
+            f"graycast: note: {problem}, so compiled code is not kept, and the next command takes "
+            "as long: set XDG_CACHE_HOME, or NUMBA_CACHE_DIR if you use it, to a folder that can "
+            "be written",
+            file=sys.stderr,
+        )
 
 
 def _nobody_reads() -> bool:

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ..base.errors import DeviceError
+from ..base.folder import cache_folder, why_unwritable
 from ..base.version import __version__
 from ..rendering.cycles import examine_cycles
 from ..rendering.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
@@ -99,6 +100,24 @@ def _machine() -> Iterator[Finding]:
         amount = f"{total_gib:.1f} GiB, {free_gib:.1f} GiB available"
     gives = "rendering, which needs about 4 GiB for a scene of 1032 x 772 pixels"
     yield Finding(name="memory", text=amount, ok=amount != "unknown", gives=gives)
+    yield _cache()
+
+
+def _cache() -> Finding:
+    """Describe the folders in which results are kept between commands."""
+    stated, usual = os.environ.get("NUMBA_CACHE_DIR"), cache_folder("")
+    problems = ["this user has no home: set XDG_CACHE_HOME to a folder"] if usual is None else []
+    folders = [*filter(None, [usual, stated and Path(stated)])]
+    for folder in folders:
+        if (problem := why_unwritable(folder)) is not None:
+            name = "XDG_CACHE_HOME" if folder == usual else "NUMBA_CACHE_DIR"
+            problems.append(f"{problem}: set {name} to a folder that can be written")
+    return Finding(
+        name="cache",
+        text="; ".join(problems) or ", ".join(map(str, folders)),
+        ok=not problems,
+        gives="keeping compiled code and collision hulls, so that later commands start sooner",
+    )
 
 
 def _devices() -> Iterator[Finding]:

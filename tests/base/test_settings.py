@@ -2,6 +2,8 @@
 
 import math
 import pickle
+import time
+import tracemalloc
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +11,16 @@ from typing import Annotated
 import pytest
 from pydantic import Field, ValidationError
 
-from graycast.base.settings import Positive, Settings, changes_of, check_fields, section_of
+from graycast.base.errors import ConfigError
+from graycast.base.settings import (
+    Positive,
+    Settings,
+    changes_of,
+    check_fields,
+    parse_yaml,
+    read_settings,
+    section_of,
+)
 from graycast.camera.decode import DecodeSpec, FilterSpec
 from graycast.camera.faults import FaultSpec
 from graycast.camera.rig_file.own import OpticsModel, RigModel
@@ -121,3 +132,52 @@ def test_what_a_file_may_not_say_of_a_scanner_python_may_not_either(name):
             with pytest.raises(ValueError, match=rf"\b{key}\b"):
                 replace(spec, **{key: wrong})
     assert limits > 2
+
+
+def laughs(levels, line):
+    """A document whose last key stands for ten to the power of `levels` words."""
+    rows = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
+    rows += [line.format(k=k, aliases=", ".join([f"*a{k - 1}"] * 10)) for k in range(1, levels)]
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (laughs(10, "a{k}: &a{k} [{aliases}]"), "stand for more than 1,000,000 characters"),
+        (laughs(10, "a{k}: &a{k} {{x: [{aliases}]}}"), "stand for more than"),
+        (
+            "a0: &a0 {b: 1}\n"
+            + "".join(
+                f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}\n" for k in range(1, 10)
+            ),
+            "stand for more than",
+        ),
+        ("a: &a '" + 2000 * "x" + "'\nb: [" + 1000 * "*a, " + "]\n", "stand for more than"),
+        ("a: &a [1, *a]\n", "an alias stands inside of what it repeats"),
+        ("a: &a {b: {c: *a}}\n", "an alias stands inside of what it repeats"),
+    ],
+    ids=["lists", "mappings", "merges", "a long text", "a list in itself", "a mapping in itself"],
+)
+def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, why):
+    """Ten billion words of 700 bytes; the check itself takes milliseconds and little memory."""
+    path = tmp_path / "bomb.yaml"
+    path.write_text(text)
+    tracemalloc.start()
+    start = time.process_time()
+    with pytest.raises(ConfigError, match=why) as caught:
+        read_settings(path, ScannerSections)
+    seconds, bytes_ = time.process_time() - start, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "is not YAML in line" in str(caught.value) and "\n" not in str(caught.value)
+    assert seconds < 0.5 and bytes_ < 10_000_000
+
+
+def test_honest_aliases_and_long_files_are_read():
+    text = "a: &a {x: 1, y: [1, 2]}\nb: *a\nc: {<<: *a, x: 3}\nd: [*a, *a]\n"
+    a = {"x": 1, "y": [1, 2]}
+    expected = {"a": a, "b": a, "c": a | {"x": 3}, "d": [a, a]}
+    assert parse_yaml(text, Path("a.yaml")) == expected
+    texts = [100_000 * letter for letter in "abcdefghijkl"]
+    content = parse_yaml("t: [" + ", ".join(texts) + "]", Path("t.yaml"))
+    assert content["t"] == texts  # without aliases there is no limit

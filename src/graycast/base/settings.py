@@ -197,6 +197,7 @@ def _reason(message: str) -> str:
 # --- reading -----------------------------------------------------------------------------------
 
 Model = TypeVar("Model", bound=Settings)
+_MOST_COPIED = 1_000_000  # The largest honest file with aliases is some thousand times smaller.
 
 
 def read_settings(path: Path, model: type[Model]) -> Model:
@@ -248,7 +249,17 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
 
 
 class _OneOfEachKey(yaml.SafeLoader):
-    """YAML that refuses a key written twice, where PyYAML would take the last."""
+    """YAML that refuses a key written twice, where PyYAML would take the last.
+
+    It also refuses aliases that would fill the memory: ten lines of ten aliases each stand for ten
+    billion values. PyYAML copies none of them, but whoever checks the values visits each.
+    """
+
+    def get_single_node(self) -> yaml.Node | None:
+        node: yaml.Node | None = super().get_single_node()
+        if node is not None:
+            _refuse_bomb(node)
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         keys = set()
@@ -258,6 +269,42 @@ class _OneOfEachKey(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, why, key.start_mark)
             keys.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+def _refuse_bomb(root: yaml.Node) -> None:
+    """Refuse a document whose aliases stand for too much, or that contains itself.
+
+    A value's size is 1, its characters, and the sizes of the values in it. With aliases, the size
+    of the whole is larger than the sum over all nodes, in which each node counts once.
+    """
+    size: dict[int, int] = {}
+    open_: set[int] = set()
+    once = 0
+
+    def refuse(why: str, node: yaml.Node) -> None:
+        raise yaml.composer.ComposerError(None, None, why, node.start_mark)
+
+    def measure(node: yaml.Node) -> int:
+        nonlocal once
+        key = id(node)
+        if key in open_:
+            refuse("an alias stands inside of what it repeats", node)
+        if key not in size:
+            open_.add(key)
+            is_scalar = isinstance(node, yaml.ScalarNode)
+            inner = () if is_scalar else node.value
+            own = 1 + (len(node.value) if is_scalar else 0)
+            size[key] = own + sum(
+                measure(item[0]) + measure(item[1]) if isinstance(item, tuple) else measure(item)
+                for item in inner
+            )
+            open_.remove(key)
+            once += own
+            if size[key] - once > _MOST_COPIED:
+                refuse(f"its aliases stand for more than {_MOST_COPIED:,} characters", node)
+        return size[key]
+
+    measure(root)
 
 
 def _first_problem(error: ValidationError, model: type[Settings]) -> str:

@@ -27,6 +27,9 @@ from graycast.cell.resolve import resolve_cell
 from graycast.cell.simulate import counts_of
 from graycast.cli import main
 from graycast.dataset.checking import validate
+from graycast.dataset.export import Options, export
+from graycast.dataset.stats import dataset_statistics
+from graycast.dataset.training import open_examples
 from graycast.rig.pattern import CodeSpec
 
 
@@ -103,6 +106,27 @@ def test_scenes_differ_from_each_other_and_with_the_seed(cell, undisturbed, tmp_
         for folder in (undisturbed, tmp_path / "out")
     ]
     assert np.abs(np.subtract(*poses)).max() > 1.0  # millimetres
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools
+def test_scenes_without_parts_are_pictures_of_the_empty_bin(tmp_path):
+    """Seed 0 draws 1 part for scene 0 and none for scene 1; both serve as any other scene."""
+    config = write_cell(tmp_path, count=[0, 1])
+    out, coco = tmp_path / "out", tmp_path / "coco"
+    run(resolve_cell(load_config(config), tmp_path), out, scenes=2)
+    assert validate(out) == ()
+    poses = [json.loads((out / f"train/00000{i}/scene_gt.json").read_text())["0"] for i in (0, 1)]
+    assert [len(each) for each in poses] == [1, 0]
+    export(out, coco, Options(format="coco"))
+    for folder in (out, coco):
+        one, none = open_examples(folder)
+        assert one.mask.shape == (1, 120, 160) and one.mask.any()
+        assert none.mask.shape == (0, 120, 160) and none.box_px.shape == (0, 4)
+        assert none.rgb.shape == (120, 160, 3)
+    assert dataset_statistics(out).instances == {1: 1, 0: 1}
+    one, none = open_examples(out)
+    nearer_m = (none.depth_m - one.depth_m)[one.mask[0]]
+    assert nearer_m.min() > 0 and np.median(nearer_m) > 0.02  # the box is 30 mm high at least
 
 
 def test_running_again_writes_nothing_and_says_so(cell, undisturbed, tmp_path):

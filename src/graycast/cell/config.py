@@ -168,8 +168,8 @@ class Config(ScannerSections):
     )
     count: int | tuple[int, int] = Field(
         30,
-        description="The number of parts in a scene, from 1 to 255, or its lowest and its highest "
-        "value.",
+        description="The number of parts in a scene, from 0 to 255, or its lowest and its highest "
+        "value. A scene without parts shows the empty bin.",
     )
     fill: float | None = Field(
         None,
@@ -223,8 +223,8 @@ class Config(ScannerSections):
         except ValidationError:
             raise ValueError("give one number of parts, or two numbers [lowest, highest]") from None
         low, high = (count, count) if isinstance(count, int) else count
-        if not 1 <= low <= high <= 255:
-            raise ValueError("give a number from 1 to 255, or two such numbers [lowest, highest]")
+        if not 0 <= low <= high <= 255:
+            raise ValueError("give a number from 0 to 255, or two such numbers [lowest, highest]")
         return count
 
     @model_validator(mode="after")

@@ -197,7 +197,7 @@ _LIGHT = (
 )  # fmt: skip
 
 _PHYSICS = (
-    _physics(key="count", label="parts", low=1, high=255, step=1),
+    _physics(key="count", label="parts", low=0, high=255, step=1),
     _physics(key="seed", label="seed", low=0, high=999, step=1),
     *(
         _physics(

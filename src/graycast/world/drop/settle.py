@@ -20,7 +20,7 @@ from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
 from ...base.streams import stream
 from ..parts import Part
-from ..scene import Bin, Layout, Scene
+from ..scene import EMPTY_LAYOUT, Bin, Layout, Scene
 from .body import Body, body_of
 from .decomposition import Decomposition, prepare
 from .rest import simulate
@@ -109,7 +109,7 @@ def drop(
     is returned, with its attempt number. One seed gives one layout, bit for bit.
 
     Args:
-        counts: 0 or more of each kind, 1 to 255 in all.
+        counts: 0 or more of each kind, 0 to 255 in all; 0 in all leave the bin empty.
         seed: 0 or more.
         hull_folder: cache of `prepare`; the user's cache folder if None.
         progress: hears what begins; each stage may take seconds.
@@ -125,8 +125,10 @@ def drop(
     if len(counts) != len(scene.parts) or min(counts, default=0) < 0:
         names = ", ".join(part.name for part in scene.parts)
         raise ValueError(f"counts is {counts}; give a number, 0 or more, for each of: {names}")
-    if not 1 <= sum(counts) <= PARTS_MAX:
-        raise ValueError(f"counts is {counts}, {sum(counts)} in all; 1 to {PARTS_MAX} parts")
+    if sum(counts) > PARTS_MAX:
+        raise ValueError(f"counts is {counts}, {sum(counts)} in all; 0 to {PARTS_MAX} parts")
+    if not sum(counts):
+        return EMPTY_LAYOUT
     kinds = np.flatnonzero(counts)  # a kind that is not dropped costs no decomposition
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)

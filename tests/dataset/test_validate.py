@@ -338,6 +338,12 @@ DATASET_DAMAGE = {
         ),
         "the axis of continuous symmetry 0 has not length 1",
     ),
+    "a file elsewhere in the list of models": (
+        lambda out: edit(
+            out / "graycast.json", lambda c: c["sha256"].update({"../../passwd": "0" * 64})
+        ),
+        r"\.\./\.\./passwd leads out of the folder, and graycast.json tells of it",
+    ),
     "a rig without a camera": (
         lambda out: edit(out / "graycast.json", lambda c: c["rig"].pop("camera")),
         "rig is none",

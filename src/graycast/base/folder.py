@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO
 
 from .errors import DatasetError, GraycastError
@@ -36,6 +36,25 @@ def why_unwritable(folder: Path) -> str | None:
     except OSError as error:
         return f"{folder} cannot be written ({error.strerror or error})"
     return None
+
+
+def visible_entries(folder: Path) -> list[Path]:
+    """Return what a folder holds, in the order of the names, without hidden entries.
+
+    macOS writes a file `._NAME` beside each file on drives of others, and file browsers write
+    their own: these are nobody's data.
+    """
+    return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+
+
+def leads_out(name: str) -> bool:
+    """Whether the name of a file, as a list of others has it, leads out of the list's folder.
+
+    Such a name is an absolute path, or has `..`: it would open files of whoever reads the list.
+    Windows' `\\` counts as `/`.
+    """
+    path = PurePosixPath(name.replace("\\", "/"))
+    return path.is_absolute() or ".." in path.parts
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..base.file_limits import parse_json
+from ..base.folder import leads_out
 from .json_text import json_bytes
 from .safe_reading import png_pixels
 
@@ -72,7 +73,10 @@ def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
 
 
 def sum_problems(folder: Path, sums: Mapping[str, str], *, listed_in: str) -> Iterator[str]:
-    """Files that are missing or have another SHA-256."""
+    """Name files that are missing, have another SHA-256, or lie outside of the folder."""
+    if outside := sorted(name for name in sums if leads_out(name)):
+        yield f"{_named(outside)} leads out of the folder, and {listed_in} tells of it"
+        sums = {name: digest for name, digest in sums.items() if name not in outside}
     if missing := sorted(name for name in sums if not (folder / name).is_file()):
         yield f"{_named(missing)} is missing, {listed_in} tells of it"
     changed = [n for n in sorted(set(sums) - set(missing)) if _sum_of(folder / n) != sums[n]]

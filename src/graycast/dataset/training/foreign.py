@@ -19,12 +19,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs, parse_json
+from ...base.folder import leads_out
 from ..example import Example, metres, pose_m
 from ..records import Images, Positive
 from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
-from ..safe_reading import Unreadable
+from ..safe_reading import Unreadable, pixels
 from ..scene_folder import SCANNER, AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
-from .from_bytes import boxes, compressed, masks, picture
+from .from_bytes import boxes, compressed, masks
 
 
 @final
@@ -106,6 +107,7 @@ def _open_coco(path: Path) -> Foreign:
             raise DatasetError(f"{path}: holds no COCO annotations (a list of {name} is missing)")
         for number, entry in enumerate(content[name]):
             _check(entry, form, f"{path}: {name}[{number}]")
+    refuse_repeated(content, str(path))
     # Numbers before words, where somebody mixed them.
     images = sorted(content["images"], key=lambda one: (isinstance(one["id"], str), one["id"]))
     if not images:
@@ -124,6 +126,24 @@ def _open_coco(path: Path) -> Foreign:
         categories=categories,
         read=partial(_coco_example, path, tuple(images), dict(entries)),
     )
+
+
+def refuse_repeated(content: Mapping[str, Any], where: str) -> None:
+    """Refuse a COCO file in which two images or categories share an id, or two categories a name.
+
+    Whoever reads it would take one of them for the other.
+
+    Raises:
+        DatasetError: the text names the first of them and where it stands.
+    """
+    for kind, key in (("images", "id"), ("categories", "id"), ("categories", "name")):
+        place: dict[Any, int] = {}
+        for number, entry in enumerate(content[kind]):
+            if (first := place.setdefault(entry[key], number)) != number:
+                raise DatasetError(
+                    f"{where}: {kind}[{first}] and {kind}[{number}] have the same {key} "
+                    f"{entry[key]}: give each its own, or remove one of them"
+                )
 
 
 def _check(entry: Any, form: type[_Entry], place: str) -> None:
@@ -187,7 +207,18 @@ def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
 
 
 def _beside(path: Path, name: str) -> Path:
-    """Where a picture is: by COCO's custom beside the annotations, or in a folder near them."""
+    """Return where a picture is: beside the annotations, as is COCO's custom, or in a folder near.
+
+    Raises:
+        DatasetError: it is nowhere there, or its name leads out of there.
+    """
+    if leads_out(name):
+        raise DatasetError(
+            f"{path}: picture {name} leads out of the folder: give its name without the folders "
+            "before it; pictures are found beside the annotations, beside their folder, and in the "
+            "folders there"
+        )
+    name = name.replace("\\", "/")  # Windows writes folders so.
     plain = glob.escape(name)  # brackets in a name are no pattern
     for folder in (path.parent, path.parent.parent):
         for file in (folder / name, *folder.glob(f"*/{plain}"), *folder.glob(f"*/*/{plain}")):
@@ -312,7 +343,10 @@ def _bytes(path: Path) -> bytes:
 
 
 def _colour(file: Path) -> np.ndarray:
-    image = picture(_bytes(file), str(file))
+    try:
+        image = pixels(_bytes(file), str(file))
+    except Unreadable as error:
+        raise DatasetError(f"{error}: correct the picture, or remove it from the list") from error
     if image.dtype != np.uint8:
         raise DatasetError(f"{file}: is {image.dtype}, but a colour picture must have 8 bits")
     if image.ndim == 2:

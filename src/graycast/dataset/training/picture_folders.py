@@ -11,6 +11,7 @@ from pycocotools import mask as coco_mask
 
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
+from ...base.folder import leads_out
 from ..example import Example, pose_m
 from ..export.options import DEPTHS
 from ..export.record import ExportRecord
@@ -104,6 +105,8 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
     """The picture and the depths that an export holds."""
+    if leads_out(name):
+        raise DatasetError(f"{folder}: picture {name} leads out of the folder: export again")
     image = folder / "images" / name
     fields: dict[str, Any] = image_fields(record.options["image"], _read(image), str(image))
     for depth in DEPTHS[record.options.get("depth", "none")]:

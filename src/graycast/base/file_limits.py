@@ -1,8 +1,9 @@
-"""JSON and pictures of users, refused before they fill the memory."""
+"""JSON and pictures of users, refused before they fill the memory or lie on their side."""
 
 import os
 import re
 import struct
+import warnings
 from codecs import BOM_UTF8
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -13,6 +14,16 @@ from pydantic import TypeAdapter, ValidationError
 
 MOST_PX = 100_000_000
 _HEAD_BYTES = 1 << 16
+_ORIENTATION = 0x0112  # the tag of EXIF and of TIFF
+_TURNS = {
+    2: "mirrored",
+    3: "turned by 180 degrees",
+    4: "upside down and mirrored",
+    5: "turned by 90 degrees and mirrored",
+    6: "turned by 90 degrees",
+    7: "turned by 90 degrees and mirrored",
+    8: "turned by 90 degrees",
+}
 _File = BufferedReader | BytesIO
 _ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
 
@@ -60,6 +71,44 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
         except (OSError, SyntaxError, LookupError, ValueError, TypeError, struct.error):
             return
     refuse_large_size(*size, name, error)
+
+
+def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> None:
+    """Raise an error of the given class if a picture is stored in another orientation than shown.
+
+    Cameras that are mounted upside down, and phones, store what the sensor saw and note how to
+    turn it (EXIF). Viewers and labelling tools turn it, our decoders do not, so labels, camera
+    matrix and pixels would belong to different pictures.
+
+    Args:
+        source: the file, which exists, or its content.
+        name: the picture's name in the error.
+    """
+    content = source.read_bytes() if isinstance(source, Path) else source
+    if content.startswith(b"\x89PNG") and b"eXIf" not in content:
+        return  # PNGs seldom have one, and they are read where Pillow is not installed
+    if (orientation := _orientation(content)) in _TURNS:
+        raise error(
+            f"{name}: is stored {_TURNS[orientation]} (EXIF orientation {orientation}): save it "
+            "upright without this note, as ImageOps.exif_transpose of Pillow does, with labels and "
+            "a camera matrix of that picture"
+        )
+
+
+def _orientation(content: bytes) -> int:
+    """Return the EXIF orientation of a picture, 1 to 8; 1 if it states none."""
+    from PIL import Image, UnidentifiedImageError  # only here, as in `_stated_size`
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow warns of large pictures and odd EXIF entries
+            with Image.open(BytesIO(content)) as image:
+                return int(image.getexif().get(_ORIENTATION, 1))
+    except (
+        UnidentifiedImageError, OSError, SyntaxError, LookupError, ValueError, TypeError,
+        struct.error, Image.DecompressionBombError,
+    ):  # fmt: skip
+        return 1  # a decoder tells what is wrong with it
 
 
 def load_array(path: Path) -> np.ndarray:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from ..base.file_limits import refuse_large_picture
+from ..base.file_limits import refuse_large_picture, refuse_turned
 
 R = TypeVar("R")
 Form = type[R] | GenericAlias  # GenericAlias is what `list[Pose]` is when the program runs.
@@ -136,6 +136,7 @@ def pixels(data: bytes, name: str) -> np.ndarray:
 
 def _decoded(data: bytes, name: str) -> np.ndarray:
     refuse_large_picture(data, name, Unreadable)
+    refuse_turned(data, name, Unreadable)
     encoded = np.frombuffer(data, dtype=np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if data else None
     if image is None:

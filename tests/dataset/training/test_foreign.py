@@ -6,6 +6,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from simulated_dataset import write_dataset
 
 from graycast.base.errors import DatasetError
@@ -15,6 +16,9 @@ from graycast.dataset.training import open_examples
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+EMPTY = {"annotations": [], "categories": [{"id": 1, "name": "part"}]}
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +140,44 @@ def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
     example = open_examples(written(tmp_path / "a.json"))[0]
     np.testing.assert_array_equal(example.rgb, picture)
     assert example.mask is None
+
+
+def test_the_name_of_a_picture_does_not_lead_out_of_the_folder(tmp_path):
+    """A list of strangers would open files of whoever reads it."""
+    picture = np.full((4, 4, 3), 90, np.uint8)
+    (tmp_path / "set").mkdir()
+    for place in ("secret.png", "set/a.png"):
+        cv2.imwrite(str(tmp_path / place), picture)
+    path = tmp_path / "set/a.json"
+    names = ("../secret.png", str(tmp_path / "secret.png"), "..\\secret.png", "x/../../secret.png")
+    for name in names:
+        path.write_text(json.dumps({"images": [{"id": 0, "file_name": name}]} | EMPTY))
+        with pytest.raises(DatasetError, match=r"a\.json: picture .*secret\.png leads out of the"):
+            open_examples(path)[0]
+    path.write_text(json.dumps({"images": [{"id": 0, "file_name": "set\\a.png"}]} | EMPTY))
+    np.testing.assert_array_equal(open_examples(path)[0].rgb, picture)
+
+
+def test_a_picture_that_is_stored_turned_is_refused(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(np.full((4, 6, 3), 90, np.uint8)).save(tmp_path / "a.jpg", exif=exif)
+    content = {"images": [{"id": 0, "file_name": "a.jpg"}]} | EMPTY
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    with pytest.raises(
+        DatasetError, match=r"a\.jpg is stored turned by 90|a\.jpg: is stored turned"
+    ):
+        open_examples(tmp_path / "a.json")[0]
+
+
+def test_the_largest_number_is_no_depth(datasets, tmp_path):
+    scenes = shutil.copytree(datasets / "ours/train", tmp_path / "train")
+    path = scenes / "000000/depth/000000.png"
+    steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    steps[3:5, 4:9] = 65535
+    cv2.imwrite(str(path), steps)
+    depth_m = open_examples(scenes)[0].depth_m
+    np.testing.assert_array_equal(np.isnan(depth_m), (steps == 0) | (steps == 65535))
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_times_may_differ_and_files_of_a_browser_may_lie_there(copy):
 
 
 DARK = {
-    "far": ({"view": {"distance_m": 1e9}}, "65.535 m: give a smaller view.distance_m"),
+    "far": ({"view": {"distance_m": 1e9}}, "65.534 m: give a smaller view.distance_m"),
     "farther than its range": (
         {"view": {"distance_m": 5.0}},
         "so in none: .* near_m and far_m",

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.real.depth_sense import filled_holes, refuse_beyond
+from graycast.real.depth_sense import depth_kind_note, filled_holes, plane_shares, refuse_beyond
+from graycast.rig.optics import Optics, picture_rays
 
 RANGE = {"near_m": 0.67, "far_m": 1.0, "name": "a.png", "whose": "the detector learnt"}
 
@@ -51,3 +52,46 @@ def test_measured_depth_in_coarse_steps_is_not_taken_for_filled_holes(step_m):
     holed[rng.random(holed.shape) < 0.22] = np.nan
     assert filled_holes(holed, "a.png") is None
     assert filled_holes(np.full((4, 4), np.nan), "a.png") is None
+
+
+@pytest.mark.parametrize("pixels", [5, 100])
+def test_a_few_pixels_at_one_depth_far_behind_all_others_are_named(pixels):
+    """A sentinel in floats, such as 65.535 m, whatever its share is."""
+    depth_m = slope(np.random.default_rng(4))
+    assert depth_m.size > 20 * pixels  # under the share of a fill
+    depth_m.flat[:pixels] = 65.535
+    note = filled_holes(depth_m, "a.png")
+    assert "exactly the farthest depth, 65.53 m" in note or "65.54 m" in note
+    assert note.startswith(f"a.png: {pixels / depth_m.size:.2%} of the pixels")
+
+
+def heap(f_px, seed):
+    """A tilted table of which heaped parts hide about half, with 1 mm of noise; and its optics."""
+    rng = np.random.default_rng(seed)
+    optics = Optics(width_px=120, height_px=90, fx_px=f_px, fy_px=f_px, cx_px=59.5, cy_px=44.5)
+    z_m = 0.8 / (picture_rays(optics) @ np.array([0.2, -0.1, 1.0]))
+    y, x = np.mgrid[:90, :120]
+    for _ in range(40):
+        inside = (x - rng.integers(120)) ** 2 + (y - rng.integers(90)) ** 2 < 80
+        z_m[inside] -= rng.uniform(0.02, 0.06) + 1e-3 * (x - y)[inside] % 0.02
+    return z_m + 1e-3 * rng.standard_normal(z_m.shape), optics
+
+
+@pytest.mark.parametrize("f_px", [75, 150, 300], ids=["wide", "usual", "narrow"])
+def test_a_plane_tells_z_from_the_length_of_rays(f_px):
+    """Oracle: the length is z times the norm of the ray; the fit knows the plane by its own."""
+    z_m, optics = heap(f_px, seed=0)
+    length_m = z_m * np.linalg.norm(picture_rays(optics), axis=-1)
+    z, lengths = plane_shares([z_m], optics), plane_shares([length_m], optics)
+    assert (z.lengths, lengths.lengths) == (False, True)
+    assert depth_kind_note(z, ray_length=False) is depth_kind_note(lengths, ray_length=True) is None
+    assert "give --ray-length" in depth_kind_note(lengths, ray_length=False)
+    assert "leave out --ray-length" in depth_kind_note(z, ray_length=True)
+
+
+def test_pictures_without_a_plane_tell_nothing_of_their_depth():
+    _, optics = heap(150, seed=0)
+    rough_m = 0.5 + 0.4 * np.random.default_rng(5).random((90, 120))
+    for depths_m in ([rough_m], [np.full((90, 120), np.nan)], []):
+        shares = plane_shares(depths_m, optics)
+        assert shares.lengths is None and depth_kind_note(shares, ray_length=False) is None

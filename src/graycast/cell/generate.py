@@ -183,7 +183,7 @@ def depth_step_mm(cell: Cell) -> float:
     except ValueError as error:
         raise ConfigError(
             f"the bin is up to {reach_m(cell):.4g} m from the camera, and depth pictures end at "
-            "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
+            "65.534 m: give a smaller view.distance_m, or another store.depth_step_mm"
         ) from error
 
 

@@ -178,6 +178,9 @@ SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
     "--size": (size,
         "The width and height of the depth map in pixels, such as 1032x772. It is needed for "
         "PLY point clouds that do not state it."),
+    "--ray-length": (None,
+        "State that depth is the distance from the camera along the ray of each pixel, as laser "
+        "scanners and some renderers give it. It is converted to z."),
     "--rgb": (Path, "The colour pictures, one for each depth map in the same order."),
     "--unit": (tuple(UNITS_M),
         "The unit of the lengths in the file. It is needed only if the file does not make it "
@@ -367,7 +370,7 @@ def resolve_config(config, name: Path, folder: Path):
 
 
 def file_options(options: argparse.Namespace) -> "FileOptions":
-    """What `--intrinsics`, `--scale`, `--size` and, where there is one, `--distortion` state."""
+    """What `--intrinsics`, `--scale`, `--size`, `--distortion` and `--ray-length` state."""
     from ..real.depth_file import FileOptions, read_intrinsics
 
     return FileOptions(
@@ -375,6 +378,7 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
         distortion=getattr(options, "distortion", None),
         scale_m=options.scale,
         size_px=options.size,
+        ray_length=getattr(options, "ray_length", False),
     )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from ..base.errors import GraycastError, one_line
 from .arguments import (
     CONTINUE,
+    above_zero,
     add_command,
     add_device,
     add_division,
@@ -177,7 +178,9 @@ def _add_import(group) -> None:
     folder = "The folder of the pictures, with one or more of the subfolders rgb, gray and depth."
     add_option(real, "folder", Path, folder)
     add_out(real, NEW_FOLDER)
-    add_shared(real, "--intrinsics", "--distortion", "--scale", "--size")
+    add_shared(real, "--intrinsics", "--distortion", "--scale", "--size", "--ray-length")
+    far = "The farthest depth in metres that is stored. Pixels beyond it get no depth."
+    add_option(real, "--far", above_zero, far, usual="the farthest depth of all pictures")
     labels = "The labels: a COCO file, or a folder of LabelMe files."
     add_option(real, "--annotations", Path, labels, usual="FOLDER/annotations")
     add_option(real, "--unlabelled", None, "Import the pictures without labels.")
@@ -291,6 +294,7 @@ def _import(options: argparse.Namespace) -> int:
             labelled=not options.unlabelled,
             names=names,
             range_m=range_m,
+            far_m=options.far,
             progress=bars,
         )
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))

@@ -47,7 +47,7 @@ def add_commands(commands) -> None:
     )  # fmt: skip
     add_option(measure, "depth", Path, f"The depth maps: {FILES}.", nargs="+")
     add_out(measure, "The folder to write.")
-    add_shared(measure, "--intrinsics", "--scale", "--size")
+    add_shared(measure, "--intrinsics", "--scale", "--size", "--ray-length")
     gray = "The grey pictures that belong to the depth maps, one for each map."
     add_option(measure, "--gray", Path, gray, nargs="+")
     reason = "The maps of reasons that belong to the depth maps, one for each map."
@@ -61,7 +61,7 @@ def add_commands(commands) -> None:
     add_option(compare, "first", Path, f"The first set: {sets}.")
     add_option(compare, "second", Path, "The second set, of the same kinds.")
     add_out(compare, "The folder to write.", required=False)
-    add_shared(compare, "--intrinsics", "--scale", "--size")
+    add_shared(compare, "--intrinsics", "--scale", "--size", "--ray-length")
     add_option(
         compare,
         "--classifier",
@@ -82,7 +82,7 @@ def add_commands(commands) -> None:
     add_shared(twin, "--config", required=True)
     add_out(twin, NEW_FILE)
     add_shared(twin, "--intrinsics", usual="those of the rig")
-    add_shared(twin, "--scale", "--size")
+    add_shared(twin, "--scale", "--size", "--ray-length")
     add_shared(twin, "--rgb", nargs="+")
     add_option(
         twin,
@@ -116,7 +116,7 @@ def _add_fit_bin(group) -> None:
     add_out(fit, NEW_FILE)
     add_shared(fit, "--rgb", nargs="+")
     add_shared(fit, "--intrinsics", "--distortion", usual="those of the rig")
-    add_shared(fit, "--scale", "--size")
+    add_shared(fit, "--scale", "--size", "--ray-length")
     inner = "The inner sizes of the bin along x, y and z in metres."
     add_option(fit, "--inner", _inner, inner, usual="as configured", metavar="L,W,H")
     wall = "The thickness of the bin's walls in metres."

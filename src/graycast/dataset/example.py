@@ -162,10 +162,21 @@ def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarr
     return rigid(R, np.array(translation_mm, dtype=np.float64) / MM_PER_M)
 
 
+def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
+    """Whether each number of a depth picture is a distance.
+
+    0, what is not finite, and the largest number of the type (65535 of 16 bits) are none: cameras
+    write them where they measured nothing, however few such pixels there are.
+    """
+    if value.dtype.kind in "ui":
+        return (value != 0) & (value != np.iinfo(value.dtype).max)
+    return np.isfinite(value) & (value != 0) & (np.abs(value) != np.finfo(value.dtype).max)
+
+
 def metres(steps: UInt16[np.ndarray, "h w"], scale_mm: float) -> Float32[np.ndarray, "h w"]:
-    """A depth picture in metres; its 0 is NaN."""
+    """Return a depth picture in metres; NaN where it holds no distance (see `known_depth`)."""
     depth_m = steps.astype(np.float64) * (scale_mm / MM_PER_M)
-    return np.where(steps > 0, depth_m, np.nan).astype(np.float32)
+    return np.where(known_depth(steps), depth_m, np.nan).astype(np.float32)
 
 
 def label_arrays(labels: list[InstanceLabel], size_px: tuple[int, int]) -> dict[str, Any]:

@@ -13,15 +13,16 @@ from ..rendering.radiance import Silhouette
 from .records import MM_PER_M
 
 _PNG_LEVEL = 2  # Higher ones take twice the time for a hundredth of the size.
-DEPTH_MAX = 65535
+_STEP_MAX = 65535
+DEPTH_MAX = _STEP_MAX - 1  # Cameras write 65535 where they measured nothing, so readers take it so.
 _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 
 def depth_scale_mm(reach_m: float) -> float:
     """The millimetres that one step of a depth picture stands for, for depths up to `reach_m`.
 
-    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65535 steps reach so far: 0.02 mm up to
-    1.31 m. So a step is a part in 65535 to 26214 of the depth, well under a scanner's noise, and
+    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65534 steps reach so far: 0.02 mm up to
+    1.31 m. So a step is a part in 65534 to 26213 of the depth, well under a scanner's noise, and
     what it multiplies stays short in decimals. It is one number per dataset.
 
     Raises:
@@ -32,7 +33,7 @@ def depth_scale_mm(reach_m: float) -> float:
     for scale_mm in _SCALES_MM:
         if reach_m * MM_PER_M <= scale_mm * DEPTH_MAX:
             return scale_mm
-    raise ValueError(f"reach_m is {reach_m}; 16-bit depth in millimetres ends at 65.535 m")
+    raise ValueError(f"reach_m is {reach_m}; 16-bit depth in millimetres ends at 65.534 m")
 
 
 def depth_steps(
@@ -63,7 +64,7 @@ def modulation_steps(
     NaN and what noise has made negative are stored as 0: no modulation.
     """
     value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
-    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / DEPTH_MAX))
+    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / _STEP_MAX))
     return np.rint(value / scale).astype(np.uint16), scale
 
 

@@ -11,6 +11,7 @@ from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
 from ..camera.decode import Reason
 from .coco import add_images, scene_coco
+from .example import known_depth
 from .places import CLAIM
 from .rescanned import RECORDS, ImageRecord, RescanClaim, image_records
 from .safe_reading import Unreadable, read_json
@@ -135,7 +136,7 @@ def _depth_problems(
     if perfect is None or perfect.shape != scanned_mm.shape or not record.perfect_step_mm:
         return
     perfect_mm = perfect * record.perfect_step_mm
-    both = (perfect_mm > 0) & (scanned_mm > 0)
+    both = known_depth(perfect) & (scanned_mm > 0)
     far = np.abs(scanned_mm - perfect_mm)[both] > _NEAR * perfect_mm[both]
     if both.any() and far.mean() > _MOST_FAR:
         yield (

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..base.array_types import Int, UInt8, UInt16
 from ..base.errors import DatasetError
+from .example import known_depth
 from .records import Box3d, ScannerRecord
 from .stored import Instance, StoredScene
 
@@ -78,7 +79,7 @@ def scene_content(stored: StoredScene) -> SceneContent:
         stored=stored,
         rgb=stored.rgb() if "rgb" in holds else None,
         gray=stored.picture("gray_sl") if "gray_sl" in holds else None,
-        depth=stored.picture("depth") if "depth" in holds else None,
+        depth=_distances(stored.picture("depth")) if "depth" in holds else None,
         scanner=scanner,
         reason=reason,
         label=_label_map(instances, stored.size_px),
@@ -87,6 +88,11 @@ def scene_content(stored: StoredScene) -> SceneContent:
         reason_name=reason_name,
         manifest=stored.manifest(),
     )
+
+
+def _distances(steps: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """Steps of depth, 0 where there is none; datasets of others may have 65535 there."""
+    return np.where(known_depth(steps), steps, 0)
 
 
 def _label_map(instances: list[Instance], size_px: tuple[int, int]) -> Int[np.ndarray, "h w"]:

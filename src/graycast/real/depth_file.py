@@ -12,8 +12,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..base.errors import DatasetError
-from ..base.file_limits import load_array, parse_json, refuse_large_picture
+from ..base.file_limits import load_array, parse_json, refuse_large_picture, refuse_turned
+from ..base.folder import visible_entries
 from ..base.ply import COLORS, read_vertices
+from ..dataset.example import known_depth
+from ..rig.optics import Optics, optics_of, picture_rays
 
 NO_CAMERA = "the file does not state its camera: give the intrinsics (--intrinsics fx,fy,cx,cy)"
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
@@ -31,12 +34,15 @@ class FileOptions:
         distortion: k1, k2, p1, p2, k3 of OpenCV.
         scale_m: metres per unit of depth; whole numbers need one, floats are metres.
         size_px: width and height of clouds that do not say it.
+        ray_length: whether depth is the distance from the camera along each pixel's ray, which
+            becomes z.
     """
 
     K: Float[np.ndarray, "3 3"] | None = None
     distortion: tuple[float, float, float, float, float] | None = None
     scale_m: float | None = None
     size_px: tuple[int, int] | None = None
+    ray_length: bool = False
 
 
 NO_OPTIONS = FileOptions()
@@ -46,13 +52,15 @@ NO_OPTIONS = FileOptions()
 class DepthFile:
     """Depth [m], NaN where there is none, its camera, and the look that a cloud has of its own.
 
-    `gray` is the mean of the colours as a share of their range.
+    `gray` is the mean of the colours as a share of their range. `largest_px` counts the pixels with
+    the largest number of the file's type, which is no distance.
     """
 
     depth_m: Float[np.ndarray, "h w"]
     K: Float[np.ndarray, "3 3"]
     gray: Float[np.ndarray, "h w"] | None = None
     rgb: UInt8[np.ndarray, "h w 3"] | None = None
+    largest_px: int = 0
 
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
@@ -112,7 +120,13 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
             "--scale 0.001)"
         )
     scale_m = 1.0 if options.scale_m is None else options.scale_m
-    return DepthFile(depth_m=in_metres(value, scale_m, str(path)), K=options.K)
+    depth_m = in_metres(value, scale_m, str(path))
+    if options.ray_length:
+        size_px = depth_m.shape[0], depth_m.shape[1]
+        optics = optics_of(options.K, size_px, options.distortion or (0.0,) * 5)
+        depth_m = z_of_ray_length(depth_m, optics)
+    largest = np.isfinite(value) & (value != 0) & ~known_depth(value)
+    return DepthFile(depth_m=depth_m, K=options.K, largest_px=int(largest.sum()))
 
 
 def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
@@ -120,6 +134,11 @@ def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
 
     Its vertices are its first element; what follows is not read.
     """
+    if options.ray_length:
+        raise DatasetError(
+            f"{path}: is a cloud of points, which states z: leave out --ray-length, or give depth "
+            "maps"
+        )
     try:
         header, table, count = read_vertices(path)
         width_px, height_px = _size(path, header, count, options.size_px)
@@ -186,11 +205,19 @@ def _size(
     return width_px, height_px
 
 
+def z_of_ray_length(length_m: Float[np.ndarray, "h w"], optics: Optics) -> Float[np.ndarray, "h w"]:
+    """Return z of the camera frame for distances from the camera along each pixel's ray.
+
+    The ray through a pixel is (x, y, 1), so `z = length / sqrt(x^2 + y^2 + 1)`.
+    """
+    return length_m / np.linalg.norm(picture_rays(optics), axis=-1)
+
+
 def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
-    """Depth [m] in which 0 and what is not finite is NaN."""
+    """Return depth [m]; NaN where the file holds no distance (see `known_depth`)."""
     if not 0 < scale_m < np.inf:
         raise DatasetError(f"{name}: scale is {scale_m}; give metres per unit, greater than 0")
-    known = np.isfinite(value) & (value != 0)
+    known = known_depth(value)
     depth_m = np.where(known, value.astype(np.float64) * scale_m, np.nan)
     if known.any() and np.nanmedian(depth_m) > _FARTHEST_M:
         raise DatasetError(
@@ -214,7 +241,7 @@ def depth_files(folder: Path) -> list[Path]:
     """`depth.npy` alone where `graycast rig decode` wrote it, else all that may be depth."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in DEPTH_FILES)
+    files = [file for file in visible_entries(folder) if file.suffix.lower() in DEPTH_FILES]
     if not files:
         kinds = ", ".join(DEPTH_FILES)
         raise DatasetError(f"{folder}: has neither depth files ({kinds}) nor a BOP dataset")
@@ -225,6 +252,7 @@ def read_image(path: Path) -> np.ndarray:
     if not path.is_file():
         raise DatasetError(f"{path}: no such file: check the path")
     refuse_large_picture(path, str(path), DatasetError)
+    refuse_turned(path, str(path), DatasetError)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DatasetError(f"{path}: is not an image, or is damaged: use PNG, TIFF, NPY or PLY")

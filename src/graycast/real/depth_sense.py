@@ -1,12 +1,21 @@
-"""Whether depth can be what it is given for: its unit against a known range, and filled holes."""
+"""Whether depth can be what it is given for: its unit, filled holes, and lengths of rays for z."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from ..base.errors import DatasetError
+from ..rig.optics import Optics, picture_rays
 
 BEYOND = 1.5  # No place of the camera explains a median beyond far times this or near over this.
 FILLED = 0.05  # A larger share of the known pixels at exactly the farthest depth may be a fill.
+_APART = 1.2  # No surface ends at one exact depth that is so many times the next one.
+_PIXELS, _PLANES = 3000, 300  # So many pixels and triples of them show the largest plane.
+_LEAST_PX = 300
+_OFF = 3e-3  # A pixel on a plane is off by less of its depth.
+_PLANE_SHARE, _TIMES = 0.1, 2.0  # A plane has at least so much of a picture; it wins by a factor.
 _FEWER = 5  # Far measured depth thins out; a fill has so many times the pixels of depths below.
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
@@ -33,7 +42,10 @@ def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, 
 
 
 def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
-    """A sentence about holes that were filled with the farthest depth; None if there are none.
+    """Return a sentence about holes that were filled with the farthest depth; None without any.
+
+    Pixels at exactly the farthest depth are a fill if they are a large share, or, however few, if
+    nothing lies near them: a sentinel such as 65.535 m in a picture of floating-point numbers.
 
     Leaves out: a wall of one exact depth, which no scanner measures but a perfect picture may have.
     """
@@ -42,10 +54,93 @@ def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
         return None
     value, count = np.unique(known, return_counts=True)
     farthest_m, filled = value[-1], int(count[-1])
-    if filled < FILLED * known.size or filled < _FEWER * count[-4:-1].max(initial=0):
+    apart = filled >= _FEWER and len(value) > 1 and farthest_m > _APART * value[-2]
+    common = filled >= FILLED * known.size and filled >= _FEWER * count[-4:-1].max(initial=0)
+    if not (apart or common):
         return None
     return (
-        f"{name}: {filled / known.size:.0%} of the pixels with depth have exactly the farthest "
-        f"depth, {farthest_m:.4g} m: probably these are holes that were filled, and they count as "
-        "measured: write 0 or NaN where nothing was measured"
+        f"{name}: {_percent(filled / known.size)} of the pixels with depth have exactly the "
+        f"farthest depth, {farthest_m:.4g} m: probably these are holes that were filled, and they "
+        "count as measured: write 0 or NaN where nothing was measured"
+    )
+
+
+def _percent(share: float) -> str:
+    """A share in words; small ones do not become 0 %."""
+    return f"{share:.0%}" if share >= 0.01 else f"{share:.2%}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneShares:
+    """Which shares of depth pictures lie on one plane each, by what the depth is taken for."""
+
+    as_z: float
+    as_length: float
+
+    @property
+    def lengths(self) -> bool | None:
+        """Whether the depth is that of rays; None if it does not tell."""
+        if max(self.as_z, self.as_length) < _PLANE_SHARE:
+            return None
+        if self.as_length > _TIMES * self.as_z:
+            return True
+        return False if self.as_z > _TIMES * self.as_length else None
+
+
+def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
+    """Return how much of depth pictures lies on planes if they hold z, and if they hold lengths.
+
+    A floor or a table is the largest plane of most pictures. Taken for the wrong kind of depth it
+    is a bowl: at 30 degrees from the axis, the length of a ray is 15 % more than its z. A plane is
+    linear in the picture if the reciprocal of z is: `1 / z = a x + b y + c`.
+
+    Leaves out: pictures without a plane, and narrow fields of view with much noise, tell nothing.
+
+    Args:
+        depths_m: z or lengths [m], NaN where there is none, of the size of the optics.
+    """
+    rng = np.random.default_rng(0)  # a choice of pixels; the result hardly depends on it
+    ray = picture_rays(optics).reshape(-1, 3)
+    length = np.linalg.norm(ray, axis=1)
+    on_plane, known_px = np.zeros(2), 0
+    for depth_m in depths_m:
+        known = np.flatnonzero(np.isfinite(depth_m))
+        if known.size < _LEAST_PX:
+            continue
+        pixel = rng.choice(known, min(known.size, _PIXELS), replace=False)
+        value = 1 / depth_m.ravel()[pixel].astype(np.float64)
+        on_plane += [_on_plane(ray[pixel], value * k, rng) for k in (1.0, length[pixel])]
+        known_px += pixel.size
+    as_z, as_length = (on_plane / max(known_px, 1)).tolist()
+    return PlaneShares(as_z=as_z, as_length=as_length)
+
+
+def _on_plane(
+    ray: Float[np.ndarray, "n 3"], inverse: Float[np.ndarray, " n"], rng: np.random.Generator
+) -> int:
+    """How many pixels lie on the plane that has the most of them; `inverse` is 1 / z."""
+    three = rng.integers(0, len(ray), (_PLANES, 3))
+    corners = ray[three]
+    planes = np.flatnonzero(np.abs(np.linalg.det(corners)) > 1e-6)
+    plane = np.linalg.solve(corners[planes], inverse[three[planes]][..., None])[..., 0]
+    near = np.abs(ray @ plane.T / inverse[:, None] - 1) < _OFF
+    best = near[:, near.sum(axis=0).argmax()]
+    fit = np.linalg.lstsq(ray[best], inverse[best], rcond=None)[0]
+    return max(int(best.sum()), int((np.abs(ray @ fit / inverse - 1) < _OFF).sum()))
+
+
+def depth_kind_note(shares: PlaneShares, *, ray_length: bool) -> str | None:
+    """Return a sentence if depth seems to be of the other kind than it is taken for."""
+    if shares.lengths is None or shares.lengths is ray_length:
+        return None
+    z, length = f"{shares.as_z:.0%}", f"{shares.as_length:.0%}"
+    if shares.lengths:
+        return (
+            f"the depth seems to be the length of each ray and not z: taken as lengths, {length} "
+            f"of the pixels lie on one plane of their picture, taken as z {z}: if the camera "
+            "measures so, give --ray-length"
+        )
+    return (
+        f"the depth seems to be z and not the length of each ray: taken as z, {z} of the pixels "
+        f"lie on one plane of their picture, taken as lengths {length}: leave out --ray-length"
     )

@@ -1,7 +1,7 @@
 """Real pictures and depth, paired by the names of their files and read with care."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from PIL import Image, UnidentifiedImageError
 
 from ..base.errors import DatasetError
 from ..base.file_limits import refuse_large_picture
+from ..base.folder import visible_entries
 from ..dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
 from ..dataset.safe_reading import Unreadable, read_png
 from ..dataset.scene_folder import PICTURES
@@ -45,12 +46,16 @@ class RealPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotData:
-    """One picture as arrays; `rgb` may be the colours of an organised cloud."""
+    """One picture as arrays; `rgb` may be the colours of an organised cloud.
+
+    `largest_px` is as of `DepthFile`.
+    """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None
     gray: UInt8[np.ndarray, "h w"] | None
     depth_m: Float[np.ndarray, "h w"] | None
     K: Float[np.ndarray, "3 3"]
+    largest_px: int = 0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -72,7 +77,7 @@ def find_shots(folder: Path) -> list[RealPicture]:
     """
     files_of: dict[str, dict[str, Path]] = {}
     for name, endings in FOLDERS.items():
-        inside = sorted((folder / name).iterdir()) if (folder / name).is_dir() else []
+        inside = visible_entries(folder / name) if (folder / name).is_dir() else []
         files = [path for path in inside if path.suffix.lower() in endings]
         by_stem = {path.stem: path for path in files}
         if len(by_stem) < len(files):
@@ -111,34 +116,39 @@ def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
         refuse_damaged(path)
     rgb = None if shot.rgb is None else read_rgb(shot.rgb)
     gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
-    depth_m, K = None, options.K
+    depth_m, K, largest_px = None, options.K, 0
     if shot.depth is not None:
         depth = read_depth(shot.depth, options)
-        depth_m, K = depth.depth_m, depth.K
+        depth_m, K, largest_px = depth.depth_m, depth.K, depth.largest_px
         _refuse_impossible(depth_m, shot.depth)
         rgb = depth.rgb if rgb is None else rgb
     if K is None:
         raise DatasetError(f"{shot.stem}: {NO_CAMERA}")
     _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
-    return ShotData(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
+    return ShotData(rgb=rgb, gray=gray, depth_m=depth_m, K=K, largest_px=largest_px)
 
 
-def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float | None) -> float:
-    """The millimetres of one step of the stored depth.
+def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
+    """Return the millimetres of one step of the stored depth.
 
     Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step that
     reaches the deepest, as simulated depth does.
+
+    Args:
+        deepest_m: the largest depth that is stored.
+        scale_m: the scale of files with whole numbers; None if some hold floats.
+
+    Raises:
+        DatasetError: 16 bits do not reach so far.
     """
-    depths = [shot.depth for shot in shots if shot.depth is not None]
-    whole = all(is_whole(path) for path in depths)
-    if depths and whole and scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
+    if scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
     try:
         return depth_scale_mm(deepest_m or _NEAREST_M)  # without any depth the step means nothing
     except ValueError as error:
         raise DatasetError(
-            f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.535 m: "
-            "correct the scale, or remove such points"
+            f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.534 m: "
+            "correct the scale, remove such points, or leave them out with --far"
         ) from error
 
 

@@ -61,6 +61,18 @@ def test_npy_and_png_hold_the_same_map(tmp_path, depth_m):
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
+def test_the_largest_number_is_no_depth_in_files_and_in_scene_folders(tmp_path, depth_m):
+    steps = np.nan_to_num(depth_m / SCALE_M).round().astype(np.uint16)
+    steps[steps == 0] = 65535
+    scene = tmp_path / "000000"
+    (scene / "depth").mkdir(parents=True)
+    cv2.imwrite(str(scene / "depth/000000.png"), steps)
+    view = {"cam_K": K.ravel().tolist(), "depth_scale": SCALE_M * 1e3}
+    (scene / "scene_camera.json").write_text(json.dumps({"0": view}))
+    for scan in (one(scene / "depth/000000.png", K=K, scale_m=SCALE_M), one(scene)):
+        np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
+
+
 def test_a_map_of_one_channel_is_a_map(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m[..., None])
     np.testing.assert_array_equal(one(tmp_path / "a.npy", K=K).depth_m, depth_m)

@@ -290,10 +290,12 @@ def test_what_is_no_split_is_refused(tmp_path):
     refusal(split, "same number")
 
 
-def test_depth_of_zero_is_not_known(tmp_path):
+@pytest.mark.parametrize("none", [0, 65535])
+def test_depth_of_zero_and_of_the_largest_number_is_not_known(tmp_path, none):
+    """65535 was a wall at 6.55 m."""
     split = write_dataset(tmp_path)
     steps = np.full((48, 64), 5000, np.uint16)
-    steps[:, 0] = 0
+    steps[:, 0] = none
     png(split / "000000/depth/000000.png", steps)
     depth_m = opened(split).read(0, 0).depth_m
     assert np.isnan(depth_m[:, 0]).all() and np.allclose(depth_m[:, 1:], 0.5)

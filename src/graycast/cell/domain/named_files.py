@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
+from ...base.folder import visible_entries
 from ...world.parts import Part, builtin_part
 from ...world.parts.part_sections import resolve_part
 from ...world.scene import Scene, bin_of
@@ -81,7 +82,7 @@ def _folders(section: RandomizedSection, folder: Path) -> dict[str, tuple[Path, 
 def _listed(folder: Path, path: Path, endings: tuple[str, ...], key: str) -> tuple[Path, ...]:
     if not (folder / path).is_dir():
         raise ConfigError(f"domain.{key}: no folder {folder / path}: check the path")
-    names = sorted(entry.name for entry in (folder / path).iterdir() if entry.is_file())
+    names = [entry.name for entry in visible_entries(folder / path) if entry.is_file()]
     paths = tuple(path / name for name in names if Path(name).suffix.lower() in endings)
     if not paths:
         raise ConfigError(

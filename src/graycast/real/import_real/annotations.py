@@ -1,9 +1,13 @@
 """Hand-drawn labels: COCO and LabelMe files as masks with a name.
 
 Coordinates of both count from the corner of the image, half a pixel before this package's own:
-pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them.
+pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them. LabelMe's
+own masks are pictures of a box of pixels, whose first and last pixel the points name.
 """
 
+import base64
+import binascii
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,29 +19,41 @@ from pycocotools import mask as coco_mask
 
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs
+from ...base.folder import visible_entries
+from ...dataset.safe_reading import Unreadable, pixels
+from ...dataset.training.foreign import refuse_repeated
 from ..depth_file import load_json
 
 _REMEDY = "give a COCO file or LabelMe files"
+_CUT_PX = 3.0  # Labelling tools place corners up to so far outside; other pictures' lie farther.
+_MARGIN_PX = math.ceil(_CUT_PX)
+
+Runs = Mapping[str, Any]  # compressed run lengths
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Annotation:
-    """What somebody drew on one picture: a name and run lengths (compressed) per instance."""
+    """What somebody drew on one picture: a name and run lengths (compressed) per instance.
+
+    `beyond_px` is how far the farthest corner lies outside of the picture; 0 if none does.
+    """
 
     source: str
     size_px: tuple[int, int]  # height, width
     names: tuple[str, ...]
-    masks: tuple[Mapping[str, Any], ...]
+    masks: tuple[Runs, ...]
+    beyond_px: float
 
     def mask(self, i: int) -> Bool[np.ndarray, "h w"]:
         return coco_mask.decode(dict(self.masks[i])).astype(bool)
 
 
 def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annotation], list[str]]:
-    """The labels of pictures by the stems of their files, and all names in their order.
+    """Return the labels of pictures by the stems of their files, and all names in their order.
 
     Args:
         path: a COCO file, or a folder with one, or a folder of LabelMe files named as the pictures.
+            Hidden files are not read: macOS leaves some beside each file.
         stems: of the pictures.
 
     Returns:
@@ -47,7 +63,7 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annota
         DatasetError: it is neither, or a picture has no annotation, or a shape is not to be used.
     """
     if path.is_dir():
-        files = sorted(path.glob("*.json"))
+        files = [file for file in visible_entries(path) if file.suffix == ".json"]
         if not files:
             raise DatasetError(f"{path}: has no .json: {_REMEDY}")
         contents = {file: load_json(file, _REMEDY) for file in files}
@@ -69,12 +85,16 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annota
     return {stem: labels[stem] for stem in stems}, names
 
 
+# --- COCO ---------------------------------------------------------------------------------------
+
+
 def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
     content = load_json(path, _REMEDY)
     try:
+        refuse_repeated(content, str(path))
         names = {entry["id"]: str(entry["name"]) for entry in content["categories"]}
         images = {entry["id"]: entry for entry in content["images"]}
-        stems = [Path(entry["file_name"]).stem for entry in images.values()]
+        stem_of = {image_id: _stem(entry["file_name"]) for image_id, entry in images.items()}
         entries: dict[int, list[dict[str, Any]]] = {image_id: [] for image_id in images}
         for entry in content["annotations"]:
             if entry["image_id"] not in images or entry["category_id"] not in names:
@@ -83,17 +103,23 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
                     f"{entry['category_id']}, which the file does not list: export it again"
                 )
             entries[entry["image_id"]].append(entry)
+        stems = list(stem_of.values())
         if len(set(stems)) < len(stems):
             twice = next(stem for stem in stems if stems.count(stem) > 1)
             raise DatasetError(f"{path}: two pictures are named {twice}: rename one")
         labels = {
-            Path(image["file_name"]).stem: _coco_image(path, image, entries[image_id], names)
+            stem_of[image_id]: _coco_image(path, image, entries[image_id], names)
             for image_id, image in images.items()
         }
     except (KeyError, TypeError, ValueError) as error:
         why = f"{type(error).__name__} {error}"
         raise DatasetError(f"{path}: is not a COCO file of instances ({why})") from error
     return labels, [names[category_id] for category_id in sorted(names)]
+
+
+def _stem(file_name: str) -> str:
+    """The name of a picture without folders and ending; Windows writes folders with backslashes."""
+    return Path(file_name.replace("\\", "/")).stem
 
 
 def _coco_image(
@@ -103,91 +129,187 @@ def _coco_image(
     names: Mapping[int, str],
 ) -> Annotation:
     size = (int(image["height"]), int(image["width"]))
-    masks = []
-    for entry in entries:
+    masks: dict[str, Runs] = {}
+    beyond_px = 0.0
+    for k, entry in enumerate(entries, start=1):
         name = f"{path}: annotation {entry['id']} of {image['file_name']}"
-        shape = entry["segmentation"]
+        shape = entry.get("segmentation")
         if entry.get("iscrowd") and len(entries) > 1:
             raise DatasetError(f"{name}: is a crowd: draw its instances separately")
+        if not shape:
+            raise DatasetError(
+                f"{name}: has no polygon and no mask, and its box alone is not enough: draw the "
+                "outline of the instance, or remove the annotation"
+            )
         if isinstance(shape, list):
-            points = [np.array(p, np.float64).reshape(-1, 2) for p in shape]
-            masks.append(_rasterised(points, size, name))
+            drawn = [
+                _corners(numbers, f"{name}: polygon {i}") for i, numbers in enumerate(shape, 1)
+            ]
+            beyond_px = max(beyond_px, *(_beyond_px(points, size, name) for points in drawn))
+            runs = _united([_rasterised(points, size) for points in drawn], name)
         else:
-            masks.append(_run_lengths(shape, size, name))
+            runs = _run_lengths(shape, size, name)
+        masks[f"annotation {entry['id']} ({k} of {image['file_name']})"] = runs
+    _refuse_alike(masks, path)
     return Annotation(
         source=path.name,
         size_px=size,
         names=tuple(names[entry["category_id"]] for entry in entries),
-        masks=tuple(masks),
+        masks=tuple(masks.values()),
+        beyond_px=beyond_px,
     )
 
 
-def _run_lengths(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> dict[str, Any]:
+def _run_lengths(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> Runs:
     if list(shape["size"]) != list(size):
         raise DatasetError(f"{name}: its mask is {shape['size']}, the picture {list(size)}")
     check_runs(shape, name, DatasetError)
     if isinstance(shape["counts"], list):
         runs = coco_mask.frPyObjects(dict(shape), *size)
     else:
-        runs = {"size": list(size), "counts": shape["counts"]}
-    return _not_empty(runs, name)
+        runs = {"size": list(size), "counts": shape["counts"].encode("ascii")}
+    return _united([runs], name)
+
+
+# --- LabelMe ------------------------------------------------------------------------------------
 
 
 def _labelme(path: Path, content: Mapping[str, Any]) -> Annotation:
     """Shapes with the same label and the same `group_id` are one instance."""
+    beyond_px = 0.0
     try:
         size = (int(content["imageHeight"]), int(content["imageWidth"]))
-        instances: dict[tuple[str, Any], list[np.ndarray]] = {}
+        instances: dict[tuple[str, Any], list[Runs]] = {}
         for i, shape in enumerate(content["shapes"], start=1):
+            name = f"{path}: shape {i} ({shape['label']})"
             group = shape.get("group_id")
             key = (str(shape["label"]), ("alone", i) if group is None else group)
-            points = _labelme_points(shape, f"{path}: shape {i} ({shape['label']})")
-            instances.setdefault(key, []).append(points)
+            if shape.get("shape_type") == "mask":
+                runs = _labelme_mask(shape, size, name)
+            else:
+                points = _labelme_outline(shape, name)
+                beyond_px = max(beyond_px, _beyond_px(points, size, name))
+                runs = _rasterised(points, size)
+            instances.setdefault(key, []).append(runs)
     except (KeyError, TypeError, ValueError) as error:
         why = f"{type(error).__name__} {error}"
         raise DatasetError(f"{path}: is not a LabelMe file ({why})") from error
-    masks = [
-        _rasterised(points, size, f"{path}: instance {i} ({name})")
-        for i, ((name, _), points) in enumerate(instances.items(), start=1)
-    ]
-    names = tuple(name for name, _ in instances)
-    return Annotation(source=path.name, size_px=size, names=names, masks=tuple(masks))
+    masks = {
+        f"instance {i} ({name})": _united(runs, f"{path}: instance {i} ({name})")
+        for i, ((name, _), runs) in enumerate(instances.items(), start=1)
+    }
+    _refuse_alike(masks, path)
+    return Annotation(
+        source=path.name,
+        size_px=size,
+        names=tuple(name for name, _ in instances),
+        masks=tuple(masks.values()),
+        beyond_px=beyond_px,
+    )
 
 
-def _labelme_points(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "_ 2"]:
-    points = np.array(shape["points"], np.float64).reshape(-1, 2)
+def _labelme_outline(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "_ 2"]:
+    numbers = [number for point in shape["points"] for number in point]
     match shape.get("shape_type", "polygon"):
         case "polygon":
-            return points
+            return _corners(numbers, name)
         case "rectangle":
-            (x0, y0), (x1, y1) = points[:2]
-            return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+            x0, y0, x1, y1 = numbers
+            return _corners([x0, y0, x1, y0, x1, y1, x0, y1], name)
         case kind:
-            raise DatasetError(f"{name}: is a {kind}: draw instances as polygons or rectangles")
-
-
-def _rasterised(
-    polygons: Sequence[Float[np.ndarray, "_ 2"]], size: tuple[int, int], name: str
-) -> dict[str, Any]:
-    """Run lengths of the union of polygons."""
-    height_px, width_px = size
-    for points in polygons:
-        if len(points) < 3 or not np.isfinite(points).all():
-            raise DatasetError(f"{name}: has {len(points)} corners: a polygon must have at least 3")
-        beyond = (points < 0).any(axis=1) | (points > [width_px, height_px]).any(axis=1)
-        if beyond.any():
-            x, y = points[beyond][0]
             raise DatasetError(
-                f"{name}: its corner ({x:g}, {y:g}) lies outside of the picture of {width_px} x "
-                f"{height_px} pixels: move the corner, or use the annotation of this picture"
+                f"{name}: is a {kind}: draw instances as polygons, rectangles or masks"
             )
-    if not polygons:
-        raise DatasetError(f"{name}: has no polygon: draw one, or remove the annotation")
-    lists = [points.ravel().tolist() for points in polygons]
-    return _not_empty(coco_mask.merge(coco_mask.frPyObjects(lists, height_px, width_px)), name)
 
 
-def _not_empty(runs: dict[str, Any], name: str) -> dict[str, Any]:
+def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> Runs:
+    """A PNG of the pixels from the first point to the second, both included."""
+    try:
+        content = base64.b64decode(shape["mask"], validate=True)
+        inside = pixels(content, "its mask") > 0
+    except (binascii.Error, Unreadable) as error:
+        raise DatasetError(f"{name}: its mask is damaged ({error}): draw it again") from error
+    (left, top), (right, bottom) = np.array(shape["points"], np.float64).astype(int).tolist()
+    if inside.shape != (bottom - top + 1, right - left + 1):
+        raise DatasetError(
+            f"{name}: its mask is {inside.shape}, and its points span "
+            f"{(bottom - top + 1, right - left + 1)} rows and columns: draw it again"
+        )
+    if min(left, top) < 0 or right >= size[1] or bottom >= size[0]:
+        raise DatasetError(
+            f"{name}: its mask from ({left}, {top}) to ({right}, {bottom}) lies outside of the "
+            f"picture of {size[1]} x {size[0]} pixels: use the annotation of this picture"
+        )
+    whole = np.zeros(size, np.uint8, order="F")
+    whole[top : bottom + 1, left : right + 1] = inside
+    return coco_mask.encode(whole)
+
+
+# --- both ---------------------------------------------------------------------------------------
+
+
+def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
+    """Corners of a polygon from x, y, x, y ...
+
+    Raises:
+        DatasetError: these are not the numbers of three corners or more.
+    """
+    if not isinstance(numbers, list):
+        raise DatasetError(f"{name}: is {numbers!r}: a polygon is a list of x, y, x, y ...")
+    if len(numbers) % 2:
+        raise DatasetError(f"{name}: has {len(numbers)} numbers: a polygon has x and y by turns")
+    if len(numbers) < 6:
+        raise DatasetError(
+            f"{name}: has {len(numbers) // 2} corners: a polygon must have at least 3"
+        )
+    for i, value in enumerate(numbers):
+        if type(value) not in (int, float) or not math.isfinite(value):
+            raise DatasetError(
+                f"{name}: corner {i // 2 + 1} is not a number ({'xy'[i % 2]} is {value}): draw the "
+                "instance again"
+            )
+    return np.array(numbers, np.float64).reshape(-1, 2)
+
+
+def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: str) -> float:
+    """How far the farthest corner lies outside of the picture.
+
+    Raises:
+        DatasetError: it is so far that this is another picture's polygon.
+    """
+    height_px, width_px = size
+    beyond_px = np.maximum(-points, points - [width_px, height_px]).max(axis=1)
+    if beyond_px.max() > _CUT_PX:
+        x, y = points[beyond_px.argmax()]
+        raise DatasetError(
+            f"{name}: its corner ({x:g}, {y:g}) lies outside of the picture of {width_px} x "
+            f"{height_px} pixels: move the corner, or use the annotation of this picture"
+        )
+    return max(0.0, float(beyond_px.max()))
+
+
+def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs:
+    """Run lengths of a polygon, which is cut at the border of the picture.
+
+    pycocotools places corners with negative coordinates wrongly, so the picture gets a margin.
+    """
+    inside = slice(_MARGIN_PX, -_MARGIN_PX)
+    numbers = [(points + _MARGIN_PX).ravel().tolist()]
+    (runs,) = coco_mask.frPyObjects(numbers, *(edge + 2 * _MARGIN_PX for edge in size))
+    return coco_mask.encode(np.asfortranarray(coco_mask.decode(runs)[inside, inside]))
+
+
+def _united(pieces: Sequence[Runs], name: str) -> Runs:
+    """Run lengths of the union of some; an empty one is refused."""
+    runs = coco_mask.merge([dict(piece) for piece in pieces])
     if coco_mask.area(runs) == 0:
         raise DatasetError(f"{name}: covers no pixel: draw it again, or remove it")
     return runs
+
+
+def _refuse_alike(masks: Mapping[str, Runs], path: Path) -> None:
+    """Refuse a picture in which two instances have the same mask: one of them was listed twice."""
+    first: dict[bytes, str] = {}
+    for name, runs in masks.items():
+        if (other := first.setdefault(runs["counts"], name)) != name:
+            raise DatasetError(f"{path}: {name} has the same mask as {other}: remove one of them")

@@ -2,9 +2,8 @@
 
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,9 @@ from ...dataset.records import FORMAT_VERSION, MM_PER_M, split_annotation
 from ...dataset.seal import sealed, sha256
 from ...rendering.radiance import Silhouette
 from ..depth_file import NO_OPTIONS, FileOptions
-from ..depth_sense import filled_holes, refuse_beyond
-from ..picture_pairs import RealPicture, ShotData, depth_step_mm, find_shots, read_shot
+from ..picture_pairs import RealPicture, ShotData, find_shots
 from .annotations import Annotation, read_annotations
+from .survey import read_picture, survey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +37,7 @@ class Import:
     instances: int
     holds: tuple[str, ...]
     depth_scale_mm: float
-    notes: tuple[str, ...]  # what looks wrong in the depth, one sentence for a picture
+    notes: tuple[str, ...]  # what looks wrong, and what was left out, a sentence each
 
 
 def import_real(
@@ -50,6 +49,7 @@ def import_real(
     labelled: bool = True,
     names: Sequence[str] | None = None,
     range_m: tuple[float, float] | None = None,
+    far_m: float | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Import:
     """Write real pictures as a dataset; a picture is a scene, in the order of their names.
@@ -63,6 +63,7 @@ def import_real(
         names: of the objects in the order of their ids, such as those of a simulated dataset.
         range_m: near and far end of the range of a scanner like this one; depth far outside of it
             is refused.
+        far_m: depth beyond it is left out; it sets the step of depth that is stored.
         progress: counts pictures.
 
     Raises:
@@ -72,8 +73,8 @@ def import_real(
     shots = find_shots(folder)
     labels, own_names = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
     known = _object_names(own_names, names)
-    first, deepest_m, notes = _survey(shots, files, range_m)
-    step_mm = depth_step_mm(shots, deepest_m, files.scale_m)
+    known_pictures = survey(shots, files, range_m=range_m, far_m=far_m)
+    first, step_mm = known_pictures.first, known_pictures.step_mm
     holds = (*first.holds, *(("masks",) if labelled else ()))
     writer = _Writer(names=known, step_mm=step_mm, distortion=files.distortion or (), holds=holds)
     with new_folder(out) as aside:
@@ -81,7 +82,8 @@ def import_real(
         (aside / "camera.json").write_bytes(json_bytes(writer.camera(first)))
         for scene_id, shot in enumerate(shots):
             place = aside / "train" / f"{scene_id:06d}"
-            writer.scene(place, shot, read_shot(shot, files), labels.get(shot.stem))
+            images, _ = read_picture(shot, files, far_m)
+            writer.scene(place, shot, images, labels.get(shot.stem))
             progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px
@@ -92,7 +94,7 @@ def import_real(
         instances=sum(len(each.names) for each in labels.values()),
         holds=holds,
         depth_scale_mm=step_mm,
-        notes=tuple(notes),
+        notes=(*known_pictures.notes, *_cut_notes(labels)),
     )
 
 
@@ -125,32 +127,16 @@ def _object_names(own: Sequence[str], names: Sequence[str] | None) -> list[str]:
     return list(names)
 
 
-def _survey(
-    shots: Sequence[RealPicture], files: FileOptions, range_m: tuple[float, float] | None
-) -> tuple[ShotData, float, list[str]]:
-    """Reads all once, so that what cannot be used is told before anything is written."""
-    pictures = (read_shot(shot, files) for shot in shots)
-    first, deepest_m, notes = next(pictures), 0.0, []
-    for shot, images in zip(shots, chain([first], pictures), strict=True):
-        if images.size_px != first.size_px or images.holds != first.holds:
-            is_, was = (
-                f"{s.size_px[1]} x {s.size_px[0]} pixels with {', '.join(s.holds)}"
-                for s in (images, first)
-            )
-            raise DatasetError(
-                f"{shot.stem}: is {is_}; {shots[0].stem} is {was}: give pictures of one camera"
-            )
-        if images.depth_m is not None:
-            deepest_m = max(deepest_m, float(np.nanmax(images.depth_m)))
-            if range_m is not None:
-                near_m, far_m = range_m
-                whose = "the scanner of the dataset of --like measures"
-                refuse_beyond(
-                    images.depth_m, near_m=near_m, far_m=far_m, name=str(shot.depth), whose=whose
-                )
-            if note := filled_holes(images.depth_m, str(shot.depth)):
-                notes.append(note)
-    return first, deepest_m, notes
+def _cut_notes(labels: Mapping[str, Annotation]) -> tuple[str, ...]:
+    """Say which pictures have outlines that lead out of them."""
+    beyond = {stem: each.beyond_px for stem, each in labels.items() if each.beyond_px > 0}
+    if not beyond:
+        return ()
+    worst = max(beyond, key=lambda stem: beyond[stem])
+    return (
+        f"outlines in {len(beyond)} pictures lead out of the picture, by up to "
+        f"{beyond[worst]:.2g} px in {worst}: they are cut at its border",
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 from pydantic import BaseModel
 
 from ...base.errors import DatasetError
+from ...base.folder import visible_entries
 from ...dataset.records import Images
 from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
@@ -83,7 +84,7 @@ def _pictures(paths: Sequence[Path]) -> list[Path]:
     """The given files, and the files in the given folders sorted by name."""
     files = []
     for path in paths:
-        inside = sorted(path.iterdir()) if path.is_dir() else [path]
+        inside = visible_entries(path) if path.is_dir() else [path]
         if not inside:
             raise DatasetError(f"{path}: is an empty folder: give a folder with pictures")
         files += inside

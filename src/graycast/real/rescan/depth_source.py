@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.errors import DatasetError
+from ...base.folder import visible_entries
 from ...dataset.records import MM_PER_M
 from ..depth_file import FileOptions, read_intrinsics
 from ..picture_pairs import RealPicture, find_shots, is_whole, read_shot
@@ -30,7 +31,7 @@ def open_depth(folder: Path, options: SourceOptions) -> Source:
             "fx,fy,cx,cy"
         )
     read_models({}, (), options.materials)  # which refuses names of objects
-    if any(path.suffix.lower() == ".exr" for path in (folder / "depth").iterdir()):
+    if any(path.suffix.lower() == ".exr" for path in visible_entries(folder / "depth")):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)
     scale_m = None if options.depth_scale_mm is None else options.depth_scale_mm / MM_PER_M

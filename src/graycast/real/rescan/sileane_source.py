@@ -31,6 +31,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ...base.errors import DatasetError
+from ...base.folder import visible_entries
 from ...base.frames import inverse, rigid, rotation_from_quaternion
 from ...dataset.records import Count, Positive, Vector
 from ...dataset.safe_reading import Unreadable, record_as
@@ -117,7 +118,8 @@ def open_sileane(folder: Path, options: SourceOptions) -> Source:
         poses=partial(_poses_of_sileane, T_cam_world),
     )
     name = "depth_gt" if (folder / "depth_gt").is_dir() else "depth"
-    files = sorted(path for path in (folder / name).glob("*") if path.suffix.lower() == ".png")
+    inside = visible_entries(folder / name) if (folder / name).is_dir() else []
+    files = [path for path in inside if path.suffix.lower() == ".png"]
     return _source(folder, {(0, i): path for i, path in enumerate(files)}, common, options)
 
 

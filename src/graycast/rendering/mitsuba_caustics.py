@@ -15,14 +15,16 @@ bounce takes the cosines to the true normal that its density lacks, which is Vea
 interpolated normals. Out of focus, the path's place in the projector's picture is one of the disc
 over which the paths from the camera take a mean.
 
-The sums are integers, so that they are the same in whatever order threads add.
+The sums are integers of 64 bits, so that they are the same in whatever order threads add. While the
+paths run, they take 8 bytes for each pixel and each of the patterns, the three bands and the finest
+pattern of each axis (docs/how-to/many-scenes.md).
 
 Source: E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997: sections 5.3,
 9.2 and 10.2 (bidirectional path tracing; this is t = 1 beside s = 1).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import drjit as dr
@@ -35,8 +37,9 @@ from .mitsuba_sight import counted
 from .mitsuba_stage import ROULETTE_FROM, Stage, survival
 
 LANES = 2_500_000  # At most so many paths run side by side.
-UNIT = 2.0**-32  # of the sums, in light that white paper at one metre returns
-BRIGHTEST = 2.0**24  # in the same light: one path adds no more, so that no sum overflows
+UNIT = 2.0**-32  # It is the unit of the sums, in light that white paper at one metre returns.
+BRIGHTEST = 2.0**24 - 1  # In the same light, one path adds no more to a pixel.
+UNIT_SAMPLES = 256  # So many times BRIGHTEST fit into 64 bits in UNIT; more samples widen the unit.
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +76,17 @@ class CausticTracer:
         self.power = mi.BSDFContext(mi.TransportMode.Importance)
         self.total = field.paths * stage.quality.samples
         self.stride = stage.patterns.count + 3 + len(stage.strays)
-        self.unit = UNIT * stage.light.intensity_w_sr / math.pi
+        self.step = sum_step(stage.quality.samples)
+        self.unit = self.step * stage.light.intensity_w_sr / math.pi
         self.sums = dr.zeros(mi.UInt64, stage.pixels * self.stride)
 
     def trace(self, seed: int) -> Caustics:
+        """Follow all paths, block by block, and return what they add."""
         starts = mi.PCG32(size=2, initstate=dr.opaque(mi.UInt64, seed)).next_uint32().numpy()
         start = mi.Point2u(*(dr.opaque(mi.UInt32, int(one)) for one in starts))
-        for first in range(0, self.total, LANES):
-            lanes = min(LANES, self.total - first)
-            index = dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)
+        for first, lanes in blocks(self.total):
+            # 64 bits: a full picture with some thousands of samples has more than 2^32 paths.
+            index = dr.arange(mi.UInt64, lanes) + dr.opaque(mi.UInt64, first)
             # Not the numbers of the paths from the camera, which are those of `seed`.
             state = dr.opaque(mi.UInt64, (seed * 0x9E3779B97F4A7C15 + first + 1) % 2**64)
             paths = self._started(mi.PCG32(size=lanes, initstate=state), index, start)
@@ -91,7 +96,7 @@ class CausticTracer:
             dr.eval(self.sums, paths.alive)
         return self._result()
 
-    def _started(self, rng: mi.PCG32, index: mi.UInt32, start: mi.Point2u) -> _LightPaths:
+    def _started(self, rng: mi.PCG32, index: mi.UInt64, start: mi.Point2u) -> _LightPaths:
         """Paths that have met their first surface, if that is shiny, and go on from there."""
         light = self.stage.light
         origin = light.on_lens(_on_disc(rng))
@@ -211,8 +216,9 @@ class CausticTracer:
     def _add(self, p: _LightPaths, pixel: mi.UInt32, light: mi.Color3f, lit: mi.Bool) -> None:
         """Light to the sums of a pixel of the camera."""
         first = pixel * self.stride
-        light = dr.minimum(dr.select(lit, light, 0) / self.unit, BRIGHTEST / UNIT)
-        mono = dr.sum(light)
+        most = BRIGHTEST / self.step
+        light = dr.minimum(dr.select(lit, light, 0) / self.unit, most)
+        mono = dr.minimum(dr.sum(light), most)
         levels = self.stage.patterns.levels(p.pixel, lit)
         for k, level in enumerate(levels):
             dr.scatter_add(self.sums, mi.UInt64(mono * level), first + k, lit & (level > 0))
@@ -221,8 +227,8 @@ class CausticTracer:
             dr.scatter_add(self.sums, mi.UInt64(light[k]), first + k, lit)
         first += 3
         for k, fine in enumerate(self.stage.strays.values()):
-            off = (levels[fine.number] - fine.mean) * (mono * UNIT / fine.deviation)
-            squared = dr.minimum(dr.square(off), BRIGHTEST) / UNIT
+            off = (levels[fine.number] - fine.mean) * (mono * self.step / fine.deviation)
+            squared = dr.minimum(dr.square(off), BRIGHTEST) / self.step
             dr.scatter_add(self.sums, mi.UInt64(squared), first + k, lit)
 
     def _result(self) -> Caustics:
@@ -232,12 +238,28 @@ class CausticTracer:
             return mi.Float(dr.gather(mi.UInt64, self.sums, first + k)) * unit
 
         n, unit = self.stage.patterns.count, self.unit
-        square = unit**2 / UNIT
+        square = unit**2 / self.step
         return Caustics(
             pattern=[sums(k, unit) for k in range(n)],
             white=mi.Color3f(*(sums(n + k, unit) for k in range(3))),
             stray2={axis: sums(n + 3 + k, square) for k, axis in enumerate(self.stage.strays)},
         )
+
+
+def blocks(total: int) -> Iterator[tuple[int, int]]:
+    """Yield the first path and the number of paths of each block that runs side by side."""
+    for first in range(0, total, LANES):
+        yield first, min(LANES, total - first)
+
+
+def sum_step(samples: int) -> float:
+    """Return the unit of the sums for a number of samples, in light of white paper at one metre.
+
+    It is `UNIT` for up to `UNIT_SAMPLES` samples, and a power of two times that for more, so that
+    the sum of a pixel overflows 64 bits only if its mean over the samples exceeds `BRIGHTEST`. Each
+    path loses less than one unit to rounding, which is 2^-24 of white paper with the most samples.
+    """
+    return UNIT * 2 ** max(0, math.ceil(math.log2(samples / UNIT_SAMPLES)))
 
 
 def _on_disc(rng: mi.PCG32) -> mi.Point2f:

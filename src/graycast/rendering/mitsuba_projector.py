@@ -82,13 +82,17 @@ class ShinyField:
         known = si.is_valid() & (number <= self._most)
         return known & (dr.gather(mi.UInt32, self._shiny, number, known) == 1)
 
-    def places(self, index: mi.UInt32, total: int, start: mi.Point2u) -> mi.Point2f:
-        """Some of `total` places [px], the same number in each cell and evenly spread in it."""
-        of_all = mi.UInt64(index) * dr.opaque(mi.UInt64, self.count)
+    def places(self, index: mi.UInt64, total: int, start: mi.Point2u) -> mi.Point2f:
+        """Some of `total` places [px], the same number in each cell and evenly spread in it.
+
+        The positions inside of a cell repeat after 2^32 indices.
+        """
+        of_all = index * dr.opaque(mi.UInt64, self.count)
         cell = mi.UInt32(of_all // dr.opaque(mi.UInt64, total))
         cell = dr.gather(mi.UInt32, self._cells, cell)
-        x = mi.Float(index * R2_STEPS[0] + start.x) / TWO32
-        y = mi.Float(index * R2_STEPS[1] + start.y) / TWO32
+        number = mi.UInt32(index)  # The lower half of the bits.
+        x = mi.Float(number * R2_STEPS[0] + start.x) / TWO32
+        y = mi.Float(number * R2_STEPS[1] + start.y) / TWO32
         column, row = mi.Float(cell % self.columns), mi.Float(cell // self.columns)
         return mi.Point2f(column - 1 + x, row - 1 + y) * CELL_PX - 0.5
 

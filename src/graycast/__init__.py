@@ -10,7 +10,7 @@ This module offers every step to Python; `docs/how-to/python.md` begins with the
         scene.save("out/library")
 
 `import graycast` loads nothing else. A name, and the module that it comes from, is loaded when it
-is first asked for.
+is first asked for. A function then refuses arguments of a wrong kind by their names.
 
 The rooms in order; the docstring of each has a line for each of its modules. A module imports only
 from those above it, which `tests/test_imports.py` checks. CONTRIBUTING.md says where a new code,
@@ -32,6 +32,7 @@ renderer, detector, exporter or gripper goes.
 """
 
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING
 
 from .base.version import __version__
@@ -175,7 +176,12 @@ __all__ = ["__version__", *_MODULE]
 
 def __getattr__(name: str) -> object:
     if name in _MODULE:
-        return getattr(import_module(f".{_MODULE[name]}", __name__), name)
+        value = getattr(import_module(f".{_MODULE[name]}", __name__), name)
+        if not isinstance(value, FunctionType):
+            return value
+        from .base.argument_check import checked
+
+        return checked(value)
     room = name.isidentifier() and not name.startswith("_") and _room(name)
     if room:
         return room

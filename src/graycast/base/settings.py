@@ -27,6 +27,7 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
+from .argument_check import fits, shown, words
 from .errors import ConfigError
 
 Vector = tuple[float, float, float]
@@ -86,6 +87,10 @@ def check_fields(value: object) -> None:
     for name, (allowed, default, about) in _limits(kind).items():
         item = getattr(value, name)
         if item is default or default == math.inf == item:  # another infinity from a pickle
+            continue
+        if not isinstance(allowed, TypeAdapter):
+            if not fits(item, allowed):
+                raise ValueError(f"{name} is {shown(item)}: give {words(allowed)}")
             continue
         try:
             allowed.validate_python(item)
@@ -174,13 +179,16 @@ def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
 
 @cache
 def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
-    """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
+    """Return for each field its annotation, default and meaning.
+
+    An annotation that says more than a type, such as bounds, is a `TypeAdapter`.
+    """
     config = ConfigDict(strict=True, allow_inf_nan=False)
     limits = {}
     for name, hint, info, default in _declared(dataclass):
-        if _says_more(hint):
-            meaning = f" ({info.description.rstrip('.')})" if info.description else ""
-            limits[name] = (TypeAdapter(hint, config=config), default, meaning)
+        meaning = f" ({info.description.rstrip('.')})" if info.description else ""
+        allowed = TypeAdapter(hint, config=config) if _says_more(hint) else hint
+        limits[name] = (allowed, default, meaning)
     return limits
 
 

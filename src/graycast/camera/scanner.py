@@ -99,6 +99,7 @@ class Scanner:
     faults: FaultSpec = field(default_factory=FaultSpec)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         camera = self.rig.camera
         if camera.aperture_m > 0:
             f_number = camera.fx_px * self.sensor.pixel_pitch_m / camera.aperture_m

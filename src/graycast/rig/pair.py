@@ -144,8 +144,8 @@ class Rig:
         return inverse(self.T_cam_proj)
 
     def __post_init__(self) -> None:
-        self.T_cam_proj.flags.writeable = False
         check_fields(self)
+        self.T_cam_proj.flags.writeable = False
         if not is_rigid(self.T_cam_proj):
             raise ValueError("T_cam_proj is not a rotation and a translation: check R and T")
         if not 0 < self.near_m < self.far_m:

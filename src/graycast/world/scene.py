@@ -166,6 +166,7 @@ class Scene:
     lamps: tuple[Lamp, ...] = ()
 
     def __post_init__(self) -> None:
+        check_fields(self)
         self.T_world_cam.flags.writeable = False
         if not is_rigid(self.T_world_cam):
             raise ValueError("T_world_cam is not a rotation and a translation")

@@ -111,6 +111,7 @@ class Levels:
     slope_dn: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not self.saturation_dn > self.offset_dn:
             span = f"offset_dn {self.offset_dn}, saturation_dn {self.saturation_dn}"
             raise ValueError(f"{span}: saturation_dn must be greater than offset_dn")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ...base.errors import ConfigError, DeviceError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.settings import check_fields
 from ...rendering import choose_device
 from ...world.drop import prepare
 from .job import Job, TaskResult
@@ -30,6 +31,13 @@ class Workers:
     address: str | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        least = 0 if self.engine == "ray" else 1
+        if self.count < least:
+            raise ValueError(
+                f"count is {self.count}: give the number of workers, {least} or more"
+                + ("" if least == 0 else "; only with engine 'ray' 0 means as many as there are")
+            )
         if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
             raise ValueError(
                 f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from ...base.errors import GraycastError
+from ...base.settings import check_fields
 
 NAMES = ("train", "val", "test")
 _STEP = 0x9E3779B97F4A7C15  # It is 2^64 over the golden ratio, and odd.
@@ -28,6 +29,7 @@ class Split:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
             raise GraycastError(
                 f"split is {self.shares}: give shares of train, val and test that are at least 0 "

@@ -12,6 +12,7 @@ import torch
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.settings import check_fields
 from ...dataset.detections import WEIGHTS
 from ...dataset.export.split import Split
 from ...dataset.training import Examples
@@ -87,6 +88,7 @@ class TrainSpec:
     workers: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("epochs", "patience", "longest_px", "batch"):
             value = getattr(self, name)
             if value is not None and value < 1:

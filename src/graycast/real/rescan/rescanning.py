@@ -13,6 +13,7 @@ import numpy as np
 
 from ...base.errors import ConfigError, DatasetError, DecodeError, one_line
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.settings import check_fields
 from ...base.streams import image_seeds
 from ...base.usage import rss_bytes
 from ...base.version import __version__
@@ -53,6 +54,9 @@ class RescanSpec:
     images: int | None = None
     copies: bool = False
     device: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ...base.errors import DatasetError
+from ...base.settings import check_fields
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
 
@@ -39,6 +40,7 @@ class SourceOptions:
     depth_only: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.depth_scale_mm is not None and not 0 < self.depth_scale_mm < float("inf"):
             raise DatasetError(
                 f"--depth-scale is {self.depth_scale_mm}: give the millimetres of one step of "

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from ...base.settings import check_fields
 from .frame import AXES, Axis, Frame, Kind, level_share
 
 GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
@@ -33,6 +34,7 @@ class Code:
     stride_px: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.width_px < 2 or self.height_px < 2:
             size = f"{self.width_px} x {self.height_px}"
             raise ValueError(f"projector is {size} px; a code needs at least 2 on each side")

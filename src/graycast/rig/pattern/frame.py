@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.settings import check_fields
+
 Axis = Literal["column", "row"]
 AXES: tuple[Axis, Axis] = ("column", "row")
 Kind = Literal["white", "black", "gray", "complementary", "phase", "line"]
@@ -40,6 +42,7 @@ class Frame:
     steps: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.kind in ("white", "black"):
             return
         if self.axis not in AXES:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
+from ...base.settings import check_fields
 from ...dataset.detections import Detections
 from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
 from .labels import MIN_VISIBILITY, Labels
@@ -39,6 +40,7 @@ class Protocol:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, least in (("most", 1), ("draws", 2)):
             if getattr(self, name) < least:
                 raise GraycastError(f"{name} is {getattr(self, name)}: it must be {least} or more")

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.settings import check_fields
 from ...dataset.detections import Detections
 from ...dataset.example import display_image
 from ...dataset.export.record import RECORD, read_record
@@ -45,6 +46,9 @@ class Task:
     kind: Kind | None = None
     one_class: bool = False
     protocol: Protocol = field(default_factory=Protocol)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:

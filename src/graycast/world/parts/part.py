@@ -176,6 +176,7 @@ class Mesh:
     corner_normals: Float[np.ndarray, "f 3 3"] | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for array in (self.vertices_m, self.faces, self.corner_uv, self.corner_normals):
             if array is not None:
                 array.flags.writeable = False
@@ -267,6 +268,7 @@ class Part:
     labelled: bool = True
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not self.density_kg_m3 > 0:
             raise ValueError(
                 f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; it must be greater "

@@ -1,0 +1,153 @@
+"""Wrong kinds of arguments, refused at the door of the package with their names.
+
+Python itself notices a string in the place of a cell only deep inside, where the message no longer
+names what the caller wrote. What scripts call checks its arguments by its own annotations. An array
+may be anything that NumPy takes for one: its axes and its kind of numbers are checked by tests.
+"""
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+MOST_CHARACTERS = 60  # A longer value is cut in a message.
+
+_NOT_NEGATIVE = ("seed", "scene_id", "count", "scenes", "bins")
+_WORDS = {
+    bool: "True or False", int: "a whole number", float: "a number", str: "a string",
+    Path: "a pathlib.Path", type(None): "None",
+}  # fmt: skip
+_MAKERS = {  # What makes a value that a script does not build by itself.
+    "Cell": "graycast.load_cell returns one",
+    "Config": "graycast.Config(**settings) makes one of a dictionary",
+    "Detector": "graycast.load_detector returns one",
+    "Optics": "the camera of a rig is one",
+    "PickCell": "graycast.resolve_pick_cell returns one",
+    "PickConfig": "graycast.load_pick_config returns one",
+    "PictureSelection": "graycast.pictures_of returns one",
+    "PoseModel": "graycast.pose_model returns one",
+    "Renderer": "graycast.open_renderer returns one",
+    "Rig": "graycast.preset(name).rig is one",
+    "Scanner": "graycast.preset and graycast.load_scanner return one",
+    "Source": "graycast.open_source returns one",
+    "Workers": "graycast.Workers(count=2) is one",
+}
+
+
+@cache
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function of the door that refuses arguments of a kind that it does not declare.
+
+    It raises a ValueError that names the argument, its value and the remedy, also for negative
+    seeds and counts. The same function gives the same result, which pickle finds at the door.
+    """
+    plain = inspect.unwrap(function)
+    check = _checker(plain.__name__, plain, inspect.signature(plain))
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        check(args, kwargs)
+        return function(*args, **kwargs)
+
+    call.__module__ = __name__.partition(".")[0]
+    return call
+
+
+def _checker(
+    name: str, source: Any, signature: inspect.Signature
+) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
+    @cache
+    def hints() -> dict[str, Any]:  # at the first call, since an annotation may name a later class
+        return typing.get_type_hints(source)
+
+    def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
+        try:
+            values = signature.bind(*args, **kwargs).arguments
+        except TypeError:  # An argument is missing or unknown: the call itself says so.
+            return
+        for argument, value in values.items():
+            hint = hints()[argument]
+            if not fits(value, hint):
+                raise ValueError(f"{name}: {argument} is {shown(value)}: give {words(hint)}")
+            if argument in _NOT_NEGATIVE and value is not None and value < 0:
+                raise ValueError(f"{name}: {argument} is {value}: give a whole number from 0 on")
+
+    return check
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of the kind that an annotation names; True for what it leaves open."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, one) for one in inner)
+    if origin is Literal:
+        return any(isinstance(value, type(one)) for one in inner)  # Its values are the class's own.
+    if origin is tuple:
+        if not isinstance(value, tuple | list):
+            return False
+        if inner[-1:] == (Ellipsis,):
+            return all(fits(one, inner[0]) for one in value)
+        return len(value) == len(inner) and all(map(fits, value, inner))
+    if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
+        return callable(value)
+    if isinstance(origin, type) and issubclass(origin, Sequence | Iterable):
+        right = isinstance(value, origin) and not isinstance(value, str | bytes)
+        if isinstance(value, tuple | list) and len(inner) == 1:
+            return right and all(fits(one, inner[0]) for one in value)
+        return right
+    if _is_array(hint):
+        return isinstance(value, tuple | list) or hasattr(value, "__array__")
+    if not isinstance(hint, type):
+        return True
+    if hint is bool:
+        return isinstance(value, bool) or getattr(getattr(value, "dtype", None), "kind", "") == "b"
+    if hint in (int, float):
+        return isinstance(value, Integral if hint is int else Real) and not isinstance(value, bool)
+    if getattr(hint, "_is_protocol", False) and not getattr(hint, "_is_runtime_protocol", False):
+        return True
+    return isinstance(value, hint)
+
+
+def _is_array(hint: Any) -> bool:
+    """Whether an annotation is that of an array with its axes."""
+    return isinstance(hint, type) and hasattr(hint, "array_type")
+
+
+def words(hint: Any) -> str:
+    """What an annotation asks for, in words."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return " or ".join(words(one) for one in inner)
+    if origin is Literal:
+        return "one of " + ", ".join(map(repr, inner))
+    if origin is tuple:
+        several = inner[-1:] == (Ellipsis,)
+        return (
+            f"a tuple, each {words(inner[0])}"
+            if several
+            else f"{len(inner)} values, each " + (" or ".join(dict.fromkeys(map(words, inner))))
+        )
+    if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
+        return "a function"
+    if isinstance(origin, type) and issubclass(origin, Sequence | Iterable) and len(inner) == 1:
+        return f"a list, each {words(inner[0])}"
+    if _is_array(hint):
+        return "an array"
+    name = getattr(origin or hint, "__name__", str(hint))
+    made = f" ({_MAKERS[name]})" if name in _MAKERS else ""
+    return _WORDS.get(hint) or f"a {name}{made}"
+
+
+def shown(value: Any) -> str:
+    """A value and its kind, cut where it is long."""
+    text = " ".join(repr(value).split())
+    if len(text) > MOST_CHARACTERS:
+        text = text[: MOST_CHARACTERS - 3] + "..."
+    return text if value is None else f"{text} (type {type(value).__name__})"

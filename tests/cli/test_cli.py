@@ -50,7 +50,8 @@ OPTIONS = {
     "preview": "config --out --scene --image --seed --backend --device",
     "generate": "config --out --scenes --seed --backend --device WORKERS",
     "rescan": "source --rig --resolution --out --camera --models --materials --sensor "
-    "--depth-scale --intrinsics --depth-only --images --copy --seed --backend --device WORKERS",
+    "--depth-scale --intrinsics --ray-length --unit --depth-only --images --copy --seed --backend "
+    "--device WORKERS",
     "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
     "report": "dataset --out --workers --detections --width",
@@ -60,8 +61,8 @@ OPTIONS = {
     "--depth-files --polygons --labels --cloud --organised --pixel-origin --shard-scenes --link "
     "--min-visibility",
     "dataset merge": "source --out",
-    "dataset import": "folder --out --intrinsics --distortion --scale --size --annotations "
-    "--unlabelled --like",
+    "dataset import": "folder --out --intrinsics --distortion --scale --size --ray-length "
+    "--max-depth --annotations --unlabelled --like",
     "dataset rerender": "dataset --scene --files --device",
     "dataset grasps": "dataset --tool --name --per-instance --simulate --places --seed --files "
     "--workers",
@@ -88,13 +89,14 @@ OPTIONS = {
     "rig decode": "stack --rig --resolution --average --out",
     "rig certify": "rig --resolution --out --seed --backend --device",
     "rig design": "study --out --list --device WORKERS",
-    "real measure": "depth --out --intrinsics --scale --size --gray --reason",
-    "real compare": "first second --out --intrinsics --scale --size --classifier --max-maps --seed",
-    "real twin": "scans --config --out --intrinsics --scale --size --rgb --kept-aside --trials "
-    "--seed --device",
-    "real fit-bin": "views --config --out --rgb --intrinsics --distortion --scale --size --inner "
-    "--wall --azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
-    "--device",
+    "real measure": "depth --out --intrinsics --scale --size --ray-length --gray --reason",
+    "real compare": "first second --out --intrinsics --scale --size --ray-length --classifier "
+    "--max-maps --seed",
+    "real twin": "scans --config --out --intrinsics --scale --size --ray-length --rgb --kept-aside "
+    "--trials --seed --device",
+    "real fit-bin": "views --config --out --rgb --intrinsics --distortion --scale --size "
+    "--ray-length --inner --wall --azimuth --floor-reflectance --white --black --cluttered "
+    "--pose-only --bend --seed --device",
     "doctor": "",
     "schema": "kind",
 }
@@ -109,7 +111,7 @@ OPTIONS = {
 # Each flag of several commands is declared once, in the table of `cli.arguments`, but for --out.
 SHARED_FLAGS = """
 --address --backend --config --device --distortion --engine --far --files --intrinsics --list
---max-detections --min-score --min-visibility --near --on --one-class --out --resamples
+--max-detections --min-score --min-visibility --near --on --one-class --out --ray-length --resamples
 --resolution --rgb --rig --scale --scene --seed --shares --size --split --split-seed --threads
 --unit --width --workers
 """.split()

@@ -131,7 +131,9 @@ def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
 
     def opened(path, options):
         record.update(path=path, options=options)
-        return SimpleNamespace(images=((0, 0), (0, 1)), folder=path, parts={}, plain=())
+        return SimpleNamespace(
+            images=((0, 0), (0, 1)), folder=path, parts={}, plain=(), notes=("odd depth",)
+        )
 
     def scan(source, scanner, out, spec, *, workers, **watchers):
         record.update(scanner=scanner, out=out, spec=spec, workers=workers)
@@ -144,13 +146,15 @@ def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
     words = (
         "rescan d --rig paper --resolution small --out o --camera rig --models m "
         "--materials k.yaml --sensor left --depth-scale 0.5 --intrinsics 1,2,3,4 --depth-only "
+        "--unit m --ray-length "
         "--images 7 --copy --seed 3 --backend cycles --device cpu --workers 2"
     )
     assert main(words.split()) == 1  # An image is set aside.
-    assert "image 000000/000001 is set aside: dark" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "image 000000/000001 is set aside: dark" in printed and "note: odd depth" in printed
     assert record["options"] == SourceOptions(
         sensor="left", models=Path("m"), materials=Path("k.yaml"), depth_scale_mm=0.5,
-        intrinsics="1,2,3,4", depth_only=True,
+        intrinsics="1,2,3,4", depth_only=True, unit="m", ray_length=True,
     )  # fmt: skip
     spec = record["spec"]
     assert (spec.camera, spec.seed, spec.images, spec.copies) == ("rig", 3, 7, True)

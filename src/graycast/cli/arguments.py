@@ -370,7 +370,7 @@ def resolve_config(config, name: Path, folder: Path):
 
 
 def file_options(options: argparse.Namespace) -> "FileOptions":
-    """What `--intrinsics`, `--scale`, `--size`, `--distortion` and `--ray-length` state."""
+    """What the options of files of depth state, from `--intrinsics` to `--max-depth`."""
     from ..real.depth_file import FileOptions, read_intrinsics
 
     return FileOptions(
@@ -379,6 +379,7 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
         scale_m=options.scale,
         size_px=options.size,
         ray_length=getattr(options, "ray_length", False),
+        max_depth_m=getattr(options, "max_depth", None),
     )
 
 

@@ -179,8 +179,14 @@ def _add_import(group) -> None:
     add_option(real, "folder", Path, folder)
     add_out(real, NEW_FOLDER)
     add_shared(real, "--intrinsics", "--distortion", "--scale", "--size", "--ray-length")
-    far = "The farthest depth in metres that is stored. Pixels beyond it get no depth."
-    add_option(real, "--far", above_zero, far, usual="the farthest depth of all pictures")
+    add_option(
+        real,
+        "--max-depth",
+        above_zero,
+        "The farthest depth in metres that is stored. Pixels beyond it get no depth.",
+        usual="the farthest depth of all pictures",
+        metavar="METRES",
+    )
     labels = "The labels: a COCO file, or a folder of LabelMe files."
     add_option(real, "--annotations", Path, labels, usual="FOLDER/annotations")
     add_option(real, "--unlabelled", None, "Import the pictures without labels.")
@@ -294,7 +300,6 @@ def _import(options: argparse.Namespace) -> int:
             labelled=not options.unlabelled,
             names=names,
             range_m=range_m,
-            far_m=options.far,
             progress=bars,
         )
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))

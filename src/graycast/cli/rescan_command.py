@@ -69,7 +69,8 @@ def add_rescan(commands) -> None:
         rescan, "--depth-scale", above_zero,
         "The millimetres of one step of depth, in place of what the dataset states.",
     )  # fmt: skip
-    add_shared(rescan, "--intrinsics")
+    add_shared(rescan, "--intrinsics", "--ray-length")
+    add_shared(rescan, "--unit", usual="the unit of the layout")
     add_option(
         rescan, "--depth-only", None,
         "Stage the depth alone, without models and poses. This is coarser: nothing is behind what "
@@ -101,6 +102,8 @@ def _rescan(options: argparse.Namespace) -> int:
             depth_scale_mm=options.depth_scale,
             intrinsics=options.intrinsics,
             depth_only=options.depth_only,
+            unit=options.unit,
+            ray_length=options.ray_length,
         ),
     )
     spec = RescanSpec(
@@ -120,6 +123,8 @@ def _rescan(options: argparse.Namespace) -> int:
             f"note: objects {ids} have the mean colour of the pictures and are matt plastic: give "
             "--materials with what they are made of"
         )
+    for note in source.notes:
+        print(f"note: {note}")
     with open_bars() as bars:
 
         def name_of(number: int) -> str:

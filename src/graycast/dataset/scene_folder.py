@@ -6,6 +6,7 @@ first camera ends in a type of camera: `depth_sl` is what our scanner measures. 
 names, these come before it: `rgb_left`, `depth_left_sl`. Our scenes have PNGs alone.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, final
@@ -85,10 +86,26 @@ class SceneFolder:
             raise Unreadable(f"{where} must have a list with an entry for each of its instances")
         return [record_as(one, form, f"{where}, instance {i}") for i, one in enumerate(entry)]
 
-    def find_picture(self, kind: str, number: int) -> Path | None:
-        """Where a picture is, whatever its format; None where there is none."""
-        files = (self._of(kind) / f"{number:06d}{ending}" for ending in PICTURES)
-        return next((file for file in files if file.is_file()), None)
+    def find_picture(
+        self, kind: str, number: int, endings: tuple[str, ...] = PICTURES
+    ) -> Path | None:
+        """Return where a picture is, whatever its format; None where there is none.
+
+        BOP writes six digits; some datasets have fewer or more, and are read as well.
+
+        Raises:
+            Unreadable: two files are pictures of this number.
+        """
+        folder = self._of(kind)
+        files = (folder / f"{number:06d}{ending}" for ending in endings)
+        if file := next((file for file in files if file.is_file()), None):
+            return file
+        others = [file for file in folder.glob(f"*{number}.*") if file.suffix in endings
+                  and re.fullmatch(r"\d+", file.stem) and int(file.stem) == number]  # fmt: skip
+        if len(others) > 1:
+            names = " and ".join(sorted(file.name for file in others))
+            raise Unreadable(f"{folder.name}: {names} are both image {number}: remove one")
+        return others[0] if others else None
 
     def picture(self, kind: str, number: int) -> np.ndarray | None:
         """A picture of any format as it is stored, colours in OpenCV's order, if there is one."""

@@ -36,6 +36,7 @@ class FileOptions:
         size_px: width and height of clouds that do not say it.
         ray_length: whether depth is the distance from the camera along each pixel's ray, which
             becomes z.
+        max_depth_m: depth beyond it is taken as missing; None has no limit.
     """
 
     K: Float[np.ndarray, "3 3"] | None = None
@@ -43,6 +44,7 @@ class FileOptions:
     scale_m: float | None = None
     size_px: tuple[int, int] | None = None
     ray_length: bool = False
+    max_depth_m: float | None = None
 
 
 NO_OPTIONS = FileOptions()
@@ -53,7 +55,8 @@ class DepthFile:
     """Depth [m], NaN where there is none, its camera, and the look that a cloud has of its own.
 
     `gray` is the mean of the colours as a share of their range. `largest_px` counts the pixels with
-    the largest number of the file's type, which is no distance.
+    the largest number of the file's type, which is no distance, and `beyond_px` those with depth
+    beyond the largest that was asked for.
     """
 
     depth_m: Float[np.ndarray, "h w"]
@@ -61,6 +64,7 @@ class DepthFile:
     gray: Float[np.ndarray, "h w"] | None = None
     rgb: UInt8[np.ndarray, "h w 3"] | None = None
     largest_px: int = 0
+    beyond_px: int = 0
 
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
@@ -126,7 +130,10 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
         optics = optics_of(options.K, size_px, options.distortion or (0.0,) * 5)
         depth_m = z_of_ray_length(depth_m, optics)
     largest = np.isfinite(value) & (value != 0) & ~known_depth(value)
-    return DepthFile(depth_m=depth_m, K=options.K, largest_px=int(largest.sum()))
+    depth_m, beyond_px = _without_far(depth_m, options)
+    return DepthFile(
+        depth_m=depth_m, K=options.K, largest_px=int(largest.sum()), beyond_px=beyond_px
+    )
 
 
 def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
@@ -155,7 +162,16 @@ def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
         rgb = np.stack([table[name] for name in COLORS], axis=-1).reshape(height_px, width_px, 3)
         gray = rgb.mean(axis=-1) / 255
     scale_m = 1.0 if options.scale_m is None else options.scale_m
-    return DepthFile(depth_m=in_metres(point[..., 2], scale_m, str(path)), K=K, gray=gray, rgb=rgb)
+    depth_m, beyond_px = _without_far(in_metres(point[..., 2], scale_m, str(path)), options)
+    return DepthFile(depth_m=depth_m, K=K, gray=gray, rgb=rgb, beyond_px=beyond_px)
+
+
+def _without_far(
+    depth_m: Float[np.ndarray, "h w"], options: FileOptions
+) -> tuple[Float[np.ndarray, "h w"], int]:
+    """Return depth up to the largest that was asked for, and how many pixels lie beyond it."""
+    beyond = depth_m > (np.inf if options.max_depth_m is None else options.max_depth_m)
+    return np.where(beyond, np.nan, depth_m), int(beyond.sum())
 
 
 def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:

@@ -48,7 +48,7 @@ class RealPicture:
 class ShotData:
     """One picture as arrays; `rgb` may be the colours of an organised cloud.
 
-    `largest_px` is as of `DepthFile`.
+    `largest_px` and `beyond_px` are as of `DepthFile`.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None
@@ -56,6 +56,7 @@ class ShotData:
     depth_m: Float[np.ndarray, "h w"] | None
     K: Float[np.ndarray, "3 3"]
     largest_px: int = 0
+    beyond_px: int = 0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -116,16 +117,24 @@ def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
         refuse_damaged(path)
     rgb = None if shot.rgb is None else read_rgb(shot.rgb)
     gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
-    depth_m, K, largest_px = None, options.K, 0
+    depth_m, K, largest_px, beyond_px = None, options.K, 0, 0
     if shot.depth is not None:
         depth = read_depth(shot.depth, options)
-        depth_m, K, largest_px = depth.depth_m, depth.K, depth.largest_px
+        depth_m, K = depth.depth_m, depth.K
+        largest_px, beyond_px = depth.largest_px, depth.beyond_px
+        if beyond_px and np.isnan(depth_m).all():
+            raise DatasetError(
+                f"{shot.depth}: has no depth up to --max-depth {options.max_depth_m:g}: give a "
+                "larger one"
+            )
         _refuse_impossible(depth_m, shot.depth)
         rgb = depth.rgb if rgb is None else rgb
     if K is None:
         raise DatasetError(f"{shot.stem}: {NO_CAMERA}")
     _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
-    return ShotData(rgb=rgb, gray=gray, depth_m=depth_m, K=K, largest_px=largest_px)
+    return ShotData(
+        rgb=rgb, gray=gray, depth_m=depth_m, K=K, largest_px=largest_px, beyond_px=beyond_px
+    )
 
 
 def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
@@ -148,7 +157,7 @@ def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
     except ValueError as error:
         raise DatasetError(
             f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.534 m: "
-            "correct the scale, remove such points, or leave them out with --far"
+            "correct the scale, remove such points, or leave them out with --max-depth"
         ) from error
 
 

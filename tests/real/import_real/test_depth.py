@@ -16,7 +16,9 @@ from .photos import H, K, W, slope_mm, write_depth
 def imported(folder, **options):
     """The depth of the first picture as it is read again, and what the import said."""
     out = folder.with_name(f"{folder.name}-out")
-    files = {key: options.pop(key) for key in ("scale_m", "ray_length") if key in options}
+    files = {
+        key: options.pop(key) for key in ("scale_m", "ray_length", "max_depth_m") if key in options
+    }
     done = import_real(folder, out, files=FileOptions(K=K, **files), labelled=False, **options)
     assert validate(out) == ()
     return open_examples(out)[0].scanner_depth_m, done
@@ -57,17 +59,19 @@ def test_one_pixel_far_away_is_named_where_it_makes_all_steps_coarse(tmp_path):
     assert done.depth_scale_mm == 1.0
     (note,) = done.notes
     assert "in steps of 1 mm because" in note and "000001.npy has a pixel at 48 m" in note
-    assert "0.02 mm would do" in note and note.endswith("give --far 1.31")
+    assert "0.02 mm would do" in note and note.endswith("give --max-depth 1.31")
 
     folder = folder.rename(tmp_path / "again")
-    stored_m, done = imported(folder, far_m=1.31)
+    stored_m, done = imported(folder, max_depth_m=1.31)
     assert done.depth_scale_mm == 0.02
     assert np.abs(stored_m - depth_m).max() <= 0.51 * 0.02e-3
     assert np.isnan(open_examples(tmp_path / "again-out")[1].scanner_depth_m).sum() == 1
     (note,) = done.notes
-    assert "1 pixels in 1 pictures lie beyond --far 1.31" in note
-    with pytest.raises(DatasetError, match=r"no depth up to --far 0\.1: give a larger one"):
-        import_real(folder, tmp_path / "no", files=FileOptions(K=K), labelled=False, far_m=0.1)
+    assert "1 pixels in 1 pictures lie beyond --max-depth 1.31" in note
+    with pytest.raises(DatasetError, match=r"no depth up to --max-depth 0\.1: give a larger one"):
+        import_real(
+            folder, tmp_path / "no", files=FileOptions(K=K, max_depth_m=0.1), labelled=False
+        )
 
 
 def test_a_deep_scene_has_coarse_steps_without_a_note(tmp_path):
@@ -107,8 +111,15 @@ def test_the_options_are_on_the_command_line(tmp_path, capsys):
     z_m, length_m = tilted_plane_m()
     length_m[0, 0] = 30.0
     folder, out = write_depth(tmp_path / "scans", length_m), tmp_path / "out"
-    words = ["--unlabelled", "--intrinsics", "100,100,47.5,31.5", "--ray-length", "--far", "1.3"]
+    words = [
+        "--unlabelled",
+        "--intrinsics",
+        "100,100,47.5,31.5",
+        "--ray-length",
+        "--max-depth",
+        "1.3",
+    ]
     assert main(["dataset", "import", str(folder), "--out", str(out), *words]) == 0
-    assert "note: 2 pixels in 2 pictures lie beyond --far 1.3" in capsys.readouterr().out
+    assert "note: 2 pixels in 2 pictures lie beyond --max-depth 1.3" in capsys.readouterr().out
     stored_m = open_examples(out)[0].scanner_depth_m
     assert np.isnan(stored_m[0, 0]) and np.nanmax(np.abs(stored_m - z_m)) < 2e-5

@@ -95,10 +95,10 @@ def test_names_with_backslashes_and_hidden_files_are_read_as_they_are_meant(tmp_
     np.testing.assert_array_equal(imported(folder)[0], [part()])
 
 
-def mask_shape(drawn, x=20, y=10, **changes):
+def mask_shape(inside, x=20, y=10, **changes):
     file = io.BytesIO()
-    Image.fromarray(drawn).save(file, "PNG")
-    rows, columns = drawn.shape
+    Image.fromarray(inside).save(file, "PNG")
+    rows, columns = inside.shape
     return {
         "label": "part",
         "shape_type": "mask",
@@ -110,13 +110,13 @@ def mask_shape(drawn, x=20, y=10, **changes):
 
 def test_masks_of_labelme_are_read_and_unite_with_the_polygons_of_their_group(tmp_path):
     rng = np.random.default_rng(0)
-    drawn = rng.random((40, 30)) < 0.5
+    inside = rng.random((40, 30)) < 0.5
     polygon = {"label": "part", "points": [[0, 0], [4, 0], [4, 3], [0, 3]], "group_id": 7}
-    shapes = [mask_shape(drawn, group_id=7), polygon, mask_shape(~drawn, x=W - 30, y=H - 40)]
+    shapes = [mask_shape(inside, group_id=7), polygon, mask_shape(~inside, x=W - 30, y=H - 40)]
     mask, notes = imported(write_labelme(tmp_path / "photos", shapes))
     first, second = np.zeros((2, H, W), bool)
-    first[10:50, 20:50], first[:3, :4] = drawn, True
-    second[H - 40 :, W - 30 :] = ~drawn
+    first[10:50, 20:50], first[:3, :4] = inside, True
+    second[H - 40 :, W - 30 :] = ~inside
     np.testing.assert_array_equal(mask, [first, second])
     assert notes == ()
 

@@ -12,7 +12,9 @@ from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, rigid
 from graycast.dataset.training.foreign import open_foreign
 from graycast.real.rescan.bop_source import open_bop
+from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.source import SourceOptions
+from graycast.rig.optics import points
 
 from .scene_files import (
     CAMERA,
@@ -299,6 +301,39 @@ def test_depth_of_zero_and_of_the_largest_number_is_not_known(tmp_path, none):
     png(split / "000000/depth/000000.png", steps)
     depth_m = opened(split).read(0, 0).depth_m
     assert np.isnan(depth_m[:, 0]).all() and np.allclose(depth_m[:, 1:], 0.5)
+
+
+@pytest.mark.parametrize("name", ["0000.png", "0.png", "0000000.tif", "000000.npy", "0000.npy"])
+def test_pictures_with_another_number_of_digits_are_found(tmp_path, name):
+    split = write_dataset(tmp_path)
+    folder = split / "000000/depth"
+    stored = folder / "000000.png"
+    steps = cv2.imread(str(stored), cv2.IMREAD_UNCHANGED)
+    expected = opened(split).read(0, 0).depth_m
+    stored.unlink()
+    (folder / "0001.png").write_bytes(b"of another image")
+    (folder / "._0000.png").write_bytes(b"of macOS")
+    np.save(folder / name, steps) if name.endswith("npy") else png(folder / name, steps)
+    image = opened(split).read(0, 0)
+    np.testing.assert_array_equal(image.depth_m, expected)
+    assert image.step_m == SCALE_MM / 1e3
+    if name[:6] != "000000":  # BOP's own name goes before all others
+        png(folder / "00.png", steps)
+        refusal(split, "are both image 0")
+
+
+def test_lengths_of_rays_become_z(tmp_path):
+    """Oracle: the distance of each point from the camera; BlenderProc writes it as `distance`."""
+    split = write_dataset(tmp_path)
+    z_m = opened(split).read(0, 0).depth_m
+    length_m = np.linalg.norm(points(CAMERA, z_m), axis=-1)
+    png(split / "000000/depth/000000.png", np.rint(length_m * 1e3 / SCALE_MM).astype(np.uint16))
+    source = open_source(split, SourceOptions(ray_length=True))
+    assert np.abs(source.read(0, 0).depth_m - z_m).max() <= 0.51e-3 * SCALE_MM
+    assert source.scenes == {}  # The result has depth of its own, which is z.
+    assert source.notes == ()
+    (note,) = open_source(split).notes
+    assert "seems to be the length of each ray" in note and "give --ray-length" in note
 
 
 def test_the_cube_of_the_test_is_where_its_pose_says():

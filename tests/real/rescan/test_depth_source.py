@@ -9,6 +9,7 @@ import pytest
 from graycast.base.errors import ConfigError, DatasetError
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.source import SourceOptions
+from graycast.rig.optics import points
 from graycast.world.parts.material_presets import material_preset
 
 from .scene_files import CAMERA, png, true_depth_m, write_dataset, write_json
@@ -97,6 +98,17 @@ def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
     (tmp_path / "depth/a.npy").rename(tmp_path / "depth/a.exr")
     write_json(tmp_path / "K.json", {"K": K})
     refusal(tmp_path, "EXR", "NPY", intrinsics=intrinsics)
+
+
+def test_lengths_of_rays_become_z(tmp_path, intrinsics):
+    (tmp_path / "depth").mkdir()
+    length_m = np.linalg.norm(points(CAMERA, true_depth_m()), axis=-1)
+    np.save(tmp_path / "depth/a.npy", length_m)
+    source = opened(tmp_path, intrinsics=intrinsics, ray_length=True)
+    np.testing.assert_allclose(source.read(0, 0).depth_m, true_depth_m(), rtol=1e-12)
+    assert source.notes == ()
+    assert "give --ray-length" in opened(tmp_path, intrinsics=intrinsics).notes[0]
+    refusal(tmp_path, "layout depth alone", "leave out --unit", intrinsics=intrinsics, unit="m")
 
 
 def test_depth_alone_has_a_background_and_no_objects(tmp_path, intrinsics):

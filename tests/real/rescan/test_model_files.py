@@ -110,10 +110,8 @@ def test_an_open_mesh_has_normals_and_no_look_of_its_own(tmp_path):
     ("side", "diameter", "words"),
     [
         (0.06, None, ("0.06 mm", "2 to 1500 mm")),
-        (0.06, 103.9, ("models_info.json says", "seems to be in m;", "export it in mm")),
-        (60 / 25.4, 103.9, ("2.362 mm", "seems to be in inch")),
-        (6.0, 103.9, ("seems to be in cm",)),
-        (6e4, None, ("6e+04 mm", "export it in mm")),
+        (6e4, None, ("6e+04 mm", "--unit", "export it in mm")),
+        (60.0, 30.0, ("models_info.json says", "17.1 to 30 mm")),
     ],
 )
 def test_a_model_of_another_unit_is_refused(tmp_path, side, diameter, words):
@@ -121,6 +119,52 @@ def test_a_model_of_another_unit_is_refused(tmp_path, side, diameter, words):
     if diameter is not None:
         write_json(tmp_path / "models_info.json", {"1": {"diameter": diameter}})
     refusal(tmp_path, "obj_000001.ply", *words)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("m", 1000.0), ("cm", 10.0), ("inch", 25.4)], ids=["m", "cm", "inch"]
+)
+def test_a_model_of_another_unit_is_converted_if_its_diameter_shows_the_unit(tmp_path, unit, mm):
+    """Oracle: the same cube in millimetres."""
+    write_models(tmp_path / "right")
+    write_json(tmp_path / "right/models_info.json", {"1": {"diameter": 103.9}})
+    right = read(tmp_path / "right")
+    write_models(tmp_path / "other", side=SIDE_MM / mm)
+    write_json(tmp_path / "other/models_info.json", {"1": {"diameter": 103.9}})
+    other = read(tmp_path / "other")
+    assert right.notes == ()
+    np.testing.assert_allclose(
+        other.parts[1].mesh.vertices_m, right.parts[1].mesh.vertices_m, rtol=1e-5
+    )
+    (note,) = other.notes
+    assert note.startswith(f"obj_000001.ply: the model is in {unit}, as its size")
+
+
+def test_a_dataset_in_metres_is_converted_with_its_symmetries(tmp_path):
+    """Its cube of 0.06 was taken for one of 0.06 mm, because the diameter agrees."""
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    half_turn[0, 3] = 0.02
+    axis = {"axis": [0, 0, 1], "offset": [0.01, 0, 0]}
+    write_models(tmp_path, side=0.06)
+    info = {"diameter": 0.1039, "symmetries_discrete": [half_turn.ravel().tolist()]}
+    write_json(tmp_path / "models_info.json", {"1": info | {"symmetries_continuous": [axis]}})
+    models = read(tmp_path)
+    part = models.parts[1]
+    np.testing.assert_allclose(part.mesh.extent_m, 0.06, rtol=1e-5)
+    np.testing.assert_allclose(part.symmetry.discrete[0], half_turn)
+    np.testing.assert_allclose(part.symmetry.continuous[0][1], [0.01, 0, 0])
+    assert "in m, and its models_info.json in m" in models.notes[0]
+
+
+def test_a_unit_that_is_stated_needs_no_diameter_and_goes_before_it(tmp_path):
+    write_models(tmp_path, side=0.06)
+    refusal(tmp_path, "0.06 mm", "seems to be in m", "--unit")
+    models = read_models(bop_models(tmp_path.parent, tmp_path, "m"), {1}, None)
+    np.testing.assert_allclose(models.parts[1].mesh.extent_m, 0.06, rtol=1e-5)
+    assert models.notes == ()
+    write_json(tmp_path / "models_info.json", {"1": {"diameter": 103.9}})
+    with pytest.raises(DatasetError, match=r"longest side is 0\.06 cm, models_info\.json says"):
+        read_models(bop_models(tmp_path.parent, tmp_path, "cm"), {1}, None)
 
 
 def test_the_diameter_of_a_box_and_of_a_rod_fit_their_longest_sides(tmp_path):

@@ -175,10 +175,12 @@ def _read_scene(scene: Path) -> list[BinView]:
         ) from error
     for number, camera in cameras.items():
         depth = files.png_path("depth_sl", number)
+        try:
+            rgb = files.find_picture("rgb", number)
+        except Unreadable as error:
+            raise DatasetError(f"{scene}/{error}") from error
         images = read_shot(
-            RealPicture(
-                stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth
-            ),
+            RealPicture(stem=str(scene), rgb=rgb, gray=None, depth=depth),
             FileOptions(K=np.reshape(camera.cam_K, (3, 3)), scale_m=camera.depth_scale * 1e-3),
         )
         views.append(_view(str(depth), images, camera.distortion))

@@ -1,4 +1,4 @@
-"""Hand-drawn labels: COCO and LabelMe files as masks with a name.
+"""Hand-polygons labels: COCO and LabelMe files as masks with a name.
 
 Coordinates of both count from the corner of the image, half a pixel before this package's own:
 pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them. LabelMe's
@@ -142,11 +142,11 @@ def _coco_image(
                 "outline of the instance, or remove the annotation"
             )
         if isinstance(shape, list):
-            drawn = [
+            polygons = [
                 _corners(numbers, f"{name}: polygon {i}") for i, numbers in enumerate(shape, 1)
             ]
-            beyond_px = max(beyond_px, *(_beyond_px(points, size, name) for points in drawn))
-            runs = _united([_rasterised(points, size) for points in drawn], name)
+            beyond_px = max(beyond_px, *(_beyond_px(points, size, name) for points in polygons))
+            runs = _united([_rasterised(points, size) for points in polygons], name)
         else:
             runs = _run_lengths(shape, size, name)
         masks[f"annotation {entry['id']} ({k} of {image['file_name']})"] = runs

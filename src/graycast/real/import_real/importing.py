@@ -23,9 +23,9 @@ from ...dataset.records import FORMAT_VERSION, MM_PER_M, split_annotation
 from ...dataset.seal import sealed, sha256
 from ...rendering.radiance import Silhouette
 from ..depth_file import NO_OPTIONS, FileOptions
-from ..picture_pairs import RealPicture, ShotData, find_shots
+from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 from .annotations import Annotation, read_annotations
-from .survey import read_picture, survey
+from .survey import survey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,6 @@ def import_real(
     labelled: bool = True,
     names: Sequence[str] | None = None,
     range_m: tuple[float, float] | None = None,
-    far_m: float | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Import:
     """Write real pictures as a dataset; a picture is a scene, in the order of their names.
@@ -63,7 +62,6 @@ def import_real(
         names: of the objects in the order of their ids, such as those of a simulated dataset.
         range_m: near and far end of the range of a scanner like this one; depth far outside of it
             is refused.
-        far_m: depth beyond it is left out; it sets the step of depth that is stored.
         progress: counts pictures.
 
     Raises:
@@ -73,7 +71,7 @@ def import_real(
     shots = find_shots(folder)
     labels, own_names = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
     known = _object_names(own_names, names)
-    known_pictures = survey(shots, files, range_m=range_m, far_m=far_m)
+    known_pictures = survey(shots, files, range_m=range_m)
     first, step_mm = known_pictures.first, known_pictures.step_mm
     holds = (*first.holds, *(("masks",) if labelled else ()))
     writer = _Writer(names=known, step_mm=step_mm, distortion=files.distortion or (), holds=holds)
@@ -82,8 +80,7 @@ def import_real(
         (aside / "camera.json").write_bytes(json_bytes(writer.camera(first)))
         for scene_id, shot in enumerate(shots):
             place = aside / "train" / f"{scene_id:06d}"
-            images, _ = read_picture(shot, files, far_m)
-            writer.scene(place, shot, images, labels.get(shot.stem))
+            writer.scene(place, shot, read_shot(shot, files), labels.get(shot.stem))
             progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px

@@ -1,8 +1,7 @@
 """All pictures of an import read once: what they hold, in which steps, and what looks wrong."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from math import inf
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,34 +25,16 @@ class Survey:
     notes: tuple[str, ...]
 
 
-def read_picture(
-    shot: RealPicture, files: FileOptions, far_m: float | None
-) -> tuple[ShotData, int]:
-    """Return a picture without depth beyond `far_m`, and how many pixels that took.
-
-    Raises:
-        DatasetError: as `read_shot`, or no depth is left.
-    """
-    images = read_shot(shot, files)
-    if images.depth_m is None or far_m is None or not (beyond := images.depth_m > far_m).any():
-        return images, 0
-    depth_m = np.where(beyond, np.nan, images.depth_m)
-    if np.isnan(depth_m).all():
-        raise DatasetError(f"{shot.depth}: has no depth up to --far {far_m:g}: give a larger one")
-    return replace(images, depth_m=depth_m), int(beyond.sum())
-
-
 def survey(
     shots: Sequence[RealPicture],
     files: FileOptions,
     *,
     range_m: tuple[float, float] | None,
-    far_m: float | None,
 ) -> Survey:
     """Read all pictures, so that what cannot be used is told before anything is written.
 
     Args:
-        range_m: as of `import_real`, and so is `far_m`.
+        range_m: as of `import_real`.
 
     Raises:
         DatasetError: a picture cannot be used, or is unlike the first one.
@@ -61,12 +42,12 @@ def survey(
     first: ShotData | None = None
     notes: list[str] = []
     largest: dict[RealPicture, int] = {}
-    cut: dict[RealPicture, int] = {}
+    beyond: dict[RealPicture, int] = {}
     deepest: tuple[float, RealPicture] = (0.0, shots[0])
     usual_m = 0.0
     sample: list[np.ndarray] = []
     for shot in shots:
-        images, cut_px = read_picture(shot, files, far_m)
+        images = read_shot(shot, files)
         first = first or images
         _refuse_unlike(shot, images, shots[0], first)
         if images.depth_m is None:
@@ -76,7 +57,7 @@ def survey(
         usual_m = max(usual_m, float(np.quantile(known_m, _USUAL)))
         deepest = max(deepest, (float(known_m.max()), shot), key=lambda pair: pair[0])
         largest |= {shot: images.largest_px} if images.largest_px else {}
-        cut |= {shot: cut_px} if cut_px else {}
+        beyond |= {shot: images.beyond_px} if images.beyond_px else {}
         sample += [images.depth_m] if len(sample) < _FOR_KIND else []
         if note := filled_holes(images.depth_m, str(shot.depth)):
             notes.append(note)
@@ -86,7 +67,7 @@ def survey(
     step_mm = depth_step_mm(deepest[0], scale_m)
     notes += _pixel_notes(largest, "have the largest number of the file's type, which is no "
                                    "distance")  # fmt: skip
-    notes += _pixel_notes(cut, f"lie beyond --far {far_m or inf:g}")
+    notes += _pixel_notes(beyond, f"lie beyond --max-depth {files.max_depth_m} m")
     if usual_m > 0:
         notes += _step_notes(deepest, step_mm, usual_m, depth_step_mm(usual_m, scale_m))
     if sample:
@@ -141,6 +122,6 @@ def _step_notes(
     yield (
         f"depth is stored in steps of {step_mm:g} mm because {shot.depth} has a pixel at "
         f"{deepest_m:.4g} m: {_USUAL:.0%} of the depth of each picture lies within {usual_m:.3g} "
-        f"m, for which {usual_mm:g} mm would do: to leave out what is farther, give --far "
+        f"m, for which {usual_mm:g} mm would do: to leave out what is farther, give --max-depth "
         f"{np.floor(65.5 * usual_mm * 100) / 100:g}"
     )

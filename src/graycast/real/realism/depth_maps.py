@@ -131,12 +131,12 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         scanner = _record(files, f"scene{SCANNER}", AnyScanner)
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
-        path = files.png_path(f"depth{suffix}", number)
+        path = _find(files, f"depth{suffix}", number) or files.png_path(f"depth{suffix}", number)
         depth_m = in_metres(read_image(path), view.depth_scale * _M_PER_MM, str(path))
-        own = files.find_picture(f"gray{suffix}", number)
-        picture = own or files.find_picture(f"rgb{suffix}", number)
+        own = _find(files, f"gray{suffix}", number)
+        picture = own or _find(files, f"rgb{suffix}", number)
         gray = None if picture is None else read_gray(picture)
-        colour = files.find_picture("rgb", number)
+        colour = _find(files, "rgb", number)
         if gray is None and colour is not None:
             beside = read_gray(colour)  # that of a camera beside the scanner says nothing here
             gray = beside if beside.shape == depth_m.shape else None
@@ -151,6 +151,14 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
             reason_names={code: name for name, code in reasons.items()},
             baseline_m=baseline_m,
         )
+
+
+def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
+    """Return where a picture of a scene is; None if there is none."""
+    try:
+        return files.find_picture(kind, number)
+    except Unreadable as error:
+        raise DatasetError(f"{files.path}/{error}") from error
 
 
 def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:

@@ -27,6 +27,7 @@ from ...base.errors import DatasetError
 from ...dataset.records import MM_PER_M, Images, Positive
 from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import (
+    PICTURES,
     SCANNER,
     AnyCamera,
     AnyInfo,
@@ -40,6 +41,7 @@ from .source import Source, SourceImage, SourceOptions
 from .source_files import REPAIR, pose_of, source_image, stored_depth
 
 CAMERAS = "scene_camera*.json"
+DEPTHS = (*PICTURES, ".npy")
 _NEAR = 0.02  # The farthest object lies no nearer than this share of the middle depth.
 
 
@@ -88,7 +90,7 @@ def open_bop(folder: Path, options: SourceOptions) -> Source:
         raise DatasetError(f"{folder}: its scenes have no images: give a split that has some")
     models = NO_MODELS
     if not options.depth_only:
-        files = bop_models(folder.parent, options.models)
+        files = bop_models(folder.parent, options.models, options.unit)
         models = read_models(files, obj_ids, options.materials)
     return Source(
         folder=folder,
@@ -96,9 +98,11 @@ def open_bop(folder: Path, options: SourceOptions) -> Source:
         images=tuple(images),
         parts=models.parts,
         plain=models.plain,
+        notes=models.notes,
         image_of=partial(_read, scenes, sensor, options),
-        sensor=sensor,
-        scenes=scenes,
+        sensor="" if options.ray_length else sensor,
+        # BOP's form has z: the result cannot link to files with lengths, so that it gets its own.
+        scenes={} if options.ray_length else scenes,
     )
 
 
@@ -115,7 +119,8 @@ def _read(
                 f"{where}: has no depth_scale: give the millimetres of one step of depth, such as "
                 "--depth-scale 0.1"
             )
-        path = scene.find_picture("depth", image_id) or scene.png_path("depth", image_id)
+        stored = scene.find_picture("depth", image_id, DEPTHS)
+        path = stored or scene.png_path("depth", image_id)
         depth_m, step_m = stored_depth(path, scale_mm / MM_PER_M)
         return source_image(
             depth_m,
@@ -124,6 +129,7 @@ def _read(
             () if options.depth_only else _objects(scene, image_id, depth_m),
             step_m=step_m,
             distortion=view.distortion,
+            ray_length=options.ray_length,
         )
     except Unreadable as error:
         raise DatasetError(f"{scene.path}/{error}: {REPAIR}") from error

@@ -35,7 +35,9 @@ def open_depth(folder: Path, options: SourceOptions) -> Source:
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)
     scale_m = None if options.depth_scale_mm is None else options.depth_scale_mm / MM_PER_M
-    files = FileOptions(K=read_intrinsics(options.intrinsics), scale_m=scale_m)
+    files = FileOptions(
+        K=read_intrinsics(options.intrinsics), scale_m=scale_m, ray_length=options.ray_length
+    )
     return Source(
         folder=folder,
         split="depth",

@@ -10,7 +10,7 @@ millimetres, with colours or with a texture, and `models_info.json`.
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
@@ -44,11 +44,16 @@ _REMEDY = "give their folder with --models DIR, or leave objects out with --dept
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
-    """The mesh of an object, what it is called, and what is known of it."""
+    """The mesh of an object, what it is called, and what is known of it.
+
+    `unit` is the mesh's; if the user did not state it (`unit_stated`), a `diameter_m` may show that
+    it is another. `diameter_m` and `symmetry` are those of a `models_info.json` in millimetres.
+    """
 
     path: Path
     name: str
     unit: str
+    unit_stated: bool = False
     diameter_m: float | None = None
     symmetry: Symmetry = field(default_factory=Symmetry)
 
@@ -56,10 +61,20 @@ class ModelFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """Objects by their ids; `plain` are those whose look nothing states."""
+    """Objects by their ids; `plain` are those whose look nothing states, `notes` are sentences."""
 
     parts: Mapping[int, Part]
     plain: frozenset[int]
+    notes: tuple[str, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Units:
+    """The unit of a mesh, and that of its entry in `models_info.json`."""
+
+    mesh: str
+    info: str
 
 
 NO_MODELS = Models(parts={}, plain=frozenset())
@@ -76,12 +91,13 @@ class _ModelInfo(BaseModel):
     symmetries_continuous: list[Continuous] = []
 
 
-def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
+def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapping[int, ModelFile]:
     """The models of a dataset in BOP's form, none of them read yet.
 
     Args:
         root: the dataset; the first of `FOLDERS` in it that is there is taken.
         models: a folder that a user gives instead.
+        unit: that of the meshes, if the user states it; BOP has millimetres.
 
     Raises:
         DatasetError: there are none, or `models_info.json` is damaged.
@@ -107,7 +123,8 @@ def bop_models(root: Path, models: Path | None) -> Mapping[int, ModelFile]:
         objects[obj_id] = ModelFile(
             path=path,
             name=names.get(obj_id) or info.name or path.stem,
-            unit="mm",
+            unit=unit or "mm",
+            unit_stated=unit is not None,
             diameter_m=None if info.diameter is None else info.diameter / MM_PER_M,
             symmetry=symmetry_m(info.symmetries_discrete, info.symmetries_continuous),
         )
@@ -144,25 +161,49 @@ def read_models(
             f"{next(iter(files.values())).path.parent}: has no model obj_{missing[0]:06d}.ply, and "
             f"an image has the object {missing[0]}: add the model, or {_REMEDY}"
         )
-    parts, plain = {}, set()
+    parts, plain, converted = {}, set(), {}
     for obj_id in sorted(obj_ids):
         look = looks.get(obj_id, MaterialSection())
         try:
-            mesh, material = _read_model(files[obj_id], look, folder)
+            mesh, material, units = _read_model(files[obj_id], look, folder)
         except ConfigError as error:
             raise ConfigError(f"{materials}: {obj_id}: {error}") from error
         if material.texture is None and look.base_color is None and look.preset is None:
             plain.add(obj_id)
+        if units.mesh != files[obj_id].unit or units.info != "mm":
+            converted[files[obj_id].path.name] = units
         parts[obj_id] = Part(
             name=files[obj_id].name,
             mesh=mesh,
             material=material,
             density_kg_m3=1000.0,
             friction=0.4,
-            symmetry=files[obj_id].symmetry,
+            symmetry=_scaled(files[obj_id].symmetry, UNITS_M[units.info] / UNITS_M["mm"]),
             source=files[obj_id].path.name,
         )
-    return Models(parts=parts, plain=frozenset(plain))
+    return Models(parts=parts, plain=frozenset(plain), notes=tuple(_unit_notes(converted)))
+
+
+def _unit_notes(converted: Mapping[str, _Units]) -> Iterator[str]:
+    for units in sorted(set(converted.values()), key=lambda units: units.mesh):
+        names = [name for name, other in converted.items() if other == units]
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        info = "" if units.info == "mm" else f", and its models_info.json in {units.info}"
+        yield (
+            f"{names[0]}{more}: the model is in {units.mesh}{info}, as its size and its diameter "
+            "show, and was converted: BOP's models are in mm"
+        )
+
+
+def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
+    """The same symmetry of a part whose lengths are so many times as large."""
+    scale = np.array([[1, 1, 1, factor]] * 3 + [[1, 1, 1, 1]])
+    return Symmetry(
+        discrete=tuple(matrix * scale for matrix in symmetry.discrete),
+        continuous=tuple(
+            (axis, (factor * x, factor * y, factor * z)) for axis, (x, y, z) in symmetry.continuous
+        ),
+    )
 
 
 def read_background(materials: Path) -> Material | None:
@@ -212,8 +253,13 @@ def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialS
     return looks if default is None else dict.fromkeys(files, default) | looks
 
 
-def _read_model(file: ModelFile, look: MaterialSection, folder: Path) -> tuple[Mesh, Material]:
-    """A mesh [m] and its material: its own colours, or grey, changed by what a user states."""
+def _read_model(
+    file: ModelFile, look: MaterialSection, folder: Path
+) -> tuple[Mesh, Material, _Units]:
+    """Return a mesh [m], its material and the units of its files.
+
+    The material is the mesh's own colours, or grey, changed by what a user states.
+    """
     try:
         surface = read_surface(file.path)
         surface.check_numbers()
@@ -221,7 +267,7 @@ def _read_model(file: ModelFile, look: MaterialSection, folder: Path) -> tuple[M
         count = re.search(rb"element face (\d+)", header)
         if count is not None and len(surface.faces) < int(count[1]):
             raise Refusal(f"has {len(surface.faces)} of {int(count[1])} faces; copy it again")
-        _refuse_other_unit(file, surface.longest)
+        units = _units(file, surface.longest)
         surface = welded(surface, [])
         uv, texture = _texture(surface)
         material = resolve_material(look, folder, own=replace(_GREY, texture=texture))
@@ -232,33 +278,54 @@ def _read_model(file: ModelFile, look: MaterialSection, folder: Path) -> tuple[M
             raise Refusal("has no texture coordinates; give it a material with a base_color")
     except Refusal as refusal:
         raise DatasetError(f"{file.path}: {refusal}") from refusal
-    vertices_m = surface.vertices * UNITS_M[file.unit]
+    vertices_m = surface.vertices * UNITS_M[units.mesh]
     mesh = Mesh(
         vertices_m=vertices_m,
         faces=surface.faces,
         corner_uv=surface.corner_uv if colored else uv,
         corner_normals=crease_normals(vertices_m, surface.faces, CREASE_RAD),
     )
-    return mesh, material
+    return mesh, material, units
 
 
-def _refuse_other_unit(file: ModelFile, longest: float) -> None:
-    """The diameter of a box is at least its longest side, and at most that times the root of 3."""
-    size_m = longest * UNITS_M[file.unit]
+def _units(file: ModelFile, longest: float) -> _Units:
+    """Return the units in which a mesh has the size of a part and the diameter that is stated.
+
+    The diameter of a box is at least its longest side, and at most that times the root of 3. Units
+    differ by more, so that a diameter shows the unit. Without one, the mesh has the unit that it
+    must have. A whole dataset may be in metres, its `models_info.json` too.
+
+    Raises:
+        Refusal: it has such a size in no unit, or only in one that nothing states.
+    """
+    diameter = None if file.diameter_m is None else file.diameter_m / UNITS_M["mm"]
+    others = [] if file.unit_stated or diameter is None else [u for u in UNITS_M if u != file.unit]
+    for unit in (file.unit, *others):
+        size_m = longest * UNITS_M[unit]
+        for info in ("mm", unit):
+            low_m, high_m = SIZE_M
+            if diameter is not None:
+                high_m = diameter * UNITS_M[info]
+                low_m = max(low_m, 0.57 * high_m)
+            if _within(size_m, low_m, high_m):
+                return _Units(mesh=unit, info=info)
     low, high = SIZE_M if file.diameter_m is None else (0.57 * file.diameter_m, file.diameter_m)
-    if 0.99 * low <= size_m <= 1.01 * high:
-        return
-    fits = [unit for unit, m in UNITS_M.items() if 0.99 * low <= longest * m <= 1.01 * high]
-    whose = "a part has" if file.diameter_m is None else "models_info.json says"
-    unit = f"; it seems to be in {fits[0]}" if fits and (len(fits) == 1 or file.diameter_m) else ""
+    fits = [unit for unit, m in UNITS_M.items() if _within(longest * m, *SIZE_M)]
+    whose = "a part has" if diameter is None else "models_info.json says"
+    hint = f"; it seems to be in {fits[0]}" if diameter is None and len(fits) == 1 else ""
     raise Refusal(
         f"its longest side is {longest:.4g} {file.unit}, {whose} {low / UNITS_M['mm']:.4g} to "
-        f"{high / UNITS_M['mm']:.4g} mm{unit}; export it in {file.unit}"
+        f"{high / UNITS_M['mm']:.4g} mm{hint}; give its unit with --unit, or export it in "
+        f"{file.unit}"
     )
 
 
+def _within(size_m: float, low_m: float, high_m: float) -> bool:
+    return 0.99 * low_m <= size_m <= 1.01 * high_m
+
+
 def _header(path: Path) -> bytes:
-    """Of a PLY file; of another nothing."""
+    """Return the header of a PLY file; empty for any other format."""
     with path.open("rb") as stream:
         return stream.read(4096).partition(b"end_header")[0] if path.suffix == ".ply" else b""
 

@@ -2,23 +2,29 @@
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ...base.errors import DatasetError
 from ...dataset.scene_folder import scene_folders
+from ...rig.optics import picture_rays
+from ..depth_sense import depth_kind_note, plane_shares
 from .bop_source import CAMERAS, open_bop
 from .depth_source import open_depth
 from .model_files import read_background
 from .sileane_source import IPA, SILEANE, open_ipa, open_sileane
 from .source import Source, SourceOptions
 
+_FOR_KIND = 3  # So many images show of which kind depth is.
 _Opener = Callable[[Path, SourceOptions], Source]
 _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
-    "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm"}),
-    "Siléane": (open_sileane, {"models", "materials"}),
-    "Fraunhofer IPA": (open_ipa, {"models", "materials"}),
-    "depth alone": (open_depth, {"materials", "depth_scale_mm", "intrinsics"}),
+    "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm", "unit", "ray_length"}),
+    "Siléane": (open_sileane, {"models", "materials", "unit"}),
+    "Fraunhofer IPA": (open_ipa, {"models", "materials", "unit"}),
+    "depth alone": (open_depth, {"materials", "depth_scale_mm", "intrinsics", "ray_length"}),
 }
 
 
@@ -44,14 +50,31 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         folder = folder.parent
     layout = _layout(folder)
     opener, fitting = _LAYOUTS[layout]
-    for name in ("sensor", "models", "materials", "depth_scale_mm", "intrinsics"):
+    for name in sorted(set().union(*(options_ for _, options_ in _LAYOUTS.values()))):
         if getattr(options, name) and name not in fitting:
             option = name.removesuffix("_mm").replace("_", "-")
             raise DatasetError(f"{path}: is of the layout {layout}: leave out --{option}")
     source = opener(folder, options)
-    if options.materials is None:
-        return source
-    return replace(source, background=read_background(options.materials))
+    if options.materials is not None:
+        source = replace(source, background=read_background(options.materials))
+    return replace(source, notes=(*source.notes, *_depth_notes(source, options.ray_length)))
+
+
+def _depth_notes(source: Source, ray_length: bool) -> list[str]:
+    """Whether the first images show that depth is of the other kind, z or lengths of rays."""
+    images = []
+    for place in source.images[:_FOR_KIND]:
+        with suppress(DatasetError):  # Whoever makes the image says what is wrong with it.
+            images.append(source.read(*place))
+    images = [image for image in images if image.camera == images[0].camera]
+    if not images:
+        return []
+    optics = images[0].camera
+    # The files' own numbers are judged, which the option has converted to z.
+    per_z = np.linalg.norm(picture_rays(optics), axis=-1) if ray_length else 1.0
+    shares = plane_shares([image.depth_m * per_z for image in images], optics)
+    note = depth_kind_note(shares, ray_length=ray_length)
+    return [] if note is None else [note]
 
 
 def _layout(folder: Path) -> str:

@@ -206,7 +206,8 @@ def _source(
             raise DatasetError(
                 f"{mesh}: no such mesh: give --models FILE, or leave objects out with --depth-only"
             )
-        model = ModelFile(path=mesh, name=folder.name, unit="m")
+        unit, stated = options.unit or "m", options.unit is not None
+        model = ModelFile(path=mesh, name=folder.name, unit=unit, unit_stated=stated)
         models = read_models({1: model}, {1}, options.materials)
     return Source(
         folder=folder,
@@ -214,6 +215,7 @@ def _source(
         images=tuple(files),
         parts=models.parts,
         plain=models.plain,
+        notes=models.notes,
         image_of=partial(_image, files, camera, options.depth_only),
     )
 

@@ -30,6 +30,9 @@ class SourceOptions:
         depth_scale_mm: millimetres of one step of stored depth; it goes before what files say.
         intrinsics: a file or `fx,fy,cx,cy`, where a dataset is depth alone.
         depth_only: whether objects are left out: no models are needed, and no poses are read.
+        unit: that of the models, a key of `UNITS_M`; None takes that of the layout, or what a
+            diameter in `models_info.json` shows.
+        ray_length: whether depth is the distance along each pixel's ray, which becomes z.
     """
 
     sensor: str = ""
@@ -38,6 +41,8 @@ class SourceOptions:
     depth_scale_mm: float | None = None
     intrinsics: str | None = None
     depth_only: bool = False
+    unit: str | None = None
+    ray_length: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -82,6 +87,7 @@ class Source:
         scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
             link; empty in another layout.
         background: the material of what is no object; with None, it looks as the pictures do.
+        notes: sentences about what was found out, or looks wrong.
     """
 
     folder: Path
@@ -93,6 +99,7 @@ class Source:
     sensor: str = ""
     scenes: Mapping[int, Path] = field(default_factory=dict)
     background: Material | None = None
+    notes: tuple[str, ...] = ()
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.

@@ -11,7 +11,7 @@ from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
 from ...dataset.safe_reading import Form, Unreadable, read_json
 from ...rig.optics import Optics, optics_of
-from ..depth_file import in_metres, read_image
+from ..depth_file import in_metres, load_npy, read_image, z_of_ray_length
 from ..picture_pairs import refuse_damaged
 from .source import SourceImage
 
@@ -37,6 +37,7 @@ def source_image(
     distortion: Sequence[float] = (0.0,) * 5,
     *,
     step_m: float,
+    ray_length: bool = False,
 ) -> SourceImage:
     """An image of its depth and its files.
 
@@ -46,6 +47,7 @@ def source_image(
         camera: the matrix by rows, and where it stands.
         objects: id and pose of each.
         distortion: of the camera.
+        ray_length: whether `depth_m` is the distance along each pixel's ray, which becomes z.
 
     Raises:
         DatasetError: the picture is of another size or damaged, or the matrix is that of no camera.
@@ -56,9 +58,10 @@ def source_image(
         raise DatasetError(
             f"{rgb}: is {columns} x {rows} pixels, its depth {w} x {h}: give both of one camera"
         )
+    optics = camera_of(*camera, depth_m.shape, distortion)
     return SourceImage(
-        camera=camera_of(*camera, depth_m.shape, distortion),
-        depth_m=depth_m,
+        camera=optics,
+        depth_m=z_of_ray_length(depth_m, optics) if ray_length else depth_m,
         rgb=colours,
         obj_id=np.array([obj_id for obj_id, _ in objects], np.int64),
         T_cam_part=np.array([T for _, T in objects], float).reshape(-1, 4, 4),
@@ -72,7 +75,7 @@ def stored_steps(path: Path) -> np.ndarray:
     Raises:
         DatasetError: the file is missing, damaged, or of another kind.
     """
-    steps = _picture(path)
+    steps = load_npy(path) if path.suffix == ".npy" else _picture(path)
     if steps.ndim != 2 or (steps.dtype != np.uint16 and steps.dtype.kind != "f"):
         raise DatasetError(
             f"{path}: is {steps.dtype} {steps.shape}: depth has one channel of 16 bits or of "

@@ -187,7 +187,8 @@ def _refuse_contradiction(
         raise DatasetError(
             f"in {behind.sum() / both.sum():.0%} of the pixels where the models lie the depth is "
             f"farther than they are, by {1e3 * off_m:.0f} mm in the median: check the unit of the "
-            "models, the poses, and the depth_scale"
+            "models, the poses, and the depth_scale; if depth is the length of each ray, give "
+            "--ray-length"
         )
 
 

@@ -52,10 +52,12 @@ def joined(parts: Sequence[Observations]) -> Observations:
 class Adjustment:
     """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
 
-    `inlier` says which observations the fit rests on. `deviation` is the standard deviation of each
-    fitted number: "camera.fx_px", "projector.k1", "T_proj_cam.x_m", "baseline_m". `undetermined`
-    has the radial terms that are 0 because the corners do not tell them from it: what the fit said
-    of each before, and its standard deviation.
+    `residual_px` has them without the camera's share in the projector's, `sigma_px` the standard
+    deviation of these in each device. `inlier` says which observations the fit rests on.
+    `deviation` is the standard deviation of each fitted number: "camera.fx_px", "projector.k1",
+    "T_proj_cam.x_m", "baseline_m". `undetermined` has the radial terms that are 0
+    because the corners do not tell them from it: what the fit said of each before, and its standard
+    deviation.
     """
 
     camera: Optics
@@ -64,9 +66,29 @@ class Adjustment:
     T_cam_board: Float[np.ndarray, "views 4 4"]
     camera_residual_px: Float[np.ndarray, "n 2"]
     projector_residual_px: Float[np.ndarray, "n 2"]
+    residual_px: Float[np.ndarray, "n 2 2"]
     inlier: Bool[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " 2"]
     deviation: dict[str, float]
     undetermined: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stands:
+    """Outcome of a fit in which each group of views has the devices in a stand of its own.
+
+    A stand is a pose between the devices: `number` holds its six unknowns, `information` the
+    inverse of their covariance where the lenses are known. `residual_px` is of every observation
+    in the camera and, without the camera's share, in the projector; `sigma_px` is the standard
+    deviation of both.
+    """
+
+    T_cam_proj: Float[np.ndarray, "stands 4 4"]
+    number: Float[np.ndarray, "stands 6"]
+    information: Float[np.ndarray, "stands 6 6"]
+    residual_px: Float[np.ndarray, "n 2 2"]
+    inlier: Bool[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " 2"]
 
 
 def adjust(
@@ -77,7 +99,7 @@ def adjust(
     radial_terms: int,
     tangential: bool,
 ) -> Adjustment:
-    """All unknowns by weighted least squares, each device weighted by its own residuals.
+    """Fit all unknowns by weighted least squares, each device weighted by its own residuals.
 
     The projector's coordinate is read at the place where the camera found the corner, so an error
     of that place stands in both residuals; it is taken out of the projector's first. What
@@ -90,23 +112,18 @@ def adjust(
     Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
     al., "Bundle adjustment - a modern synthesis", 2000.
     """
-    free = _free(radial_terms, tangential, views=int(obs.view.max()) + 1)
-    start = np.where(free, _start(obs, camera_size_px, projector_size_px), 0.0)
-    fitted, _ = _fit(start, free, obs)
-    size = np.linalg.norm(_independent(_residuals(fitted, obs), obs), axis=2)
-    inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    # A view of nothing but outliers would have no pose: it stays in until the caller leaves it out.
-    whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
-    good = obs.only(inlier) if whole else obs
-    fitted, jacobian = _fit(fitted, free, good)
+    stand = np.zeros(int(obs.view.max()) + 1, dtype=np.intp)
+    free = _free(radial_terms, tangential, poses=1 + len(stand))
+    start = np.where(free, _start(obs, camera_size_px, projector_size_px, stand), 0.0)
+    inlier, good, (fitted, jacobian, sigma_px) = _robust_fit(start, free, obs, stand)
     undetermined: dict[str, tuple[float, float]] = {}
     while loose := _loose_terms(fitted, free, jacobian):
         undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
         free = free.copy()
         free[[place for place, *_ in loose.values()]] = False
-        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, good)
-    residual = _residuals(fitted, obs)
-    camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
+        fitted, jacobian, sigma_px = _fit(np.where(free, fitted, 0.0), free, good, stand)
+    residual = _residuals(fitted, obs, stand)
+    camera, projector, (T_proj_cam,), T_cam_board = _unpack(fitted, stand)
     return Adjustment(
         camera=_optics(camera, camera_size_px),
         projector=_optics(projector, projector_size_px),
@@ -114,10 +131,68 @@ def adjust(
         T_cam_board=T_cam_board,
         camera_residual_px=residual[:, 0],
         projector_residual_px=residual[:, 1],
+        residual_px=_independent(residual, obs),
         inlier=inlier,
+        sigma_px=sigma_px,
         deviation=_deviations(fitted, free, jacobian),
         undetermined=undetermined,
     )
+
+
+def adjust_stands(
+    obs: Observations,
+    stand: Int[np.ndarray, " views"],
+    camera_size_px: tuple[int, int],
+    projector_size_px: tuple[int, int],
+    *,
+    radial_terms: int,
+    tangential: bool,
+) -> Stands:
+    """Fit as `adjust` does, but with a pose between the devices for each group of views.
+
+    Args:
+        stand: the group of each view, counted from 0.
+
+    Raises:
+        CalibrationError: nothing fits.
+    """
+    stands = int(stand.max()) + 1
+    free = _free(radial_terms, tangential, poses=stands + len(stand))
+    start = np.where(free, _start(obs, camera_size_px, projector_size_px, stand), 0.0)
+    inlier, good, (fitted, jacobian, sigma_px) = _robust_fit(start, free, obs, stand)
+    return Stands(
+        T_cam_proj=np.array([inverse(T) for T in _unpack(fitted, stand)[2]]),
+        number=fitted[18 : 18 + 6 * stands].reshape(-1, 6),
+        information=_information(jacobian[:, -6 * (stands + len(stand)) :], good.view, stand),
+        residual_px=_independent(_residuals(fitted, obs, stand), obs),
+        inlier=inlier,
+        sigma_px=sigma_px,
+    )
+
+
+def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
+    """Information on each stand that is left when the poses of its boards are unknown."""
+    stands = int(stand.max()) + 1
+    total = np.zeros((stands, 6, 6))
+    rows = jacobian.reshape(len(view), 4, -1)
+    for k, own in enumerate(stand):
+        some = rows[view == k].reshape(-1, rows.shape[-1])
+        pose = some[:, 6 * own : 6 * own + 6]
+        board = some[:, 6 * (stands + k) : 6 * (stands + k) + 6]
+        kept = pose - board @ np.linalg.lstsq(board, pose, rcond=None)[0]
+        total[own] += kept.T @ kept
+    return total
+
+
+def _robust_fit(start, free, obs: Observations, stand):
+    """Which corners agree with a first fit, those that a second rests on, and the second."""
+    fitted, *_ = _fit(start, free, obs, stand)
+    size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
+    inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
+    # A view of nothing but outliers would have no pose: it stays in until the caller leaves it out.
+    whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
+    good = obs.only(inlier) if whole else obs
+    return inlier, good, _fit(fitted, free, good, stand)
 
 
 def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
@@ -136,29 +211,30 @@ def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
     return loose
 
 
-# The vector of unknowns: camera (9), projector (9), T_proj_cam (6), then T_cam_board (6) per view.
+# The vector of unknowns: camera (9), projector (9), T_proj_cam (6) of each stand, then T_cam_board
+# (6) of each view. `stand[k]` is the stand of view k: views of one stand share one T_proj_cam.
 
 
-def _unpack(unknown):
-    poses = unknown[18:].reshape(-1, 6)
+def _unpack(unknown, stand):
+    poses, stands = unknown[18:].reshape(-1, 6), int(stand.max()) + 1
     T = np.tile(np.eye(4), (len(poses), 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(poses[:, :3]).as_matrix()
     T[:, :3, 3] = poses[:, 3:]
-    return unknown[:9], unknown[9:18], T[0], T[1:]
+    return unknown[:9], unknown[9:18], T[:stands], T[stands:]
 
 
-def _free(radial_terms: int, tangential: bool, *, views: int) -> Bool[np.ndarray, " unknowns"]:
+def _free(radial_terms: int, tangential: bool, *, poses: int) -> Bool[np.ndarray, " unknowns"]:
     radial = [radial_terms > i for i in range(3)]
     device = [True] * 4 + [radial[0], radial[1], tangential, tangential, radial[2]]
-    return np.array(device + device + [True] * 6 * (1 + views))
+    return np.array(device + device + [True] * 6 * poses)
 
 
-def _residuals(unknown, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
+def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
     """Measured minus predicted (x, y) [px] of every corner, in the camera and in the projector."""
-    camera, projector, T_proj_cam, T_cam_board = _unpack(unknown)
-    T = T_cam_board[obs.view]
+    camera, projector, T_proj_cam, T_cam_board = _unpack(unknown, stand)
+    T, between = T_cam_board[obs.view], T_proj_cam[stand[obs.view]]
     in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], obs.point_m) + T[:, :3, 3]
-    in_proj = in_cam @ T_proj_cam[:3, :3].T + T_proj_cam[:3, 3]
+    in_proj = np.einsum("nij,nj->ni", between[:, :3, :3], in_cam) + between[:, :3, 3]
     return np.stack(
         [obs.camera_px - _image(camera, in_cam), obs.projector_px - _image(projector, in_proj)],
         axis=1,
@@ -177,21 +253,21 @@ def _image(device, point_m):
     return distort(ideal, tuple(device[4:])) * device[:2] + device[2:4]
 
 
-def _fit(start, free, obs: Observations):
-    """Unknowns, and the Jacobian of the residuals in units of each device's standard deviation."""
+def _fit(start, free, obs: Observations, stand):
+    """Unknowns, the Jacobian of the residuals in units of their standard deviations, and these."""
     sigma_px, unknown = np.ones(2), start
 
     def errors(free_values):
         trial = unknown.copy()
         trial[free] = free_values
-        return _independent(_residuals(trial, obs), obs) / sigma_px[:, None]
+        return _independent(_residuals(trial, obs, stand), obs) / sigma_px[:, None]
 
     for _ in range(REWEIGHTINGS):
         try:
             outcome = least_squares(
                 lambda values: errors(values).ravel(),
                 unknown[free],
-                jac=lambda values: _jacobian(errors, values, obs.view),
+                jac=lambda values: _jacobian(errors, values, obs.view, stand),
                 method="lm",
                 x_scale="jac",
                 max_nfev=MOST_STEPS,
@@ -206,17 +282,17 @@ def _fit(start, free, obs: Observations):
         sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
         if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
             break
-    jacobian = _jacobian(errors, outcome.x, obs.view)
+    jacobian = _jacobian(errors, outcome.x, obs.view, stand)
     if not (outcome.success and np.isfinite(jacobian).all()):
         raise CalibrationError(NO_FIT)
-    return unknown, jacobian
+    return unknown, jacobian, sigma_px
 
 
-def _jacobian(errors, values, view) -> Float[np.ndarray, "rows unknowns"]:
-    """Central differences; the boards' poses all at once, since each moves its own view alone."""
+def _jacobian(errors, values, view, stand) -> Float[np.ndarray, "rows unknowns"]:
+    """Return central differences; all poses of one kind at once, for each moves its own views."""
     step = 1e-6 * np.maximum(np.abs(values), 1e-2)
-    views = int(view.max()) + 1
-    shared = len(values) - 6 * views
+    views, stands = len(stand), int(stand.max()) + 1
+    shared = len(values) - 6 * (stands + views)
     jacobian = np.zeros((len(view), 4, len(values)))
 
     def difference(which):
@@ -226,10 +302,11 @@ def _jacobian(errors, values, view) -> Float[np.ndarray, "rows unknowns"]:
 
     for i in range(shared):
         jacobian[:, :, i] = difference(i) / (2 * step[i])
-    for axis in range(6):
-        own = shared + 6 * view + axis
-        change = difference(shared + 6 * np.arange(views) + axis)
-        jacobian[np.arange(len(view)), :, own] = change / (2 * step[own, None])
+    for first, count, pose in ((shared, stands, stand[view]), (shared + 6 * stands, views, view)):
+        for axis in range(6):
+            own = first + 6 * pose + axis
+            change = difference(first + 6 * np.arange(count) + axis)
+            jacobian[np.arange(len(view)), :, own] = change / (2 * step[own, None])
     return jacobian.reshape(-1, len(values))
 
 
@@ -272,19 +349,25 @@ def poses_between(
 def rms_alone_px(
     obs: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> float:
-    """Residual (RMS) of the corners of one device in a calibration of it alone."""
+    """Return the RMS residual of the corners of one device in a calibration of it alone."""
     return _alone(obs, position_px, size_px)[2]
 
 
-def _start(obs: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
+def _start(
+    obs: Observations, camera_size_px, projector_size_px, stand
+) -> Float[np.ndarray, " unknowns"]:
     camera, T_cam_board, _ = _alone(obs, obs.camera_px, camera_size_px)
     projector, T_proj_board, _ = _alone(obs, obs.projector_px, projector_size_px)
     T_proj_cam = T_proj_board @ inverse(T_cam_board)
-    rotation = Rotation.from_matrix(T_proj_cam[:, :3, :3]).mean()
-    mean = rigid(rotation.as_matrix(), np.median(T_proj_cam[:, :3, 3], axis=0))
-    poses = np.concatenate([mean[None], T_cam_board])
+    between = [_middle(T_proj_cam[stand == k]) for k in range(int(stand.max()) + 1)]
+    poses = np.concatenate([between, T_cam_board])
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
     return np.concatenate([camera, projector, np.hstack([turns, poses[:, :3, 3]]).ravel()])
+
+
+def _middle(T: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "4 4"]:
+    rotation = Rotation.from_matrix(T[:, :3, :3]).mean()
+    return rigid(rotation.as_matrix(), np.median(T[:, :3, 3], axis=0))
 
 
 def _alone(obs: Observations, position_px, size_px):

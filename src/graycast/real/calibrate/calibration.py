@@ -11,16 +11,13 @@ from jaxtyping import Float
 from ...base.frames import inverse
 from ...rig.optics import Optics, distort, rays
 from ...rig.pair import Rig
-from .adjust import NO_FIT, Adjustment, Observations, adjust
+from .adjust import NO_FIT, Adjustment, Observations
+from .agreement import fit_agreeing, outlying
 from .board import Board, CalibrationError
 from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe
 
 GOOD_SPREAD_RAD = math.radians(20)  # The directions of some two boards should differ by this.
 GOOD_COVERAGE = 0.4  # The hull of all corners should cover this share of the picture.
-OUTLYING = 2.5  # A view fits badly if its residual is more than so many times the median view's.
-OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is good, whatever the others are.
-SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of the others.
-MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
 # No device is beyond these bounds: of fx / fy or its inverse, of the focal length and of the
 # principal point in widths of the picture, of distortion as a share of the distance from the
 # middle, and of a standard deviation as a share of its number.
@@ -109,9 +106,10 @@ def calibrate_rig(
     observed = observe(
         views, board, camera_size_px=camera_size_px, projector_size_px=projector_size_px
     )
-    observed, fit = _without_spoiling(
+    observed, fit = fit_agreeing(
         observed, (camera_size_px, projector_size_px), radial_terms, tangential
     )
+    _refuse_impossible(fit)
     corners = observed.corners
     epipolar_px = epipolar_distance_px(
         fit.camera, fit.projector, fit.T_cam_proj, corners.camera_px, corners.projector_px
@@ -146,28 +144,9 @@ def calibrate_rig(
             *(f"the fit leaves out {each}: {why}" for each, why in grouped(observed.left_out)),
             *_symptoms(views, observed),
             *_warnings(rig, each, fit, coverage),
+            *(f"view {view}: {why}" for view, (_, why) in outlying(observed, fit).items()),
         ),
     )
-
-
-def _without_spoiling(
-    observed: Observed, sizes_px: Sequence[tuple[int, int]], radial_terms: int, tangential: bool
-) -> tuple[Observed, Adjustment]:
-    """The views that fit together, and their fit.
-
-    Raises:
-        CalibrationError: too few are left, or the fit is one that no device can have.
-    """
-
-    def fitted(good: Observed) -> Adjustment:
-        return adjust(good.corners, *sizes_px, radial_terms=radial_terms, tangential=tangential)
-
-    fit = fitted(observed)
-    while spoiling := _spoiling(observed, fit):
-        observed = observed.less(spoiling)
-        fit = fitted(observed)
-    _refuse_impossible(fit)
-    return observed, fit
 
 
 def _range_m(observations: Observations, fit: Adjustment) -> tuple[float, float]:
@@ -193,28 +172,6 @@ def epipolar_distance_px(
     normal = normal / np.linalg.norm(normal[:, :2], axis=1, keepdims=True)
     focal_px = math.sqrt(projector.fx_px * projector.fy_px)
     return focal_px * np.einsum("ni,ni->n", normal, rays(projector, projector_px))
-
-
-def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
-    """The view that fits worst, if it fits far worse than the others, and by how much."""
-    index = range(len(observed.views))
-    lost = [1 - fit.inlier[observed.corners.view == k].mean() for k in index]
-    if max(lost) > MOST_LOST:
-        worst = int(np.argmax(lost))
-        share = f"{100 * lost[worst]:.0f} % of its corners disagree with the other views"
-        return {observed.views[worst].name: f"{share}: its code may be wrong"}
-    spoiling = {}
-    for device in ("camera", "projector"):
-        size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
-        rms_px = [float(np.median(size_px[observed.corners.view == k])) for k in index]
-        worst = int(np.argmax(rms_px))
-        others_px = float(np.median(np.delete(rms_px, worst)))
-        if rms_px[worst] > max(SPOILING * others_px, SPOILING_FLOOR_PX):
-            spoiling[rms_px[worst] / max(others_px, OUTLYING_FLOOR_PX)] = {
-                observed.views[worst].name: f"its {device} residual is {rms_px[worst]:.2f} px, "
-                f"others have {others_px:.2f} px (medians): the board or a device may have moved"
-            }
-    return spoiling[max(spoiling)] if spoiling else {}
 
 
 def _refuse_impossible(fit: Adjustment) -> None:
@@ -327,19 +284,7 @@ def _warnings(rig: Rig, views: Sequence[ViewResidual], fit: Adjustment, coverage
                 f"the corners cover {100 * share:.0f} % of the {device}'s picture: the distortion "
                 "elsewhere is extrapolated; show the board also near the borders"
             )
-    yield from _outlying(views)
     yield from _loose(rig, fit.deviation)
-
-
-def _outlying(views: Sequence[ViewResidual]):
-    for device in ("camera", "projector"):
-        rms = np.array([getattr(view, f"{device}_rms_px") for view in views])
-        for view, value in zip(views, rms, strict=True):
-            if not value <= max(OUTLYING * np.median(rms), OUTLYING_FLOOR_PX):
-                yield (
-                    f"view {view.name} fits badly: {device} residual {value:.3f} px, the median "
-                    f"view has {np.median(rms):.3f}; the board may have moved during its stack"
-                )
     for view in views:
         lost = view.left_out + view.undecoded
         if lost > 0.2 * (view.corners + lost):

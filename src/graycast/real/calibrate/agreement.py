@@ -1,0 +1,276 @@
+"""The views that agree on one rig, and their fit: no pose between the devices may differ.
+
+A median over the views cannot see that a device moved halfway through them. So the fit with one
+pose between the devices is compared with the fit in which each view has its own: where the first
+has far larger residuals, the views are parted into groups of one pose each.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import Int
+from scipy.spatial.transform import Rotation
+from scipy.stats import f as f_distribution
+
+from .adjust import Adjustment, Stands, adjust, adjust_stands
+from .board import CalibrationError
+from .observing import MIN_VIEWS, MINORITY, Observed
+
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of the others.
+MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
+OUTLYING = 2.5  # A view fits badly if its residual is more than so many times the median view's.
+OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is good, whatever the others are.
+# One pose is too few if its residual is above both: so many times that of a pose for each view (of
+# 50 simulated good calibrations, with bent boards, none is above 1.2), and so many pixels.
+APART, APART_PX = 2.0, 0.05
+EXPLAINED = 1.5  # Groups explain the residual if theirs is at most so many times that of the views.
+MOST_GROUPS = 6
+Fit = TypeVar("Fit", Stands, Adjustment)
+CHANCE = 1e-3  # Poses that scatter so, or more, are not explained by the noise of the corners.
+
+
+def fit_agreeing(
+    observed: Observed, sizes_px: Sequence[tuple[int, int]], radial_terms: int, tangential: bool
+) -> tuple[Observed, Adjustment]:
+    """Return the views that fit together, and their fit.
+
+    The fit's standard deviations contain how far the poses of the views scatter.
+
+    Args:
+        sizes_px: (width, height) of the camera and of the projector.
+
+    Raises:
+        CalibrationError: too few views are left, or a device moved between two groups of them.
+    """
+    terms: dict[str, Any] = {
+        "camera_size_px": sizes_px[0],
+        "projector_size_px": sizes_px[1],
+        "radial_terms": radial_terms,
+        "tangential": tangential,
+    }
+    one: Callable[..., Adjustment] = partial(adjust, **terms)
+    some: Callable[..., Stands] = partial(adjust_stands, **terms)
+    while True:
+        corners, views = observed.corners, len(observed.views)
+        each = _converged(some, corners, np.arange(views))
+        fit = _converged(one, corners)
+        faults = _parted(observed, each, fit, some)
+        if not faults:
+            fit = fit or one(corners)  # It raises again, for no group of views explains why.
+            faults = _spoiling(observed, fit) or _worst_outlier(observed, fit)
+            if not faults:
+                return observed, replace(fit, deviation=_widened(fit, each, views))
+        observed = observed.less(faults)
+
+
+def _converged(fitted: Callable[..., Fit], *arguments: Any) -> Fit | None:
+    """Return a fit; None if it does not converge."""
+    try:
+        return fitted(*arguments)
+    except CalibrationError:
+        return None
+
+
+def _parted(
+    observed: Observed, each: Stands | None, fit: Adjustment | None, some: Callable[..., Stands]
+) -> dict[str, str]:
+    """Return the few views that have the devices elsewhere than the others, with the reason.
+
+    Raises:
+        CalibrationError: they are not few, or no groups of views have one pose each.
+    """
+    if each is None or (fit is not None and not _above(fit.sigma_px, each.sigma_px, APART)):
+        return {}
+    for group in _partings(each):
+        parted = some(observed.corners, group)
+        if _above(parted.sigma_px, each.sigma_px, EXPLAINED):
+            continue
+        usual = int(np.bincount(group).argmax())
+        others = np.flatnonzero(group != usual)
+        if len(others) > MINORITY * len(group):
+            raise CalibrationError(_moved(observed, group, parted, fit))
+        since = _since(others, group)
+        return {
+            observed.views[k].name: f"the devices are {_apart(parted, usual, group[k])} from where "
+            f"the other views have them: the board or a device may have moved{since}"
+            for k in others
+        }
+    if fit is None:
+        return {}
+    raise CalibrationError(
+        f"the camera's residual is {fit.sigma_px[0]:.2g} px and the projector's "
+        f"{fit.sigma_px[1]:.2g} px, {each.sigma_px[0]:.2g} and {each.sigma_px[1]:.2g} px if each "
+        "view has the devices in a pose of its own: a device moved more than once, or is loose; "
+        "fix both to one frame and take new views"
+    )
+
+
+def _above(sigma_px, least_px, factor: float) -> bool:
+    return bool(((sigma_px > factor * least_px) & (sigma_px > APART_PX)).any())
+
+
+def _partings(each: Stands) -> Iterator[Int[np.ndarray, " views"]]:
+    """Yield groups of views, the most likely first: two in the order of the views, then any.
+
+    The distance of two groups is by how much the squares of the residuals (in variances) grow if
+    both have one pose; the two nearest are joined, and so on.
+
+    Source: J. H. Ward, "Hierarchical grouping to optimize an objective function", JASA 1963.
+    """
+    views = len(each.number)
+    splits = [np.arange(views) >= first for first in range(1, views)]
+    yield min(splits, key=lambda late: _scatter(each, late)).astype(np.intp)
+    groups = [[k] for k in range(views)]
+    by_count = {}
+    while len(groups) > 1:
+        pairs = combinations(range(len(groups)), 2)
+        a, b = min(pairs, key=lambda pair: _cost(each, groups[pair[0]], groups[pair[1]]))
+        groups[a] += groups.pop(b)
+        by_count[len(groups)] = [list(group) for group in groups]
+    for count in range(2, min(MOST_GROUPS, views - 1) + 1):
+        label = np.zeros(views, dtype=np.intp)
+        for number, group in enumerate(by_count[count]):
+            label[group] = number
+        yield label
+
+
+def _scatter(each: Stands, late) -> float:
+    return sum(_squares(each, np.flatnonzero(late == side)) for side in (False, True))
+
+
+def _cost(each: Stands, a: list[int], b: list[int]) -> float:
+    return _squares(each, a + b) - _squares(each, a) - _squares(each, b)
+
+
+def _squares(each: Stands, some) -> float:
+    """Return the squared distances of some views' poses from their mean, in their variances."""
+    information, number = each.information[some], each.number[some]
+    weighted = np.einsum("kij,kj->ki", information, number)
+    mean = np.linalg.lstsq(information.sum(axis=0), weighted.sum(axis=0), rcond=None)[0]
+    away = number - mean
+    return float(np.einsum("ki,kij,kj->", away, information, away))
+
+
+def _moved(observed: Observed, group, parted: Stands, fit: Adjustment | None) -> str:
+    """Return the sentence for groups of which none is a clear majority."""
+    members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
+    members.sort(key=lambda some: some[0])
+    names = " and ".join(_names(observed, some) for some in members)
+    apart = _apart(parted, group[members[0][0]], group[members[1][0]])
+    residual = "no rig fits all views" if fit is None else (
+        f"one rig for all views has a residual of {fit.sigma_px.max():.2g} px, one for each "
+        f"group {parted.sigma_px.max():.2g} px"
+    )  # fmt: skip
+    return (
+        f"{names} have the devices {apart} apart: a device moved between them; calibrate with one "
+        f"group ({residual})"
+    )
+
+
+def _names(observed: Observed, some) -> str:
+    name = [observed.views[k].name for k in some]
+    if len(some) == 1:
+        return f"view {name[0]}"
+    if len(some) > 2 and some[-1] - some[0] == len(some) - 1:
+        return f"views {name[0]} to {name[-1]}"
+    return f"views {', '.join(name)}"
+
+
+def _apart(parted: Stands, a: int, b: int) -> str:
+    """Return how far the projector turns and shifts before the camera between two stands."""
+    T_a, T_b = parted.T_cam_proj[a], parted.T_cam_proj[b]
+    turn_rad = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
+    shift_m = np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
+    return f"{math.degrees(turn_rad):.2g} degrees and {1e3 * shift_m:.2g} mm"
+
+
+def _since(others, group) -> str:
+    """Return what follows where the views that are left out are the last ones."""
+    last = others[-1] == len(group) - 1 and len(others) > 1
+    if not last or others[-1] - others[0] != len(others) - 1:
+        return ""
+    return "; if a device did, this rig is that from before, so take new views"
+
+
+def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
+    """Return the view that fits worst, if it fits far worse than the others, and by how much."""
+    index = range(len(observed.views))
+    lost = [1 - fit.inlier[observed.corners.view == k].mean() for k in index]
+    if max(lost) > MOST_LOST:
+        worst = int(np.argmax(lost))
+        share = f"{100 * lost[worst]:.0f} % of its corners disagree with the other views"
+        return {observed.views[worst].name: f"{share}: its code may be wrong"}
+    spoiling = {}
+    for device in ("camera", "projector"):
+        size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
+        rms_px = [float(np.median(size_px[observed.corners.view == k])) for k in index]
+        worst = int(np.argmax(rms_px))
+        others_px = float(np.median(np.delete(rms_px, worst)))
+        if rms_px[worst] > max(SPOILING * others_px, SPOILING_FLOOR_PX):
+            spoiling[rms_px[worst] / max(others_px, OUTLYING_FLOOR_PX)] = {
+                observed.views[worst].name: f"its {device} residual is {rms_px[worst]:.2f} px, "
+                f"others have {others_px:.2f} px (medians): the board or a device may have moved"
+            }
+    return spoiling[max(spoiling)] if spoiling else {}
+
+
+def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
+    """Return the view that fits badly and worst, unless too few views would be left."""
+    left = len(observed.views) - 1
+    enough = (1 - MINORITY) * (len(observed.views) + len(observed.left_out))
+    outliers = outlying(observed, fit)
+    if not outliers or left < max(MIN_VIEWS, enough):
+        return {}
+    worst = max(outliers, key=lambda name: outliers[name][0])
+    return {worst: outliers[worst][1]}
+
+
+def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]]:
+    """Return the views that fit badly: in how many medians of the others, and the sentence."""
+    views: dict[str, tuple[float, str]] = {}
+    for device in ("camera", "projector"):
+        square = np.square(getattr(fit, f"{device}_residual_px")).sum(axis=1)
+        rms_px = [
+            math.sqrt(square[(observed.corners.view == k) & fit.inlier].mean())
+            for k in range(len(observed.views))
+        ]
+        usual_px = float(np.median(rms_px))
+        for view, value_px in zip(observed.views, rms_px, strict=True):
+            ratio = value_px / max(usual_px, 1e-9)
+            if ratio > OUTLYING and value_px > OUTLYING_FLOOR_PX:
+                views[view.name] = (
+                    ratio,
+                    f"its {device} residual is {value_px:.3f} px, the median view has "
+                    f"{usual_px:.3f}: the board may have moved during its stack, or its pictures "
+                    "are blurred",
+                )
+    return views
+
+
+def _widened(fit: Adjustment, each: Stands | None, views: int) -> dict[str, float]:
+    """Return the standard deviations, larger where the poses of the views scatter beyond noise.
+
+    The residuals of one view go astray together (a board that is bent or moved), so the views
+    count and not their corners. The squares (in variances) by which one pose for all views
+    is worse than one for each have the mean `6 (views - 1)` where there is nothing but noise.
+
+    Source: R. T. Birge, "The calculation of errors by the method of least squares", Physical
+    Review 40, 1932.
+    """
+    if each is None or views < 2:
+        return fit.deviation
+    both = fit.inlier & each.inlier
+    ours, theirs = (
+        np.square(one.residual_px[both] / fit.sigma_px[:, None]).sum() for one in (fit, each)
+    )
+    unknowns = 6 * (views - 1)
+    ratio = (ours - theirs) / unknowns
+    rest = max(4 * int(both.sum()) - 6 * (2 * views) - 18, 1)
+    if not ratio > f_distribution.isf(CHANCE, unknowns, rest):
+        return fit.deviation
+    return {name: math.sqrt(ratio) * value for name, value in fit.deviation.items()}

@@ -56,6 +56,32 @@ def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkey
         assert store.finished() == {0}
 
 
+def test_all_but_masks_is_on_the_disk_before_it_has_its_name(
+    opened, samples, tmp_path, monkeypatch
+):
+    """A power cut after the rename would otherwise leave whole names with empty files."""
+    out, at_sync = tmp_path / "out", {}
+    real = os.fsync
+
+    def fsync(descriptor):
+        state = os.fstat(descriptor)
+        at_sync[state.st_ino] = state.st_size, (out / "train/000000").exists()
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with opened(out) as store:
+        store.write(0, [samples[0]])
+        store.finish([0])
+    files = [path for path in out.rglob("*") if path.is_file() and path.name != ".lock"]
+    masks = [path for path in files if path.parent.name.startswith("mask")]
+    assert len(masks) > 3 and len(files) - len(masks) > 10
+    for path in set(files) - set(masks):
+        size, renamed = at_sync[path.stat().st_ino]
+        assert size == path.stat().st_size, path
+        assert not (renamed and "000000" in path.relative_to(out).parts), path
+    assert at_sync[(out / "train").stat().st_ino][1]  # with the scene's new name
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_says_where_how_full_and_what_to_do(
     opened, samples, tmp_path, monkeypatch, number

@@ -9,7 +9,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -272,8 +272,8 @@ def _takers(cell: Cell) -> tuple[Taker, ...]:
 
 
 def described_scanner(scanner: Scanner) -> dict[str, Any]:
-    """What a preset or a rig file says beside its rig, which the store keeps itself."""
-    names = ("code", "sensor", "exposure", "decode", "filters", "faults")
+    """Return all that a preset or a rig file says, but the rig, which a claim holds by itself."""
+    names = [field.name for field in fields(scanner) if field.name != "rig"]
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 

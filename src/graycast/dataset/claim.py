@@ -4,12 +4,13 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
@@ -120,6 +121,29 @@ def described_values(value: Any) -> dict[str, Any]:
         return "inf" if isinstance(item, float) and math.isinf(item) else item
 
     return worded(asdict(value))
+
+
+def claimed_options(options: Any, *, without: Collection[str]) -> dict[str, Any]:
+    """Return the fields of a dataclass of options for a claim, by their names.
+
+    A field that is added later is in the claim without a change here.
+
+    Args:
+        without: the fields that do not change a result, or that the claim holds in another form.
+
+    Raises:
+        ValueError: `without` names what is no field, for instance one that has another name now.
+    """
+    names = [field.name for field in fields(options)]
+    if unknown := sorted(set(without) - set(names)):
+        raise ValueError(f"{type(options).__name__} has no field {unknown[0]}: correct the list")
+    return {name: _as_json(getattr(options, name)) for name in names if name not in without}
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    return plain(described_values(value) if is_dataclass(value) else value)
 
 
 def rig_of(described: Mapping[str, Any]) -> Rig:

@@ -7,18 +7,21 @@ from typing import Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
+from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
 from ..camera.decode import Reason
 from .coco import add_images, scene_coco
 from .example import known_depth
 from .places import CLAIM
-from .rescanned import RECORDS, ImageRecord, RescanClaim, image_records
-from .safe_reading import Unreadable, read_json
-from .scene_folder import OWN_PICTURES, SCANNER, SceneFolder, scene_folders
+from .rescanned import RECORDS, ImageRecord, RescanClaim, changes, image_records, original_sums
+from .safe_reading import Unreadable, read_json, record_as
+from .scene_folder import OWN_PICTURES, SCANNER, AnyPose, SceneFolder, dead_links, scene_folders
 from .seal import sum_problems
 
-_COCO = "scene_gt_coco_sl"
+_COCO, _POSES = "scene_gt_coco_sl", "scene_gt_sl"
+_APART_MM, _TURNED = 0.01, 5e-3  # A rotation of three digits is replaced by the nearest real one.
+_AGAIN = "restore the original, or remove this scene and run graycast rescan again"
 _NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
 
 
@@ -47,6 +50,7 @@ def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]
     except Unreadable as error:
         yield None, str(error)
         return
+    yield from ((None, what) for what in dead_links(out))
     scenes = scene_folders(out / claim.split, RECORDS)
     if not scenes:
         yield None, f"{claim.split}/ holds no image with a scan: run graycast rescan again"
@@ -54,7 +58,7 @@ def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]
         try:
             for what in _scene_problems(folder, claim, fast=fast):
                 yield int(folder.name), what
-        except Unreadable as error:
+        except (Unreadable, DatasetError) as error:
             yield int(folder.name), str(error)
 
 
@@ -70,14 +74,58 @@ def _scene_problems(folder: Path, claim: RescanClaim, *, fast: bool) -> Iterator
             continue
         if there != must:
             yield f"{name}.json is not what the records of its images say"
+    original = SceneFolder(folder, claim.config["sensor"])
+    if dead := tuple(dead_links(folder)):
+        yield from dead
+    else:
+        yield from _original_problems(original, records, claim)
     if not fast:
         for number, record in records.items():
-            for what in _image_problems(SceneFolder(folder), number, record, claim):
+            perfect = None if dead else original.picture("depth", number)
+            for what in _image_problems(SceneFolder(folder), number, record, claim, perfect):
                 yield f"image {number}: {what}"
 
 
-def _image_problems(
+def _original_problems(
+    scene: SceneFolder, records: Mapping[int, ImageRecord], claim: RescanClaim
+) -> Iterator[str]:
+    """Yield what has changed in the original scene since it was scanned."""
+    known = [number for number, record in records.items() if record.source and record.has_original]
+    poses = not claim.config.get("options", {}).get("depth_only", False)
+    sums = original_sums(scene, known, poses=poses) if known else {}
+    for number, record in records.items():
+        if number in sums and (names := changes(record.source, sums[number])):
+            yield (
+                f"image {number}: the original has changed since it was scanned "
+                f"({', '.join(names)}): {_AGAIN}"
+            )
+        elif claim.names and (what := _pose_problem(scene, number, record, claim)):
+            yield f"image {number}: {what}: {_AGAIN}"
+
+
+def _pose_problem(
     scene: SceneFolder, number: int, record: ImageRecord, claim: RescanClaim
+) -> str | None:
+    """Return where the objects of the original do not lie as they were scanned, if anywhere."""
+    here = scene.of_instances("scene_gt", number, AnyPose)
+    here = [one for one in here if one.obj_id in claim.names]
+    scanned = [record_as(one, AnyPose, _POSES) for one in record.entries[_POSES]]
+    if [one.obj_id for one in here] != [one.obj_id for one in scanned]:
+        return f"scene_gt has {len(here)} objects, and {_POSES} other ones ({len(scanned)})"
+    for i, (a, b) in enumerate(zip(here, scanned, strict=True)):
+        apart_mm = float(np.linalg.norm(np.subtract(a.cam_t_m2c, b.cam_t_m2c)))
+        turned = float(np.abs(np.subtract(a.cam_R_m2c, b.cam_R_m2c)).max())
+        if apart_mm > _APART_MM or turned > _TURNED:
+            return f"scene_gt and {_POSES}: the poses of instance {i} are {apart_mm:.3g} mm apart"
+    return None
+
+
+def _image_problems(
+    scene: SceneFolder,
+    number: int,
+    record: ImageRecord,
+    claim: RescanClaim,
+    perfect: np.ndarray | None,
 ) -> Iterator[str]:
     entries = record.entries
     names = [name for name in OWN_PICTURES if name.endswith(SCANNER)]
@@ -94,7 +142,7 @@ def _image_problems(
         yield f"its depth_scale is not {CLAIM}'s {claim.depth_scale_mm}"
     yield from _mask_problems(scene, number, entries, depth)
     if claim.config["camera"] == "image":
-        yield from _depth_problems(scene, number, record, claim, depth * claim.depth_scale_mm)
+        yield from _depth_problems(perfect, record, depth * claim.depth_scale_mm)
 
 
 def _mask_problems(
@@ -125,14 +173,9 @@ def _mask_problems(
 
 
 def _depth_problems(
-    scene: SceneFolder,
-    number: int,
-    record: ImageRecord,
-    claim: RescanClaim,
-    scanned_mm: np.ndarray,
+    perfect: np.ndarray | None, record: ImageRecord, scanned_mm: np.ndarray
 ) -> Iterator[str]:
     """Both depths are of the same pixels, and a scanner is not far off in most of them."""
-    perfect = SceneFolder(scene.path, claim.config["sensor"]).picture("depth", number)
     if perfect is None or perfect.shape != scanned_mm.shape or not record.perfect_step_mm:
         return
     perfect_mm = perfect * record.perfect_step_mm

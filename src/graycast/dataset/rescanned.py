@@ -2,17 +2,24 @@
 
 `graycast.json` has `kind: rescan`. Each image has a record, `scan_sl/000012.json` in its scene's
 folder, with the SHA-256 of the pictures that the scanner added and with what the scene's JSON files
-say of it. What others made is linked or copied, and is not judged.
+say of it. What others made is linked or copied, and is not judged, but a record also has the
+SHA-256 of what its scan follows from, so that a change of the original is noticed.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import Field
+
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
+from .json_text import json_bytes
 from .places import CLAIM
-from .records import FormatVersion, Positive, Record
+from .records import FormatVersion, Images, Positive, Record
 from .safe_reading import Unreadable, read_json
+from .scene_folder import SceneFolder
+from .seal import sha256
 
 RECORDS = "scan_sl"
 SCANNED_POSES = "scene_gt_sl.json"
@@ -44,7 +51,8 @@ class RescanClaim(Record):
 class ImageRecord(Record):
     """The record of one image; `entries` by the names of the scene's JSON files.
 
-    A step of the perfect depth is `perfect_step_mm`, 0 where that has no steps.
+    A step of the perfect depth is `perfect_step_mm`, 0 where that has no steps. `source` has the
+    SHA-256 of what the scan follows from; earlier versions did not write it.
     """
 
     seeds: dict[str, int]
@@ -55,6 +63,15 @@ class ImageRecord(Record):
     perfect_step_mm: float
     entries: dict[str, Any]
     sha256: dict[str, str]
+    source: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def has_original(self) -> bool:
+        """Whether the original files lie beside the scan; those of other layouts than BOP's do not.
+
+        An image of another layout gets files in BOP's form, which its own entries state.
+        """
+        return "scene_camera" not in self.entries
 
 
 def claim_kind(out: Path) -> str | None:
@@ -102,3 +119,38 @@ def image_records(scene: Path) -> dict[int, ImageRecord]:
     """
     paths = sorted((scene / RECORDS).glob("[0-9]*.json"))
     return {int(path.stem): read_json(path, ImageRecord) for path in paths}
+
+
+def original_sums(
+    scene: SceneFolder, numbers: Iterable[int], *, poses: bool
+) -> dict[int, dict[str, str]]:
+    """Return the SHA-256 of all from which a scan of each image follows, by its name.
+
+    What is missing has none, so that it differs from what was there.
+
+    Args:
+        scene: the original scene in BOP's form, or a folder that links to its files.
+        poses: whether the poses of the objects are among it.
+
+    Raises:
+        Unreadable: a JSON file is missing or damaged, or a picture cannot be read.
+    """
+    names = ("scene_camera", "scene_gt") if poses else ("scene_camera",)
+    records = {name: scene.record(name, Images[Any]) for name in names}
+    sums = {}
+    for number in numbers:
+        own = {name: entry[number] for name, entry in records.items() if number in entry}
+        sums[number] = {name: sha256(json_bytes({"entry": entry})) for name, entry in own.items()}
+        color = scene.find_picture("rgb", number) or scene.find_picture("gray", number)
+        for name, path in (("depth", scene.find_picture("depth", number)), ("rgb", color)):
+            if path is not None:
+                try:
+                    sums[number][name] = sha256(path.read_bytes())
+                except OSError as error:
+                    raise Unreadable(f"{path} cannot be read: {error.strerror}") from error
+    return sums
+
+
+def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
+    """Return the names whose SHA-256 differ, or that only one of both has."""
+    return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))

@@ -7,6 +7,7 @@ names, these come before it: `rgb_left`, `depth_left_sl`. Our scenes have PNGs a
 """
 
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, final
@@ -15,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..base.array_types import Bool
+from ..base.errors import DatasetError
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
@@ -36,6 +38,24 @@ def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
     """The scenes of a split: its folders that have a number as a name and such a file inside."""
     folders = {file.parent for file in path.glob(f"[0-9]*/{files}")}
     return sorted(folder for folder in folders if folder.name.isdecimal())
+
+
+def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[str]:
+    """Yield a sentence for each folder to whose files there are links, and which has them no more.
+
+    Args:
+        folder: a scene, or the dataset's own folder.
+        places: the entries that are looked at; None are all of the folder.
+    """
+    gone: dict[Path, list[str]] = {}
+    for place in sorted(folder.iterdir() if places is None else places):
+        if place.is_symlink() and not place.exists():
+            gone.setdefault(place.readlink().parent, []).append(str(place.relative_to(folder)))
+    for origin, names in gone.items():
+        yield (
+            f"{folder}: {', '.join(names)}: the original in {origin} is gone: put it back, or link "
+            "it there (graycast rescan --copy makes a result that needs no original)"
+        )
 
 
 def of_sensor(name: str, sensor: str) -> str:
@@ -95,9 +115,12 @@ class SceneFolder:
 
         Raises:
             Unreadable: two files are pictures of this number.
+            DatasetError: it, or its folder, is a link to what is gone.
         """
         folder = self._of(kind)
-        files = (folder / f"{number:06d}{ending}" for ending in endings)
+        files = [folder / f"{number:06d}{ending}" for ending in endings]
+        for problem in dead_links(self.path, (folder, *files)):
+            raise DatasetError(problem)
         if file := next((file for file in files if file.is_file()), None):
             return file
         others = [file for file in folder.glob(f"*{number}.*") if file.suffix in endings

@@ -17,6 +17,7 @@ from graycast.world.parts import Material, Mesh, Part
 from .scene_files import FACES, corners
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=200.0, fy_px=201.0, cx_px=80.5, cy_px=58.0)
+BENT = replace(CAMERA, distortion=(-0.1, 0.02, 1e-3, 0.0, 0.0))
 T_CAM_CUBE = rigid(axis_rotation("x", 0.5) @ axis_rotation("z", 0.7), np.array([0.03, -0.02, 0.6]))
 # The floor is oblique to the camera; a step of 60 mm, which no model has, stands on it.
 FLOOR = np.array([0.05, -0.25, -1.0, 0.75])  # a x + b y + c z + d = 0
@@ -201,8 +202,9 @@ def test_looks_come_from_the_picture_where_nobody_gave_them():
 def test_another_camera_keeps_the_lens():
     """The focal length in metres and the f-number are those of the scanner, else it is refused."""
     scanner = preset("phoxi-m")
-    own = with_camera(scanner, CAMERA)
+    own = with_camera(scanner, BENT)
     assert own.rig.camera.K == pytest.approx(CAMERA.K)
+    assert own.rig.camera.distortion == BENT.distortion != scanner.rig.camera.distortion
     for one in (scanner, own):
         focal_m = one.rig.camera.fx_px * one.sensor.pixel_pitch_m
         assert focal_m == pytest.approx(scanner.rig.camera.fx_px * scanner.sensor.pixel_pitch_m)

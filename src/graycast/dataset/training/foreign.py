@@ -24,7 +24,15 @@ from ..example import Example, metres, pose_m
 from ..records import Images, Positive
 from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
 from ..safe_reading import Unreadable, pixels
-from ..scene_folder import SCANNER, AnyInfo, AnyPose, AnyView, SceneFolder, scene_folders
+from ..scene_folder import (
+    SCANNER,
+    AnyInfo,
+    AnyPose,
+    AnyView,
+    SceneFolder,
+    dead_links,
+    scene_folders,
+)
 from .from_bytes import boxes, compressed, masks
 
 
@@ -252,6 +260,8 @@ def _open_bop(path: Path) -> Foreign:
     place: list[_Place] = []
     obj_ids: set[int] = set()
     for folder in scene_folders(path) if rescan is None else scene_folders(path, SCANNED_POSES):
+        for problem in dead_links(folder):
+            raise DatasetError(problem)
         scene = SceneFolder(folder, "" if rescan is None else SCANNER[1:])
         alike = rescan is not None and rescan.config["camera"] == "image"
         perfect = SceneFolder(folder, rescan.config["sensor"]) if rescan and alike else None

@@ -54,9 +54,9 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         if getattr(options, name) and name not in fitting:
             option = name.removesuffix("_mm").replace("_", "-")
             raise DatasetError(f"{path}: is of the layout {layout}: leave out --{option}")
-    source = opener(folder, options)
-    if options.materials is not None:
-        source = replace(source, background=read_background(options.materials))
+    materials = options.materials
+    background = None if materials is None else read_background(materials)
+    source = replace(opener(folder, options), background=background, options=options)
     return replace(source, notes=(*source.notes, *_depth_notes(source, options.ray_length)))
 
 

@@ -24,7 +24,15 @@ from ...dataset.picture_bytes import depth_scale_mm, depth_steps, png
 from ...dataset.places import CLAIM
 from ...dataset.records import MM_PER_M
 from ...dataset.rescan_check import scene_records
-from ...dataset.rescanned import RECORDS, image_records
+from ...dataset.rescanned import (
+    RECORDS,
+    ImageRecord,
+    changes,
+    image_records,
+    is_rescanned,
+    read_rescan,
+)
+from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import SCANNER, picture_name
 from ...dataset.seal import MANIFEST, SUMS, sha256
 from .source import Source, SourceImage
@@ -54,6 +62,33 @@ class RescanFolder:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, content)
 
+    def refuse_changed(self) -> None:
+        """Refuse a source in which an image is not what it was when it was scanned.
+
+        Raises:
+            DatasetError: the text counts such images and names one of them.
+        """
+        finished, source = self.finished(), self.source
+        images = set(source.images)
+        changed: dict[tuple[int, int], list[str]] = {}
+        for scene_id in sorted({scene_id for scene_id, _ in finished}):
+            records = self._records(scene_id)
+            left = [number for number in records if (scene_id, number) in images]
+            sums = source.sums(scene_id, left) if left else {}
+            for number, record in records.items():
+                names = changes(record.source, sums.get(number, {})) if record.source else ()
+                if names:
+                    changed[scene_id, number] = list(names)
+        if changed:
+            (scene_id, number), names = next(iter(changed.items()))
+            folders = ", ".join(sorted({self._scene(scene_id).name for scene_id, _ in changed}))
+            raise DatasetError(
+                f"{source.folder}: {len(changed)} of the {len(finished)} images in {self.out} are "
+                f"not what they were when they were scanned, first scene {scene_id}, image "
+                f"{number} ({', '.join(names)}): restore the original, or choose another --out, or "
+                f"remove the scenes {folders} in {self.out / source.split} to scan them again"
+            )
+
     def begin(self, scene_ids: Iterable[int]) -> None:
         """What was there: the models, and scenes without what a scanner added to them."""
         source = self.source
@@ -80,9 +115,8 @@ class RescanFolder:
     def finish(self) -> None:
         """The JSON files of each scene, of all images that are there."""
         for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
-            scene = self._scene(scene_id)
-            for name, content in scene_records(image_records(scene)).items():
-                write_whole(scene / f"{name}.json", json_bytes(content))
+            for name, content in scene_records(self._records(scene_id)).items():
+                write_whole(self._scene(scene_id) / f"{name}.json", json_bytes(content))
 
     def set_aside(self, reasons: Mapping[tuple[int, int], str]) -> None:
         """Record which images this run gave up, and why; without any, remove the file."""
@@ -96,14 +130,32 @@ class RescanFolder:
     def _scene(self, scene_id: int) -> Path:
         return self.out / self.source.split / f"{scene_id:06d}"
 
+    def _records(self, scene_id: int) -> dict[int, ImageRecord]:
+        """Return the records of a scene by image.
+
+        Raises:
+            DatasetError: one is damaged.
+        """
+        try:
+            return image_records(self._scene(scene_id))
+        except Unreadable as error:
+            raise DatasetError(
+                f"{self._scene(scene_id)}: {error}: remove this record to scan its image again"
+            ) from error
+
     def _bring(self, path: Path, place: Path) -> None:
-        if place.is_symlink() or place.exists():
+        """Link to a file or folder of the original, or copy it, also in place of a link."""
+        linked = place.is_symlink()
+        if place.exists() and not (linked and self.copies):
             return
         if not self.copies:
+            place.unlink(missing_ok=True)  # It is absent, or a link to what is gone.
             place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
             return
         with beside(place) as aside:  # What is there is whole: the next run takes it as it is.
             (shutil.copytree if path.is_dir() else shutil.copyfile)(path, aside)
+            if linked:
+                place.unlink()  # A folder cannot be renamed to a link.
 
 
 @contextmanager
@@ -121,19 +173,21 @@ def open_rescan(
         scene_ids: of the scenes whose original files the folder gets.
 
     Raises:
-        GraycastError: the folder holds something else, or lies in the source; another run has it;
-            the disk refuses.
+        GraycastError: the folder holds something else, was made from another source or from one
+            that has changed since, or lies in the source; another run has it; the disk refuses.
     """
     refuse_foreign(out, CLAIM)
     original = source.folder.resolve()
     if out.resolve() == original or original in out.resolve().parents:
         raise DatasetError(f"{out}: lies in {source.folder}, which is not changed: give another")
     with claimed_folder(out, source.split, ".lock"):
+        folder = RescanFolder(out=out, source=source, copies=copies)
         if (out / CLAIM).exists():
+            _refuse_other_source(out, source)
             refuse_other(out / CLAIM, claim)
+            folder.refuse_changed()
         else:
             write_whole(out / CLAIM, json_bytes(claim))
-        folder = RescanFolder(out=out, source=source, copies=copies)
         try:
             folder.begin(scene_ids)
             yield folder
@@ -142,6 +196,21 @@ def open_rescan(
                 f"{out}: cannot be written ({error.strerror or error}): free space, or choose a "
                 "writable folder; finished images are kept"
             ) from error
+
+
+def _refuse_other_source(out: Path, source: Source) -> None:
+    """Refuse to go on with what was made from a dataset in another place.
+
+    Raises:
+        DatasetError: it was, and the text names both places.
+    """
+    if is_rescanned(out):
+        places = {str(source.folder), str(source.folder.resolve())}
+        if places.isdisjoint(before := read_rescan(out).sources):
+            raise DatasetError(
+                f"{out}: was made from {', '.join(before)}, not from {source.folder}: choose "
+                "another --out; if the dataset was moved, put it back, or link it there"
+            )
 
 
 def record_file(

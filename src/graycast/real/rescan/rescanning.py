@@ -26,16 +26,19 @@ from ...cell.generate import described_scanner
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part
 from ...dataset.bop import scanner_files
-from ...dataset.claim import described_values, fingerprint, part_digest
+from ...dataset.claim import claimed_options, described_values, fingerprint, part_digest
 from ...dataset.json_text import plain
 from ...dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
 from ...dataset.records import FORMAT_VERSION, MM_PER_M
 from ...dataset.sample import LEAST_DECODED, Sample
+from ..depth_file import read_intrinsics
 from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
 from .staging import Staged, stage, with_camera
 
 _LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
+_NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim has the seed beside its options.
+_BY_CONTENT = ("models", "materials", "intrinsics")  # The claim has what these files hold.
 _HOPELESS = 3  # If so many images are given up before any comes out, the rest would be, too.
 
 
@@ -87,6 +90,7 @@ class ImageScanner:
         start = time.perf_counter()
         task = self._task
         scene, number = task.source.images[scene_id]
+        sums = task.source.sums(scene, [number])[number]  # A change while it is read is noticed.
         image = task.source.read(scene, number)
         _refuse_out_of_range(image, task.scanner)
         scanner = task.scanner
@@ -115,6 +119,7 @@ class ImageScanner:
             "seconds": seconds,
             "perfect_step_mm": step_mm,
             "entries": entries,
+            "source": sums,
         }
         return TaskResult(
             scene_id=scene_id,
@@ -313,13 +318,19 @@ def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
 
 
 def _claim(task: RescanTask) -> dict[str, Any]:
-    """The content of `graycast.json`: all that the files follow from."""
+    """Return the content of `graycast.json`: everything that the files follow from.
+
+    What the source's files hold is in the record of each image.
+    """
     source, spec = task.source, task.spec
+    intrinsics = source.options.intrinsics
+    K = None if intrinsics is None else read_intrinsics(intrinsics)
     config = {
         "split": source.split,
+        **claimed_options(spec, without=_NOT_CLAIMED),
         "sensor": source.sensor,
-        "camera": spec.camera,
-        "render": spec.render.model_dump(mode="json"),
+        "options": claimed_options(source.options, without=_BY_CONTENT) | {"intrinsics": K},
+        "plain": sorted(source.plain),
         "scanner": described_scanner(task.scanner),
         "parts": {obj_id: part_digest(part) for obj_id, part in source.parts.items()},
         "names": {obj_id: part.name for obj_id, part in source.parts.items()},

@@ -4,16 +4,22 @@ Frames: `T_cam_part` takes a model's coordinates [m] to OpenCV's camera frame (x
 forward). Depth is z of that frame in metres.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ...base.errors import DatasetError
 from ...base.settings import check_fields
+from ...dataset.claim import described_values
+from ...dataset.json_text import json_bytes
+from ...dataset.rescanned import original_sums
+from ...dataset.safe_reading import Unreadable
+from ...dataset.scene_folder import SceneFolder
+from ...dataset.seal import sha256
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
 
@@ -88,6 +94,7 @@ class Source:
             link; empty in another layout.
         background: the material of what is no object; with None, it looks as the pictures do.
         notes: sentences about what was found out, or looks wrong.
+        options: with which the dataset was opened.
     """
 
     folder: Path
@@ -100,6 +107,7 @@ class Source:
     scenes: Mapping[int, Path] = field(default_factory=dict)
     background: Material | None = None
     notes: tuple[str, ...] = ()
+    options: SourceOptions = SourceOptions()
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
         """One image.
@@ -110,3 +118,30 @@ class Source:
         if (scene_id, image_id) not in self.images:
             raise DatasetError(f"{self.folder}: has no image {image_id} of scene {scene_id}")
         return self.image_of(scene_id, image_id)
+
+    def sums(self, scene_id: int, image_ids: Iterable[int]) -> dict[int, dict[str, str]]:
+        """Return the SHA-256 of all from which the scan of each image follows, by its name.
+
+        Raises:
+            DatasetError: a file is missing or damaged; the text names it.
+        """
+        if not self.scenes:
+            return {image_id: _sums_of(self.read(scene_id, image_id)) for image_id in image_ids}
+        scene = SceneFolder(self.scenes[scene_id], self.sensor)
+        try:
+            return original_sums(scene, image_ids, poses=not self.options.depth_only)
+        except Unreadable as error:
+            raise DatasetError(f"{scene.path}/{error}: repair the file") from error
+
+
+def _sums_of(image: SourceImage) -> dict[str, str]:
+    """Return the SHA-256 of each field of an image, whatever files it was read from."""
+    content = {name: value for name, value in described_values(image).items() if value is not None}
+    return {name: sha256(json_bytes({name: _state(value)})) for name, value in content.items()}
+
+
+def _state(value: Any) -> Any:
+    """Return a value for JSON, and the SHA-256 of an array in its place."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return [value.shape, str(value.dtype), sha256(np.ascontiguousarray(value).tobytes())]

@@ -358,8 +358,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 _LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # our choice: a mirror's picture has sharper borders
 # Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# It gives phoxi-l the temporal noise that its maker states (docs/measurements/accuracy.md). Over
-# this length it is independent from pixel to pixel, as most noise of those scans is.
+# In the middle of its range, at 1.51 m, it gives like-phoxi-l the temporal noise that the maker
+# states without a distance (docs/measurements/accuracy.md); at 1.24 m it gives two thirds. Over this
+# length it is independent from pixel to pixel, as most noise of those scans is.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}

@@ -107,7 +107,8 @@ def _cache() -> Finding:
     """Describe the folders in which results are kept between commands."""
     stated, usual = os.environ.get("NUMBA_CACHE_DIR"), cache_folder("")
     problems = ["this user has no home: set XDG_CACHE_HOME to a folder"] if usual is None else []
-    folders = [*filter(None, [usual, stated and Path(stated)])]
+    folders = [] if usual is None else [usual]
+    folders += [Path(stated)] if stated else []
     for folder in folders:
         if (problem := why_unwritable(folder)) is not None:
             name = "XDG_CACHE_HOME" if folder == usual else "NUMBA_CACHE_DIR"

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import fields, make_dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -71,11 +72,13 @@ SPECS = {
 }
 OPTIONS = {
     "sensor": "left",
-    "models": "models",
-    "materials": "materials.yaml",
+    "models": Path("models"),
+    "materials": Path("materials.yaml"),
     "depth_scale_mm": 0.2,
     "intrinsics": "91,91,31,24.5",
     "depth_only": True,
+    "unit": "m",
+    "ray_length": True,
 }
 NO_OTHER_RESULT = {"images", "copies", "device", "models", "materials"}
 
@@ -132,10 +135,12 @@ def test_an_option_that_is_added_is_in_the_claim():
         "depth_scale_mm": None,
         "intrinsics": None,
         "depth_only": False,
+        "unit": None,
+        "ray_length": False,
         "added": 3,
     }
-    with pytest.raises(ValueError, match="SourceOptions has no field unit"):
-        claimed_options(SourceOptions(), without=("unit",))
+    with pytest.raises(ValueError, match="SourceOptions has no field lens"):
+        claimed_options(SourceOptions(), without=("lens",))
 
 
 def test_a_rescan_is_not_continued_with_another_scale_of_depth(root):

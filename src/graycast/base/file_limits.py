@@ -3,7 +3,6 @@
 import os
 import re
 import struct
-import warnings
 from codecs import BOM_UTF8
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -14,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 MOST_PX = 100_000_000
 _HEAD_BYTES = 1 << 16
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _ORIENTATION = 0x0112  # the tag of EXIF and of TIFF
 _TURNS = {
     2: "mirrored",
@@ -85,8 +85,6 @@ def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> No
         name: the picture's name in the error.
     """
     content = source.read_bytes() if isinstance(source, Path) else source
-    if content.startswith(b"\x89PNG") and b"eXIf" not in content:
-        return  # PNGs seldom have one, and they are read where Pillow is not installed
     if (orientation := _orientation(content)) in _TURNS:
         raise error(
             f"{name}: is stored {_TURNS[orientation]} (EXIF orientation {orientation}): save it "
@@ -96,19 +94,31 @@ def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> No
 
 
 def _orientation(content: bytes) -> int:
-    """Return the EXIF orientation of a picture, 1 to 8; 1 if it states none."""
-    from PIL import Image, UnidentifiedImageError  # only here, as in `_stated_size`
+    """Return the EXIF orientation of a JPEG, PNG or TIFF file, 1 to 8; 1 if it states none.
 
+    It is read here because training reads pictures where Pillow is not installed.
+    """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large pictures and odd EXIF entries
-            with Image.open(BytesIO(content)) as image:
-                return int(image.getexif().get(_ORIENTATION, 1))
-    except (
-        UnidentifiedImageError, OSError, SyntaxError, LookupError, ValueError, TypeError,
-        struct.error, Image.DecompressionBombError,
-    ):  # fmt: skip
-        return 1  # a decoder tells what is wrong with it
+        exif = _exif(content)
+        return 1 if exif is None else _tiff_tags(BytesIO(exif), (_ORIENTATION,))[_ORIENTATION]
+    except (LookupError, ValueError, TypeError, struct.error):
+        return 1  # A decoder tells what is wrong with it.
+
+
+def _exif(content: bytes) -> bytes | None:
+    """Return the EXIF block of a picture, which has the form of a TIFF file."""
+    if content[:4] in _TIFF:
+        return content
+    if content.startswith(b"\x89PNG"):
+        at = content.find(b"eXIf")
+        return None if at < 0 else content[at + 4 :]
+    at = 2
+    while content.startswith(b"\xff\xd8") and content[at] == 0xFF and content[at + 1] != 0xDA:
+        end = at + 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+        if content[at + 1] == 0xE1 and content[at + 4 : at + 10] == b"Exif\0\0":
+            return content[at + 10 : end]
+        at = end
+    return None
 
 
 def load_array(path: Path) -> np.ndarray:
@@ -183,7 +193,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
     file.seek(0)
     if head.startswith(b"\x89PNG"):
         return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
-    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if head[:4] in _TIFF:
         return _tiff_size(file)
     if head.startswith(b"\xff\xd8\xff"):
         return _jpeg_size(file)
@@ -219,17 +229,23 @@ def _jpeg_size(file: _File) -> tuple[int, int]:
 
 
 def _tiff_size(file: _File) -> tuple[int, int]:
-    """Of the first picture, by tags 256 and 257, whose values stand among the tags."""
+    """Columns and rows of the first picture: tags 256 and 257."""
+    size = _tiff_tags(file, (256, 257))
+    return size[256], size[257]
+
+
+def _tiff_tags(file: _File, tags: tuple[int, ...]) -> dict[int, int]:
+    """Whole numbers of the first picture that stand among its tags."""
     head = file.read(16)
     order, is_big = "<" if head.startswith(b"II") else ">", 43 in head[2:4]
     (at,) = struct.unpack_from(order + ("Q" if is_big else "I"), head, 8 if is_big else 4)
     file.seek(at)
     (count,) = struct.unpack(order + ("Q" if is_big else "H"), file.read(8 if is_big else 2))
-    size: dict[int, int] = {}
+    values: dict[int, int] = {}
     for _ in range(count):
         entry = file.read(20 if is_big else 12)
         tag, kind = struct.unpack_from(order + "HH", entry)
-        if tag in (256, 257):
+        if tag in tags:
             form = order + {3: "H", 4: "I", 16: "Q"}[kind]
-            (size[tag],) = struct.unpack_from(form, entry, 12 if is_big else 8)
-    return size[256], size[257]
+            (values[tag],) = struct.unpack_from(form, entry, 12 if is_big else 8)
+    return values

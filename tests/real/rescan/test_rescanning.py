@@ -25,14 +25,26 @@ from graycast.dataset.checking import validate
 from graycast.dataset.rescan_check import scene_records
 from graycast.dataset.rescanned import image_records
 from graycast.dataset.stored import open_dataset
+from graycast.dataset.training import open_examples
 from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, rescan
 from graycast.real.rescan.source import SourceOptions
+from graycast.rig.optics import points
 from graycast.show.report.rescan_page import write_rescan_page
 
-from .scene_files import CAMERA, POSE, gt_of, true_depth_m, write_dataset, write_json, write_scene
+from .scene_files import (
+    CAMERA,
+    POSE,
+    SCALE_MM,
+    gt_of,
+    png,
+    true_depth_m,
+    write_dataset,
+    write_json,
+    write_scene,
+)
 
 FEW = RenderSection(samples=4, depth=2)
 RIG = preset("paper", "small")
@@ -449,3 +461,31 @@ def test_validate_finds_depth_of_another_scene(dataset, tmp_path):
     changed, other = map(str, validate(out))
     assert "the original has changed since it was scanned (depth)" in changed
     assert "looked at another scene" in other
+
+
+def test_lengths_of_rays_give_a_result_in_which_depth_is_z(tmp_path):
+    """Its depth is a file of its own: a link to the original would lead to lengths."""
+    split = write_dataset(tmp_path / "lm")
+    length_m = np.linalg.norm(points(CAMERA, true_depth_m()), axis=-1)
+    path = split / "000000/depth/000000.png"
+    png(path, np.rint(length_m * 1e3 / SCALE_MM).astype(np.uint16))
+    before = path.read_bytes()
+    source = open_source(split, SourceOptions(ray_length=True))
+    assert rescan(source, RIG, tmp_path / "out", spec()).set_aside == {}
+    assert validate(tmp_path / "out") == () and path.read_bytes() == before
+    (example,) = open_examples(tmp_path / "out/train_pbr")
+    assert np.abs(example.depth_m - true_depth_m()).max() < 1e-3 * SCALE_MM
+    off_m = np.abs(example.scanner_depth_m - true_depth_m())
+    assert np.nanmedian(off_m) < 5e-3
+    np.testing.assert_allclose(example.T_cam_part[0], POSE, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_depth_with_four_digits_is_scanned_and_its_result_is_read(tmp_path):
+    split = write_dataset(tmp_path / "lm")
+    folder = split / "000000/depth"
+    (folder / "000000.png").rename(folder / "0000.png")
+    assert rescan(open_source(split), RIG, tmp_path / "out", spec()).set_aside == {}
+    assert validate(tmp_path / "out") == ()
+    (example,) = open_examples(tmp_path / "out/train_pbr")
+    assert np.abs(example.depth_m - true_depth_m()).max() < 1e-3 * SCALE_MM

@@ -75,7 +75,7 @@ def _checker(
         for argument, value in values.items():
             hint = hints()[argument]
             if not fits(value, hint):
-                raise ValueError(f"{name}: {argument} is {shown(value)}: give {words(hint)}")
+                raise ValueError(f"{name}: {argument} is {value_text(value)}: give {words(hint)}")
             if argument in _NOT_NEGATIVE and value is not None and value < 0:
                 raise ValueError(f"{name}: {argument} is {value}: give a whole number from 0 on")
 
@@ -141,11 +141,11 @@ def words(hint: Any) -> str:
     if _is_array(hint):
         return "an array"
     name = getattr(origin or hint, "__name__", str(hint))
-    made = f" ({_MAKERS[name]})" if name in _MAKERS else ""
-    return _WORDS.get(hint) or f"a {name}{made}"
+    maker = f" ({_MAKERS[name]})" if name in _MAKERS else ""
+    return _WORDS.get(hint) or f"a {name}{maker}"
 
 
-def shown(value: Any) -> str:
+def value_text(value: Any) -> str:
     """A value and its kind, cut where it is long."""
     text = " ".join(repr(value).split())
     if len(text) > MOST_CHARACTERS:

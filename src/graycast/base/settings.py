@@ -27,7 +27,7 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from .argument_check import fits, shown, words
+from .argument_check import fits, value_text, words
 from .errors import ConfigError
 
 Vector = tuple[float, float, float]
@@ -90,7 +90,7 @@ def check_fields(value: object) -> None:
             continue
         if not isinstance(allowed, TypeAdapter):
             if not fits(item, allowed):
-                raise ValueError(f"{name} is {shown(item)}: give {words(allowed)}")
+                raise ValueError(f"{name} is {value_text(item)}: give {words(allowed)}")
             continue
         try:
             allowed.validate_python(item)

@@ -5,14 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+import yaml
 from backends import slow
+from PIL import Image
 from small_cell import write_cell
 
+from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.cell.config import Config, load_config
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene
 from graycast.show.live.asking import Ask
-from graycast.show.live.line import Line, Superseded, _physics_key
+from graycast.show.live.line import Line, Superseded, _light_key, _physics_key
 from graycast.show.live.showing import picture_answer
 
 
@@ -36,7 +40,7 @@ class Watched:
             self.config.model_dump(exclude_none=True) | sections  # as a user writes them
         )
         self.answers.clear()
-        ask = Ask(
+        self.ask = Ask(
             number=1,
             config=self.config,
             unturned=unturned or self.config,
@@ -44,8 +48,12 @@ class Watched:
             power=power,
             frame=0,
         )
-        self.line.show(ask)
+        self.line.show(self.ask)
         return [one.header["kind"] for one in self.answers if one.kind == "picture"]
+
+    def look(self):
+        """Look at another frame of what was shown last."""
+        self.line.look(replace(self.ask, frame=1))
 
     def shot(self):
         """What `make_scene` makes of it."""
@@ -205,6 +213,50 @@ def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
     assert set(watched.show(count=2)) == {"physics"}
     assert len(watched.line.content.layout.part_index) == 2
     watched.assert_finished()
+
+
+@pytest.mark.slow
+def test_an_edited_file_is_read_again_although_its_name_is_the_same(watched):
+    """A rig of another baseline decoded the pictures of the old one; another box did not come."""
+    folder = watched.path.parent
+    rig_file, mesh_file = folder / "rig.yaml", folder / "box.stl"
+    rig, mesh = rig_file.read_bytes(), mesh_file.read_bytes()
+    watched.show(decode={"min_contrast": 0.02})
+    try:
+        scanner = load_scanner(rig_file)
+        T_cam_proj = scanner.rig.T_cam_proj.copy()
+        T_cam_proj[:3, 3] *= 1.2
+        save_scanner(replace(scanner, rig=replace(scanner.rig, T_cam_proj=T_cam_proj)), rig_file)
+        assert "light" in watched.show(decode={"min_contrast": 0.03})
+        watched.assert_finished()
+        trimesh.creation.box((50, 40, 30)).export(mesh_file)
+        watched.look()
+        watched.assert_finished()
+        assert watched.line.content.scene.parts[0].mesh.vertices_m[:, 0].max() == 0.025
+    finally:
+        rig_file.write_bytes(rig)
+        mesh_file.write_bytes(mesh)
+
+
+@pytest.mark.parametrize("word", ["material", "map", "rig"])
+def test_the_light_depends_on_the_content_of_pictures_that_a_cell_names(tmp_path, word):
+    picture = tmp_path / "picture.png"
+    write_cell(tmp_path)
+    settings = yaml.safe_load((tmp_path / "cell.yaml").read_text())
+    if word == "material":
+        settings["bin"]["material"] = {"texture": "picture.png"}
+    else:
+        settings["light"] = {"environment": {"map": "picture.png"}}
+    config = Config.model_validate(settings)
+    line = Line(folder=tmp_path, scene_id=0, device="cpu", emit=print, superseded=lambda: False)
+    keys = []
+    rig = (tmp_path / "rig.yaml").read_text()
+    for grey in (100, 100, 101):
+        if word == "rig":
+            (tmp_path / "rig.yaml").write_text(rig.replace("near_m: 0.", f"near_m: 0.{grey}"))
+        Image.new("RGB", (8, 8), (grey,) * 3).save(picture)
+        keys.append(_light_key(config, tmp_path, line._files(config)))
+    assert keys[0] == keys[1] != keys[2]
 
 
 def test_what_comes_next_breaks_off_what_is_being_made(watched):

@@ -180,6 +180,28 @@ def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypat
         assert kinds() == ["state"]
 
 
+def test_a_page_that_joins_while_an_answer_comes_gets_it(server, monkeypatch):
+    """The answer comes when the page has taken what there was, and does not listen yet."""
+    idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
+    monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
+    session = server.session
+    newer, threads = session.newer, []
+    picture = Answer(kind="picture", number=1, header={}, arrays={"depth": b"0"})
+
+    def newer_and_an_answer(version):
+        answers = newer(version)
+        threads.append(threading.Thread(target=session._answered, args=(picture,)))
+        threads[0].start()
+        threads[0].join(0.2)  # it ends, unless it has to wait for the page
+        return answers
+
+    monkeypatch.setattr(session, "newer", newer_and_an_answer)
+    with server.page() as queue:
+        threads[0].join()
+        kinds = [queue.get().kind for _ in range(queue.qsize())]
+    assert kinds == ["state", "picture"]
+
+
 @pytest.mark.slow
 def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp_path):
     """A killed process stands for one that crashed, or for which memory was exhausted."""

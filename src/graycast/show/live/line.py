@@ -11,6 +11,7 @@ rendered anew while one waits.
 """
 
 import hashlib
+import json
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
@@ -24,9 +25,10 @@ from ...base.progress import Stages
 from ...camera.picture import color_light, developed
 from ...camera.scanner import measure, take
 from ...camera.sensor import Capture
-from ...cell.config import Config, resolve_quality, resolve_scanner
-from ...cell.resolve import Cell, open_cell_renderer, resolve_cell
+from ...cell.config import Config, resolve_quality, resolve_scanner, resolve_scanners
+from ...cell.resolve import Cell, file_digests, open_cell_renderer, resolve_cell
 from ...cell.simulate import cell_seeds, varied
+from ...dataset.claim import described_values
 from ...rendering import Quality, Renderer, Rendering
 from ...world.drop import DropLimits, drop
 from ...world.scene import Layout, Scene
@@ -77,7 +79,8 @@ class Line:
         """
         self._folder, self._scene_id, self._device = folder, scene_id, device
         self._emit, self._superseded = emit, superseded
-        self._cell: Cell | None = None
+        self._cell: tuple[Hashable, Cell] | None = None
+        self._digests: tuple[str, list[Hashable], Mapping[str, str]] | None = None
         self._renderer: tuple[Hashable, Renderer] | None = None
         self._lain: tuple[Hashable, Layout] | None = None
         self._lit: LightState | None = None
@@ -107,7 +110,7 @@ class Line:
         physics = _physics_key(scene, variation.counts, seeds["drop"], ask.config.drop)
         layout, fell = self._layout(physics, scene, variation.counts, seeds["drop"], ask)
         run = _Run(ask=ask, cell=cell, scene=scene, layout=layout, seeds=seeds, start=start)
-        key = (_light_key(ask.unturned), physics)
+        key = (_light_key(ask.unturned, self._folder, self._files(ask.config)), physics)
         lit = self._lit if self._lit is not None and self._lit.key == key else None
         if lit is not None:
             exact = lit.final and (lit.ambient, lit.power) == (ask.ambient, ask.power)
@@ -135,21 +138,45 @@ class Line:
             first = False
 
     def look(self, ask: Ask) -> None:
-        """What is shown once more, with another of its captured frames."""
-        if self.content is not None:
+        """Show another of the captured frames; show all anew if a file has changed."""
+        key = _light_key(ask.config, self._folder, self._files(ask.config))
+        if self._cell is None or self._cell[0] != key:
+            self.show(ask)
+        elif self.content is not None:
             self._emit(picture_answer(ask, self.content, kind="look", ms=0.0, first=False))
 
     # --- the stages ---------------------------------------------------------------------------
 
     def _resolved(self, config: Config) -> Cell:
-        """The cell; its files are read again only where more has changed than the free sections."""
-        before = self._cell
-        if before is not None and _light_key(config) == _light_key(before.config):
+        """Return the cell; it is made anew where more has changed than the free sections.
+
+        Files count by their content: one that was edited may keep its name.
+        """
+        key = _light_key(config, self._folder, self._files(config))
+        if self._cell is not None and self._cell[0] == key:
             scanner = resolve_scanner(config, self._folder)
-            self._cell = replace(before, config=config, scanner=scanner)
+            cell = replace(self._cell[1], config=config, scanner=scanner)
         else:
-            self._cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
-        return self._cell
+            cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
+        self._cell = key, cell
+        return cell
+
+    def _files(self, config: Config) -> Mapping[str, str]:
+        """Return the digests of the files that a configuration names; only changed ones are read.
+
+        There are none where one cannot be read, which reading the cell then says.
+        """
+        words = _words(config)
+        if self._digests is not None and self._digests[0] == words:
+            _, states, digests = self._digests
+            if states == [_state(self._folder / name) for name in digests]:
+                return digests
+        try:
+            digests = file_digests(config, self._folder)
+        except OSError:
+            return {}
+        self._digests = words, [_state(self._folder / name) for name in digests], digests
+        return digests
 
     def _stage(self, stage: str) -> None:
         if self._superseded():
@@ -264,9 +291,35 @@ class _Run:
         return 1e3 * (time.perf_counter() - self.start)
 
 
-def _light_key(config: Config) -> str:
-    """All that a configuration says of the world and its light, as text."""
+def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hashable:
+    """Return all that a configuration and its files say of the world and its light.
+
+    Args:
+        digests: of the files that it names, beside those of its rigs, which are read here.
+    """
+    rigs = [
+        (name, described_values(scanner.rig), described_values(scanner.code))
+        for name, scanner in resolve_scanners(config, folder)
+    ]
+    return (
+        _words(config),
+        json.dumps(rigs, default=np.ndarray.tolist),
+        tuple(sorted(digests.items())),
+    )
+
+
+def _words(config: Config) -> str:
+    """All that a configuration itself says of the world and its light, as text."""
     return config.model_dump_json(exclude=set(FREE_SECTIONS))
+
+
+def _state(file: Path) -> Hashable:
+    """What changes when a file is written, or None if there is no such file."""
+    try:
+        state = file.stat()
+    except OSError:
+        return None
+    return state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
 def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:

@@ -92,13 +92,14 @@ class Server:
             if self._pause is not None:
                 self._pause.cancel()
             self.session.open()
-            queue.put(Message(kind="state", content=self.session.state()))
-            for version, answer in self.session.newer(0):
-                queue.put(Message(kind=answer.kind, content={"version": version}))
-            if (refusal := self.session.refusal) is not None:
-                queue.put(refusal)
-            with self._lock:
-                self._pages.append(queue)
+            with self.session.standing_still():  # An answer that came meanwhile would be lost.
+                queue.put(Message(kind="state", content=self.session.state()))
+                for version, answer in self.session.newer(0):
+                    queue.put(Message(kind=answer.kind, content={"version": version}))
+                if (refusal := self.session.refusal) is not None:
+                    queue.put(refusal)
+                with self._lock:
+                    self._pages.append(queue)
         try:
             yield queue
         finally:

@@ -5,7 +5,8 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import RLock
@@ -214,6 +215,12 @@ class Session:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):
             return {"controls": [], "values": {}}
+
+    @contextmanager
+    def standing_still(self) -> Iterator[None]:
+        """While it lasts, nothing is set and no answer is taken: a page that joins misses none."""
+        with self._lock:
+            yield
 
     def newer(self, version: int) -> list[tuple[int, Answer]]:
         """The last answers of each kind that are newer than a version, with their versions."""

@@ -123,14 +123,14 @@ def world_answer(ask: Ask, page: PageContent) -> Answer:
 
 
 def world_key(page: PageContent) -> str:
-    """Changes when the bodies of the 3D view do."""
+    """Return a key that changes when the bodies of the 3D view do."""
     scene, layout = page.scene, page.layout
-    digest = hashlib.sha256(layout.T_world_part.tobytes())
+    digest = hashlib.sha256(layout.T_world_part.tobytes() + layout.part_index.tobytes())
     meshes: list[Mesh] = [part.mesh for part in scene.parts]
     if scene.bin is not None:
         meshes.append(bin_mesh(scene.bin))
     for mesh in meshes:
-        digest.update(mesh.vertices_m.tobytes())
+        digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())
     return digest.hexdigest()
 
 

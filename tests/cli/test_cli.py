@@ -628,3 +628,15 @@ def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typ
     command = ["bash", "-c", ASK, "bash", "graycast.bash", "graycast", *typed]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert sorted(done.stdout.split()) == offered
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_a_name_that_the_terminal_cannot_show_does_not_end_a_finished_command(tmp_path, encoding):
+    """A name in German, and one whose bytes are no UTF-8, as of an old archive."""
+    for name in ("t\N{LATIN SMALL LETTER U WITH DIAERESIS}r.yaml", "t\udcfcr.yaml"):
+        command = [sys.executable, "-m", "graycast", "rig", "write", "paper", "--out", name]
+        environment = os.environ | {"PYTHONIOENCODING": encoding}
+        run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
+        assert (run.returncode, run.stderr) == (0, b"")
+        assert run.stdout.startswith(b"t") and run.stdout.rstrip().endswith(b"r.yaml")
+        assert (tmp_path / name).exists()

@@ -109,6 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if arguments is None:  # a process of its own
         signal.signal(signal.SIGTERM, _stop)  # a batch system's way to say Ctrl-C
+        # A name that the terminal cannot show must not end a command that has done its work.
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         code = options.run(options) or 0
         sys.stdout.flush()

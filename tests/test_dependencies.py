@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from parsed import nodes_of
+
+from graycast.cli import doctor
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -73,3 +76,23 @@ def test_a_tested_version_of_each_dependency_is_stated_and_is_one_that_is_asked_
 def test_what_changes_pictures_or_layouts_of_a_seed_has_an_upper_bound(name):
     (requirement,) = (r for r in wanted(PROJECT["dependencies"]) if r.name == name)
     assert {"<", ">="} == {part.operator for part in requirement.specifier}
+
+
+def test_the_versions_of_python_are_the_same_wherever_they_stand():
+    """pip took Python 3.14, which setup refuses and for which some packages have no wheels."""
+    asked = SpecifierSet(PROJECT["requires-python"])
+    allowed = [minor for minor in range(30) if f"3.{minor}" in asked]
+    assert allowed == list(range(allowed[0], allowed[-1] + 1))
+    low, high = allowed[0], allowed[-1]
+    setup = (ROOT / "scripts" / "setup").read_text(encoding="utf-8")
+    assert f"(3, {low}) <= sys.version_info < (3, {high + 1})" in setup
+    for name in ("scripts/setup", "scripts/release", "README.md", "CONTRIBUTING.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        stated = re.findall(r"Python 3\.(\d+) to 3\.(\d+)", text)
+        assert stated and set(stated) == {(str(low), str(high))}, name
+    for name in ("setup", "release"):
+        text = (ROOT / "scripts" / name).read_text(encoding="utf-8")
+        assert {int(minor) for minor in re.findall(r"python3\.(\d+)(?!\S*-venv)\b", text)} >= {
+            *allowed
+        }
+    assert doctor._OLDEST_PYTHON == (3, low)

@@ -280,6 +280,8 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=4)
     assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
+    run(cell, out, scenes=1)  # does not try it
+    assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
     summary, count, ids = run(cell, out, scenes=3)
     assert (summary.set_aside, count, ids) == ((), 2, [1])
     assert content(out) == content(undisturbed)
@@ -475,6 +477,6 @@ def test_hulls_of_distractors_are_made_before_the_workers_start(tmp_path, monkey
     def stop(parts, **_):
         raise DropError(" and ".join(part.name for part in parts))
 
-    monkeypatch.setattr(sys.modules["graycast.cell.generate"], "prepare", stop)
+    monkeypatch.setattr(sys.modules["graycast.cell.engine.workers"], "prepare", stop)
     with pytest.raises(DropError, match="box and toothpaste"):
         run(cell, tmp_path / "out", scenes=1)

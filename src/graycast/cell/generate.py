@@ -5,17 +5,16 @@ order of scenes or a restart.
 """
 
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from ..base.errors import ConfigError, DatasetError, GraycastError
+from ..base.errors import ConfigError, DatasetError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.decode import mean_shares
 from ..camera.scanner import Scanner
@@ -26,13 +25,13 @@ from ..dataset.places import CLAIM
 from ..dataset.records import Claim
 from ..dataset.safe_reading import Unreadable, read_json
 from ..dataset.seal import differing_files
-from ..dataset.store import SetAside, Store, open_store
+from ..dataset.set_aside import SetAside, SetAsideFile
+from ..dataset.store import open_store
 from ..rig.pair import PRESETS
-from ..world.drop import hull_notes, prepare
 from .config import Config
-from .engine import ALONE, Failed, SceneMaker, SceneTask, TaskResult, Workers, make_all, open_pool
+from .engine import ALONE, Failed, SceneMaker, SceneTask, TaskResult, Workers, make_missing
 from .resolve import Cell, reach_m
-from .simulate import Shot, compile_kernels
+from .simulate import Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,41 +79,46 @@ def generate(
     out = Path(out)
     start = time.perf_counter()
     task = _task(cell, seed, workers.device(cell.config.render.backend, device))
+    reasons: list[dict[str, float]] = []
+    part_reasons: list[dict[str, float]] = []
     with open_store(out, **_claimed(task)) as store:
-        there = store.finished()
+        there, aside = store.finished(), SetAsideFile(out)
         todo = [scene_id for scene_id in range(scenes) if scene_id not in there]
-        store.set_aside(())  # scenes that the last run set aside are tried again
-        progress.count("scenes", scenes - len(todo), scenes)
-        run = _Run(store=store, there=len(there), on_result=on_result, on_failed=on_failed)
+
+        def keep(result: TaskResult) -> None:
+            store.write_files(result.scene_id, result.files)
+            reasons.append(result.reasons)
+            part_reasons.append(result.part_reasons)
+            on_result(result)
+
+        def give_up(failed: Failed) -> None:
+            if failed.final:
+                aside.add(f"{failed.scene_id:06d}", failed.set_aside())
+            on_failed(failed)
+
         try:
-            if todo:
-                prepared = prepare(task.parts, progress=progress)  # once, not by every worker
-                for note in hull_notes(task.parts, prepared):
-                    progress.note(note)
-                if workers.engine == "local" and min(workers.count, len(todo)) > 1:
-                    progress.stage("compiling the decoder, once on this machine")
-                    compile_kernels(cell)
-                pool = open_pool(task, workers, scenes=len(todo), progress=progress)
-                with closing(pool):
-                    left = len(todo)
-                    for outcome in make_all(pool, todo):
-                        left -= isinstance(outcome, TaskResult) or outcome.final
-                        run.take(outcome, last=left == 0)
-                        if isinstance(outcome, TaskResult):
-                            done = scenes - len(todo) + len(run.reasons)
-                            progress.count("scenes", done, scenes)
-            store.finish(set(range(scenes)) - {scene.scene_id for scene in run.set_aside})
-            store.set_aside(run.set_aside)
+            aside.forget(f"{scene_id:06d}" for scene_id in there.union(todo))
+            lost = make_missing(
+                task,
+                todo,
+                what="scenes",
+                total=scenes,
+                workers=workers,
+                progress=progress,
+                on_result=keep,
+                on_failed=give_up,
+            )
+            store.finish(set(range(scenes)) - {scene.scene_id for scene in lost})
         except BaseException:
             store.tidy()
             raise
     return Summary(
-        written=len(run.reasons),
+        written=len(reasons),
         found=scenes - len(todo),
-        set_aside=tuple(run.set_aside),
+        set_aside=lost,
         seconds=time.perf_counter() - start,
-        reasons=mean_shares(run.reasons),
-        part_reasons=mean_shares(run.part_reasons),
+        reasons=mean_shares(reasons),
+        part_reasons=mean_shares(part_reasons),
     )
 
 
@@ -275,62 +279,3 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
     """Return all that a preset or a rig file says, but the rig, which a claim holds by itself."""
     names = [field.name for field in fields(scanner) if field.name != "rig"]
     return {name: described_values(getattr(scanner, name)) for name in names}
-
-
-_HOPELESS = 3  # If so many scenes are given up before any comes out, the rest would be, too.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
-    """The results so far; `there` scenes were finished before."""
-
-    store: Store
-    there: int
-    on_result: Callable[[TaskResult], None]
-    on_failed: Callable[[Failed], None]
-    reasons: list[dict[str, float]] = field(default_factory=list)
-    part_reasons: list[dict[str, float]] = field(default_factory=list)
-    set_aside: list[SetAside] = field(default_factory=list)
-
-    def take(self, outcome: TaskResult | Failed, *, last: bool) -> None:
-        """Keep a scene, or record that it is given up; raise its error where all are."""
-        if isinstance(outcome, TaskResult):
-            self.store.write_files(outcome.scene_id, outcome.files)
-            self.reasons.append(outcome.reasons)
-            self.part_reasons.append(outcome.part_reasons)
-            self.on_result(outcome)
-            return
-        if outcome.final:
-            error = outcome.error
-            trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
-            self.set_aside.append(
-                SetAside(
-                    scene_id=outcome.scene_id,
-                    tries=outcome.tries,
-                    reason=_error_text(error),
-                    traceback=trace,
-                )
-            )
-            nothing = not self.reasons and not self.there
-            if nothing and (last or len(self.set_aside) >= _HOPELESS):
-                raise _for_users(error)
-            self.store.set_aside(self.set_aside)
-        self.on_failed(outcome)
-
-
-def _for_users(error: Exception) -> Exception:
-    """The text of an error for the user; an unforeseen error includes its type."""
-    if _foreseen(error):
-        return error
-    wrapped = GraycastError(f"{_error_text(error)}: this is an error in Graycast or in the machine")
-    wrapped.__cause__ = error
-    return wrapped
-
-
-def _error_text(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if _foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
-
-
-def _foreseen(error: Exception) -> bool:
-    return isinstance(error, (GraycastError, ValueError))

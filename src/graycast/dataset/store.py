@@ -32,19 +32,9 @@ from .safe_reading import Unreadable
 from .sample import Sample
 from .scene_folder import SceneFolder, of_sensor, picture_name
 from .seal import SUMS, sha256
+from .set_aside import SETASIDE
 
 _LOCK = ".lock"
-SETASIDE = "set_aside.json"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetAside:
-    """A scene that could not be made after so many tries: why, and where if nobody foresaw it."""
-
-    scene_id: int
-    tries: int
-    reason: str
-    traceback: str = ""
 
 
 @final
@@ -90,23 +80,6 @@ class Store:
                 _write(path, [content], to_disk=not name.startswith("mask"))
         with _disk_errors(self.out):
             _sync(place.parent)  # the new name reaches the disk with the scene
-
-    def set_aside(self, scenes: Iterable["SetAside"]) -> None:
-        """Record which scenes this run gave up, in `set_aside.json`; without any, remove it."""
-        path = self.out / SETASIDE
-        entries = {
-            f"{scene.scene_id:06d}": {
-                "reason": scene.reason,
-                "traceback": scene.traceback.splitlines(),
-                "tries": scene.tries,
-            }
-            for scene in sorted(scenes, key=lambda scene: scene.scene_id)
-        }
-        if entries:
-            _replace(path, [json_bytes(entries)])
-            return
-        with _disk_errors(self.out):
-            path.unlink(missing_ok=True)
 
     def finish(self, scene_ids: Iterable[int]) -> None:
         """Write the split's COCO file over every finished scene.

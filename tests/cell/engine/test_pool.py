@@ -113,40 +113,91 @@ def test_an_unknown_engine_is_refused(task):
         open_pool(task, Workers(engine="slurm", count=2), scenes=2)
 
 
-def handed(monkeypatch, script, ids=IDS):
+def handed(monkeypatch, script, ids=IDS, before=1):
     """What `make_missing` hands over of a pool that fails so, what it gives up, and the pool."""
     pool, results, failed, meter = Scripted(script), [], [], Metered()
     monkeypatch.setattr(workers, "open_pool", lambda *_, **words: pool)
+    whole = before + len(ids)
     try:
         lost = make_missing(
             Job(seed=0, device="cpu"),
             ids,
             what="scenes",
-            total=1 + len(ids),
+            total=whole,
             progress=meter,
             on_result=results.append,
             on_failed=failed.append,
         )
     except Exception as raised:
         lost = raised
-    whole = 1 + len(ids)  # one was there before
-    assert meter.counts == [("scenes", 1 + k, whole) for k in range(1 + len(results))]
+    assert meter.counts == [("scenes", before + k, whole) for k in range(1 + len(results))]
     return [one.scene_id for one in results], [one.scene_id for one in failed], lost, pool
 
 
 def test_scenes_that_are_given_up_are_told_once_the_others_are_made(monkeypatch):
-    done, failed, lost, pool = handed(monkeypatch, {4: [DropError("no rest")], 7: [MemoryError()]})
-    assert sorted(done) == [scene_id for scene_id in IDS if scene_id != 4]
-    assert (sorted(failed), lost, pool.closed) == ([4, 7], (4,), True)
+    script = {9: [KeyError("a bug")] * 3, 4: [DropError("no\nrest")], 7: [MemoryError()]}
+    done, failed, lost, pool = handed(monkeypatch, script)
+    assert sorted(done) == [scene_id for scene_id in IDS if scene_id not in (4, 9)]
+    assert (sorted(failed), pool.closed) == ([4, 7, 9, 9, 9], True)
+    assert [(one.scene_id, one.tries, one.reason) for one in lost] == [
+        (4, 1, "no rest"),
+        (9, 3, "KeyError 'a bug'"),
+    ]
+    assert lost[0].traceback == "" and "KeyError: 'a bug'" in lost[1].traceback
 
 
-def test_a_cell_that_serves_no_scene_stops_the_run(monkeypatch):
-    error = ConfigError("the tool fits round no part")
-    done, failed, lost, pool = handed(monkeypatch, {0: [error], 1: [error], 2: [error]})
-    assert (done, failed, lost, pool.closed) == ([], [], error, True)
+def test_a_device_that_is_lost_for_a_moment_costs_no_scene(monkeypatch):
+    """A rescan once ended at the first such error, where `generate` tried three times."""
+    script = {19: [DeviceError("lost")] * 2, 4: [DeviceError("lost")]}
+    done, failed, lost, _ = handed(monkeypatch, script, before=0)
+    assert (sorted(done), sorted(failed), lost) == (list(IDS), [4, 19, 19], ())
 
 
-def test_where_all_are_given_up_the_last_error_is_raised(monkeypatch):
+@pytest.mark.parametrize(
+    "error", [ConfigError("the tool fits round no part"), DropError("no rest")]
+)
+def test_where_nothing_comes_out_the_third_that_is_given_up_ends_the_run(monkeypatch, error):
+    script = {scene_id: [error] for scene_id in IDS}
+    done, failed, lost, pool = handed(monkeypatch, script, before=0)
+    assert (done, len(failed), lost, pool.closed) == ([], 2, error, True)
+
+
+def test_an_error_that_nobody_foresaw_is_raised_with_its_type(monkeypatch):
+    script = {0: [KeyError("a bug")] * 3}
+    _, _, lost, _ = handed(monkeypatch, script, ids=(0,), before=0)
+    assert isinstance(lost, GraycastError) and isinstance(lost.__cause__, KeyError)
+    assert str(lost) == "KeyError 'a bug': this is an error in Graycast or in the machine"
+
+
+def test_where_others_came_out_those_that_fail_are_set_aside(monkeypatch):
     errors = [DropError("no rest"), DropError("none either")]
-    _, failed, lost, pool = handed(monkeypatch, {0: [errors[0]], 1: [errors[1]]}, ids=(0, 1))
-    assert len(failed) == 2 and lost in errors and pool.closed
+    script = {0: [errors[0]], 1: [errors[1]]}
+    _, failed, lost, pool = handed(monkeypatch, script, ids=(0, 1))
+    assert (sorted(failed), [one.reason for one in lost]) == ([0, 1], ["no rest", "none either"])
+    assert pool.closed
+    _, failed, lost, _ = handed(monkeypatch, {0: [errors[0]], 1: [errors[1]]}, (0, 1), before=0)
+    assert len(failed) == 1 and lost in errors
+
+
+class Compiled(Job):
+    compiled = False
+
+    def compile_kernels(self):
+        type(self).compiled = True
+
+
+@pytest.mark.parametrize(("count", "compiles"), [(1, False), (2, True)])
+def test_kernels_are_compiled_once_before_several_workers_need_them(monkeypatch, count, compiles):
+    monkeypatch.setattr(workers, "open_pool", lambda *_, **words: Scripted())
+    monkeypatch.setattr(Compiled, "compiled", False)
+    make_missing(
+        Compiled(seed=0, device="cpu"),
+        IDS,
+        what="scenes",
+        total=20,
+        workers=Workers(count=count),
+        progress=Metered(),
+        on_result=lambda _: None,
+        on_failed=lambda _: None,
+    )
+    assert Compiled.compiled == compiles

@@ -17,7 +17,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from small_cell import shrunk
 
-from graycast.base.errors import ConfigError, DatasetError, GraycastError
+from graycast.base.errors import ConfigError, DatasetError, DeviceError, GraycastError
 from graycast.camera.decode import Reason
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
@@ -29,7 +29,7 @@ from graycast.dataset.training import open_examples
 from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder
 from graycast.real.rescan.open_source import open_source
-from graycast.real.rescan.rescanning import RescanSpec, rescan
+from graycast.real.rescan.rescanning import ImageScanner, RescanSpec, rescan
 from graycast.real.rescan.source import SourceOptions
 from graycast.rig.optics import points
 from graycast.show.report.rescan_page import write_rescan_page
@@ -222,13 +222,30 @@ def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
     assert "check the unit of the models" in summary.set_aside[0, 1]
     listed = json.loads((tmp_path / "out/set_aside.json").read_text())
     assert list(listed) == ["000000/000001", "000000/000002"]
-    assert "measures from 0.458 to 1.12 m: choose another rig" in listed["000000/000002"]
+    assert "measures from 0.458 to 1.12 m: choose another rig" in listed["000000/000002"]["reason"]
+    rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))  # tries none of them
+    assert json.loads((tmp_path / "out/set_aside.json").read_text()) == listed
     assert validate(tmp_path / "out") == ()
     write_json(scene / "scene_gt.json", gt)
     write_json(scene / "scene_camera.json", views | {"2": views["0"]})
     again = rescan(open_source(split), RIG, tmp_path / "out", spec())
     assert (again.written, again.there, again.set_aside) == (2, 1, {})
     assert not (tmp_path / "out/set_aside.json").exists()
+
+
+def test_a_device_that_is_lost_is_tried_three_times(tmp_path, monkeypatch):
+    """A rescan once ended at the first error of its device."""
+    split, real, tries = write_dataset(tmp_path / "lm"), ImageScanner.make, []
+
+    def make(self, scene_id):
+        tries.append(scene_id)
+        if len(tries) < 3:
+            raise DeviceError("the driver is lost")
+        return real(self, scene_id)
+
+    monkeypatch.setattr(ImageScanner, "make", make)
+    summary = rescan(open_source(split), RIG, tmp_path / "out", spec())
+    assert (tries, summary.written, summary.set_aside) == ([0, 0, 0], 1, {})
 
 
 def test_a_rig_that_measures_elsewhere_is_refused_before_any_work(tmp_path):

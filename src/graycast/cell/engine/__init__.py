@@ -3,10 +3,11 @@
 from .job import Job, TaskResult, WorkerRenderer, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all
-from .workers import ALONE, Workers, make_missing, open_pool
+from .workers import ALONE, HOPELESS, Workers, make_missing, open_pool
 
 __all__ = [
     "ALONE",
+    "HOPELESS",
     "TRIES",
     "Failed",
     "Job",

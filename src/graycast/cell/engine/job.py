@@ -46,8 +46,12 @@ def is_the_scenes_own(error: BaseException) -> bool:
 
     Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """
-    foreseen = isinstance(error, (GraycastError, ValueError))
-    return foreseen and not isinstance(error, (DeviceError, WorkerDied))
+    return is_foreseen(error) and not isinstance(error, (DeviceError, WorkerDied))
+
+
+def is_foreseen(error: BaseException) -> bool:
+    """Return whether the text of an error tells a user what to do."""
+    return isinstance(error, (GraycastError, ValueError))
 
 
 @final
@@ -111,6 +115,9 @@ class Job:
     def parts(self) -> Sequence[Part]:
         """The kinds of parts that fall."""
         return ()
+
+    def compile_kernels(self) -> None:
+        """Compile once on this machine what every worker would compile; by default nothing."""
 
     def open(
         self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED

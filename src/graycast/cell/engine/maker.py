@@ -13,7 +13,7 @@ from ...dataset.bop import scene_files
 from ...dataset.sample import LEAST_DECODED, Sample
 from ...world.parts import Part
 from ..resolve import Cell
-from ..simulate import Shot, make_images
+from ..simulate import Shot, compile_kernels, make_images
 from .job import Job, TaskResult, WorkerRenderer
 
 GPU_DEVICES = ("cuda", "optix")
@@ -84,6 +84,9 @@ class SceneTask(Job):
     @property
     def parts(self) -> tuple[Part, ...]:
         return self.cell.kinds
+
+    def compile_kernels(self) -> None:
+        compile_kernels(self.cell)
 
 
 def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:

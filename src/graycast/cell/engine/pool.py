@@ -1,5 +1,6 @@
 """Many scenes on a pool of workers; failed scenes are retried and finally set aside."""
 
+import traceback
 from collections import Counter, deque
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
@@ -7,7 +8,8 @@ from typing import Protocol, runtime_checkable
 
 from ...base.errors import GraycastError, one_line
 from ...base.progress import ProgressMeter
-from .job import Job, TaskResult, is_the_scenes_own
+from ...dataset.set_aside import SetAside
+from .job import Job, TaskResult, is_foreseen, is_the_scenes_own
 
 TRIES = 3
 # A machine that loses this many scenes one after another, besides those at work, is not well.
@@ -25,6 +27,31 @@ class Failed:
     error: Exception
     tries: int = 1
     final: bool = False
+
+    def set_aside(self) -> SetAside:
+        """Return what is recorded of the scene if it is given up."""
+        foreseen = is_foreseen(self.error)
+        trace = "" if foreseen else "".join(traceback.format_exception(self.error))
+        return SetAside(
+            scene_id=self.scene_id,
+            tries=self.tries,
+            reason=_error_text(self.error),
+            traceback=trace,
+        )
+
+    def for_users(self) -> Exception:
+        """Return its error for the user; the text of an unforeseen one says so, with its type."""
+        if is_foreseen(self.error):
+            return self.error
+        text = f"{_error_text(self.error)}: this is an error in Graycast or in the machine"
+        wrapped = GraycastError(text)
+        wrapped.__cause__ = self.error
+        return wrapped
+
+
+def _error_text(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if is_foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
 
 
 @runtime_checkable

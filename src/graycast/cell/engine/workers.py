@@ -4,14 +4,15 @@ from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import dataclass
 
-from ...base.errors import ConfigError, DeviceError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
+from ...dataset.set_aside import SetAside
 from ...rendering import choose_device
-from ...world.drop import prepare
+from ...world.drop import hull_notes, prepare
 from .job import Job, TaskResult
 from .pool import Failed, Here, Pool, make_all
 
+HOPELESS = 3  # If so many scenes are given up before any comes out, the rest would be, too.
 MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the process.
 
 
@@ -93,30 +94,39 @@ def make_missing(
     progress: ProgressMeter,
     on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
-) -> tuple[int, ...]:
+) -> tuple[SetAside, ...]:
     """Make the scenes that are missing, and hand over each as it ends.
 
-    The collision hulls of the job's parts are made first, once and not by every worker.
+    Every command that goes on where it was stopped does so here. A scene that is lost by the fault
+    of the machine is tried again, as in `make_all`; one that is given up is set aside and the
+    others are made. The collision hulls of the job's parts, and the kernels of several processes of
+    this machine, are made first, once and not by every worker.
 
     Args:
         what: of which kind the scenes are, for `progress`.
         total: how many there are with those that were there before.
         on_result, on_failed: take the results, which are written and shown.
+        progress: counts the scenes, and notes each part whose collision hulls are coarse.
 
     Returns:
-        The scenes that were given up.
+        The scenes that were given up, in the order of their numbers.
 
     Raises:
-        ConfigError, DeviceError: what serves no scene.
-        Exception: that of the last scene, where all were given up.
         GraycastError: as of `make_all`.
+        Exception: that of a scene, where none was there before and none came out, and all, or the
+            first `HOPELESS`, were given up.
     """
     done = total - len(missing)
     progress.count(what, done, total)
     if not missing:
         return ()
-    prepare(task.parts, progress=progress)
-    lost: list[int] = []
+    prepared = prepare(task.parts, progress=progress)
+    for note in hull_notes(task.parts, prepared):
+        progress.note(note)
+    if workers.engine == "local" and min(workers.count, len(missing)) > 1:
+        progress.stage("compiling the decoder, once on this machine")
+        task.compile_kernels()
+    lost: list[SetAside] = []
     with closing(open_pool(task, workers, scenes=len(missing), progress=progress)) as pool:
         for outcome in make_all(pool, missing):
             if isinstance(outcome, TaskResult):
@@ -124,11 +134,9 @@ def make_missing(
                 done += 1
                 progress.count(what, done, total)
                 continue
-            if isinstance(outcome.error, (ConfigError, DeviceError)):
-                raise outcome.error
-            on_failed(outcome)
             if outcome.final:
-                lost.append(outcome.scene_id)
-                if len(lost) == len(missing):
-                    raise outcome.error
-    return tuple(lost)
+                lost.append(outcome.set_aside())
+                if not done and len(lost) >= min(HOPELESS, len(missing)):
+                    raise outcome.for_users()
+            on_failed(outcome)
+    return tuple(sorted(lost, key=lambda scene: scene.scene_id))

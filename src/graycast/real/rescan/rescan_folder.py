@@ -37,8 +37,6 @@ from ...dataset.scene_folder import SCANNER, picture_name
 from ...dataset.seal import MANIFEST, SUMS, sha256
 from .source import Source, SourceImage
 
-SETASIDE = "set_aside.json"
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,15 +115,6 @@ class RescanFolder:
         for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
             for name, content in scene_records(self._records(scene_id)).items():
                 write_whole(self._scene(scene_id) / f"{name}.json", json_bytes(content))
-
-    def set_aside(self, reasons: Mapping[tuple[int, int], str]) -> None:
-        """Record which images this run gave up, and why; without any, remove the file."""
-        path = self.out / SETASIDE
-        if reasons:
-            named = {f"{scene:06d}/{image:06d}": why for (scene, image), why in reasons.items()}
-            write_whole(path, json_bytes(named))
-        else:
-            path.unlink(missing_ok=True)
 
     def _scene(self, scene_id: int) -> Path:
         return self.out / self.source.split / f"{scene_id:06d}"

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...base.errors import ConfigError, DatasetError, DecodeError, one_line
+from ...base.errors import ConfigError, DatasetError, DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
 from ...base.streams import image_seeds
@@ -21,7 +21,16 @@ from ...camera.decode import mean_shares, reason_shares
 from ...camera.picture import gray_picture
 from ...camera.scanner import Scanner, measure, take
 from ...cell.config import RenderSection, quality_of
-from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
+from ...cell.engine import (
+    ALONE,
+    HOPELESS,
+    Failed,
+    Job,
+    TaskResult,
+    WorkerRenderer,
+    Workers,
+    make_missing,
+)
 from ...cell.generate import described_scanner
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part
@@ -31,6 +40,7 @@ from ...dataset.json_text import plain
 from ...dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
 from ...dataset.records import FORMAT_VERSION, MM_PER_M
 from ...dataset.sample import LEAST_DECODED, Sample
+from ...dataset.set_aside import SetAsideFile
 from ..depth_file import read_intrinsics
 from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
@@ -39,7 +49,6 @@ from .staging import Staged, stage, with_camera
 _LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
 _NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim has the seed beside its options.
 _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim has what these files hold.
-_HOPELESS = 3  # If so many images are given up before any comes out, the rest would be, too.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,14 +234,15 @@ def rescan(
     wanted = source.images[: spec.images]
     reasons: list[dict[str, float]] = []
     part_reasons: list[dict[str, float]] = []
-    lost: dict[tuple[int, int], str] = {}
     scene_ids = sorted({scene_id for scene_id, _ in wanted})
     opened = open_rescan(Path(out), source, _claim(task), scene_ids=scene_ids, copies=spec.copies)
     with opened as folder:
         there = folder.finished().intersection(wanted)
         todo = [k for k, place in enumerate(wanted) if place not in there]
         if not there:
-            _refuse_hopeless(source, wanted[:_HOPELESS], scanner)
+            _refuse_hopeless(source, wanted[:HOPELESS], scanner)
+        aside = SetAsideFile(folder.out)
+        aside.forget(map(_name, folder.finished().union(wanted)))
 
         def keep(result: TaskResult) -> None:
             folder.write(wanted[result.scene_id], result.files)
@@ -241,15 +251,12 @@ def rescan(
             on_result(result)
 
         def give_up(failed: Failed) -> None:
-            on_failed(failed)
             if failed.final:
-                lost[wanted[failed.scene_id]] = one_line(failed.error)
-                folder.set_aside(lost)
-                if not reasons and not there and len(lost) >= _HOPELESS:
-                    raise failed.error
+                aside.add(_name(wanted[failed.scene_id]), failed.set_aside())
+            on_failed(failed)
 
         try:
-            make_missing(
+            lost = make_missing(
                 task,
                 todo,
                 what="images",
@@ -261,15 +268,19 @@ def rescan(
             )
         finally:
             folder.finish()
-        folder.set_aside(lost)
     return RescanSummary(
         written=len(reasons),
         there=len(there),
-        set_aside=lost,
+        set_aside={wanted[image.scene_id]: image.reason for image in lost},
         seconds=time.perf_counter() - start,
         reasons=mean_shares(reasons),
         part_reasons=mean_shares(part_reasons),
     )
+
+
+def _name(place: tuple[int, int]) -> str:
+    """Return the name of an image in `set_aside.json`."""
+    return "{:06d}/{:06d}".format(*place)
 
 
 def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:

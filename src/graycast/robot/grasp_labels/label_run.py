@@ -115,4 +115,4 @@ def label_dataset(
             on_result=keep,
             on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),
         )
-    return tuple(scenes[k].key for k in lost)
+    return tuple(scenes[one.scene_id].key for one in lost)

@@ -102,7 +102,7 @@ def pick(
 
     with open_picks(out, cell, seed=seed) as folder:
         finished = folder.finished()
-        return make_missing(
+        lost = make_missing(
             task,
             [bin_id for bin_id in range(bins) if bin_id not in finished],
             what="bins",
@@ -112,3 +112,4 @@ def pick(
             on_result=keep,
             on_failed=on_failed,
         )
+    return tuple(one.scene_id for one in lost)

@@ -223,4 +223,4 @@ def run_design(
             on_result=keep,
             on_failed=lambda failed: on_failed(*task.name(failed.scene_id), failed),
         )
-    return tuple("{}/{:03d}".format(*task.name(scene_id)) for scene_id in lost)
+    return tuple("{}/{:03d}".format(*task.name(heap.scene_id)) for heap in lost)

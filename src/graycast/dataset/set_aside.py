@@ -1,0 +1,81 @@
+"""`set_aside.json`: which scenes of a folder were given up, and why.
+
+A scene stays in it until a run makes it or tries it again, so that a run with fewer scenes forgets
+none.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from ..base.errors import DatasetError, GraycastError
+from ..base.folder import write_whole
+from .json_text import json_bytes
+from .safe_reading import Unreadable, read_json
+
+SETASIDE = "set_aside.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetAside:
+    """A scene that could not be made after so many tries: why, and where if nobody foresaw it."""
+
+    scene_id: int
+    tries: int
+    reason: str
+    traceback: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SetAsideFile:
+    """The `set_aside.json` of a folder; each scene has a name in it."""
+
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        return self.folder / SETASIDE
+
+    def forget(self, names: Iterable[str]) -> None:
+        """Remove scenes that are made, or that this run tries again.
+
+        Raises:
+            GraycastError: the file is damaged, or the disk refuses.
+        """
+        entries = self._read()
+        gone = entries.keys() & set(names)
+        self._write({name: entry for name, entry in entries.items() if name not in gone})
+
+    def add(self, name: str, scene: SetAside) -> None:
+        """Record a scene that is given up.
+
+        Raises:
+            GraycastError: the file is damaged, or the disk refuses.
+        """
+        entry = {
+            "reason": scene.reason,
+            "traceback": scene.traceback.splitlines(),
+            "tries": scene.tries,
+        }
+        self._write(self._read() | {name: entry})
+
+    def _read(self) -> dict[str, Any]:
+        if not self.path.exists():
+            return {}
+        try:
+            return read_json(self.path, dict[str, Any])
+        except Unreadable as error:
+            raise DatasetError(f"{self.path}: cannot be read ({error}): remove it") from error
+
+    def _write(self, entries: dict[str, Any]) -> None:
+        if entries:
+            write_whole(self.path, json_bytes(entries))
+            return
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise GraycastError(
+                f"{self.path}: cannot be removed ({error.strerror}): make the folder writable"
+            ) from error

@@ -32,7 +32,8 @@ def new_cell(
         name: of the folder, for the commands in its first lines.
         part: as it is read, to know its size.
         source: the keys of `parts` that say where it comes from.
-        surface: one of `MATERIALS`; None keeps the part's own material and density.
+        surface: one of `MATERIALS`; None keeps the part's own material, as of a mesh with a
+            texture. The part's own density is then written, too, if `source` is a mesh.
 
     Raises:
         ValueError: no material has that name.
@@ -49,6 +50,8 @@ def new_cell(
         keys.append(f"density_kg_m3: {density_kg_m3:g}")
         if shape_symmetry(part.mesh) != Symmetry():
             keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
+    elif "mesh" in source:
+        keys.append(f"density_kg_m3: {part.density_kg_m3:g}   # change it to that of your part")
     size = " x ".join(f"{1e3 * side:.0f}" for side in part.mesh.extent_m)
     room = ", ".join(f"{side:.2f}" for side in inner_m)
     cell, picture, dataset = (

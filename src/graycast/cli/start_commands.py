@@ -47,7 +47,7 @@ def add_first(commands) -> None:
     add_option(
         new, "--surface", str,
         "The name of the material of the mesh, such as steel-brushed; a wrong name lists them.",
-        "plastic", metavar="NAME",
+        None, usual="plastic, or the texture of the mesh", metavar="NAME",
     )  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def _write_cell(
     builtin: str | None = None,
     mesh: Path | None = None,
     unit: str | None = None,
-    surface: str = "plastic",
+    surface: str | None = None,
     scenes: int = 10,
 ) -> None:
     """Write the folder of a cell, whole or not at all.
@@ -106,7 +106,7 @@ def _write_cell(
     """
     from ..base.folder import new_folder
     from ..cell.new_cell import new_cell
-    from ..world.parts import builtin_part, load_part
+    from ..world.parts import builtin_part, files_of_mesh, load_part, material_preset
 
     if mesh is None:
         if unit is not None:
@@ -114,15 +114,23 @@ def _write_cell(
         assert builtin is not None  # one of the two is given
         part, source, own = builtin_part(builtin), {"builtin": builtin}, None
     else:
-        part, notes = load_part(mesh, unit=unit, density_kg_m3=1000.0, friction=0.4)
+        material = None if surface is None else material_preset(surface).material
+        part, notes = load_part(
+            mesh, unit=unit, material=material, density_kg_m3=1000.0, friction=0.4
+        )
         for note in notes:
             print(f"note: {mesh}: {note}")
+        if surface is None and part.material.texture is None:
+            surface = "plastic"
         source, own = {"mesh": mesh.name} | ({} if unit is None else {"unit": unit}), surface
     text = new_cell(folder.as_posix(), part, source, surface=own, scenes=scenes)
     with new_folder(folder) as out:
         (out / "cell.yaml").write_text(text, encoding="utf-8")
         if mesh is not None:
-            shutil.copyfile(mesh, out / mesh.name)
+            for file in (mesh, *files_of_mesh(mesh)):
+                copy = out / file.relative_to(mesh.parent)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, copy)
 
 
 def _doctor(options: argparse.Namespace) -> None:

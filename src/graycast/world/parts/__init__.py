@@ -2,6 +2,7 @@
 
 from .builtin import BUILTIN, builtin_part
 from .material_presets import MATERIALS, material_preset
+from .mesh_formats import files_of_mesh
 from .meshfile import load_mesh, load_part
 from .part import Grain, Material, Mesh, Part, Symmetry
 from .size import full_count, mass_kg, size_notes
@@ -15,6 +16,7 @@ __all__ = [
     "Part",
     "Symmetry",
     "builtin_part",
+    "files_of_mesh",
     "full_count",
     "load_mesh",
     "load_part",

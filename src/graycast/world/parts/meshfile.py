@@ -10,7 +10,10 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,6 +22,14 @@ from ...base.errors import MeshError
 from ...base.file_limits import refuse_large_size
 from ...base.frames import UNITS_M
 from .builtin import CREASE_RAD
+from .mesh_formats import (
+    STL_HEAD,
+    file_beside,
+    plain_stl,
+    refuse_other_format,
+    stl_bytes,
+    stl_count,
+)
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, welded
@@ -148,9 +159,13 @@ def read_surface(path: Path) -> RawMesh:
 
     suffix = path.suffix.lower()
     _check_file(path, suffix)
+    changed, notes = plain_stl(path) if suffix == ".stl" else (None, ())
+    source: Any = path if changed is None else BytesIO(changed)
     with _quiet():
         try:
-            scene = trimesh.load_scene(path, process=False)
+            scene = trimesh.load_scene(
+                source, file_type=suffix[1:], resolver=_resolver(path), process=False
+            )
             pieces = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
         # A broken file makes the reader fail in ways that no list of types covers
         # (IndexError, JSONDecodeError, struct.error, even ModuleNotFoundError).
@@ -163,7 +178,22 @@ def read_surface(path: Path) -> RawMesh:
             "it has no triangles; it may be incomplete or hold only points, so export it again "
             "as a mesh"
         )
-    return _surface(pieces, shares_vertices=suffix != ".stl")
+    surface = _surface(pieces, shares_vertices=suffix != ".stl")
+    return replace(surface, findings=(*notes, *surface.findings))
+
+
+def _resolver(path: Path):
+    """Return a resolver of the reader's that finds the same files as `files_of_mesh` does."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Beside(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            file = file_beside(path, name)
+            if file is None:
+                raise FileNotFoundError(name)
+            return file.read_bytes()
+
+    return Beside(str(path))
 
 
 def _check_file(path: Path, suffix: str) -> None:
@@ -188,16 +218,17 @@ def _check_file(path: Path, suffix: str) -> None:
             f"the file has {size / 1e6:.0f} MB, more than the {MAX_BYTES / 1e6:.0f} MB that a "
             f"mesh of {MAX_FACES} faces needs; decimate the mesh, or export smaller textures"
         )
+    refuse_other_format(path, suffix)
     if suffix == ".stl":
         _check_stl_count(path, size)
 
 
 def _check_stl_count(path: Path, size: int) -> None:
-    """A binary STL says in bytes 80 to 83 how many triangles of 50 bytes follow."""
+    """Refuse a binary STL whose head counts too many triangles, before they are read."""
     with path.open("rb") as stream:
-        head = stream.read(84)
-    count = int.from_bytes(head[80:84], "little")
-    if len(head) == 84 and size == 84 + 50 * count and count > MAX_FACES:
+        head = stream.read(STL_HEAD)
+    count = stl_count(head)
+    if len(head) == STL_HEAD and size == stl_bytes(head) and count > MAX_FACES:
         raise Refusal(too_many(count))
 
 

@@ -280,6 +280,33 @@ def test_every_file_that_is_named_has_its_digest(tmp_path, box):
         before = after
 
 
+def test_what_a_mesh_draws_on_has_digests(tmp_path):
+    """Another texture of a bin was once accepted while a dataset grew: no claim had it."""
+    clutter = {"mesh": "models/clutter.obj", "unit": "mm"}
+    path = write_cell(
+        tmp_path,
+        bin={"mesh": "models/bin.obj", "unit": "mm"},
+        domain={"kind": "randomized", "distractors": {"parts": [clutter]}},
+    )
+    texts = {"box.stl": "box"}
+    for name in ("bin", "clutter"):
+        texts[f"models/{name}.obj"] = f"mtllib {name}.mtl\n"
+        texts[f"models/{name}.mtl"] = f"newmtl a\nmap_Kd maps/{name}.png\n"
+        texts[f"models/maps/{name}.png"] = name
+    (tmp_path / "models/maps").mkdir(parents=True)
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    config = load_config(path)
+    before = file_digests(config, tmp_path)
+    assert before == {
+        name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()
+    }
+    for name in texts:
+        (tmp_path / name).write_text(texts[name] + "\n# other")
+        assert file_digests(config, tmp_path) != before
+        (tmp_path / name).write_text(texts[name])
+
+
 def test_no_other_setting_names_a_file():
     """A new one is added to the test above, and to the digests."""
     path_settings = set()

@@ -1,6 +1,7 @@
 """A cell: a configuration with its files read, which all scenes of a dataset share."""
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +16,7 @@ from ..camera.scanner import Scanner
 from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
-from ..world.parts import Part, size_notes
+from ..world.parts import Part, files_of_mesh, size_notes
 from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
@@ -318,7 +319,11 @@ def open_configured(
 
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
+    """Return the SHA-256 of every file that a configuration names, so that a change is noticed.
+
+    Among them are the materials and pictures that a mesh file draws on. Names are those of the
+    configuration, or begin with its folder of the mesh.
+    """
     named = [section.mesh for section in config.parts]
     named.append(config.bin.mesh)
     surfaces = [section.material for section in config.parts]
@@ -327,7 +332,11 @@ def file_digests(config: Config, folder: Path) -> dict[str, str]:
     named.append(config.light.environment.map)
     named += domain_files(config.domain, folder)
     digests = {}
-    for path in named:
-        if path is not None:
-            digests[str(path)] = hashlib.sha256((folder / path).read_bytes()).hexdigest()
+    for path in (path for path in named if path is not None):
+        base = (folder / path).parent
+        drawn_on = (
+            path.parent / os.path.relpath(file, base) for file in files_of_mesh(folder / path)
+        )
+        for one in (path, *drawn_on):
+            digests[str(one)] = hashlib.sha256((folder / one).read_bytes()).hexdigest()
     return digests

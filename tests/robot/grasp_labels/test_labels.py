@@ -1,15 +1,21 @@
 """Labels of plates where a hand calculation says what holds; and a dataset that gets labels."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
+from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, inverse, rigid
+from graycast.cell.config import Config
+from graycast.cell.resolve import file_digests
+from graycast.dataset.claim import described_values
+from graycast.dataset.json_text import plain
 from graycast.rig.pair import preset_rig
 from graycast.robot.grasp import CARRIED_M_S2, Cup, Grip, Jaws
-from graycast.robot.grasp_labels import Labelling
+from graycast.robot.grasp_labels import Labelling, stored_world
 from graycast.robot.grasp_labels.scene_labels import (
     _half_and_half,
     _label,
@@ -51,6 +57,28 @@ def world_of(tool, **options):
 @pytest.fixture(scope="module")
 def suction(robots):
     return world_of(SUCTION)
+
+
+def test_a_bin_that_changed_is_refused(tmp_path, monkeypatch):
+    """Labels of a run that goes on would else be of two bins."""
+    parts = [{"builtin": "toothpaste"}]
+    config = Config(rig="paper", parts=parts, bin={"mesh": "bin.stl", "unit": "mm"})
+    (tmp_path / "bin.stl").write_text("a bin")
+    settings = config.model_dump(mode="json", exclude={"scenes", "seed"})
+    claim = {
+        "config": settings | {"files": file_digests(config, tmp_path)},
+        "distractors": [],
+        "parts": [],
+        "rig": plain(described_values(preset_rig("paper"))),
+    }
+    dataset = SimpleNamespace(claim=claim, real=False, folder=tmp_path / "out")
+    box = Bin(inner_m=(0.4, 0.3, 0.15))
+    monkeypatch.setattr(stored_world, "resolve_bin", lambda *_: (box, ()))
+    monkeypatch.setattr(stored_world, "resolve_parts", lambda *_: ((), ()))
+    assert stored_world.read_stock(dataset, tmp_path).bin is box
+    (tmp_path / "bin.stl").write_text("another bin")
+    with pytest.raises(DatasetError, match=r"the bin's mesh .*bin\.stl has changed since"):
+        stored_world.read_stock(dataset, tmp_path)
 
 
 def heap_of(*T_world_part):

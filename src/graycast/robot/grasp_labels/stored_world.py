@@ -13,6 +13,7 @@ from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.config import Config, resolve_bin, resolve_parts
 from ...dataset.claim import BESIDE_CONFIG, part_digest, rig_of
 from ...dataset.example import pose_m
+from ...dataset.seal import sha256
 from ...dataset.stored import StoredDataset, StoredScene
 from ...rig.pair import Rig
 from ...world.drop import Body, make_bodies
@@ -63,7 +64,7 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
         files: the folder from which the configuration's paths start.
 
     Raises:
-        DatasetError: it tells nothing of physics, or its parts are not these any more.
+        DatasetError: it tells nothing of physics, or its parts or bin are not these any more.
         GraycastError: a file that the configuration names cannot be used.
     """
     claim = dataset.claim
@@ -92,7 +93,15 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
                 f"{dataset.folder}: part {record['name']} has changed since the dataset was made: "
                 "restore its files, or use the version of Graycast that made the dataset"
             )
-    return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
+    box, mesh = resolve_bin(config.bin, files)[0], config.bin.mesh
+    if mesh is not None and (
+        sha256((files / mesh).read_bytes()) != claim["config"]["files"].get(str(mesh))
+    ):
+        raise DatasetError(
+            f"{dataset.folder}: the bin's mesh {files / mesh} has changed since the dataset was "
+            "made: restore the file"
+        )
+    return Stock(bin=box, parts=parts, rig=rig_of(claim["rig"]))
 
 
 def make_world(

@@ -245,3 +245,15 @@ def test_masks_that_validate_refuses_are_not_trained_on(datasets, tmp_path, chan
     cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
     with pytest.raises(DatasetError, match=f"{message}.*: training needs"):
         open_examples(tmp_path / "train")[0]
+
+
+def test_the_sum_of_others_data_changes_with_their_annotations(datasets, tmp_path):
+    coco = datasets / "coco/annotations/instances_train.json"
+    for source, file in ((datasets / "ours/train", "000003/scene_gt.json"), (coco, None)):
+        copy = tmp_path / source.name
+        (shutil.copytree if source.is_dir() else shutil.copyfile)(source, copy)
+        before = open_examples(copy).content_sum()
+        assert before == open_examples(source).content_sum()
+        path = copy / file if file else copy
+        path.write_text(path.read_text() + "\n")
+        assert open_examples(copy).content_sum() != before

@@ -1,5 +1,6 @@
 """The same examples from the dataset and from every export of it."""
 
+import json
 import pickle
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from simulated_dataset import SCALE_MM, visible
 from graycast.base.errors import DatasetError
 from graycast.base.frames import inverse
 from graycast.dataset.export import Split
+from graycast.dataset.seal import OWN, SUMS, sealed
 from graycast.dataset.training import open_examples
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -49,6 +51,7 @@ class Absent(importlib.abc.MetaPathFinder):
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Absent())
+from graycast.dataset.seal import OWN, SUMS, sealed
 from graycast.dataset.training import open_examples
 
 read = [open_examples(Path(folder))[1] for folder in sys.argv[2:]]
@@ -184,3 +187,21 @@ def test_what_is_called_absent_is_not_found():
     )
     ended = subprocess.run([sys.executable, "-c", wrong, "x"], capture_output=True, text=True)
     assert ended.returncode == 1 and "No module named" in ended.stderr
+
+
+def test_the_sum_of_a_dataset_changes_with_its_files_and_not_with_its_seconds(master, tmp_path):
+    own = shutil.copytree(master, tmp_path / "own")
+    before = open_examples(own).content_sum()
+    assert before == open_examples(master).content_sum()
+    path = open_examples(own).origins[-1]
+    manifest = json.loads(path.read_text())
+    for change, alike in (({"timings": {"render_s": 99.0}}, True), ({"device": "abacus"}, False)):
+        changed = {k: v for k, v in (manifest | change).items() if k not in (SUMS, OWN)}
+        files = [(name, (path.parent / name).read_bytes()) for name in manifest[SUMS]]
+        *_, (name, content) = sealed(files, changed)
+        assert name == path.name
+        path.write_bytes(content)
+        assert (open_examples(own).content_sum() == before) == alike
+    path.unlink()
+    with pytest.raises(DatasetError):
+        open_examples(own).content_sum()

@@ -18,6 +18,7 @@ from graycast.cli import main
 from graycast.dataset.detections import Detections, read_results
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
+from graycast.learn.detect.detecting import PictureSelection
 from graycast.learn.study import Result, StudyRun, run_study, runs_of, study_runs, write_study
 from graycast.learn.study_file import EncodingSection, ModelSection, StudySpec, read_study
 from graycast.score.evaluate import labels_of, score
@@ -122,6 +123,38 @@ def test_the_mean_of_sets_is_more_certain_than_each():
     four = mean([normal(0.5, 0.04, seed) for seed in range(4)]).interval
     assert four.value == pytest.approx(0.5)
     assert (four.high - four.low) / 2 == pytest.approx(1.96 * 0.02, rel=0.06)
+
+
+def test_what_another_detector_found_or_in_other_data_is_found_again(tmp_path, monkeypatch):
+    """A dataset that was made again in its folder was scored by what was found in the old one."""
+    world, folder, calls = SimpleNamespace(split="all", as_real=False), tmp_path / "found", []
+    content = {"content": ["a"]}
+
+    def pictures(dataset, about, **_):
+        return PictureSelection(
+            examples=(), scene_ids=(0,), class_ids={}, record={"dataset": "own", **content}
+        )
+
+    def find(detector, selection, out, **_):
+        calls.append(out)
+        out.mkdir(exist_ok=True)
+        record = {"scene_ids": [0], **selection.record}
+        (out / "detect.json").write_text(json.dumps(record))
+
+    monkeypatch.setattr(study_runs, "pictures_of", pictures)
+    monkeypatch.setattr(study_runs, "detect", find)
+    monkeypatch.setattr(study_runs, "read_results", lambda *_: [])
+    (tmp_path / "detector.pt").write_bytes(b"one")
+
+    def number():
+        study_runs._detections(SimpleNamespace(about=None), tmp_path, world, folder)
+        return len(calls)
+
+    assert (number(), number()) == (1, 1)
+    content["content"] = ["b"]
+    assert (number(), number()) == (2, 2)
+    (tmp_path / "detector.pt").write_bytes(b"two")
+    assert (number(), number()) == (3, 3)
 
 
 def boxes_alone(folder, name):

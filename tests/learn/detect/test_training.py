@@ -3,12 +3,14 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,12 +27,12 @@ from graycast.cli import main
 from graycast.dataset.detections import read_results
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
-from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train
+from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train, training
 from graycast.learn.detect.detector import without_denormals
 from graycast.learn.detect.network import NetworkOutput
 from graycast.learn.detect.run import RunFolder
-from graycast.learn.detect.training import _shape
-from graycast.learn.detect.training_pictures import room_for
+from graycast.learn.detect.training import _settings, _shape
+from graycast.learn.detect.training_pictures import NO_AUGMENTATION, Augmentation, room_for
 from graycast.score.evaluate import labels_of, score
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -227,10 +229,68 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
 @pytest.mark.slow
 def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
     train([dataset], tmp_path / "run", SMALL)
-    with pytest.raises(GraycastError, match=r"is a run with .*choose another --out"):
+    with pytest.raises(
+        GraycastError, match=r"differs in trained\.settings\.seed \(0 there, 1 here\)"
+    ):
         train([dataset], tmp_path / "run", replace(SMALL, seed=1))
-    with pytest.raises(GraycastError, match=r"is a run with model .yolov3., and now it is"):
+    with pytest.raises(GraycastError, match=r"is a run that differs in .*choose another --out"):
         train([dataset], tmp_path / "run", replace(SMALL, model="mask-rcnn"))
+
+
+OTHER = {
+    "model": "mask-rcnn",
+    "input": "depth",
+    "backbone": "resnet18",
+    "longest_px": 129,
+    "holes": "zero",
+    "relief": False,
+    "range_m": (0.5, 1.0),
+    "epochs": 3,
+    "batch": 3,
+    "learning_rate": 1e-3,
+    "seed": 1,
+    "one_class": True,
+    "min_visibility": 0.2,
+    "patience": 11,
+    "split": Split(shares=(0.7, 0.3, 0.0), seed=1),
+    "augmentation": Augmentation(),
+    "device": "cpu",
+    "workers": 1,
+}
+
+
+def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
+    small = replace(SMALL, augmentation=NO_AUGMENTATION)
+    changed = {name: _settings(replace(small, **{name: value})) for name, value in OTHER.items()}
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "body.pth").write_text(name)
+    one, other = (
+        _settings(replace(small, weights=tmp_path / name / "body.pth")) for name in ("a", "b")
+    )
+    assert one != other  # two files of one name
+    changed["weights"] = one
+    assert set(changed) == {field.name for field in fields(TrainSpec)}
+    alike = {name for name, settings in changed.items() if settings == _settings(small)}
+    assert alike == {"device", "workers"}
+
+
+def test_a_training_does_not_go_on_with_data_that_have_changed(dataset, tmp_path):
+    """A dataset that was made again in the same folder was taken for the one of the first half."""
+    own = shutil.copytree(dataset, tmp_path / "own")
+    stop = SimpleNamespace(ended=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "_Training", lambda *_: stop)
+        patch.setattr(training, "load_detector", lambda *_, **words: stop)
+        train([own], tmp_path / "run", SMALL)
+        (tmp_path / "run/checkpoint.pt").write_bytes(b"half of it")
+        assert train([own], tmp_path / "run", SMALL) is stop
+        origin = open_examples(own, split="train", division=SMALL.split).origins[0]
+        manifest = json.loads(origin.read_text())
+        origin.write_text(json.dumps(manifest | {"manifest_sha256": 64 * "0"}))
+        words = r"differs in trained\.datasets\[0\]\.content\[0\] .* with the same data"
+        with pytest.raises(GraycastError, match=words):
+            train([own], tmp_path / "run", SMALL)
 
 
 @pytest.mark.slow

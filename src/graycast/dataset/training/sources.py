@@ -1,5 +1,6 @@
 """One reader for datasets, for their exports that hold examples, and for datasets of others."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +10,13 @@ from pathlib import Path
 from typing import final, overload
 
 from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
 from ..example import Example
 from ..export.options import FORMATS
 from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..places import CLAIM
+from ..seal import MANIFEST, OWN
 from ..stored import StoredDataset, open_dataset
 from .foreign import Foreign, is_foreign, open_foreign
 
@@ -34,6 +37,7 @@ class Examples(Sequence):
         categories: object ids and the parts' names.
         place_of: the scene of each picture, by the picture's number, its scanner's name, and its
             number among the scene's pictures by that scanner.
+        origins: the files that say what the examples are.
     """
 
     folder: Path
@@ -42,6 +46,30 @@ class Examples(Sequence):
     categories: Mapping[int, str]
     read: ReadOne
     place_of: Mapping[int, tuple[int, str, int]]
+    origins: tuple[Path, ...] = ()
+
+    def content_sum(self) -> str:
+        """Return a SHA-256 that changes with the data, so that a run does not go on with others.
+
+        The manifest of a scene of ours has the SHA-256 of each of its files, and is taken without
+        the seconds that it took.
+
+        Leaves out: pictures of others, and files of an export, that change while the annotations
+        or `export.json` beside them do not.
+
+        Raises:
+            DatasetError: a file is missing or damaged.
+        """
+        digest = hashlib.sha256()
+        try:
+            for path in self.origins:
+                content = path.read_bytes()
+                if path.name == MANIFEST and (own := parse_json(content).get(OWN)):
+                    content = own.encode()
+                digest.update(hashlib.sha256(content).digest())
+        except (OSError, ValueError, AttributeError) as error:
+            raise DatasetError(f"{path}: cannot be read ({error}): restore the file") from error
+        return digest.hexdigest()
 
     def __len__(self) -> int:
         return len(self.scene_ids)
@@ -95,6 +123,7 @@ def open_examples(
         categories={int(obj_id): name for obj_id, name in record.categories.items()},
         place_of={image_id: record.image(image_id) for image_id in scene_ids},
         read=_reader(record.format)(folder, split, record, scene_ids),
+        origins=(folder / RECORD,),
     )
 
 
@@ -113,6 +142,10 @@ def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Example
             for scene_id, place in [divmod(image_id, len(stored.images))]
         },
         read=partial(_stored_example, stored),
+        origins=tuple(
+            stored.folder / "train" / f"{scene_id:06d}" / MANIFEST
+            for scene_id in sorted({image_id // len(stored.images) for image_id in image_ids})
+        ),
     )
 
 
@@ -126,6 +159,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
         categories=foreign.categories,
         place_of=_places(foreign.scene_of),
         read=foreign.read,
+        origins=(path,) if path.is_file() else tuple(sorted(path.glob("[0-9]*/scene_*.json"))),
     )
 
 

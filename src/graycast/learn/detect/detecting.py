@@ -220,7 +220,12 @@ def pictures_of(
         examples=(replace(each, depth_m=None) for each in examples) if as_real else examples,
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
-        record={"dataset": str(folder), "as_real": as_real, **record},
+        record={
+            "dataset": str(folder),
+            "as_real": as_real,
+            "content": [each.content_sum() for each in sets],
+            **record,
+        },
     )
 
 

@@ -1,6 +1,5 @@
 """The folder of a training: its settings, progress and history."""
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from ...base.file_limits import parse_json
 from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...base.tables import records_csv
+from ...dataset.claim import difference
 from ...dataset.json_text import json_bytes
 
 RUN = "run.json"
@@ -101,13 +101,11 @@ class RunFolder:
         return lock
 
     def _compare(self, settings: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-        for key in sorted(settings.keys() | own.keys()):
-            if settings.get(key) != own.get(key):
-                raise GraycastError(
-                    f"{self.path}: is a run with {key} {_short(settings.get(key))}, and now it is "
-                    f"{_short(own.get(key))}: repeat the command that started it, or choose "
-                    "another --out"
-                )
+        if where := difference(settings, own, ""):
+            raise GraycastError(
+                f"{self.path}: is a run that differs in {where.removeprefix('.')}: repeat the "
+                "command that started it, with the same data, or choose another --out"
+            )
 
     @property
     def cache(self) -> Path:
@@ -153,14 +151,6 @@ class RunFolder:
         texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
         write_whole(self.path / _HISTORY, records_csv(texts).encode())
         _draw(rows, self.path / _CURVES)
-
-
-def _short(value: Any) -> str:
-    """The value, or its beginning with a digest that distinguishes two long values."""
-    text = json.dumps(value)
-    if len(text) <= 60:
-        return text
-    return f"{text[:40]}... ({hashlib.sha256(text.encode()).hexdigest()[:6]})"
 
 
 def _draw(rows: Sequence[Row], path: Path) -> None:

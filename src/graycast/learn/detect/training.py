@@ -1,9 +1,10 @@
 """Training of a detector: one loop for every network, which can be stopped and continued."""
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -13,6 +14,7 @@ import torch
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
+from ...dataset.claim import claimed_options
 from ...dataset.detections import WEIGHTS
 from ...dataset.export.split import Split
 from ...dataset.training import Examples
@@ -139,6 +141,7 @@ def train(
                     "folder": str(training.folder),
                     "train": list(training.scene_ids),
                     "val": list(validation.scene_ids),
+                    "content": [training.content_sum(), validation.content_sum()],
                 }
                 for training, validation in zip(train_sets, val_sets, strict=True)
             ],
@@ -159,11 +162,19 @@ def train(
 
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
-    """The settings that the weights depend on, without device and reading processes."""
-    settings = asdict(spec)
-    for name in ("device", "workers"):
-        del settings[name]
-    return settings | {"weights": None if spec.weights is None else spec.weights.name}
+    """Return the settings that the weights depend on, without device and reading processes."""
+    settings = claimed_options(spec, without=("device", "workers", "weights"))
+    if spec.weights is None:
+        return settings | {"weights": None}
+    return settings | {"weights": spec.weights.name, "weights_sha256": _file_sum(spec.weights)}
+
+
+def _file_sum(path: Path) -> str:
+    """Return the SHA-256 of a file of weights, which may be too large for the memory."""
+    if not path.is_file():
+        raise GraycastError(f"{path}: does not exist: give a file of weights")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:

@@ -9,9 +9,10 @@ from typing import final
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import RESULTS, Detections, read_results
+from ...dataset.detections import RESULTS, WEIGHTS, Detections, read_results
 from ...dataset.example import Example
 from ...dataset.json_text import json_bytes
+from ...dataset.seal import sha256
 from ...score.evaluate import Labels, Scores, labels_of, score
 from ...score.evaluate.intervals import BootstrapFigure, bootstrap, mean
 from ...score.evaluate.judging import KINDS
@@ -152,11 +153,15 @@ def _trained(
 def _detections(
     detector: Detector, dataset: Path, world: TestSection, folder: Path
 ) -> list[Detections]:
+    """Return what the detector beside a folder finds; again if it or the data have changed."""
     pictures = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
+    weights = sha256((folder.parent / WEIGHTS).read_bytes())
+    pictures = replace(pictures, record={**pictures.record, "weights": weights})
     record = parse_json(json_bytes({"scene_ids": pictures.scene_ids, **pictures.record}))
-    if not record.items() <= detection_record(folder).items():  # none, or of other scenes than now
+    before = detection_record(folder)  # Empty if there is none.
+    if any(key not in before or before[key] != value for key, value in record.items()):
         detect(detector, pictures, folder, drawings=4)
     return read_results(folder / RESULTS, pictures.scene_ids)
 

@@ -246,8 +246,8 @@ def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]
                 views[view.name] = (
                     ratio,
                     f"its {device} residual is {value_px:.3f} px, the median view has "
-                    f"{usual_px:.3f}: the board may have moved during its stack, or its pictures "
-                    "are blurred",
+                    f"{usual_px:.3f} (medians): the board may have moved during its stack, or its "
+                    "pictures are blurred",
                 )
     return views
 

@@ -192,3 +192,19 @@ def test_the_measured_noise_is_of_the_size_that_makers_state():
             assert 1 / 3 < here_m / claim.value_m < 3, name
         assert own.z_m == tuple(sorted(own.z_m))
         assert own.noise_m == tuple(sorted(own.noise_m))  # it grows with the distance
+
+
+@EVERY
+def test_a_projector_shines_in_the_band_of_its_wavelength(name):
+    """Symptom: the blue scanners may shine red, and brass, copper and coloured parts with them.
+
+    The bands stand for 610, 550 and 465 nm. White is the mean of all three.
+    """
+    entry, rig = shelf_entry(name), preset_rig(name)
+    assert rig.band_weights == entry.band_weights
+    assert sum(rig.band_weights) == pytest.approx(1)
+    if entry.light == "white":
+        assert np.ptp(rig.band_weights) == 0
+        return
+    nearest = int(np.abs(np.array([610e-9, 550e-9, 465e-9]) - entry.wavelength_m).argmin())
+    assert rig.band_weights == tuple(float(band == nearest) for band in range(3))

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import graycast
 from graycast.base.errors import DropError, GraycastError
 from graycast.cell.engine import SceneMaker
 from graycast.rig.optics import project
+from graycast.show.scenes import _in_order
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,37 @@ def test_a_cell_is_read_from_a_file_or_from_values(tmp_path):
     assert of_file.file_digests == of_values.file_digests
     with pytest.raises(GraycastError, match=r"box\.stl"):
         graycast.load_cell(graycast.load_config(path), folder=Path("elsewhere"))
+
+
+class PoolWithASlowScene:
+    """Workers that finish scene 0 only when nothing else is left to do."""
+
+    def __init__(self, workers):
+        self.workers, self.at_work, self.submitted = workers, [], 0
+
+    @property
+    def free(self):
+        return self.workers - len(self.at_work)
+
+    def submit(self, scene_id):
+        self.at_work.append(scene_id)
+        self.submitted += 1
+
+    def gather(self):
+        scene_id = max(self.at_work)
+        self.at_work.remove(scene_id)
+        return SimpleNamespace(scene_id=scene_id, shots=(scene_id,))
+
+    def close(self):
+        self.at_work.clear()
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_scenes_behind_a_slow_one_do_not_pile_up_in_memory(workers):
+    """Symptom: all later scenes, hundreds of MB each, wait for the first one."""
+    pool = PoolWithASlowScene(workers)
+    order = []
+    for (scene_id,) in _in_order(pool, 40):
+        order.append(scene_id)
+        assert pool.submitted - scene_id <= 2 * workers
+    assert order == list(range(40))

@@ -74,6 +74,30 @@ def test_every_metal_with_a_source_is_compared_with_it():
     assert with_source == {MATERIALS[name].material.base_color for name in INDICES}
 
 
+# Reflectance at 460, 470, 550 and 610 nm, as the measurements of physicallybased.info have it.
+REFLECTANCES = {
+    "cast-iron": (0.02685, 0.02687, 0.02650, 0.02685),
+    "rust": (0.02563, 0.02680, 0.06761, 0.15199),
+    "rubber": (0.02333, 0.02316, 0.02261, 0.02328),
+    "cardboard": (0.12575, 0.13060, 0.22421, 0.31028),
+    "paper": (0.90938, 0.91431, 0.80154, 0.81728),
+}
+
+
+@pytest.mark.parametrize("name", REFLECTANCES)
+def test_the_colour_of_what_is_no_metal_is_its_measured_reflectance(name):
+    """Symptom: rust might be blue. The colour has three digits; that of rubber is one grey."""
+    red, green, blue = MATERIALS[name].material.base_color
+    assert MATERIALS[name].material.metallic == 0
+    measured = np.array(REFLECTANCES[name])
+    assert np.abs(np.array([blue, green, red]) - [measured[:2].mean(), *measured[2:]]).max() < 6e-4
+
+
+def test_every_material_with_a_measured_colour_is_compared_with_it():
+    measured = {name for name, preset in MATERIALS.items() if "measured" in preset.source}
+    assert measured == set(REFLECTANCES)
+
+
 def resolved(words, own=None):
     return resolve_material(MaterialSection.model_validate(words), Path(), own=own)
 

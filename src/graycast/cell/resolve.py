@@ -16,7 +16,7 @@ from ..camera.scanner import Scanner
 from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
-from ..world.parts import Part, files_of_mesh, size_notes
+from ..world.parts import Part, files_of_mesh, glass_notes, size_notes
 from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
@@ -235,6 +235,7 @@ def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWA
         notes=(
             *notes,
             *size_notes(parts, box.inner_m),
+            *glass_notes(scene.parts + (domain.distractors if domain else ())),
             *bin_notes,
             *(domain.notes if domain else ()),
         ),

@@ -106,7 +106,7 @@ def _write_cell(
     """
     from ..base.folder import new_folder
     from ..cell.new_cell import new_cell
-    from ..world.parts import builtin_part, files_of_mesh, load_part, material_preset
+    from ..world.parts import builtin_part, files_of_mesh, glass_notes, load_part, material_preset
 
     if mesh is None:
         if unit is not None:
@@ -118,7 +118,7 @@ def _write_cell(
         part, notes = load_part(
             mesh, unit=unit, material=material, density_kg_m3=1000.0, friction=0.4
         )
-        for note in notes:
+        for note in (*notes, *glass_notes([part])):
             print(f"note: {mesh}: {note}")
         if surface is None and part.material.texture is None:
             surface = "plastic"

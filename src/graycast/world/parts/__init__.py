@@ -4,7 +4,7 @@ from .builtin import BUILTIN, builtin_part
 from .material_presets import MATERIALS, material_preset
 from .mesh_formats import files_of_mesh
 from .meshfile import load_mesh, load_part
-from .part import Grain, Material, Mesh, Part, Symmetry
+from .part import Grain, Material, Mesh, Part, Symmetry, glass_notes
 from .size import full_count, mass_kg, size_notes
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "builtin_part",
     "files_of_mesh",
     "full_count",
+    "glass_notes",
     "load_mesh",
     "load_part",
     "mass_kg",

@@ -1,6 +1,7 @@
 """A part: a mesh, a material, and the properties that physics and datasets need."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
@@ -295,3 +296,14 @@ class Part:
             material=self.material.scaled(factor),
             symmetry=Symmetry(discrete=discrete, continuous=continuous),
         )
+
+
+def glass_notes(parts: Iterable[Part]) -> tuple[str, ...]:
+    """Return a note for each part that is solid glass: its renders have too little light behind."""
+    return tuple(
+        f"the part {part.name} is solid glass: the projector's light does not reach what the "
+        "camera sees through it, so there is no depth behind; docs/explanation/limits.md has the "
+        "figure, and `transparent: thin` suits a thin wall"
+        for part in parts
+        if part.material.transparent == "solid"
+    )

@@ -100,6 +100,19 @@ def test_noisy_depth_has_the_noise_and_the_holes_that_it_says():
     assert not np.array_equal(rough, noisy(depth_m, seed=4), equal_nan=True)
 
 
+def test_two_pictures_of_one_seed_share_neither_noise_nor_holes():
+    """Picture 40 of a training had the noise of scene 40 of its validation, and so had all images
+    of one scene.
+    """
+    near, far = (np.full((120, 160), z_m, np.float32) for z_m in (0.6, 0.7))
+    a, b = noisy(near, seed=40) - near, noisy(far, seed=40) - far
+    both = np.isfinite(a) & np.isfinite(b)
+    assert abs(np.corrcoef(a[both], b[both])[0, 1]) < 4 / np.sqrt(both.sum())
+    share = np.isnan(a).mean() * np.isnan(b).mean()
+    assert (np.isnan(a) & np.isnan(b)).mean() < 5 * share
+    np.testing.assert_array_equal(noisy(near, seed=40) - near, a)
+
+
 def test_an_encoding_comes_back_from_json():
     encoding = deep(holes="far", relief=True)
     assert encoding_from({**asdict(encoding), "size_px": list(SIZE)}) == encoding

@@ -4,6 +4,7 @@ The encoding is stored with the weights, so that training and detection use the 
 """
 
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
@@ -173,11 +174,14 @@ def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int
 
 
 def noisy(depth_m: Float32[np.ndarray, "h w"], *, seed: int) -> Float32[np.ndarray, "h w"]:
-    """Perfect depth with the noise of most simulators: Gaussian of 1 mm, 5 % in round holes.
+    """Return perfect depth with the noise of most simulators: Gaussian of 1 mm, 5 % in round holes.
 
-    It serves for comparison only: its holes do not depend on the light.
+    It serves for comparison only: its holes do not depend on the light. The noise follows from the
+    seed and from the picture, so that two pictures of one seed, as images of one scene or those of
+    a training and of its validation, do not share it.
     """
-    rng = np.random.default_rng([seed, 0x6E6F6973])
+    picture = zlib.crc32(depth_m.tobytes())
+    rng = np.random.default_rng([seed, 0x6E6F6973, picture])
     rough = depth_m + rng.normal(0.0, _NOISY_SIGMA_M, depth_m.shape).astype(np.float32)
     low, high = _NOISY_HOLE_PX
     mean_area_px = math.pi * (low * low + low * high + high * high) / 3

@@ -2,7 +2,16 @@
 
 from itertools import product
 
-from graycast.base.streams import SCENE, scene_seeds
+import numpy as np
+
+from graycast.base.streams import (
+    SCENE,
+    device_seed,
+    image_seeds,
+    rescan_seeds,
+    scene_seeds,
+    station_stream,
+)
 
 
 def test_a_dataset_that_was_begun_goes_on_with_its_seeds():
@@ -29,3 +38,27 @@ def test_no_two_stages_scenes_or_datasets_share_a_seed():
 def test_without_a_domain_the_other_seeds_stay():
     seeds = scene_seeds(7, 3, domain=True)
     assert scene_seeds(7, 3, domain=False) == {k: v for k, v in seeds.items() if k != "domain"}
+
+
+def test_a_rescan_has_the_seeds_of_no_image_of_its_source_and_of_no_other_scanner():
+    """By default a dataset and its rescan have one seed, so their noise was the same."""
+    images = [
+        image_seeds(0, scene, station=station, image=image)
+        for scene, station, image in product(range(5), range(3), range(3))
+    ]
+    rescans = [
+        rescan_seeds(0, scene, scanner=name, image=image)
+        for scene, name, image in product(range(5), ("paper", "phoxi-m"), range(3))
+    ]
+    every = [seed for seeds in images + rescans for seed in seeds.values()]
+    assert len(set(every)) == len(every)
+
+
+def test_scanners_and_devices_have_numbers_of_their_own():
+    streams = [np.random.default_rng(5), *(station_stream(5, k) for k in range(1, 4))]
+    first = station_stream(5, 0).uniform(size=3).tolist()
+    drawn = [stream.uniform(size=3).tolist() for stream in streams]
+    assert drawn[0] == first
+    assert len({tuple(each) for each in drawn}) == len(drawn)
+    names = ("a", "b", "aa", "left", "right")
+    assert len({device_seed(seed, name) for seed in range(3) for name in names}) == 15

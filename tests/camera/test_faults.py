@@ -37,7 +37,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
     """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that. The stated
     sigma is the errors'."""
     z_m = tilted(tilt_deg, azimuth_deg)
-    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25))
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0)
     error_m = placed.depth_m - z_m
     near = np.s_[130:170, 140:180]
     law_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
@@ -50,7 +50,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
 def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
     """Oracle: the inverse squares of both deviations add up."""
     z_m, limit_m = tilted(tilt_deg, 90), 2e-4
-    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25, raster_limit_m=limit_m))
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25, raster_limit_m=limit_m), seed=0)
     near = np.s_[130:170, 140:180]
     free_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
     law_m = (free_m**-2 + limit_m**-2) ** -0.5
@@ -60,7 +60,7 @@ def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
 
 def test_the_raster_is_white_and_the_same_in_every_shot():
     z_m = tilted(45, 30)
-    once, again = (with_faults(depth_map(z_m), FaultSpec(raster_px=0.3)) for _ in range(2))
+    once, again = (with_faults(depth_map(z_m), FaultSpec(raster_px=0.3), seed=0) for _ in range(2))
     assert np.array_equal(once.depth_m, again.depth_m)
     share = ((once.depth_m - z_m) / once.sigma_m)[1:-1, 1:-1]
     for a, b in ((share[1:], share[:-1]), (share[:, 1:], share[:, :-1])):
@@ -69,7 +69,7 @@ def test_the_raster_is_white_and_the_same_in_every_shot():
 
 def test_errors_of_a_line_are_alike_in_size():
     """Oracle: the log-normal law, whose logarithm is a Gaussian convolved with white noise."""
-    factor = line_amplitude((400, 420), 0.5)
+    factor = line_amplitude((400, 420), 0.5, seed=0)
     assert (factor**2).mean() == pytest.approx(1, rel=0.03)
     log = np.log(factor)
     log -= log.mean()
@@ -79,7 +79,9 @@ def test_errors_of_a_line_are_alike_in_size():
         assert along == pytest.approx(math.exp(-r * r / 4), abs=0.03)
         assert abs((log[:, r:] * log[:, :-r]).mean() / 0.25) < 0.03
     z_m = tilted(50, 0)
-    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.2, raster_line_unevenness=0.5))
+    placed = with_faults(
+        depth_map(z_m), FaultSpec(raster_px=0.2, raster_line_unevenness=0.5), seed=0
+    )
     share = ((placed.depth_m - z_m) / placed.sigma_m)[1:-1, 1:-1]
     assert share.std() == pytest.approx(1, rel=0.03)  # what sigma tells
     size = np.abs(share) - np.abs(share).mean()
@@ -92,8 +94,8 @@ def test_where_light_is_even_a_place_is_nearer_to_the_middle():
     """Half the contrast of light moves the mean of a window half as far, and sigma tells it."""
     z_m = tilted(45, 0)
     contrast = np.where(np.arange(SHAPE[1]) < 160, 1.0, 0.5) * np.ones(SHAPE)
-    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), light_contrast=contrast)
-    whole = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25))
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0, light_contrast=contrast)
+    whole = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0)
     moved, alone = placed.depth_m - z_m, whole.depth_m - z_m
     assert np.allclose(moved[:, 160:], 0.5 * alone[:, 160:], rtol=0.01, atol=1e-6)
     assert np.array_equal(moved[:, :160], alone[:, :160])
@@ -105,14 +107,14 @@ def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9
     z_m[100:110, 100:110] = np.nan
-    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.3))
+    placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.3), seed=0)
     assert np.allclose(placed.depth_m, z_m, rtol=1e-6, equal_nan=True)
 
 
 def test_without_a_fault_the_map_is_the_same():
     depth = depth_map(tilted(45, 0))
     for off in (FaultSpec(), FaultSpec(raster_px=0.0), FaultSpec(raster_limit_m=1e-4)):
-        assert with_faults(depth, off) is depth
+        assert with_faults(depth, off, seed=0) is depth
 
 
 @pytest.mark.parametrize(("name", "value"), [("raster_px", 1.5), ("raster_limit_m", 0.0)])

@@ -1,7 +1,9 @@
-"""Which random numbers are independent: every stream of the package, by the seed that it is of.
+"""Random numbers that are independent: every stream of the package, by the seed that it is of.
 
 A stream is known by its number or by its place in a tuple, so that a change in one leaves the
-others as they were: new ones go last.
+others as they were: new ones go last. What belongs to one of several scanners has the scanner's
+place in the configuration, or its name, in its key: no two scanners share random numbers. The first
+one has those of a cell with one scanner.
 """
 
 from enum import IntEnum
@@ -11,6 +13,7 @@ import numpy as np
 # A dataset's seed has the first of these; each image of a scene has the second for itself.
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
+_RESCAN = 1 << 31  # It stands where an image has its scanner's place, which is never so large.
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
 EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these.
 
@@ -28,8 +31,23 @@ class CaptureStream(IntEnum):
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random numbers of a seed's stream: other keys give independent ones."""
+    """Return the random numbers of a seed's stream: other keys give independent ones."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def station_stream(seed: int, station: int) -> np.random.Generator:
+    """Return a scanner's own random numbers of a seed that all scanners share.
+
+    Args:
+        station: the scanner's place in the configuration; the first has the numbers of the seed.
+    """
+    return stream(seed, *([station] if station else []))
+
+
+def device_seed(seed: int, name: str) -> int:
+    """Return the seed of a device that is known by its name, from the seed of its model."""
+    own = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
+    return int(own.generate_state(1)[0])
 
 
 def scene_seeds(
@@ -58,6 +76,18 @@ def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[s
         first = scene_seeds(seed, scene_id)
         return {name: first[name] for name in OF_IMAGE}
     return _seeds(seed, (scene_id, station, image), OF_IMAGE)
+
+
+def rescan_seeds(seed: int, scene_id: int, *, scanner: str, image: int) -> dict[str, int]:
+    """Return the seeds of an image that another scanner takes of a stored scene.
+
+    They are those of no image of a dataset with the same seed, and of no other scanner's rescan.
+
+    Args:
+        scanner: the name of the rig, and of the source's camera if that has several.
+        image: the number of the image that is scanned again.
+    """
+    return _seeds(seed, (scene_id, _RESCAN, image, *scanner.encode()), OF_IMAGE)
 
 
 def _seeds(seed: int, key: tuple[int, ...], names: tuple[str, ...]) -> dict[str, int]:

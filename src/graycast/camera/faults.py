@@ -5,7 +5,7 @@ pixel. The point is right, but on a sloping surface its depth differs from the d
 of the pixel. On a steep surface such a scanner leaves out points whose depth is too different, so
 the error ends at a limit: in five real scans of a PhoXi it does (docs/measurements/twin.md).
 
-The positions are fixed, because they belong to the raster and not to a shot.
+The positions are fixed, because they belong to the raster of a device and not to a shot.
 
 A real picture has its device's faults already, so `scanner.measure`, which measures simulated
 pictures, is the only function that adds them.
@@ -30,7 +30,7 @@ from .decode import DepthMap
 from .sigma import with_depth_term
 
 STEEPEST = 0.02  # A surface rises by less than this share of its depth over two pixels.
-_SEED = 15  # It fixes the raster, and any number would do.
+_SEED = 15  # Any number would do. A device with the seed 0 has the numbers of this seed alone.
 _SMOOTHED = (4 * math.pi) ** -0.25  # A Gaussian of one pixel leaves this of white noise's sigma.
 
 
@@ -75,9 +75,10 @@ def with_faults(
     depth: DepthMap,
     spec: FaultSpec,
     *,
+    seed: int,
     light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
 ) -> DepthMap:
-    """The depth that a device with these faults gives for a filtered depth map.
+    """Return the depth that a device with these faults gives for a filtered depth map.
 
     It is that of a point `raster_px` (one sigma along each axis) from the pixel's centre, on the
     plane, in inverse depth, through both neighbours of a pixel along each axis; beside steps and
@@ -89,6 +90,7 @@ def with_faults(
 
     Args:
         depth: z and its standard deviation [m].
+        seed: of the device's raster.
         light_contrast: how uneven the light in each pixel is, as a share of that on a black
             surface: where a surface has an even light, as white paper has, the point lies nearer
             to the centre.
@@ -99,8 +101,8 @@ def with_faults(
     if not spec.raster_px:
         return depth
     shape, limit_m = depth.depth_m.shape, spec.raster_limit_m or math.inf
-    amplitude = line_amplitude(shape, spec.raster_line_unevenness or 0.0)
-    right, down = spec.raster_px * amplitude * places(shape)
+    amplitude = line_amplitude(shape, spec.raster_line_unevenness or 0.0, seed=seed)
+    right, down = spec.raster_px * amplitude * places(shape, seed=seed)
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
     spread_m = spec.raster_px * np.hypot(along, across) / inverse**2
@@ -110,22 +112,24 @@ def with_faults(
     return with_depth_term(measured, left * spread_m)
 
 
-def places(shape: tuple[int, ...]) -> Float[np.ndarray, "2 h w"]:
-    """Where each pixel's point lies, to the right and downwards, with a variance of one.
+def places(shape: tuple[int, ...], *, seed: int) -> Float[np.ndarray, "2 h w"]:
+    """Return where each pixel's point lies, to the right and downwards, with a variance of one.
 
     They are independent and even over a square.
     """
-    return np.sqrt(3) * np.random.default_rng(_SEED).uniform(-1, 1, (2, *shape))
+    return np.sqrt(3) * np.random.default_rng([_SEED, seed]).uniform(-1, 1, (2, *shape))
 
 
-def line_amplitude(shape: tuple[int, ...], unevenness: float) -> Float[np.ndarray, "h w"]:
-    """A factor of each pixel's place, by a log-normal law whose mean square is 1.
+def line_amplitude(
+    shape: tuple[int, ...], unevenness: float, *, seed: int
+) -> Float[np.ndarray, "h w"]:
+    """Return a factor of each pixel's place, by a log-normal law whose mean square is 1.
 
     Its logarithm has the standard deviation `unevenness`. It is independent between columns; along
     a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans,
     the sizes of errors are alike in this way: what makes them lies along the projector's lines.
     """
-    field = np.random.default_rng(_SEED + 1).standard_normal(shape)
+    field = np.random.default_rng([_SEED + 1, seed]).standard_normal(shape)
     field = ndimage.gaussian_filter1d(field, 1.0, axis=0, mode="wrap")
     return np.exp(unevenness * field / _SMOOTHED - unevenness**2)
 

@@ -16,11 +16,13 @@ PERCENTILE, TARGET = 98.0, 0.85  # The exposure puts this percentile at this sha
 def color_picture(
     scanner: Scanner, rendering: Rendering, *, denoiser: Denoiser | None, seed: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Lamps, environment and the projector's idle level, 8-bit sRGB, by a sensor per band.
+    """Return the picture of lamps, environment and the projector's idle level, in 8-bit sRGB.
+
+    The measuring sensor takes the bands one after the other.
 
     Args:
         denoiser: what takes the light's sampling noise off; None leaves it.
-        seed: of the sensors' noise.
+        seed: of the sensor's noise, which differs between the bands.
 
     Raises:
         ValueError: there is no light in the picture.

@@ -244,6 +244,7 @@ def measure(
     depth = with_faults(
         filter_depth(depth, scanner.filters, rig),
         scanner.faults,
+        seed=scanner.sensor.fpn_seed,
         light_contrast=light_contrast,
     )
     return codes, with_depth_term(depth, bend_m(depth))

@@ -7,8 +7,9 @@ stream (a hash of seed, frame and pixel), so the result depends on the seed alon
 number of threads. The fixed pattern has a seed of its own: it belongs to the sensor, not to a shot.
 
 Leaves out: non-linearity, blooming, lag, rows or columns in the fixed pattern, hot pixels, a dark
-current that differs from pixel to pixel, colour filters (each band of the colour picture is taken
-by a sensor of its own). The lens's falloff is the optics' business.
+current that differs from pixel to pixel, colour filters (the sensor takes the bands of the colour
+picture one after the other, so all of them have its fixed pattern). The falloff of the lens is part
+of the optics.
 """
 
 import math
@@ -37,7 +38,7 @@ class SensorSpec:
     """A linear sensor and the stop of the lens before it; the default is a 5-megapixel CMOS chip.
 
     The fixed patterns (`dsnu_e`, `prnu`) are white and follow from `fpn_seed` alone, so they are
-    the same in every capture.
+    the same in every capture. Two devices have two seeds.
     """
 
     pixel_pitch_m: Annotated[
@@ -88,8 +89,9 @@ class SensorSpec:
         int,
         Field(
             ge=0,
-            description="Seed of both fixed patterns, which belong to the "
-            "sensor and not to the scene.",
+            description="Seed of both fixed patterns and of the raster of faults, which belong to "
+            "the device and not to the scene. Without this key in the scanner's section, each "
+            "scanner after the first has a seed that follows from its name.",
         ),
     ] = 0
 

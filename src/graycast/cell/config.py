@@ -15,7 +15,7 @@ from ..base.file_limits import refuse_large_picture
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.settings import Level, Settings, read_settings
 from ..camera.decode import triangulation_axis
-from ..camera.rig_file import ScannerSections, named_scanner, with_sections
+from ..camera.rig_file import ScannerSections, named_scanner, own_device, with_sections
 from ..camera.scanner import Scanner
 from ..rendering import Quality
 from ..rendering.radiance import PathDepth, Samples
@@ -357,7 +357,7 @@ def resolve_scanner(config: Config, folder: Path) -> Scanner:
 
 
 def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner], ...]:
-    """Every scanner with its name, "" of the only one; with what its sections change.
+    """Return every scanner with its name, "" of the only one; with what its sections change.
 
     Raises:
         ConfigError: there is no such rig, or the code lacks the axis that is parallel to the
@@ -365,12 +365,14 @@ def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner],
     """
     if config.scanners is None:
         return (("", _resolved(config.rig, config, config.resolution, folder)),)
-    scanners = []
+    scanners: list[tuple[str, Scanner]] = []
     for entry in config.scanners:
         try:
             scanner = _resolved(entry.rig, entry, config.resolution, folder)
         except ConfigError as error:
             raise ConfigError(f"scanner {entry.name}: {error}") from error
+        if scanners:
+            scanner = own_device(scanner, entry, name=entry.name)
         scanners.append((entry.name, scanner))
     return tuple(scanners)
 

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from ..base.errors import ConfigError
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.streams import station_stream
 from ..camera.scanner import Scanner
 from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
@@ -42,6 +43,8 @@ from .views import (
     refuse_inside,
     refuse_outside,
 )
+
+_Poses = Callable[..., tuple[Pose, ...]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,17 +139,22 @@ def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
 
 
 def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
-    """Every image of one scene, scanner by scanner, as the configuration places them.
+    """Return every image of one scene, scanner by scanner, as the configuration places them.
 
     Args:
-        seed: of the scene's views; places that are listed do not follow from it.
+        seed: of the scene's views, of which each scanner has a stream of its own; places that are
+            listed do not follow from it.
 
     Raises:
         ConfigError: a camera or projector would be inside the bin.
     """
     images: list[Eye] = []
     box = bin_of(cell.scene)
-    for station, poses in _stations(cell, partial(places, seed=seed)):
+
+    def of_station(station: int) -> _Poses:
+        return partial(places, rng=station_stream(seed, station))
+
+    for station, poses in _stations(cell, of_station):
         (name, scanner), T_first_cam = cell.scanners[station], _mounting(cell, station)
         for image, T_world_cam in enumerate(poses):
             if T_first_cam is not None:
@@ -167,14 +175,13 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
 
 
 def _stations(
-    cell: Cell, poses_of: Callable[..., tuple[Pose, ...]]
+    cell: Cell, poses_of: Callable[[int], _Poses]
 ) -> Iterator[tuple[int, tuple[Pose, ...]]]:
-    """Each scanner's place in the configuration, and its poses: those of its views, if it has any.
-
-    With the same seed a dome has the same poses for all rigs.
+    """Yield each scanner's place in the configuration, and its poses: those of its views, if any.
 
     Args:
-        poses_of: called with views, the configuration's single view, rig and bin.
+        poses_of: gives the function of a scanner, by its place, that is called with its views, the
+            configuration's single view, rig and bin.
     """
     config, box = cell.config, bin_of(cell.scene)
     first: tuple[Pose, ...] = ()
@@ -183,11 +190,17 @@ def _stations(
         if T_first_cam is not None:
             poses = tuple(T_world_first @ T_first_cam for T_world_first in first)
         elif views is not None:
-            poses = poses_of(views, config.view, scanner.rig, box)
+            poses = poses_of(station)(views, config.view, scanner.rig, box)
         else:
             poses = (hang(config.view, scanner.rig, box) if station else cell.scene.T_world_cam,)
         first = first or poses
         yield station, poses
+
+
+def free_scanners(cell: Cell) -> tuple[str, ...]:
+    """Return the names of the scanners after the first that are not mounted on it."""
+    names = [name for name, _ in cell.scanners]
+    return tuple(name for i, name in enumerate(names) if i and _mounting(cell, i) is None)
 
 
 def _mounting(cell: Cell, station: int) -> Pose | None:
@@ -276,7 +289,7 @@ def reach_m(cell: Cell) -> float:
     rig that the domain allows. Only the table, which is infinite, lies deeper.
     """
     depths_m = []
-    for station, poses in _stations(cell, farthest):
+    for station, poses in _stations(cell, lambda _: farthest):
         rig = cell.scanners[station][1].rig
         scenes = (replace(cell.scene, rig=rig, T_world_cam=T) for T in poses)
         depths_m += [rig.far_m, *(deepest_m(cell.config.domain, scene) for scene in scenes)]

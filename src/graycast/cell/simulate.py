@@ -28,7 +28,7 @@ from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
 from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
-from .resolve import Cell, Eye, eyes, patterns_of
+from .resolve import Cell, Eye, eyes, free_scanners, patterns_of
 from .views import refuse_inside
 
 _PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
@@ -236,12 +236,15 @@ def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
     if cell.domain is None:
         return Variation(scene=scene, counts=counts, record={})
     rng = np.random.default_rng(seeds["domain"])
-    record = draw(cell.domain, scene, counts, rng)
+    record = draw(cell.domain, scene, counts, rng, scanners=free_scanners(cell))
     return vary(cell.domain, scene, counts, record)
 
 
 def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
-    """The world before each of a scene's eyes; a domain moves all of them by what it drew."""
+    """Return the world before each of a scene's eyes; a domain moves them by what it drew.
+
+    All images of a scanner are moved alike, and a mounted scanner moves with the first.
+    """
     first, *others = eyes(cell, seeds.get("views", 0))
     hung = [(first, variation.scene)]
     for eye in others:
@@ -250,7 +253,7 @@ def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple
             T_world_cam = hung[eye.image][1].T_world_cam @ eye.T_first_cam
         elif variation.record:
             nominal = replace(cell.scene, rig=rig, T_world_cam=T_world_cam)
-            T_world_cam = moved_place(nominal, variation.record)
+            T_world_cam = moved_place(nominal, variation.record, eye.sensor)
         where = f"domain.camera: image {eye.image} {eye.sensor}".rstrip()
         refuse_inside(T_world_cam, rig, bin_of(variation.scene), where)
         rig = rig if eye.station else variation.scene.rig

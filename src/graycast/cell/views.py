@@ -227,24 +227,29 @@ def how_many(views: tuple[ViewSection, ...] | Sampler | None) -> int:
 
 
 def places(
-    views: tuple[ViewSection, ...] | Sampler, view: ViewSection, rig: Rig, box: Bin, seed: int
+    views: tuple[ViewSection, ...] | Sampler,
+    view: ViewSection,
+    rig: Rig,
+    box: Bin,
+    *,
+    rng: np.random.Generator,
 ) -> tuple[Pose, ...]:
-    """`T_world_cam` of every image that a rig takes of one scene.
+    """Return `T_world_cam` of every image that a rig takes of one scene.
 
     Args:
         view: the configuration's single view, about which a jitter draws.
-        seed: of this scene's views; a list and a path do not look at it.
+        rng: the random numbers of this scanner in this scene; a list and a path need none.
 
     Raises:
         ConfigError: camera or projector would be inside the bin, or under its floor.
     """
     match views:
         case DomeSection():
-            poses = _on_dome(views, view, rig, box, np.random.default_rng(seed))
+            poses = _on_dome(views, view, rig, box, rng)
         case PathSection():
             poses = _along(views, rig, box)
         case JitterSection():
-            poses = _about(views, hang(view, rig, box), np.random.default_rng(seed))
+            poses = _about(views, hang(view, rig, box), rng)
         case _:
             poses = [hang(one, rig, box) for one in views]
     for number, T_world_cam in enumerate(poses):
@@ -336,7 +341,7 @@ def farthest(
             for tilt_deg, azimuth_deg in ends
         )
     if not isinstance(views, JitterSection):
-        return places(views, view, rig, box, 0)
+        return places(views, view, rig, box, rng=np.random.default_rng(0))
     T = hang(view, rig, box)
     back_m = FARTHEST_SIGMAS * np.sqrt(3) * views.position_m * T[:3, 2]
     most_rad = FARTHEST_SIGMAS * np.radians(views.rotation_deg)

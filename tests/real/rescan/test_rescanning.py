@@ -18,6 +18,7 @@ from pycocotools.coco import COCO
 from small_cell import shrunk
 
 from graycast.base.errors import ConfigError, DatasetError, DeviceError, GraycastError
+from graycast.base.streams import image_seeds, rescan_seeds
 from graycast.camera.decode import Reason
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
@@ -133,6 +134,14 @@ def test_pixels_that_the_projector_cannot_light_are_called_so(tmp_path):
     beside = np.all(sides, axis=0).any(axis=0).reshape(x.shape)
     assert 50 < beside.sum() < 0.9 * beside.size
     assert np.mean(reason[beside] == Reason.OUTSIDE_PROJECTOR) > 0.97  # stray light has codes
+
+
+def test_noise_is_neither_that_of_a_dataset_with_the_same_seed_nor_that_of_another_rig(dataset):
+    root, _, _ = dataset
+    for image, record in image_records(root / "out/train_pbr/000000").items():
+        assert record.seeds == rescan_seeds(3, 0, scanner=RIG.rig.name, image=image)
+        source = image_seeds(3, 0, station=0, image=image)
+        assert not set(record.seeds.values()) & set(source.values())
 
 
 def test_the_layout_is_that_of_the_original_and_links_to_it(dataset):

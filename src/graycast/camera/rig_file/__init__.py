@@ -2,7 +2,7 @@
 
 from .opencv import import_opencv, missing_distortions
 from .own import load_scanner, named_scanner, rig_schema, save_scanner, scanner_text
-from .scanner_sections import ScannerSections, with_sections
+from .scanner_sections import ScannerSections, own_device, with_sections
 
 __all__ = [
     "ScannerSections",
@@ -10,6 +10,7 @@ __all__ = [
     "load_scanner",
     "missing_distortions",
     "named_scanner",
+    "own_device",
     "rig_schema",
     "save_scanner",
     "scanner_text",

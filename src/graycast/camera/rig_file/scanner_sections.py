@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...base.errors import ConfigError
 from ...base.settings import ReadAs, Settings, changes_of
+from ...base.streams import device_seed
 from ...rig.pair import Rig
 from ...rig.pattern import CodeSpec
 from ..decode import DecodeSpec, FilterSpec
@@ -55,6 +56,20 @@ def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
     """
     parts = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
     return _scanner(scanner.rig, parts, sections)
+
+
+def own_device(scanner: Scanner, sections: ScannerSections, *, name: str) -> Scanner:
+    """Return a further scanner of a cell, whose fixed pattern and raster follow from its name.
+
+    A scanner whose section states `fpn_seed` keeps that. One without fixed pattern and raster is
+    left as it is, so that a dataset that was begun may be continued.
+    """
+    sensor = scanner.sensor
+    uneven = sensor.prnu or sensor.dsnu_e or scanner.faults.raster_px
+    if not uneven or sections.sensor.fpn_seed is not None:
+        return scanner
+    seed = device_seed(sensor.fpn_seed, name)
+    return replace(scanner, sensor=replace(sensor, fpn_seed=seed))
 
 
 def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:

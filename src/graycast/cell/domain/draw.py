@@ -4,7 +4,7 @@ Each section has a random stream of its own, so that a change in one leaves the 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from ...world.scene import Lamp, Scene, bin_of
 from .domain_sections import (
     AdaptedSection,
     CameraRanges,
+    CameraTolerance,
     ColorRanges,
     DistractorRanges,
     EnvironmentRanges,
@@ -37,7 +38,12 @@ Streams = Mapping[str, np.random.Generator]
 
 
 def draw(
-    domain: Domain, scene: Scene, counts: tuple[int, ...], rng: np.random.Generator
+    domain: Domain,
+    scene: Scene,
+    counts: tuple[int, ...],
+    rng: np.random.Generator,
+    *,
+    scanners: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Draw the values from which `vary` makes one scene.
 
@@ -45,24 +51,30 @@ def draw(
         scene: the cell.
         counts: how many of each of its parts.
         rng: a generator for this purpose only; it must be able to `spawn`.
+        scanners: the names of further scanners that stand by themselves, each of which has its own
+            deviation from its place: `cameras` in the record.
 
     Raises:
         ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
     """
     streams = dict(zip(DOMAIN, rng.spawn(len(DOMAIN)), strict=True))
+    further = dict(zip(scanners, streams["camera"].spawn(len(scanners)), strict=True))
     if isinstance(domain.section, AdaptedSection):
-        return _draw_adapted(domain.section, scene, streams)
-    return _draw_randomized(domain, domain.section, scene, counts, streams)
+        tolerances = domain.section.camera
+        record = _draw_adapted(domain.section, scene, streams)
+        own = {name: _mounting_error(tolerances, each) for name, each in further.items()}
+    else:
+        ranges = domain.section.camera
+        record = _draw_randomized(domain, domain.section, scene, counts, streams)
+        own = {} if ranges is None else {n: _camera(ranges, each) for n, each in further.items()}
+    return record | ({"cameras": own} if own else {})
 
 
 def _draw_adapted(section: AdaptedSection, scene: Scene, streams: Streams) -> dict[str, Any]:
-    camera, box, lamp, part = section.camera, section.bin, section.lamps, section.parts
+    box, lamp, part = section.bin, section.lamps, section.parts
     return {
         "kind": "adapted",
-        "camera": {
-            "offset_m": _off(streams["camera"], camera.position_m, 3),
-            "rotation_rad": _off(streams["camera"], np.radians(camera.rotation_deg), 3),
-        },
+        "camera": _mounting_error(section.camera, streams["camera"]),
         "bin": {
             "offset_m": _off(streams["bin"], box.position_m, 2),
             "turn_rad": _off(streams["bin"], np.radians(box.rotation_deg), 1)[0],
@@ -116,6 +128,13 @@ def _draw_randomized(
     room = PARTS_MAX - sum(shared_out(counts, record["count_share"]))
     record["distractors"] = _distractors(section.distractors, domain, room, streams["distractors"])
     return record
+
+
+def _mounting_error(camera: CameraTolerance, rng: np.random.Generator) -> dict[str, Any]:
+    return {
+        "offset_m": _off(rng, camera.position_m, 3),
+        "rotation_rad": _off(rng, np.radians(camera.rotation_deg), 3),
+    }
 
 
 def _camera(camera: CameraRanges, rng: np.random.Generator) -> dict[str, Any]:

@@ -57,11 +57,17 @@ def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) 
     )
 
 
-def moved_place(scene: Scene, record: Record) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam` of any rig of a cell, `scene` before it as configured, in a record's world."""
+def moved_place(scene: Scene, record: Record, scanner: str) -> Float[np.ndarray, "4 4"]:
+    """Return `T_world_cam` of a scanner in a record's world.
+
+    Args:
+        scene: the cell before the scanner as configured.
+        scanner: its name; the record has its own deviation, or it has that of the first scanner.
+    """
+    camera = record.get("cameras", {}).get(scanner, record.get("camera"))
     if record["kind"] == "adapted":
-        return _tolerated(scene.T_world_cam, record)
-    return moved_rig(scene, record["camera"]) if "camera" in record else scene.T_world_cam
+        return _tolerated(scene.T_world_cam, camera, record["bin"])
+    return moved_rig(scene, camera) if camera is not None else scene.T_world_cam
 
 
 def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
@@ -98,15 +104,17 @@ def _adapted(scene: Scene, record: Record) -> Scene:
     )
     return replace(
         scene,
-        T_world_cam=_tolerated(scene.T_world_cam, record),
+        T_world_cam=_tolerated(scene.T_world_cam, record["camera"], box),
         lamps=lamps,
         environment=environment,
         parts=parts,
     )
 
 
-def _tolerated(T_world_cam: Float[np.ndarray, "4 4"], record: Record) -> Float[np.ndarray, "4 4"]:
-    camera, T_world_cell = record["camera"], _world_of(record["bin"])
+def _tolerated(
+    T_world_cam: Float[np.ndarray, "4 4"], camera: Record, box: Record
+) -> Float[np.ndarray, "4 4"]:
+    T_world_cell = _world_of(box)
     if any(camera["offset_m"]) or any(camera["rotation_rad"]):
         turn = np.eye(3)
         for axis, angle_rad in zip("xyz", camera["rotation_rad"], strict=True):

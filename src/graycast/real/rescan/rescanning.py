@@ -14,7 +14,7 @@ import numpy as np
 from ...base.errors import ConfigError, DatasetError, DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
-from ...base.streams import image_seeds
+from ...base.streams import rescan_seeds
 from ...base.usage import rss_bytes
 from ...base.version import __version__
 from ...camera.decode import mean_shares, reason_shares
@@ -113,7 +113,9 @@ class ImageScanner:
             unknown_look=task.source.plain,
             background=task.source.background,
         )
-        seeds = image_seeds(task.seed, scene, station=0, image=number)
+        # Rescans by two rigs, or of the pictures of two cameras, do not share their noise.
+        name = f"{scanner.rig.name} {task.source.sensor}".rstrip()
+        seeds = rescan_seeds(task.seed, scene, scanner=name, image=number)
         sample, facts = self._scanned(staged, scanner, seeds, number)
         files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
         for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` is nobody else's.

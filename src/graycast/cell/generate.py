@@ -115,7 +115,7 @@ def generate(
     return Summary(
         written=len(reasons),
         found=scenes - len(todo),
-        set_aside=lost,
+        set_aside=tuple(scene.set_aside() for scene in lost),
         seconds=time.perf_counter() - start,
         reasons=mean_shares(reasons),
         part_reasons=mean_shares(part_reasons),

@@ -348,9 +348,9 @@ def file_digests(config: Config, folder: Path) -> dict[str, str]:
     digests = {}
     for path in (path for path in named if path is not None):
         base = (folder / path).parent
-        drawn_on = (
+        attached = (
             path.parent / os.path.relpath(file, base) for file in files_of_mesh(folder / path)
         )
-        for one in (path, *drawn_on):
+        for one in (path, *attached):
             digests[str(one)] = hashlib.sha256((folder / one).read_bytes()).hexdigest()
     return digests

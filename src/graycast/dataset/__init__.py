@@ -6,6 +6,7 @@ Each imports only from those above it:
     sample         the products of one image, as writers take them
     records        the JSON files as values: every key, its shape and its unit
     safe_reading   files that are read without trust in them
+    set_aside      which scenes of a folder were given up
     places         where things lie in the folder, and when a scene is finished
     detections     what a detector finds in a picture, and COCO's results files
     coco           annotations of COCO: masks as run lengths

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
-from ...dataset.set_aside import SetAside
 from ...rendering import choose_device
 from ...world.drop import hull_notes, prepare
 from .job import Job, TaskResult
@@ -94,7 +93,7 @@ def make_missing(
     progress: ProgressMeter,
     on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
-) -> tuple[SetAside, ...]:
+) -> tuple[Failed, ...]:
     """Make the scenes that are missing, and hand over each as it ends.
 
     Every command that goes on where it was stopped does so here. A scene that is lost by the fault
@@ -126,7 +125,7 @@ def make_missing(
     if workers.engine == "local" and min(workers.count, len(missing)) > 1:
         progress.stage("compiling the decoder, once on this machine")
         task.compile_kernels()
-    lost: list[SetAside] = []
+    lost: list[Failed] = []
     with closing(open_pool(task, workers, scenes=len(missing), progress=progress)) as pool:
         for outcome in make_all(pool, missing):
             if isinstance(outcome, TaskResult):
@@ -135,7 +134,7 @@ def make_missing(
                 progress.count(what, done, total)
                 continue
             if outcome.final:
-                lost.append(outcome.set_aside())
+                lost.append(outcome)
                 if not done and len(lost) >= min(HOPELESS, len(missing)):
                     raise outcome.for_users()
             on_failed(outcome)

@@ -273,7 +273,7 @@ def rescan(
     return RescanSummary(
         written=len(reasons),
         there=len(there),
-        set_aside={wanted[image.scene_id]: image.reason for image in lost},
+        set_aside={wanted[image.scene_id]: image.set_aside().reason for image in lost},
         seconds=time.perf_counter() - start,
         reasons=mean_shares(reasons),
         part_reasons=mean_shares(part_reasons),

@@ -18,6 +18,8 @@ from graycast.cli import main
 from graycast.dataset.detections import Detections, read_results
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
+from graycast.learn import study_file
+from graycast.learn.detect import Detector
 from graycast.learn.detect.detecting import PictureSelection
 from graycast.learn.study import Result, StudyRun, run_study, runs_of, study_runs, write_study
 from graycast.learn.study_file import EncodingSection, ModelSection, StudySpec, read_study
@@ -127,7 +129,10 @@ def test_the_mean_of_sets_is_more_certain_than_each():
 
 def test_what_another_detector_found_or_in_other_data_is_found_again(tmp_path, monkeypatch):
     """A dataset that was made again in its folder was scored by what was found in the old one."""
-    world, folder, calls = SimpleNamespace(split="all", as_real=False), tmp_path / "found", []
+    world = study_file.TestSection(datasets=(tmp_path,))
+    folder, calls = tmp_path / "found", []
+    detector = object.__new__(Detector)
+    object.__setattr__(detector, "about", None)
     content = {"content": ["a"]}
 
     def pictures(dataset, about, **_):
@@ -147,7 +152,7 @@ def test_what_another_detector_found_or_in_other_data_is_found_again(tmp_path, m
     (tmp_path / "detector.pt").write_bytes(b"one")
 
     def number():
-        study_runs._detections(SimpleNamespace(about=None), tmp_path, world, folder)
+        study_runs._detections(detector, tmp_path, world, folder)
         return len(calls)
 
     assert (number(), number()) == (1, 1)

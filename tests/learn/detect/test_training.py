@@ -28,7 +28,7 @@ from graycast.dataset.detections import read_results
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
 from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train, training
-from graycast.learn.detect.detector import without_denormals
+from graycast.learn.detect.detector import Detector, without_denormals
 from graycast.learn.detect.network import NetworkOutput
 from graycast.learn.detect.run import RunFolder
 from graycast.learn.detect.training import _settings, _shape
@@ -278,13 +278,13 @@ def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
 def test_a_training_does_not_go_on_with_data_that_have_changed(dataset, tmp_path):
     """A dataset that was made again in the same folder was taken for the one of the first half."""
     own = shutil.copytree(dataset, tmp_path / "own")
-    stop = SimpleNamespace(ended=True)
+    stop, detector = SimpleNamespace(ended=True), object.__new__(Detector)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "_Training", lambda *_: stop)
-        patch.setattr(training, "load_detector", lambda *_, **words: stop)
+        patch.setattr(training, "load_detector", lambda *_, **words: detector)
         train([own], tmp_path / "run", SMALL)
         (tmp_path / "run/checkpoint.pt").write_bytes(b"half of it")
-        assert train([own], tmp_path / "run", SMALL) is stop
+        assert train([own], tmp_path / "run", SMALL) is detector
         origin = open_examples(own, split="train", division=SMALL.split).origins[0]
         manifest = json.loads(origin.read_text())
         origin.write_text(json.dumps(manifest | {"manifest_sha256": 64 * "0"}))

@@ -1,7 +1,6 @@
 """Labels of plates where a hand calculation says what holds; and a dataset that gets labels."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from graycast.cell.config import Config
 from graycast.cell.resolve import file_digests
 from graycast.dataset.claim import described_values
 from graycast.dataset.json_text import plain
+from graycast.dataset.stored import StoredDataset
 from graycast.rig.pair import preset_rig
 from graycast.robot.grasp import CARRIED_M_S2, Cup, Grip, Jaws
 from graycast.robot.grasp_labels import Labelling, stored_world
@@ -71,7 +71,15 @@ def test_a_bin_that_changed_is_refused(tmp_path, monkeypatch):
         "parts": [],
         "rig": plain(described_values(preset_rig("paper"))),
     }
-    dataset = SimpleNamespace(claim=claim, real=False, folder=tmp_path / "out")
+    dataset = StoredDataset(
+        folder=tmp_path / "out",
+        claim=claim,
+        categories={},
+        scene_ids={"train": ()},
+        sizes_px={"": (48, 64)},
+        images=(("", 0),),
+        holds=frozenset(),
+    )
     box = Bin(inner_m=(0.4, 0.3, 0.15))
     monkeypatch.setattr(stored_world, "resolve_bin", lambda *_: (box, ()))
     monkeypatch.setattr(stored_world, "resolve_parts", lambda *_: ((), ()))

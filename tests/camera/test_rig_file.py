@@ -101,7 +101,7 @@ def same(a, b):
 def awkward_rig(seed):
     """Numbers whose shortest decimal form needs all 17 digits, or an exponent."""
     rng = np.random.default_rng(seed)
-    rig = preset_rig("phoxi-s")
+    rig = preset_rig("like-phoxi-s")
     distortion = (-1 / 30, 1e-17 / 7, 1e-3 / 7, -(2**-40) / 3, 5e-324)
     turn = Rotation.from_euler("yxz", rng.uniform(-0.3, -0.1, 3))  # towards what the camera sees
     T_cam_proj = rigid(turn.as_matrix(), rng.uniform([0.1, -0.02, -0.02], [0.15, 0.02, 0.02]))
@@ -124,9 +124,9 @@ def test_presets_survive_the_file(tmp_path, name):
 
 def test_saving_leaves_one_file_and_no_other(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
-    save_scanner(preset("phoxi-s"), tmp_path / "rig.yaml")
+    save_scanner(preset("like-phoxi-s"), tmp_path / "rig.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
-    assert load_scanner(tmp_path / "rig.yaml").rig.name == "phoxi-s"
+    assert load_scanner(tmp_path / "rig.yaml").rig.name == "like-phoxi-s"
 
 
 def test_a_file_says_where_the_projector_stands_in_camera_coordinates(tmp_path):
@@ -437,7 +437,7 @@ BAD_RIGS = {
 def test_a_bad_rig_file_is_refused_by_file_key_and_remedy(tmp_path, case):
     change, message = BAD_RIGS[case]
     path = tmp_path / "rig.yaml"
-    save_scanner(preset("phoxi-s"), path)
+    save_scanner(preset("like-phoxi-s"), path)
     content = yaml.safe_load(path.read_text())
     change(content)
     path.write_text(yaml.safe_dump(content))
@@ -480,7 +480,7 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
     save_scanner(Scanner(rig=rig), tmp_path / "mine.yaml")
     assert same(named_scanner("mine.yaml", folder=tmp_path).rig, rig)
     assert same(named_scanner(str(tmp_path / "mine.yaml"), folder=Path("elsewhere")).rig, rig)
-    assert same(named_scanner("phoxi-m", folder=tmp_path), preset("phoxi-m"))
+    assert same(named_scanner("like-phoxi-m", folder=tmp_path), preset("like-phoxi-m"))
     assert named_scanner("paper", folder=tmp_path, resolution="full").rig.camera.width_px == 2064
 
 
@@ -490,7 +490,7 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
         (
             "phoxi-z",
             "low",
-            "no rig 'phoxi-z': choose one of paper, phoxi-s, phoxi-m, phoxi-l, .*, or",
+            "no rig 'phoxi-z': choose one of paper, like-phoxi-s, like-phoxi-m, .*, or",
         ),
         ("gone.yaml", "low", "gone.yaml: no such file"),
         ("paper", "medium", "no resolution 'medium': choose one of small, low, full"),

@@ -23,9 +23,9 @@ from graycast.rig.pair import (
 
 # baseline [m], toe-in of either axis [deg], range [m], and the camera's focal length at 2064 px.
 PHOXI = {
-    "phoxi-s": (0.230, 15.45, 0.384, 0.520, 2246.0),
-    "phoxi-m": (0.350, 11.75, 0.458, 1.118, 2269.0),
-    "phoxi-l": (0.550, 9.45, 0.870, 2.150, 2263.0),
+    "like-phoxi-s": (0.230, 15.45, 0.384, 0.520, 2246.0),
+    "like-phoxi-m": (0.350, 11.75, 0.458, 1.118, 2269.0),
+    "like-phoxi-l": (0.550, 9.45, 0.870, 2.150, 2263.0),
     "paper": (0.350, 11.75, 0.458, 1.118, 2269.0),
 }
 EVERY = pytest.mark.parametrize("name", PHOXI)
@@ -88,7 +88,7 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
 
 def test_the_best_depth_stays_in_the_working_range_where_the_axes_cross_beyond_it():
     """The axes of this rig cross at 0.859 m."""
-    rig = preset_rig("phoxi-m")
+    rig = preset_rig("like-phoxi-m")
     assert best_depth_m(replace(rig, far_m=0.7)) == 0.7
     assert best_depth_m(replace(rig, near_m=1.0)) == 1.0
 
@@ -110,7 +110,7 @@ def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_colum
 
     Both devices are equally far from there, so the cut moves by distance / f / sin(angle).
     """
-    rig = preset_rig("phoxi-m")
+    rig = preset_rig("like-phoxi-m")
     z_m = best_depth_m(rig)
     expected = z_m / rig.projector.fx_px / math.sin(rig.axes_angle_rad)
     assert depth_per_line_m(rig, z_m, "column") == pytest.approx(expected, rel=1e-6)
@@ -161,7 +161,7 @@ def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, til
 
 def test_the_image_of_a_tilted_rig_has_y_down():
     """A rig that stands towards -y and looks north: what is higher is higher in the picture."""
-    rig = preset_rig("phoxi-m")
+    rig = preset_rig("like-phoxi-m")
     T_world_cam = place(rig, target_m=np.zeros(3), distance_m=0.9, tilt_rad=0.5, azimuth_rad=0.0)
     above = transform_points(inverse(T_world_cam), np.array([[0.0, 0, 0], [0, 0, 0.1]]))
     y = above[:, 1] / above[:, 2]
@@ -193,7 +193,7 @@ def test_a_baseline_in_millimetres_is_noticed():
 
 
 def test_an_unknown_preset_lists_those_there_are():
-    with pytest.raises(ValueError, match="paper, phoxi-s, phoxi-m, phoxi-l"):
+    with pytest.raises(ValueError, match="paper, like-phoxi-s, like-phoxi-m, like-phoxi-l"):
         preset_rig("phoxi-z")
     with pytest.raises(ValueError, match="small, low, full"):
         preset_rig("paper", "medium")
@@ -254,7 +254,7 @@ def test_impossible_light_is_refused(change, message):
 
 def test_a_rig_of_another_baseline_looks_at_the_target():
     """Oracle: both axes, as lines, pass through the point before the middle of the baseline."""
-    rig = aimed(preset_rig("phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
+    rig = aimed(preset_rig("like-phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
     assert rig.baseline_m == pytest.approx(0.3)
     assert rig.axes_angle_rad == pytest.approx(2 * np.arctan(0.15 / 1.2))
     middle = rig.T_cam_proj[:3, 3] / 2
@@ -264,7 +264,7 @@ def test_a_rig_of_another_baseline_looks_at_the_target():
     assert np.linalg.norm(crossing - middle) == pytest.approx(1.2)
 
 
-@pytest.mark.parametrize("name", ["phoxi-s", "phoxi-m", "phoxi-l"])
+@pytest.mark.parametrize("name", ["like-phoxi-s", "like-phoxi-m", "like-phoxi-l"])
 def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
     rig = preset_rig(name, "small")
     same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
@@ -291,7 +291,7 @@ def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
 
 def test_the_roll_of_a_devices_picture_stays():
     """A projector that is rolled about its own axis is so after turning, too."""
-    rig = preset_rig("phoxi-m", "small")
+    rig = preset_rig("like-phoxi-m", "small")
     roll = rigid(axis_rotation("z", 0.3), np.zeros(3))
     rolled = replace(rig, T_cam_proj=rig.T_cam_proj @ roll)
     turned, plain = (aimed(r, baseline_m=0.2, distance_m=0.9).T_cam_proj for r in (rolled, rig))

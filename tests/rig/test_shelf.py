@@ -176,7 +176,7 @@ def test_what_is_no_coded_light_is_refused_with_the_reason(name, reason):
 
 @pytest.mark.parametrize("name", ["customized", "like-zivid-3", "oval", "structured-light"])
 def test_other_names_are_offered_those_there_are(name):
-    assert f"no rig {name!r}: choose one of paper, phoxi-s" in no_rig(name)
+    assert f"no rig {name!r}: choose one of paper, like-phoxi-s" in no_rig(name)
 
 
 def test_the_measured_noise_is_of_the_size_that_makers_state():

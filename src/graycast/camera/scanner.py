@@ -17,7 +17,7 @@ from ..rendering import PathNoise, Radiance
 from ..rig.optics import points
 from ..rig.pair import BINNING, PRESETS, Rig, preset_rig
 from ..rig.pattern import AXES, Code, CodeSpec
-from ..rig.shelf import shelf_entry
+from ..rig.shelf import current_name, shelf_entry
 from .decode import (
     CodeMap,
     DecodeSpec,
@@ -298,12 +298,13 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     is blurred a little, and it has speckle and the faults of a real device.
 
     Args:
-        name: one of `rig.pair.PRESETS`.
+        name: one of `rig.pair.PRESETS`, or a former name of one.
         resolution: 'small', 'low' or 'full', see `rig.pair.preset_rig`.
 
     Raises:
         ValueError: no such preset or resolution.
     """
+    name = current_name(name)
     rig = preset_rig(name, resolution)
     if name == "paper":
         return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
@@ -360,8 +361,8 @@ _LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # our choice: a mirror's picture has shar
 # Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
 # In the middle of its range, at 1.51 m, it gives like-phoxi-l the temporal noise that the maker
-# states without a distance (docs/measurements/accuracy.md); at 1.24 m it gives two thirds. Over this
-# length it is independent from pixel to pixel, as most noise of those scans is.
+# states without a distance (docs/measurements/accuracy.md); at 1.24 m it gives two thirds of that.
+# Over this length it is independent from pixel to pixel, as most noise of those scans is.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}

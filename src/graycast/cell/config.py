@@ -19,6 +19,7 @@ from ..camera.rig_file import ScannerSections, named_scanner, own_device, with_s
 from ..camera.scanner import Scanner
 from ..rendering import Quality
 from ..rendering.radiance import PathDepth, Samples
+from ..rig.shelf import RigName
 from ..world.bins import Up, load_bin
 from ..world.drop import DropLimits
 from ..world.parts import Material, Part
@@ -190,7 +191,7 @@ class Config(ScannerSections):
         description="The material of the table on which the bin stands. Without this key, it "
         "is matt grey.",
     )
-    rig: str = Field("paper", description="The name of a preset, or a rig file.")
+    rig: RigName = Field("paper", description="The name of a preset, or a rig file.")
     resolution: Literal["small", "low", "full"] = Field(
         "low",
         description="The size of a preset: 516 x 386, 1032 x 772 or 2064 x 1544 pixels.",

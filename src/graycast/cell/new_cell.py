@@ -16,7 +16,8 @@ from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .views import ViewSection, hang
 
-RIGS = ("phoxi-s", "phoxi-m", "phoxi-l")  # They go from the smallest field to the largest.
+# They go from the smallest field to the largest.
+RIGS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l")
 BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
 BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.

@@ -17,6 +17,7 @@ from ..base.settings import Level, Positive, PositiveSpan, Settings, SpanOf, Vec
 from ..camera.rig_file import ScannerSections
 from ..rig.optics import Optics, rays
 from ..rig.pair import Rig, place, standoff_m
+from ..rig.shelf import RigName
 from ..world.scene import Bin
 
 Pose = Float[np.ndarray, "4 4"]
@@ -169,7 +170,7 @@ class ScannerEntry(ScannerSections):
     name: str = Field(
         description="The name of the scanner, which is part of its file names, as in rgb_NAME."
     )
-    rig: str = Field("paper", description="The name of a preset, or a rig file.")
+    rig: RigName = Field("paper", description="The name of a preset, or a rig file.")
     T_first_cam: tuple[float, ...] | None = Field(
         None,
         description="The pose of its camera in the frame of the first scanner's camera, with which "

@@ -37,7 +37,7 @@ is set aside, set_aside.json states the reason, and the exit code is 1."""
 def add_rescan(commands) -> None:
     rescan = add_command(
         commands, "rescan", _rescan, "Add scanner depth to a dataset that others made.",
-        example="lm/train_pbr --rig phoxi-m --out out/lm_sl", more=RESCAN,
+        example="lm/train_pbr --rig like-phoxi-m --out out/lm_sl", more=RESCAN,
         when_stopped=f"the finished images are kept; {CONTINUE}",
     )  # fmt: skip
     add_option(

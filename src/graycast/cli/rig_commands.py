@@ -45,13 +45,13 @@ def add_commands(commands) -> None:
     _add_list(group)
     show = add_command(
         group, "show", _show, "Print the properties of a rig, and draw it.",
-        example="phoxi-m --out rig.png",
+        example="like-phoxi-m --out rig.png",
     )  # fmt: skip
     add_rig(show)
     add_png(show)
     write = add_command(
         group, "write", _write, "Write a preset as a rig file, which can then be edited.",
-        example="phoxi-m --out rig.yaml",
+        example="like-phoxi-m --out rig.yaml",
     )  # fmt: skip
     add_rig(write)
     add_out(write, "The YAML file to write.")
@@ -59,7 +59,7 @@ def add_commands(commands) -> None:
     _add_pictures(group)
     certify = add_command(
         group, "certify", _certify, "Measure the accuracy of a virtual scanner.",
-        example="phoxi-l --out out/sheet",
+        example="like-phoxi-l --out out/sheet",
         more="The scanner measures virtual artefacts: planes, spheres and ball bars.",
     )  # fmt: skip
     add_rig(certify)

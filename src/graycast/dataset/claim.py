@@ -20,6 +20,7 @@ from ..camera.scanner import ExposureSpec
 from ..camera.sensor import SensorSpec
 from ..rig.optics import Optics
 from ..rig.pair import Rig
+from ..rig.shelf import with_current_names
 from ..world.parts import Part
 from .json_text import plain
 from .records import FORMAT_VERSION
@@ -223,7 +224,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
         known = content["fingerprint"]
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error
-    if known != claim["fingerprint"]:
+    if known != claim["fingerprint"] and not _same_by_current_names(content, claim):
         where = next(
             (
                 place
@@ -236,6 +237,14 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
             f"{path.parent} holds a dataset of another configuration, which differs in {where}: "
             "choose another folder, or remove this one"
         )
+
+
+def _same_by_current_names(content: Mapping[str, Any], claim: Mapping[str, Any]) -> bool:
+    """Whether two claims are the same except for former names of rigs, and neither was changed."""
+    if content["fingerprint"] != fingerprint(content):
+        return False
+    one, other = (parse_json(with_current_names(json.dumps(c))) for c in (content, claim))
+    return fingerprint(one) == fingerprint(other)
 
 
 def difference(a: Any, b: Any, where: str) -> str | None:

@@ -22,7 +22,7 @@ from ..base.frames import (
 from ..base.settings import Level, Positive, Share, Vector, check_fields
 from .optics import Optics, in_picture, project, rays
 from .pattern import AXES, Axis
-from .shelf import NAMES, no_rig, shelf_entry
+from .shelf import NAMES, current_name, no_rig, shelf_entry
 
 
 def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
@@ -210,7 +210,7 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
     neither intrinsics nor resolution; it names the PhoXi M and L.
 
     Args:
-        name: one of `PRESETS`.
+        name: one of `PRESETS`, or a name that one of them had in an earlier version.
         resolution: 'full' has all pixels of the camera, 'low' a quarter of them and 'small' a
             sixteenth: of a PhoXi 2064 x 1544, 1032 x 772 and 516 x 386.
 
@@ -219,8 +219,9 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
     """
     if resolution not in RESOLUTIONS:
         raise ValueError(f"no resolution {resolution!r}: choose one of {', '.join(RESOLUTIONS)}")
+    name = current_name(name)
     if name == "paper":
-        phoxi = preset_rig("phoxi-m", resolution)
+        phoxi = preset_rig("like-phoxi-m", resolution)
         return replace(phoxi, name=name, band_weights=(1 / 3, 1 / 3, 1 / 3), picture_level=0.25)
     if name not in PRESETS:
         raise ValueError(no_rig(name))

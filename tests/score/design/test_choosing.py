@@ -31,7 +31,7 @@ def placed(setting: Setting) -> Placed:
     view = SimpleNamespace(distance_m=0.85, tilt_deg=8.0, azimuth_deg=0.0)
     cell = SimpleNamespace(
         config=SimpleNamespace(view=view),
-        scene=SimpleNamespace(rig=SimpleNamespace(name="phoxi-m")),
+        scene=SimpleNamespace(rig=SimpleNamespace(name="like-phoxi-m")),
     )
     placement = object.__new__(Placed)
     object.__setattr__(placement, "setting", setting)
@@ -120,9 +120,9 @@ def test_the_sentence_says_what_to_buy_and_where_to_put_it():
     rows = [row("fine", [0.92, 0.91, 0.93]), row("gray", [0.80, 0.79, 0.81])]
     text = sentences(spec(layouts=3), rows)
     assert text.startswith(
-        "PhoXi-M at 0.85 m tilted 8 degrees with the code fine measures 92.0% (95 % interval 89.5% "
-        "to 94.5%) of the open surface of the parts, with a sigma of 0.20 mm and a bias of "
-        "-0.03 mm. It resolves features from 3.0 mm and takes 0.50 s a scan. "
+        "The rig like-phoxi-m at 0.85 m tilted 8 degrees with the code fine measures 92.0% (95 % "
+        "interval 89.5% to 94.5%) of the open surface of the parts, with a sigma of 0.20 mm and a "
+        "bias of -0.03 mm. It resolves features from 3.0 mm and takes 0.50 s a scan. "
         "Most of what it misses is "
         "6.0% in the shadow of parts and 2.0% too dark. Of the 2 settings it measures most."
     )

@@ -38,7 +38,7 @@ def write_study(folder: Path, *without: str, cell=None, **changes) -> Path:
 def test_a_sweep_is_all_combinations_and_a_study_is_all_sweeps(tmp_path):
     sweeps = [
         {"distance_m": [0.6, 0.9], "tilt_deg": [0, 20]},
-        {"rig": ["rig.yaml", "phoxi-m"], "baseline_m": [0.2], "code": ["gray"]},
+        {"rig": ["rig.yaml", "like-phoxi-m"], "baseline_m": [0.2], "code": ["gray"]},
     ]
     settings = settings_of(read_design(write_study(tmp_path, sweeps=sweeps)))
     assert [setting.name for setting in settings] == [
@@ -47,7 +47,7 @@ def test_a_sweep_is_all_combinations_and_a_study_is_all_sweeps(tmp_path):
         "0.9m_tilt0",
         "0.9m_tilt20",
         "rig_baseline0.2m_gray",
-        "phoxi-m_baseline0.2m_gray",
+        "like-phoxi-m_baseline0.2m_gray",
     ]
     assert Setting().name == "cell"
 
@@ -84,8 +84,9 @@ def test_a_setting_hangs_its_rig_where_it_says(tmp_path):
 def test_every_key_of_a_setting_reaches_its_cell(tmp_path):
     sweeps = [
         {
-            "rig": ["phoxi-m"], "resolution": ["small"], "baseline_m": [0.2], "distance_m": [0.7],
-            "azimuth_deg": [90], "code": ["gray"], "exposure": ["two"], "bin": ["low"],
+            "rig": ["like-phoxi-m"], "resolution": ["small"], "baseline_m": [0.2],
+            "distance_m": [0.7], "azimuth_deg": [90], "code": ["gray"], "exposure": ["two"],
+            "bin": ["low"],
         }
     ]  # fmt: skip
     bins = {"low": {"inner_m": [0.3, 0.2, 0.05]}}

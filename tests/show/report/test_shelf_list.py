@@ -78,22 +78,26 @@ def test_those_with_a_large_field_at_one_metre_are_listed():
     """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and less than an XL's
     nearest place is away. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
     listed = names(field_m=(0.6, 0.4), at_m=1.0)
-    assert {"phoxi-m", "phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(listed)
-    assert not {"phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(listed)
+    assert {"like-phoxi-m", "like-phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(
+        listed
+    )
+    assert not {"like-phoxi-s", "like-phoxi-xs", "like-phoxi-xl", "like-mech-eye-nano"} & set(
+        listed
+    )
     assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
 
 
 def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_between(monkeypatch):
     """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
-    own = measured().scanners["phoxi-m"]
+    own = measured().scanners["like-phoxi-m"]
     for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
-        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(noise_m)
+        assert stored_noise_m("like-phoxi-m", z_m) == pytest.approx(noise_m)
     assert stored_noise_m("paper", 1.0) is None
     square = own.model_copy(update={"noise_m": tuple(1e-4 * z_m**2 for z_m in own.z_m)})
-    table = measured().model_copy(update={"scanners": {"phoxi-m": square}})
+    table = measured().model_copy(update={"scanners": {"like-phoxi-m": square}})
     monkeypatch.setattr(shelf_list, "measured", lambda: table)
     for z_m in (0.3, 0.6, 0.9, 1.5):
-        assert stored_noise_m("phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
+        assert stored_noise_m("like-phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
 
 
 def test_a_stricter_wish_leaves_fewer():

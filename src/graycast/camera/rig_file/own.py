@@ -15,7 +15,7 @@ from ...base.frames import rigid
 from ...base.settings import Settings, check_settings, parse_yaml, read_text, section_of
 from ...rig.optics import Optics
 from ...rig.pair import PRESETS, RESOLUTIONS, Rig
-from ...rig.shelf import no_rig
+from ...rig.shelf import current_name, no_rig
 from ..scanner import Scanner, preset
 from .checks import build_optics, build_rig, check_rotation, is_file_storage
 from .scanner_sections import ScannerSections, scanner_of
@@ -119,7 +119,7 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
     """The scanner that a configuration means by `rig: text`.
 
     Args:
-        text: a name in `PRESETS`, or a rig file, relative to `folder`.
+        text: a name in `PRESETS`, a former name of one, or a rig file, relative to `folder`.
         folder: where the configuration lies.
         resolution: of a preset; a file states its own.
 
@@ -129,6 +129,7 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
     if resolution not in RESOLUTIONS:
         choices = ", ".join(RESOLUTIONS)
         raise ConfigError(f"resolution: no resolution {resolution!r}: choose one of {choices}")
+    text = current_name(text)
     if text in PRESETS:
         return preset(text, resolution)
     path = folder / text

@@ -17,14 +17,14 @@ from ...base.settings import Finite, Positive, PositiveSpan, Settings, check_set
 from ..optics import Optics
 
 SHELF = (
-    *("phoxi-s", "phoxi-m", "phoxi-l", "like-phoxi-xs", "like-phoxi-xl"),
+    *("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "like-phoxi-xs", "like-phoxi-xl"),
     *("like-zivid-2-m70", "like-zivid-2-l100", "like-zivid-2plus-m60", "like-zivid-2plus-mr60"),
     *("like-zivid-2plus-m130", "like-zivid-2plus-mr130", "like-zivid-2plus-l110"),
     *("like-zivid-2plus-lr110", "like-mech-eye-nano", "like-mech-eye-pro-s"),
     *("like-mech-eye-pro-m", "lab-lightcrafter-4500", "office-projector"),
 )
 MEASURED = "measured.yaml"
-NAMES = ("paper", *SHELF)  # the paper's rig is phoxi-m in another light
+NAMES = ("paper", *SHELF)  # the paper's rig is like-phoxi-m in another light
 _OTHER_PRINCIPLES: Mapping[str, tuple[str, ...]] = {
     "stereo of two cameras": (
         *("realsense", "d405", "d415", "d435", "d455", "ensenso", "orbbec", "gemini", "zed", "oak"),

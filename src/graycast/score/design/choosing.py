@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from ...rig.pair import PRESETS
 from ..evaluate.intervals import LEVEL, Interval
 from .point_fates import FATES, Fate
 from .setting import Placed
@@ -157,7 +156,7 @@ def where(row: SettingFigures) -> str:
     """A setting in words: the rig, its place, and what else was chosen."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
-    words = _title(rig.name)
+    words = f"The rig {rig.name}"
     if setting.baseline_m is not None:
         words += f" with a baseline of {setting.baseline_m:g} m"
     if view.distance_m is not None:
@@ -173,12 +172,6 @@ def where(row: SettingFigures) -> str:
     }
     named = [f"{key} {value}" for key, value in names.items() if value is not None]
     return f"{words} with {_list(named)}" if named else words
-
-
-def _title(rig: str) -> str:
-    """The name that is printed on a preset's device; any other rig by its own name."""
-    known = rig in PRESETS and rig.startswith("phoxi-")
-    return f"PhoXi-{rig[6:].upper()}" if known else f"The rig {rig}"
 
 
 _WORDS = {

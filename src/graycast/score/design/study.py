@@ -12,7 +12,7 @@ from ...base.settings import Level, Positive, ReadAs, Settings, read_settings
 from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
 from ...cell.config import BinSection
 from ...rig.pair import PRESETS
-from ...rig.shelf import no_rig
+from ...rig.shelf import RigName, no_rig
 from ...world.parts.part_sections import MaterialSection
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
@@ -24,7 +24,7 @@ Tilt = Annotated[float, Field(ge=0, le=80)]
 class SweepSection(Settings):
     """All combinations of its lists are compared. A key that is left out is as in the cell."""
 
-    rig: tuple[str, ...] | None = Field(
+    rig: tuple[RigName, ...] | None = Field(
         None, min_length=1, description="The rigs: names of presets, or rig files."
     )
     resolution: tuple[Literal["small", "low", "full"], ...] | None = Field(

@@ -12,7 +12,15 @@ from graycast.camera.scanner import Scanner, preset
 from graycast.rendering import Renderer, open_renderer
 from graycast.rig import shelf
 from graycast.rig.pair import Rig
-from graycast.rig.shelf import MEASURED, SHELF, ShelfEntry, ShelfFigures, measured, shelf_entry
+from graycast.rig.shelf import (
+    MEASURED,
+    SHELF,
+    ShelfEntry,
+    ShelfFigures,
+    class_of,
+    measured,
+    shelf_entry,
+)
 from graycast.score.metrology import Certificate, Scope, certify
 from graycast.show.report import draw_rig
 from graycast.show.report.rig_picture import common_field
@@ -90,24 +98,33 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> list[str]:
     near_m, far_m = rig.near_m, rig.far_m
     fields = " / ".join(_field(rig, z_m) for z_m in (near_m, (near_m + far_m) / 2, far_m))
     field_text = "; ".join(
-        f"{_size(claim.size_m)} at {claim.at_m:g} m; {_field(rig, claim.at_m)}"
-        for claim in claims.fields
+        f"{_size(claim.size_m)} at {claim.at_m:g} m{_mark(name, f'claims.fields.{i}.size_m')}; "
+        f"{_field(rig, claim.at_m)}"
+        for i, claim in enumerate(claims.fields)
     )
     at_m = claims.noise.at_m if claims.noise else entry.focus_m or (near_m + far_m) / 2
     noise_m = stored_noise_m(name, at_m)
     noise = "?" if own is None or noise_m is None else f"{1e3 * noise_m:.3f}"
-    says = f"{1e3 * claims.noise.value_m:g}" if claims.noise else "?"
+    says = "?"
+    if claims.noise:
+        says = f"{1e3 * claims.noise.value_m:g}{_mark(name, 'claims.noise.value_m')}"
     spacing = "?"
     if claims.spacing:
         here_m = claims.spacing.at_m / rig.camera.fx_px
-        spacing = f"{1e3 * claims.spacing.value_m:g}; {1e3 * here_m:.3f}"
-    share = f"{claims.trueness_share:.1%}" if claims.trueness_share else "?"
-    share = f"{1e3 * claims.trueness.value_m:g} mm" if claims.trueness else share
-    span = "-".join(f"{value:g}" for value in claims.capture_s) if claims.capture_s else "?"
+        mark = _mark(name, "claims.spacing.value_m")
+        spacing = f"{1e3 * claims.spacing.value_m:g}{mark}; {1e3 * here_m:.3f}"
+    share = span = "?"
+    if claims.trueness_share:
+        share = f"{claims.trueness_share:.1%}{_mark(name, 'claims.trueness_share')}"
+    if claims.trueness:
+        share = f"{1e3 * claims.trueness.value_m:g} mm{_mark(name, 'claims.trueness.value_m')}"
+    if claims.capture_s:
+        span = "-".join(f"{value:g}" for value in claims.capture_s)
+        span += _mark(name, "claims.capture_s")
     return [
         f"`{name}`",
-        f"{near_m:g}-{far_m:g}",
-        f"{rig.camera.width_px} x {rig.camera.height_px}",
+        f"{near_m:g}-{far_m:g}{_mark(name, 'near_m', 'far_m')}",
+        f"{rig.camera.width_px} x {rig.camera.height_px}{_mark(name, 'camera.size_px')}",
         fields,
         field_text or "?",
         f"{says}; {noise} at {at_m:.2f} m",
@@ -115,6 +132,11 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> list[str]:
         f"{share}; {'?' if own is None else f'{round(own.length_error, 5) + 0.0:.3%}'}",
         f"{span}; {'?' if own is None else f'{own.capture_s:.2f}'}",
     ]
+
+
+def _mark(name: str, *keys: str) -> str:
+    """The first letter of the class of a stated number, in parentheses."""
+    return f" ({class_of(name, *keys)[0]})"
 
 
 def _field(rig: Rig, z_m: float) -> str:

@@ -177,19 +177,28 @@ def _add_pictures(group) -> None:
 
 
 def _list(options: argparse.Namespace) -> None:
+    from ..rig.shelf import LEGEND
     from ..show.report import shelf_lines
 
     if options.at is None and (options.field, options.noise) != (None, None):
         raise GraycastError("--field and --noise apply at a distance: add --at")
     lines = shelf_lines(field_m=options.field, at_m=options.at, noise_m=options.noise)
-    print("\n".join(lines) or "no scanner with a name fits: graycast rig list prints them all")
+    if not lines:
+        print("no scanner with a name fits: graycast rig list prints them all")
+        return
+    print("\n".join([*lines, LEGEND, "graycast rig show NAME prints the source of each number."]))
 
 
 def _show(options: argparse.Namespace) -> None:
+    from ..rig.pair import PRESETS
+    from ..rig.shelf import current_name, source_lines
     from ..show.report import describe_rig, draw_rig
 
     rig = resolve_rig_option(options).rig
     print(describe_rig(rig))
+    if rig.name in PRESETS and current_name(options.rig) == rig.name:
+        print("where its numbers are from:")
+        print("\n".join(f"  {line}" for line in source_lines(rig.name)))
     if options.out is not None:
         draw_rig(rig, options.out)
         print(options.out)

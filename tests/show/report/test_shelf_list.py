@@ -1,5 +1,6 @@
 """What sees a field at a distance, with a certain noise."""
 
+import re
 from dataclasses import replace
 from itertools import product
 
@@ -10,7 +11,7 @@ from backends import slow
 from graycast.base.frames import inverse, transform_points
 from graycast.rig.optics import Optics, in_picture, project
 from graycast.rig.pair import PRESETS, Rig, preset_rig
-from graycast.rig.shelf import measured
+from graycast.rig.shelf import class_of, measured, source_lines, stated_numbers
 from graycast.show.report import shelf_list
 from graycast.show.report.shelf_list import covers, shelf_lines, stored_noise_m
 
@@ -107,3 +108,33 @@ def test_a_stricter_wish_leaves_fewer():
     for name in listed[1]:
         assert stored_noise_m(name, 1.0) <= 1.5e-4
         assert preset_rig(name).near_m <= 1.0 <= preset_rig(name).far_m
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_each_stated_number_of_a_line_has_the_class_of_its_source(name):
+    """Oracle: the words of each number; without the classes, a number's own unit follows it."""
+    line = next(line for line in shelf_lines() if line.split()[0] == name)
+    kinds = {
+        r" m \[(\w+)\], baseline": class_of(name, "near_m", "far_m"),
+        r" mm \[(\w+)\]": class_of(name, "baseline_m", "t_cam_proj_m"),
+        r" pixels \[(\w+)\]": class_of(name, "camera.size_px"),
+    }
+    assert {words: re.findall(words, line) for words in kinds} == {
+        words: [kind] for words, kind in kinds.items()
+    }
+
+
+def test_a_scanner_s_sources_are_printed_with_each_number():
+    lines = source_lines("like-mech-eye-nano")
+    assert lines[0].startswith("Like the Mech-Mind Mech-Eye NANO, and not the maker's product")
+    baseline = next(line for line in lines if line.startswith("baseline_m: "))
+    assert baseline.startswith("baseline_m: 0.068  # from memory of docs.mech-mind.net")
+    stated = [line for line in lines if "  # " in line]
+    assert len(stated) == len(stated_numbers("like-mech-eye-nano"))
+
+
+def test_the_paper_s_rig_has_the_sources_of_another_geometry_alone():
+    lines = source_lines("paper")
+    assert lines[0].startswith("The geometry is that of like-phoxi-m")
+    assert not any(line.startswith(("light", "claims", "f_number")) for line in lines)
+    assert "baseline_m: 0.35  # source: header" in lines

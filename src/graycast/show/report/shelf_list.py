@@ -6,7 +6,7 @@ from manifold3d import CrossSection, FillRule
 
 from ...camera.scanner import Scanner, preset
 from ...rig.pair import PRESETS, Rig
-from ...rig.shelf import measured
+from ...rig.shelf import class_of, measured
 from .rig_picture import common_field
 
 Size = tuple[float, float]
@@ -15,7 +15,9 @@ Size = tuple[float, float]
 def shelf_lines(
     *, field_m: Size | None = None, at_m: float | None = None, noise_m: float | None = None
 ) -> list[str]:
-    """One line for each scanner that fits.
+    """One line for each scanner that fits; each stated number has the class of its source.
+
+    `rig.shelf.LEGEND` explains the classes.
 
     Args:
         field_m: sides of a rectangle that camera and projector have in common at `at_m`.
@@ -78,8 +80,12 @@ def _line(scanner: Scanner, z_m: float, noise_m: float | None) -> str:
     field = common_field(rig, z_m)
     width_m, height_m = np.ptp(field, axis=0) if len(field) else (0.0, 0.0)
     noise = "" if noise_m is None else f", noise {1e3 * noise_m:.3f} mm"
+    span = class_of(rig.name, "near_m", "far_m")
+    baseline = class_of(rig.name, "baseline_m", "t_cam_proj_m")
+    pixels = class_of(rig.name, "camera.size_px")
     return (
-        f"{rig.name:22}  {rig.near_m:.2f} to {rig.far_m:.2f} m, baseline "
-        f"{1e3 * rig.baseline_m:.0f} mm, {camera.width_px} x {camera.height_px} pixels, code "
-        f"{scanner.code.codec}, field {width_m:.2f} x {height_m:.2f} m at {z_m:.2f} m{noise}"
+        f"{rig.name:22}  {rig.near_m:.2f} to {rig.far_m:.2f} m [{span}], baseline "
+        f"{1e3 * rig.baseline_m:.0f} mm [{baseline}], {camera.width_px} x {camera.height_px} "
+        f"pixels [{pixels}], code {scanner.code.codec} [choice], field {width_m:.2f} x "
+        f"{height_m:.2f} m at {z_m:.2f} m{noise}"
     )

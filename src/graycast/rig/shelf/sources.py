@@ -1,0 +1,97 @@
+"""Where each number of a scanner's file is from: its class, and the words behind it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import takewhile
+
+import yaml
+
+from .former_names import current_name
+
+# The comment behind a number begins with the words of its class; this order is from the best on.
+CLASSES: Mapping[str, str] = {
+    "source": "source: ",
+    "quoted": "quoted: ",
+    "memory": "from memory of ",
+    "choice": "our choice",
+}
+LEGEND = (
+    "[source] a document that can be cited, [quoted] a public quotation of one, [memory] recalled "
+    "from a datasheet and not checked, [choice] our choice; the rest is computed or simulated"
+)
+_GEOMETRY = ("camera", "projector", "baseline_m", "toe_in_deg", "near_m", "far_m")
+_WORDS = ("likeness", "laser")  # Keys that hold no number and no choice of light.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedNumber:
+    """A number of a scanner's file: its key, its text, its class, and the comment behind it."""
+
+    key: str
+    text: str
+    kind: str
+    comment: str
+
+
+@cache
+def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
+    """Return each number of a scanner of the shelf by its key, such as `claims.fields.0.at_m`.
+
+    The rig `paper` has the geometry of `like-phoxi-m`, and so its numbers.
+
+    Raises:
+        ValueError: a number has no class.
+    """
+    name = "like-phoxi-m" if name == "paper" else current_name(name)
+    text = files(__package__).joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+    lines = text.splitlines()
+    stated = {}
+    for key, node in _leaves(yaml.compose(text, Loader=yaml.SafeLoader), ""):
+        written = lines[node.start_mark.line][node.start_mark.column :]
+        value, _, comment = written.partition("  # ")
+        kinds = [kind for kind, start in CLASSES.items() if comment.startswith(start)]
+        if not kinds:
+            raise ValueError(f"{name}.yaml: {key} has no class: state where {value} is from")
+        stated[key] = StatedNumber(key=key, text=value, kind=kinds[0], comment=comment)
+    return stated
+
+
+def _leaves(node: yaml.Node, key: str) -> Iterator[tuple[str, yaml.Node]]:
+    """Each number, list of numbers and choice of light below a node, with its key."""
+    items: list[tuple[str, yaml.Node]] = []
+    if isinstance(node, yaml.MappingNode):
+        items = [(str(name.value), inner) for name, inner in node.value]
+    elif isinstance(node, yaml.SequenceNode) and not node.flow_style:
+        items = [(str(i), inner) for i, inner in enumerate(node.value)]
+    for name, inner in items:
+        if name not in _WORDS:
+            yield from _leaves(inner, f"{key}.{name}" if key else name)
+    if not items:
+        yield key, node
+
+
+def class_of(name: str, *keys: str) -> str:
+    """Return the weakest class of those of the keys that a scanner's file has."""
+    stated = stated_numbers(name)
+    kinds = [stated[key].kind for key in keys if key in stated]
+    return max(kinds, key=list(CLASSES).index)
+
+
+def source_lines(name: str) -> list[str]:
+    """One line for each number of a scanner's file, which ends with its class and its source.
+
+    The comment at the head of the file explains the names of sources and comes first. Of the rig
+    `paper`, only the geometry is that of a file.
+    """
+    file = "like-phoxi-m" if name == "paper" else current_name(name)
+    text = files(__package__).joinpath(f"{file}.yaml").read_text(encoding="utf-8")
+    head = [line[2:] for line in takewhile(lambda line: line[:1] == "#", text.splitlines())]
+    numbers = list(stated_numbers(file).values())
+    if name == "paper":
+        head = [
+            "The geometry is that of like-phoxi-m; light, lens, code and filters are our choice."
+        ]
+        numbers = [number for number in numbers if number.key.split(".")[0] in _GEOMETRY]
+    return [*head, *(f"{number.key}: {number.text}  # {number.comment}" for number in numbers)]

@@ -179,8 +179,8 @@ def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
         some = rows[view == k].reshape(-1, rows.shape[-1])
         pose = some[:, 6 * own : 6 * own + 6]
         board = some[:, 6 * (stands + k) : 6 * (stands + k) + 6]
-        kept = pose - board @ np.linalg.lstsq(board, pose, rcond=None)[0]
-        total[own] += kept.T @ kept
+        own_part = pose - board @ np.linalg.lstsq(board, pose, rcond=None)[0]
+        total[own] += own_part.T @ own_part
     return total
 
 

@@ -150,8 +150,8 @@ def _names_in_ply(path: Path) -> Iterator[str]:
         for line in stream:
             if line.strip() == b"end_header":
                 return
-            _, found, name = line.decode("utf-8", "replace").partition("TextureFile")
-            if found:
+            _, key, name = line.decode("utf-8", "replace").partition("TextureFile")
+            if key:
                 yield name
 
 

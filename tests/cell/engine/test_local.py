@@ -1,5 +1,6 @@
 """Worker processes of this machine: killed, starved, stopped. What comes out stays the same."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -41,6 +42,48 @@ def alive(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+class WorkerOf:
+    """Stands in for a worker: its process has made some scenes, and holds so much memory."""
+
+    def __init__(self, rss_bytes, scenes):
+        self.connection, theirs = multiprocessing.Pipe()
+        theirs.send("done")
+        self.busy, self.ended, self.scenes, self._rss_bytes = True, False, scenes, rss_bytes
+
+    def result(self):
+        self.busy = False
+        return TaskResult(scene_id=0, files=(), seconds=1.0, reasons={}, rss_bytes=self._rss_bytes)
+
+    def end(self):
+        self.ended = True
+
+
+def test_a_scene_that_needs_more_than_a_worker_s_memory_is_named_once_with_what_fits(monkeypatch):
+    """Four workers share 0.8 of 20 GB; one that needs 5 GB for a single scene needs it again."""
+    monkeypatch.setattr(local_module, "_machine_memory_bytes", lambda: 20e9)
+    messages = []
+    handler = logging.Handler()
+    handler.emit = lambda record: messages.append(record.getMessage())
+    logger = logging.getLogger("graycast.cell.engine.local")
+    logger.addHandler(handler)
+    pool = LocalPool(HeavyJob(seed=0, device="cpu"), workers=4, threads=1)
+    try:
+        # What a process gathers over many scenes goes with it, and one of 3 GB fits.
+        cases = [(3e9, 1, False), (5e9, 9, True), (5e9, 1, True), (5e9, 1, True)]
+        for rss_bytes, scenes, ends in cases:
+            worker = WorkerOf(rss_bytes, scenes)
+            pool._workers[0] = worker
+            assert isinstance(pool.gather(), TaskResult)
+            assert worker.ended == ends
+    finally:
+        logger.removeHandler(handler)
+        pool.close()
+    assert messages == [
+        "a scene takes 5.0 GB of memory, and each of 4 workers has 4.0 GB: give --workers 3 "
+        "at most, or the operating system may end workers"
+    ]
 
 
 def test_gpus_are_those_that_the_user_allows(monkeypatch):

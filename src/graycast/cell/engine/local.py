@@ -38,6 +38,7 @@ class LocalPool:
         self._task = task
         self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
         self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
+        self._has_warned = False
         # What a killed worker leaves in its temporary folder goes when the run ends.
         self._temporary = tempfile.TemporaryDirectory(
             prefix="graycast-run-", ignore_cleanup_errors=True
@@ -70,7 +71,25 @@ class LocalPool:
         outcome = worker.result()
         if isinstance(outcome, TaskResult) and outcome.rss_bytes > self._memory_bytes:
             worker.end()  # between two scenes, before the system kills it in the middle of one
+            if worker.scenes == 1:  # Another process would need as much.
+                self._warn(outcome.rss_bytes)
         return outcome
+
+    def _warn(self, scene_bytes: int) -> None:
+        """Say once that a single scene needs more than a worker's share of the memory."""
+        if self._has_warned:
+            return
+        self._has_warned = True
+        count = len(self._workers)
+        fit = max(1, int(count * self._memory_bytes / scene_bytes))
+        logging.getLogger(__name__).warning(
+            "a scene takes %.1f GB of memory, and each of %d workers has %.1f GB: give --workers "
+            "%d at most, or the operating system may end workers",
+            scene_bytes / 1e9,
+            count,
+            self._memory_bytes / 1e9,
+            fit,
+        )
 
     def close(self) -> None:
         for worker in self._workers:
@@ -94,6 +113,7 @@ class _Worker:
         self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool = False
     ) -> None:
         self.busy = False
+        self.scenes = 0  # The process has made so many.
         self.connection: Connection | None = None
         self._task, self._threads, self._variables = task, threads, variables
         self._quiet = quiet
@@ -112,6 +132,7 @@ class _Worker:
     def _start(self) -> None:
         # Python starts it with the first process, and lets Ctrl-C through again when it does.
         resource_tracker.ensure_running()
+        self.scenes = 0
         with _deaf_to_interrupts(), _environment(self._variables):
             self.connection, theirs = SPAWN.Pipe()
             process = SPAWN.Process(target=_work, args=(theirs,), daemon=True)
@@ -146,6 +167,7 @@ class _Worker:
             self.end()
         else:
             self.busy = False  # not before: a process that is still heard is no idle one
+            self.scenes += 1
             if isinstance(outcome, TaskResult):
                 return outcome
             error = outcome

@@ -63,6 +63,7 @@ def light(scanner, place, other, share, *, spread_px=1.0):
         white_rgb=np.ones((*SHAPE, 3), np.float32),
         ambient_rgb=np.zeros((*SHAPE, 3), np.float32),
         albedo=grey,
+        place_px=np.moveaxis(place, -1, 0).reshape(2, *SHAPE).astype(np.float32),
     )
 
 

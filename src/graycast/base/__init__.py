@@ -9,6 +9,7 @@ Each imports only from those above it:
     file_limits      JSON and pictures of users, refused before they fill the memory
     folder           files and folders that are written completely or not at all
     plotting         the style of plots, and how they are written
+    yaml_loader      YAML without keys given twice and without aliases that fill the memory
     settings         YAML files: reading, checking, and errors of one clear line
     spawn            processes that do not run the user's script again
     usage            time and memory that processes have used

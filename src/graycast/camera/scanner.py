@@ -37,10 +37,10 @@ from .sigma import (
     bend_m,
     light_path_px,
     line_noise_px,
-    ripple_px,
     speckle_m,
     with_depth_term,
     with_position_term,
+    with_ripple,
 )
 from .speckle import (
     PATCH_M,
@@ -228,7 +228,7 @@ def measure(
     rig, code = scanner.rig, scanner.light_code()
     axis = triangulation_axis(rig)
     codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
-    codes = with_position_term(codes, ripple_px(codes, code))
+    codes = with_ripple(codes, code)
     codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
     if path_noise is not None:
         codes = with_position_term(codes, light_path_px(code, path_noise))

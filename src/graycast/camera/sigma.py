@@ -149,6 +149,11 @@ def with_depth_term(depth: DepthMap, sigma_m: Float[np.ndarray, "h w"]) -> Depth
 # --- terms of a position -----------------------------------------------------------------------
 
 
+def with_ripple(codes: CodeMap, code: Code) -> CodeMap:
+    """Return the same positions with the term `ripple`, see `ripple_px`."""
+    return with_position_term(codes, ripple_px(codes, code))
+
+
 def ripple_px(codes: CodeMap, code: Code) -> dict[Axis, float]:
     """Return the ripple of codes of one period: light that is not linear in the grey level.
 

@@ -1,7 +1,4 @@
-"""From where a cell's scanners take their images: places listed, or drawn for each scene.
-
-All places are `T_world_cam`. A scene's places follow from (configuration, dataset seed, scene id).
-"""
+"""Places (`T_world_cam`) from which a cell's scanners take their images, listed or drawn."""
 
 import itertools
 from typing import Annotated, Any, Literal

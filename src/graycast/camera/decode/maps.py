@@ -66,7 +66,8 @@ _APPEARANCE = {
     ),
     Reason.OUTSIDE_PROJECTOR: (
         "#3b8ea5",
-        "the surface or the code is outside of the projector's picture",
+        "the code is outside of the projector's picture, or everything that the pixel could see in "
+        "the working range is",
     ),
     Reason.OUT_OF_RANGE: ("#7d5ba6", "the depth is outside of the rig's working range"),
     Reason.OUTLIER: ("#4f9d69", "the point is off its epipolar line, or a filter removed it"),

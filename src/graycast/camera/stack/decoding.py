@@ -30,7 +30,7 @@ from ..decode import (
     triangulation_axis,
 )
 from ..decode.plan import plan_axes
-from ..sigma import bend_m, ripple_px, with_depth_term, with_position_term
+from ..sigma import bend_m, with_depth_term, with_ripple
 from .averaging import join_pixels, meet_rays
 from .description import code_of, read_description
 from .diagnosis import symptoms
@@ -116,8 +116,7 @@ def decode_stack(
     with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
     clock.lap("levels")
-    codes = decode(pictures.frames, code, spec, levels.levels)
-    codes = with_position_term(codes, ripple_px(codes, code))
+    codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
     warnings = [*symptoms(pictures, code, codes, spec=spec, levels=levels.levels)]
     _check_light(pictures, codes, warnings, path)

@@ -60,8 +60,7 @@ class TrainSpec:
         seed: of weights, order and augmentation.
         one_class: all parts are one class, `part`: where is something, not what is it.
         min_visibility: an instance of which a smaller share is visible is ignored.
-        patience: validations without a better score after which training stops; those before the
-            first score above 0 do not count.
+        patience: validations after a first score without a better one that end the training.
         split: which scenes train, validate and test; exports have their own.
         augmentation: the random augmentation of every epoch.
         weights: a file of published weights to start from.

@@ -4,11 +4,11 @@ A file's ending promises a format; its first bytes say which it has. An OBJ, PLY
 name further files: materials and pictures.
 """
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from ...base.file_limits import parse_json
 from .surface import Refusal
 
 HEAD_BYTES = 512
@@ -160,8 +160,9 @@ def _names_in_glb(path: Path) -> Iterator[str]:
         head = stream.read(20)
         size = int.from_bytes(head[12:16], "little")
         try:
-            record = json.loads(stream.read(min(size, path.stat().st_size)))
-        except ValueError:  # The reader tells of a damaged file.
+            record = parse_json(stream.read(min(size, path.stat().st_size)))
+            entries = [*record.get("images", ()), *record.get("buffers", ())]
+            names = [str(entry.get("uri", "data:")) for entry in entries]
+        except (ValueError, TypeError, AttributeError):  # The reader tells of a damaged file.
             return
-    entries = [*record.get("images", ()), *record.get("buffers", ())]
-    yield from (e["uri"] for e in entries if not e.get("uri", "data:").startswith("data:"))
+    yield from (name for name in names if not name.startswith("data:"))

@@ -54,12 +54,12 @@ def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
 
 
 def bracket_cell(
-    count: int, code: CodeSpec, size_px: tuple[int, int], *, rig: str = "phoxi-m"
+    count: int, code: CodeSpec, size_px: tuple[int, int], *, rig: str = "like-phoxi-m"
 ) -> Cell:
     """The paper's metal brackets before a rig; `size_px` as in `cropped`.
 
-    'phoxi-m' shines in one line, so that Cycles may put three patterns into a render; 'paper' is
-    the same rig in white.
+    'like-phoxi-m' shines in one line, so that Cycles may put three patterns into a render; 'paper'
+    is the same rig in white.
     """
     return _before(rig, cell_of({"count": count}), code, size_px)
 
@@ -70,7 +70,7 @@ def materials_cell(size_px: tuple[int, int]) -> Cell:
     bracket = cell.scene.parts[0]
     parts = tuple(replace(bracket, name=n, material=m) for n, m in MATERIALS.items())
     cell = replace(cell, scene=replace(cell.scene, parts=parts))
-    return _before("phoxi-m", cell, PHASE, size_px)
+    return _before("like-phoxi-m", cell, PHASE, size_px)
 
 
 def dropped(cell: Cell, each: int, *, seed: int) -> Layout:

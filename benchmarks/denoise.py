@@ -48,7 +48,7 @@ def study(
         most: the largest number of samples, from which each fourth part of the reference is.
     """
     cell = bracket_cell(count, GRAY, size_px, rig="paper")
-    red = bracket_cell(count, GRAY, size_px, rig="phoxi-m")
+    red = bracket_cell(count, GRAY, size_px, rig="like-phoxi-m")
     layout = dropped(cell, count, seed=0)
     counts = sample_counts(most)
     rows: list[Figures] = []

@@ -26,11 +26,11 @@ from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0  # a depth is wrong that is off by more than both
-SCANNERS = ("phoxi-s", "phoxi-m", "phoxi-l", "paper")
+SCANNERS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "paper")
 PRESET, BARE = "preset", "without guards"
 EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
 PARTS_PLACE, AROUND_PLACE, AROUND_PX = "parts", "around", 20
-CODES_OF = "phoxi-m"  # the rig with which all codes are compared
+CODES_OF = "like-phoxi-m"  # the rig with which all codes are compared
 METAL = {"base_color": (0.7, 0.7, 0.7), "metallic": 1.0}
 MATERIALS: Mapping[str, dict[str, Any]] = {
     "matt": {"base_color": (0.5, 0.5, 0.5), "specular": 0.0},

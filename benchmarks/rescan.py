@@ -31,10 +31,10 @@ from graycast.real.rescan.source import SourceOptions
 from .figures import Figures, Show
 
 CELLS = {
-    "metal, phoxi-s": ("configs/phoxi_cell.yaml", {}),
-    "plastic, phoxi-m": (
+    "metal, like-phoxi-s": ("configs/phoxi_cell.yaml", {}),
+    "plastic, like-phoxi-m": (
         "configs/demo.yaml",
-        {"rig": "phoxi-m", "parts": [{"builtin": "hygiene_spray"}], "count": 15},
+        {"rig": "like-phoxi-m", "parts": [{"builtin": "hygiene_spray"}], "count": 15},
     ),
     "metal, paper": ("configs/demo.yaml", {}),
 }

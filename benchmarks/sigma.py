@@ -71,7 +71,7 @@ def _error_sigmas(scanner: Scanner, shots: list[Rendering], lights: list[Radianc
 
 
 def _scanners() -> dict[str, Scanner]:
-    lens = replace(preset("phoxi-m"), filters=FilterSpec())
+    lens = replace(preset("like-phoxi-m"), filters=FilterSpec())
     rig = replace(lens.rig, camera=cropped(lens.rig.camera, SIZE_PX), speckle_contrast=0.0)
     sharp = preset("paper").rig
     return {

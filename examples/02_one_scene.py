@@ -14,7 +14,7 @@ def main(samples: int) -> None:
     config = gc.Config(
         parts=(gc.PartSection(builtin="toothpaste"),),
         count=5,
-        rig="phoxi-m",
+        rig="like-phoxi-m",
         render=gc.RenderSection(samples=samples),
     )
     for scene in gc.scenes(gc.load_cell(config), 1, seed=1):

@@ -40,7 +40,7 @@ def bowl() -> Part:
 
 def main(path: Path, samples: int) -> None:
     renderer = open_renderer()
-    rig = preset_rig("phoxi-m")
+    rig = preset_rig("like-phoxi-m")
     camera = replace(rig.camera, width_px=320, height_px=260, cx_px=159.5, cy_px=129.5)
     camera = replace(camera, fx_px=0.55 * camera.fx_px, fy_px=0.55 * camera.fy_px)
     rig = replace(rig, camera=camera)

@@ -36,7 +36,7 @@ def own_code(width_px: int, height_px: int) -> graycast.Code:
 
 def main(samples: int) -> None:
     parts = (graycast.PartSection(builtin="toothpaste"),)
-    cell = graycast.load_cell(graycast.Config(parts=parts, rig="phoxi-m", resolution="small"))
+    cell = graycast.load_cell(graycast.Config(parts=parts, rig="like-phoxi-m", resolution="small"))
     scene, sensor = cell.scene, cell.scanner.sensor
     code = own_code(scene.rig.projector.width_px, scene.rig.projector.height_px)
 

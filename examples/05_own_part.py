@@ -31,7 +31,7 @@ def main(out: Path, samples: int) -> None:
     config = gc.Config(
         parts=(gc.PartSection(mesh=Path("nut.stl"), unit="mm", material=steel),),
         count=12,
-        rig="phoxi-m",
+        rig="like-phoxi-m",
         resolution="small",
         render=gc.RenderSection(samples=samples),
     )

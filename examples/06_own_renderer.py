@@ -55,7 +55,7 @@ def main(samples: int) -> None:
     config = graycast.Config(
         parts=(graycast.PartSection(builtin="toothpaste"),),
         count=5,
-        rig="phoxi-m",
+        rig="like-phoxi-m",
         resolution="small",
         render=graycast.RenderSection(samples=samples),
     )

@@ -83,7 +83,7 @@ def scanner() -> Scanner:
     The scans have points up to the edges, and single ones, so the filters that take these off are
     not used.
     """
-    known = preset("phoxi-m", "small")
+    known = preset("like-phoxi-m", "small")
     toe_in_rad = np.radians(TOE_IN_DEG)
     T_rig_cam = rigid(axis_rotation("y", -toe_in_rad), np.array([BASELINE_M / 2, 0.0, 0.0]))
     T_rig_proj = rigid(axis_rotation("y", toe_in_rad), np.array([-BASELINE_M / 2, 0.0, 0.0]))

@@ -82,7 +82,7 @@ def study(number: int, lit: Sequence[LitScene], *, trials: int) -> Unknown:
 
 def small_scanner() -> Scanner:
     """A PhoXi-S with a quarter of the smallest preset's pixels and sharp lenses."""
-    scanner = preset("phoxi-s", "small")
+    scanner = preset("like-phoxi-s", "small")
     sharp: dict[str, Any] = {"aperture_m": 0.0, "psf_px": 0.0, "natural_vignetting": False}
     camera, projector = (replace(o, **sharp) for o in (scanner.rig.camera, scanner.rig.projector))
     half = shrunk(camera, camera.width_px // 2, camera.height_px // 2)

@@ -48,7 +48,7 @@ def test_a_rescan_has_the_seeds_of_no_image_of_its_source_and_of_no_other_scanne
     ]
     rescans = [
         rescan_seeds(0, scene, scanner=name, image=image)
-        for scene, name, image in product(range(5), ("paper", "phoxi-m"), range(3))
+        for scene, name, image in product(range(5), ("paper", "like-phoxi-m"), range(3))
     ]
     every = [seed for seeds in images + rescans for seed in seeds.values()]
     assert len(set(every)) == len(every)

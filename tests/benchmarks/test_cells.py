@@ -12,7 +12,7 @@ from graycast.rig.pair import preset_rig
 
 
 def test_a_crop_has_the_rays_of_the_picture_it_is_cut_from():
-    camera = replace(preset_rig("phoxi-m").camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
+    camera = replace(preset_rig("like-phoxi-m").camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
     crop = cells.cropped(camera, (258, 194))
     whole = rays(camera, pixel_grid(772, 1032))
     assert np.abs(rays(crop, pixel_grid(194, 258)) - whole[289:483, 387:645]).max() < 1e-12
@@ -20,7 +20,7 @@ def test_a_crop_has_the_rays_of_the_picture_it_is_cut_from():
 
 def test_a_crop_beyond_the_picture_is_refused():
     with pytest.raises(ValueError, match="2000 x 100 does not fit into the camera's 1032 x 772 px"):
-        cells.cropped(preset_rig("phoxi-m").camera, (2000, 100))
+        cells.cropped(preset_rig("like-phoxi-m").camera, (2000, 100))
 
 
 def test_the_quiet_sensors_noise_is_far_under_its_step():

@@ -26,7 +26,7 @@ def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
 @pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
     """The preset's pictures have those of the scanner without guards among them."""
-    scanners = _scanners("phoxi-m", preset("phoxi-m", "small"))
+    scanners = _scanners("like-phoxi-m", preset("like-phoxi-m", "small"))
     keys, patterns = _patterns(scanners)
     assert len(set(keys)) == len(keys) == len(patterns)
     codes = [scanner.light_code() for scanner in scanners.values()]
@@ -34,7 +34,7 @@ def test_every_picture_of_every_code_is_rendered_once():
 
 
 def test_the_page_has_a_row_for_every_material():
-    own = {"scanner": "phoxi-m", "decoded": 0.5, "right": 0.49, "error_over_sigma": 1.0}
+    own = {"scanner": "like-phoxi-m", "decoded": 0.5, "right": 0.49, "error_over_sigma": 1.0}
     rows = [
         Worth(code=code, material=material, wrong=wrong, place=place, **own)
         for place in ("parts", "around")
@@ -46,7 +46,7 @@ def test_the_page_has_a_row_for_every_material():
     assert (heading, where) == ("Presets", "Around the parts")
     assert len(beside.splitlines()) > len(table.splitlines())
     assert len(table.splitlines()) == 2 + len(MATERIALS)
-    assert table.startswith("| decoded; wrong; error/sigma | phoxi-m | without guards |")
+    assert table.startswith("| decoded; wrong; error/sigma | like-phoxi-m | without guards |")
     words = words.replace("\n", " ")
     assert "2026-01-02 at commit `abc`" in words
     assert "Up to 30.0 % of the depths are wrong without guards, at most 0.4 %" in words
@@ -54,7 +54,7 @@ def test_the_page_has_a_row_for_every_material():
 
 
 def test_the_page_names_the_best_and_the_worst_code_on_the_smoothest_metal():
-    own = {"scanner": "phoxi-m", "decoded": 0.5, "right": 0.4, "error_over_sigma": 1.0}
+    own = {"scanner": "like-phoxi-m", "decoded": 0.5, "right": 0.4, "error_over_sigma": 1.0}
     wrong = {
         "preset": 0.0,
         "without guards": 0.0,

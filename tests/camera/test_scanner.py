@@ -23,7 +23,7 @@ DISTANCE_M = 0.75
 @pytest.fixture(scope="module")
 def rig():
     """A window of the PhoXi M's camera, its lenses real: f/4, and a projector a pixel unsharp."""
-    rig = preset("phoxi-m").rig
+    rig = preset("like-phoxi-m").rig
     camera = replace(rig.camera, width_px=200, height_px=160, cx_px=99.5, cy_px=79.5)
     # Speckle and line noise have tests of their own (test_scanner_speckle.py, test_line_noise.py).
     quiet = {"speckle_contrast": 0.0, "line_noise": 0.0}
@@ -41,7 +41,7 @@ def shots(rig, mitsuba_renderer):
     ball = Sphere(center_m=(0.0, 0.0, DISTANCE_M - 0.12), radius_m=0.07, material=grey)
     wall = leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, grey, half_m=0.4)
     scene = in_camera(rig, wall, ball)
-    sensor = replace(preset("phoxi-m").sensor, read_noise_e=5.0)
+    sensor = replace(preset("like-phoxi-m").sensor, read_noise_e=5.0)
     scans = {}
     for codec in CODECS:
         code = CodeSpec(codec=codec, axes=("column",))
@@ -101,7 +101,7 @@ def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
         scanner = Scanner(
             rig=rig,
             code=CodeSpec(codec=codec, axes=("column",)),
-            sensor=preset("phoxi-m").sensor,
+            sensor=preset("like-phoxi-m").sensor,
             exposure=ExposureSpec(target=0.9),
         )
         rendering = mitsuba_renderer.render(
@@ -154,7 +154,7 @@ def test_auto_exposure_is_for_all_light_on_the_brightest_frame(flat_light):
 
 
 def test_aperture_and_f_number_must_tell_the_same():
-    scanner = preset("phoxi-s")
+    scanner = preset("like-phoxi-s")
     with pytest.raises(ValueError, match=r"f_number is 8, .* makes f/4: give both alike"):
         replace(scanner, sensor=replace(scanner.sensor, f_number=8.0))
     pinhole = replace(scanner.rig.camera, aperture_m=0.0)
@@ -198,7 +198,7 @@ def test_a_scan_lasts_as_long_as_its_frames():
 
 
 def test_a_preset_s_raster_is_as_many_millimetres_in_small_maps_as_in_those_of_low_resolution():
-    small, low = (preset("phoxi-m", resolution) for resolution in ("small", "low"))
+    small, low = (preset("like-phoxi-m", resolution) for resolution in ("small", "low"))
     place = [s.faults.raster_px / s.rig.camera.fx_px for s in (small, low)]
     assert place[0] == pytest.approx(place[1], rel=1e-3)
 

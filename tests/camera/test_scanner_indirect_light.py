@@ -23,7 +23,7 @@ PATCH_PX = 16  # the other place and its share are the same within a patch
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 
 
-@pytest.fixture(scope="module", params=[slow("phoxi-s"), "phoxi-m", slow("phoxi-l")])
+@pytest.fixture(scope="module", params=[slow("like-phoxi-s"), "like-phoxi-m", slow("like-phoxi-l")])
 def scanner(request):
     """A window of the preset's picture."""
     whole = preset(request.param, "small")

@@ -21,7 +21,7 @@ WALL_M = 0.75
 @pytest.fixture(scope="module")
 def scanner():
     """A window of the PhoXi M at its lowest resolution: sharp, since the reference renderer is."""
-    whole = preset("phoxi-m", "small")
+    whole = preset("like-phoxi-m", "small")
     camera = replace(_sharp(whole.rig.camera), width_px=90, height_px=70, cx_px=44.5, cy_px=34.5)
     rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector), line_noise=0.0)
     code = replace(whole.code, axes=("column",), period_px=16.0, fine_period_px=None)

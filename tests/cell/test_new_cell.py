@@ -66,7 +66,7 @@ def test_the_rig_is_the_smallest_that_sees_the_bin():
 
 def test_a_rig_has_to_light_the_whole_bin_and_to_see_its_rim():
     """A narrow projector lights its middle alone; a rim nearer to the rig leaves the field."""
-    rig, room = preset("phoxi-m").rig, Bin(inner_m=(0.4, 0.3, 0.15))
+    rig, room = preset("like-phoxi-m").rig, Bin(inner_m=(0.4, 0.3, 0.15))
     projector = rig.projector
     narrow = replace(projector, fx_px=3 * projector.fx_px, fy_px=3 * projector.fy_px)
     assert _sees(rig, room) and not _sees(replace(rig, projector=narrow), room)

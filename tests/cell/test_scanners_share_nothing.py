@@ -87,7 +87,7 @@ def test_one_device_with_two_settings_has_one_fixed_pattern(tmp_path):
 
 def test_rasters_of_two_scanners_are_independent(tmp_path):
     """A laser scanner's preset has a raster and no other fixed pattern."""
-    cell = resolved(tmp_path, scanners=[{"name": n, "rig": "phoxi-m"} for n in "ab"])
+    cell = resolved(tmp_path, scanners=[{"name": n, "rig": "like-phoxi-m"} for n in "ab"])
     seeds = [scanner.sensor.fpn_seed for _, scanner in cell.scanners]
     assert seeds[0] == 0 != seeds[1]
     a, b = (places((50, 60), seed=seed) for seed in seeds)

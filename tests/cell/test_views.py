@@ -101,7 +101,7 @@ def test_a_mounted_scanner_keeps_its_place_on_the_first(tmp_path):
         tmp_path,
         views={"kind": "dome", "count": 4},
         scanners=[
-            {"name": "hand", "rig": "phoxi-s"},
+            {"name": "hand", "rig": "like-phoxi-s"},
             {"name": "by-it", "rig": "paper", "T_first_cam": ASIDE},
             {"name": "fixed", "rig": "paper", "views": [{}]},
         ],
@@ -223,7 +223,7 @@ BAD = {
         "scanner a: rig: no rig 'phoxi'",
     ),
     "a rig beside scanners": (
-        {"rig": "phoxi-m", "scanners": [{"name": "a"}]},
+        {"rig": "like-phoxi-m", "scanners": [{"name": "a"}]},
         "rig and scanners are both given",
     ),
     "a section beside scanners": (

@@ -320,15 +320,17 @@ def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
 
 
 def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
-    """phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
-    run(capsys, "rig", "patterns", "phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
+    """like-phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
+    run(capsys, "rig", "patterns", "like-phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
     assert list(tmp_path.glob("*_phase_48px_step00.png"))
 
 
 def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
-    run(capsys, "rig", "patterns", "phoxi-s", "--out", tmp_path)
+    run(capsys, "rig", "patterns", "like-phoxi-s", "--out", tmp_path)
     before = sorted(tmp_path.iterdir())
-    text = refused(capsys, "rig", "patterns", "phoxi-s", "--codec", "xor_gray", "--out", tmp_path)
+    text = refused(
+        capsys, "rig", "patterns", "like-phoxi-s", "--codec", "xor_gray", "--out", tmp_path
+    )
     assert "holds pictures of another code" in text
     assert sorted(tmp_path.iterdir()) == before
 

@@ -58,7 +58,7 @@ def test_a_command_runs_without_a_home(other_user):
     env = {"PATH": "/usr/bin:/bin", "HOME": "/proc/nohome", "PYTHONPATH": str(_source())}
     run = subprocess.run(command, env=env, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
-    assert "phoxi-m" in run.stdout
+    assert "like-phoxi-m" in run.stdout
     notes = [line for line in run.stderr.splitlines() if line.startswith("graycast: ")]
     assert len(notes) == 1 and "/proc/nohome/.cache/graycast/kernels" in notes[0]
     assert "Traceback" not in run.stderr

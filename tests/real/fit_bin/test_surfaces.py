@@ -40,7 +40,9 @@ def test_the_floor_is_the_rectangle_inside_at_height_0_and_the_walls_are_all_els
 
 
 def scene(**words):
-    return Scene(rig=preset_rig("phoxi-m"), T_world_cam=np.eye(4), bin=Bin(inner_m=SIZE_M, **words))
+    return Scene(
+        rig=preset_rig("like-phoxi-m"), T_world_cam=np.eye(4), bin=Bin(inner_m=SIZE_M, **words)
+    )
 
 
 def test_the_floor_too_has_its_grey_in_the_projector_s_light():

@@ -64,7 +64,7 @@ def image(depth_m=None, rgb=None, T=T_CAM_CUBE, step_m=STEP_M):
 
 
 def staged(source=None, parts=None, **words):
-    scanner = with_camera(preset("phoxi-m"), CAMERA)
+    scanner = with_camera(preset("like-phoxi-m"), CAMERA)
     parts = {7: part()} if parts is None else parts
     return stage(source or image(), parts, scanner, **words)
 
@@ -201,7 +201,7 @@ def test_looks_come_from_the_picture_where_nobody_gave_them():
 
 def test_another_camera_keeps_the_lens():
     """The focal length in metres and the f-number are those of the scanner, else it is refused."""
-    scanner = preset("phoxi-m")
+    scanner = preset("like-phoxi-m")
     own = with_camera(scanner, BENT)
     assert own.rig.camera.K == pytest.approx(CAMERA.K)
     assert own.rig.camera.distortion == BENT.distortion != scanner.rig.camera.distortion

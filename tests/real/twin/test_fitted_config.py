@@ -9,7 +9,7 @@ from graycast.real.fitted_config import fitted_text
 BASE = """\
 # mine
 parts: [{builtin: washer}]
-rig: phoxi-m
+rig: like-phoxi-m
 decode:
   min_contrast: 0.05
 scenes: 4  # kept

@@ -17,7 +17,7 @@ from graycast.real.twin.parameters import (
 )
 from graycast.rig.pattern import CodeSpec
 
-SCANNER = preset("phoxi-m", "small")
+SCANNER = preset("like-phoxi-m", "small")
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)

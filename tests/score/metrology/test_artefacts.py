@@ -63,7 +63,7 @@ def test_devices_that_look_apart_have_no_working_volume():
 
 
 def test_a_sphere_too_large_for_the_volume_is_refused():
-    rig = preset_rig("phoxi-s")
+    rig = preset_rig("like-phoxi-s")
     with pytest.raises(ValueError, match="does not fit"):
         sphere_centre_m(rig, working_volume(rig), (0.0, 0.0, 0.5), 0.2)
 

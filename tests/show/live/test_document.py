@@ -76,7 +76,7 @@ def test_what_is_not_turned_is_written_as_it_was(path):
 
 def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
     turned = replace(
-        document(rig="phoxi-m", resolution="small"),
+        document(rig="like-phoxi-m", resolution="small"),
         rig=RigChange(power=1.7, baseline=0.9, toe_in_deg=0.3),
     )
     content, rig_text = files_of(turned, path, rig_name="own.yaml")
@@ -84,7 +84,7 @@ def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
     file = path.with_name("own.yaml")
     file.write_text(rig_text)
     rig = load_scanner(file).rig
-    expected = turned_rig(scanner.preset("phoxi-m", "small").rig, turned.rig)
+    expected = turned_rig(scanner.preset("like-phoxi-m", "small").rig, turned.rig)
     np.testing.assert_array_equal(rig.T_cam_proj, expected.T_cam_proj)
     assert rig.camera == expected.camera and rig.intensity_w_sr == expected.intensity_w_sr == 17.0
     yaml.safe_load(rig_text)
@@ -94,7 +94,7 @@ def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
 @pytest.mark.parametrize("axis", ["column", "row"])
 def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axis):
     """Oracle: the angle between both axes; they meet nearer, where toe-in is more."""
-    rig = preset_rig("phoxi-m")
+    rig = preset_rig("like-phoxi-m")
     half_turn = np.diag([side, side, 1.0, 1.0])  # the projector on the other side
     quarter = np.eye(4)
     if axis == "row":
@@ -113,7 +113,7 @@ def test_a_slider_of_a_surface_leaves_its_roughness_map_alone(tmp_path):
     worn = {"roughness_map": "worn.png", "roughness": 0.4}
     parts = [{"builtin": "toothpaste", "material": worn}]
     config = Config.model_validate(
-        {"parts": parts, "bin": {"material": worn}, "table": worn, "rig": "phoxi-m"}
+        {"parts": parts, "bin": {"material": worn}, "table": worn, "rig": "like-phoxi-m"}
     )
     cell = resolve_cell(config, tmp_path)
     early = described_controls(config, cell.scanner)["values"]

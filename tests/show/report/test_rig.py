@@ -48,7 +48,7 @@ def test_fields_of_a_parallel_rig_follow_similar_triangles(z_m):
 @pytest.mark.parametrize("z_m", [0.384, 0.45, 0.52])
 def test_the_common_field_of_a_toed_in_rig_is_what_random_points_say(z_m):
     """Oracle: points strewn on the plane, kept if both pinhole projections are in the image."""
-    rig = preset_rig("phoxi-s")
+    rig = preset_rig("like-phoxi-s")
     rng = np.random.default_rng(0)
     half = np.array([0.6, 0.4])
     point = np.hstack([rng.uniform(-half, half, size=(200_000, 2)), np.full((200_000, 1), z_m)])
@@ -111,7 +111,7 @@ def purple_share(rig, path):
 
 @pytest.mark.slow
 def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
-    assert purple_share(preset_rig("phoxi-s"), tmp_path / "s.png") > 0.05
+    assert purple_share(preset_rig("like-phoxi-s"), tmp_path / "s.png") > 0.05
     aside = parallel_rig(axis_rotation("y", np.pi / 2))
     assert purple_share(aside, tmp_path / "aside.png") < 0.002  # the legend's patch
     assert "none" in describe_rig(aside)

@@ -77,7 +77,7 @@ def heap(f_px, seed):
     return z_m + 1e-3 * rng.standard_normal(z_m.shape), optics
 
 
-@pytest.mark.parametrize("f_px", [75, 150, 300], ids=["wide", "usual", "narrow"])
+@pytest.mark.parametrize("f_px", [75.0, 150.0, 300.0], ids=["wide", "usual", "narrow"])
 def test_a_plane_tells_z_from_the_length_of_rays(f_px):
     """Oracle: the length is z times the norm of the ray; the fit knows the plane by its own."""
     z_m, optics = heap(f_px, seed=0)
@@ -90,7 +90,7 @@ def test_a_plane_tells_z_from_the_length_of_rays(f_px):
 
 
 def test_pictures_without_a_plane_tell_nothing_of_their_depth():
-    _, optics = heap(150, seed=0)
+    _, optics = heap(150.0, seed=0)
     rough_m = 0.5 + 0.4 * np.random.default_rng(5).random((90, 120))
     for depths_m in ([rough_m], [np.full((90, 120), np.nan)], []):
         shares = plane_shares(depths_m, optics)

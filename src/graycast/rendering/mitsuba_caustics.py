@@ -131,7 +131,8 @@ class CausticTracer:
         optics = self.projector
         if not optics.is_pinhole:
             disc = _on_disc(rng) * dr.sqrt(blur_radius2(optics, inverse_z))
-            place += mi.Vector2f(disc.x * optics.fx_px, disc.y * optics.fy_px)
+            x, y = place.x + disc.x * optics.fx_px, place.y + disc.y * optics.fy_px
+            place = mi.Point2f(x, y)
         return pixel_index(optics, on_pixel(optics, place)), shines(optics, place)
 
     def _vertex(self, p: _LightPaths) -> _LightPaths:

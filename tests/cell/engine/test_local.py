@@ -71,9 +71,10 @@ def test_a_scene_that_needs_more_than_a_worker_s_memory_is_named_once_with_what_
     pool = LocalPool(HeavyJob(seed=0, device="cpu"), workers=4, threads=1)
     try:
         # What a process gathers over many scenes goes with it, and one of 3 GB fits.
-        cases = [(3e9, 1, False), (5e9, 9, True), (5e9, 1, True), (5e9, 1, True)]
-        for rss_bytes, scenes, ends in cases:
-            worker = WorkerOf(rss_bytes, scenes)
+        gigabyte = 10**9
+        cases = [(3, 1, False), (5, 9, True), (5, 1, True), (5, 1, True)]
+        for gigabytes, scenes, ends in cases:
+            worker = WorkerOf(gigabytes * gigabyte, scenes)
             pool._workers[0] = worker
             assert isinstance(pool.gather(), TaskResult)
             assert worker.ended == ends

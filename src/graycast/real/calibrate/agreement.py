@@ -96,7 +96,9 @@ def _parted(
             raise CalibrationError(_moved(observed, group, parted, fit))
         since = _since(others, group)
         return {
-            observed.views[k].name: f"the devices are {_apart(parted, usual, group[k])} from where "
+            observed.views[
+                k
+            ].name: f"the devices are {_apart(parted, int(usual), int(group[k]))} from where "
             f"the other views have them: the board or a device may have moved{since}"
             for k in others
         }
@@ -161,7 +163,7 @@ def _moved(observed: Observed, group, parted: Stands, fit: Adjustment | None) ->
     members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
     members.sort(key=lambda some: some[0])
     names = " and ".join(_names(observed, some) for some in members)
-    apart = _apart(parted, group[members[0][0]], group[members[1][0]])
+    apart = _apart(parted, *(int(group[own[0]]) for own in members[:2]))
     residual = "no rig fits all views" if fit is None else (
         f"one rig for all views has a residual of {fit.sigma_px.max():.2g} px, one for each "
         f"group {parted.sigma_px.max():.2g} px"

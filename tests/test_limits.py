@@ -25,7 +25,7 @@ SOURCE = ROOT / "src" / "graycast"
 MOST_LINES = 74_600
 # These are the words in README.md and the pages of docs. 1,700 came with the sources of the shelf,
 # the age of each page's figures, and the options and errors of these changes.
-MOST_WORDS = 46_800
+MOST_WORDS = 47_000
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A run's last arguments say whom it tells of its steps.

@@ -96,10 +96,8 @@ def _parted(
             raise CalibrationError(_moved(observed, group, parted, fit))
         since = _since(others, group)
         return {
-            observed.views[
-                k
-            ].name: f"the devices are {_apart(parted, int(usual), int(group[k]))} from where "
-            f"the other views have them: the board or a device may have moved{since}"
+            observed.views[k].name: f"the devices are {_apart(parted, usual, int(group[k]))} from "
+            f"where the other views have them: the board or a device may have moved{since}"
             for k in others
         }
     if fit is None:
@@ -233,16 +231,16 @@ def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
 
 
 def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]]:
-    """Return the views that fit badly: in how many medians of the others, and the sentence."""
+    """Return the views that fit badly: in how many medians of all views, and the sentence."""
     views: dict[str, tuple[float, str]] = {}
     for device in ("camera", "projector"):
-        square = np.square(getattr(fit, f"{device}_residual_px")).sum(axis=1)
-        rms_px = [
-            math.sqrt(square[(observed.corners.view == k) & fit.inlier].mean())
+        size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
+        residual_px = [  # It is a median, because a few wrong corners make no wrong view.
+            float(np.median(size_px[observed.corners.view == k]))
             for k in range(len(observed.views))
         ]
-        usual_px = float(np.median(rms_px))
-        for view, value_px in zip(observed.views, rms_px, strict=True):
+        usual_px = float(np.median(residual_px))
+        for view, value_px in zip(observed.views, residual_px, strict=True):
             ratio = value_px / max(usual_px, 1e-9)
             if ratio > OUTLYING and value_px > OUTLYING_FLOOR_PX:
                 views[view.name] = (

@@ -121,6 +121,7 @@ TERMS = (
 
 RIPPLE_OVER_FLOOR = 2.0  # A ripple of less than this many times its background is chance.
 _MOST_RIPPLE = 1.84  # The Bessel function J_1 rises up to here.
+_PHASES = 4096  # So many phases are told apart in their histogram.
 BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be noise.
 # A pixel that a step divides at random is off by a root mean square of 0.29 of the step, of which
 # the largest of the bends at it and beside it is 0.75; a fold through it is off by an eighth at
@@ -181,8 +182,9 @@ def _ripple_px(codes: CodeMap, code: Code, axis: Axis, plan: AxisPlan) -> float:
     place_px = (codes.column if axis == "column" else codes.row)[codes.reason == Reason.DECODED]
     if code.frames[period.frames[0]].kind != "phase" or not len(place_px):
         return 0.0
-    turn = np.exp(2j * np.pi * place_px.astype(np.float64) / period.period_px)
-    below, ripple, above = (abs((turn**m).mean()) for m in (steps - 1, steps, steps + 1))
+    bins = (np.mod(place_px / np.float32(period.period_px), 1) * _PHASES).astype(np.int64) % _PHASES
+    occurrence = np.bincount(bins, minlength=_PHASES) / len(place_px)
+    below, ripple, above = np.abs(np.fft.rfft(occurrence))[steps - 1 : steps + 2]
     floor = math.hypot(below, above) / math.sqrt(2)
     if ripple <= RIPPLE_OVER_FLOOR * floor:
         return 0.0

@@ -83,7 +83,7 @@ def _checker(
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of the kind that an annotation names; True for what it leaves open."""
+    """Return whether a value is of the kind that an annotation names, or the annotation is open."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return any(fits(value, one) for one in inner)
@@ -116,12 +116,12 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def _is_array(hint: Any) -> bool:
-    """Whether an annotation is that of an array with its axes."""
+    """Return whether an annotation is that of an array with its axes."""
     return isinstance(hint, type) and hasattr(hint, "array_type")
 
 
 def words(hint: Any) -> str:
-    """What an annotation asks for, in words."""
+    """Return in words what an annotation asks for."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return " or ".join(words(one) for one in inner)
@@ -146,7 +146,7 @@ def words(hint: Any) -> str:
 
 
 def value_text(value: Any) -> str:
-    """A value and its kind, cut where it is long."""
+    """Return a value and its kind, cut where it is long."""
     text = " ".join(repr(value).split())
     if len(text) > MOST_CHARACTERS:
         text = text[: MOST_CHARACTERS - 3] + "..."

@@ -48,7 +48,7 @@ def visible_entries(folder: Path) -> list[Path]:
 
 
 def leads_out(name: str) -> bool:
-    """Whether the name of a file, as a list of others has it, leads out of the list's folder.
+    """Return whether a file's name in a list of others leads out of the folder of the list.
 
     Such a name is an absolute path, or has `..`: it would open files of whoever reads the list.
     Windows' `\\` counts as `/`.

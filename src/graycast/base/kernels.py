@@ -48,7 +48,7 @@ _IMPORT = re.compile(
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator that compiles a function at its first call; `options` are those of `numba.njit`.
+    """Return a decorator that compiles a function at its first call, with options of `numba.njit`.
 
     The check of array annotations in tests wraps every function, and Numba cannot compile the
     wrapper: the function itself is compiled.

@@ -239,7 +239,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
-    """A YAML mapping, also of numbers; what is none is refused by line."""
+    """Return a YAML mapping, also one of numbers; refuse anything else by its line."""
     try:
         content = yaml.load(text, Loader=OneOfEachKey)
     except yaml.YAMLError as error:

@@ -132,7 +132,7 @@ def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
 
 
 def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
-    """The measuring camera's stack, one picture per pattern, several exposures merged.
+    """Return the measuring camera's stack, one picture per pattern, several exposures merged.
 
     All exposures are taken through the same optics, so one pattern of speckle is in all of them.
 
@@ -288,7 +288,7 @@ def _effective_reflectance(
 
 
 def preset(name: str, resolution: str = "low") -> Scanner:
-    """A scanner known by name.
+    """Return a scanner known by name.
 
     `paper` is the paper's: plain Gray code, no filter. The others show a phase code, filter their
     depth and smooth it. They know most light that came by way of another surface: by two periods

@@ -175,7 +175,7 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
 
 
 def depth_step_mm(cell: Cell) -> float:
-    """What one step of the cell's depth pictures stands for: as configured, or what reaches far.
+    """Return the millimetres of one step of the cell's depth pictures, as configured or as needed.
 
     Raises:
         ConfigError: the cell lies deeper than 16 bits reach in any step.

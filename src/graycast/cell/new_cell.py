@@ -27,7 +27,7 @@ MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 def new_cell(
     name: str, part: Part, source: Mapping[str, str], *, surface: str | None, scenes: int = 10
 ) -> str:
-    """The text of a configuration.
+    """Return the text of a configuration.
 
     Args:
         name: of the folder, for the commands in its first lines.

@@ -283,7 +283,7 @@ def load_cell(
 
 
 def reach_m(cell: Cell) -> float:
-    """The largest depth that a cell's depth pictures must hold [m], along the camera's z.
+    """Return the largest depth that a cell's depth pictures must hold [m], along the camera's z.
 
     It covers the rig's working range and the deepest corner of the bin for every pose of the
     rig that the domain allows. Only the table, which is infinite, lies deeper.

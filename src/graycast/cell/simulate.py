@@ -229,7 +229,7 @@ def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
-    """What a scene drops and renders first: the cell's own, or as the cell's domain has it."""
+    """Return what a scene drops and renders first, the cell's own or varied by its domain."""
     counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
     first = eyes(cell, seeds.get("views", 0))[0]
     scene = replace(cell.scene, T_world_cam=first.T_world_cam)

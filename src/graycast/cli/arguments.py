@@ -370,7 +370,7 @@ def resolve_config(config, name: Path, folder: Path):
 
 
 def file_options(options: argparse.Namespace) -> "FileOptions":
-    """What the options of files of depth state, from `--intrinsics` to `--max-depth`."""
+    """Return what the options of files of depth state, from `--intrinsics` to `--max-depth`."""
     from ..real.depth_file import FileOptions, read_intrinsics
 
     return FileOptions(

@@ -240,7 +240,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
 
 
 def _same_by_current_names(content: Mapping[str, Any], claim: Mapping[str, Any]) -> bool:
-    """Whether two claims are the same except for former names of rigs, and neither was changed."""
+    """Return whether two claims differ in former names of rigs alone, and neither was changed."""
     if content["fingerprint"] != fingerprint(content):
         return False
     one, other = (parse_json(with_current_names(json.dumps(c))) for c in (content, claim))

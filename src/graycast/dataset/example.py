@@ -163,7 +163,7 @@ def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarr
 
 
 def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
-    """Whether each number of a depth picture is a distance.
+    """Return whether each number of a depth picture is a distance.
 
     0, what is not finite, and the largest number of the type (65535 of 16 bits) are none: cameras
     write them where they measured nothing, however few such pixels there are.

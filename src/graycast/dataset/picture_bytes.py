@@ -19,7 +19,7 @@ _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 
 def depth_scale_mm(reach_m: float) -> float:
-    """The millimetres that one step of a depth picture stands for, for depths up to `reach_m`.
+    """Return the millimetres of one step of a depth picture that holds depths up to `reach_m`.
 
     The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65534 steps reach so far: 0.02 mm up to
     1.31 m. So a step is a part in 65534 to 26213 of the depth, well under a scanner's noise, and

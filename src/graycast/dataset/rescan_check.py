@@ -44,7 +44,7 @@ def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any
 
 
 def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]]:
-    """All that is wrong with what a scanner added, as (scene or None, what)."""
+    """Yield all that is wrong with what a scanner added, as (scene or None, what)."""
     try:
         claim = read_json(out / CLAIM, RescanClaim)
     except Unreadable as error:

@@ -115,7 +115,7 @@ def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str
 
 
 def _renamed(content: bytes) -> str:
-    """The text of a file with the current names of rigs; broken letters stay broken."""
+    """Return the text of a file with the current names of rigs; broken letters stay broken."""
     return with_current_names(content.decode("utf-8", "surrogateescape"))
 
 

@@ -98,7 +98,7 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
 
 
 def read_depth(path: Path, options: FileOptions) -> DepthFile:
-    """A depth map from its file.
+    """Return a depth map from its file.
 
     Raises:
         DatasetError: it is missing, damaged or of another form, or something is not stated.
@@ -137,7 +137,7 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
 
 
 def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
-    """An organised PLY, ASCII or binary; missing points are NaN or at the origin.
+    """Return an organised PLY, ASCII or binary; missing points are NaN or at the origin.
 
     Its vertices are its first element; what follows is not read.
     """

@@ -66,13 +66,13 @@ def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
 
 
 def _percent(share: float) -> str:
-    """A share in words; small ones do not become 0 %."""
+    """Return a share in words; small ones do not become 0 %."""
     return f"{share:.0%}" if share >= 0.01 else f"{share:.2%}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneShares:
-    """Which shares of depth pictures lie on one plane each, by what the depth is taken for."""
+    """The shares of depth pictures that lie on one plane each, by what the depth is taken for."""
 
     as_z: float
     as_length: float
@@ -118,7 +118,7 @@ def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
 def _on_plane(
     ray: Float[np.ndarray, "n 3"], inverse: Float[np.ndarray, " n"], rng: np.random.Generator
 ) -> int:
-    """How many pixels lie on the plane that has the most of them; `inverse` is 1 / z."""
+    """Return how many pixels lie on the plane with the most of them; `inverse` is 1 / z."""
     three = rng.integers(0, len(ray), (_PLANES, 3))
     corners = ray[three]
     planes = np.flatnonzero(np.abs(np.linalg.det(corners)) > 1e-6)

@@ -71,7 +71,7 @@ class ShotData:
 
 
 def find_shots(folder: Path) -> list[RealPicture]:
-    """The pictures of a folder, by the names of the files in its `rgb`, `gray` and `depth`.
+    """Return the pictures of a folder, by the names of the files in its `rgb`, `gray` and `depth`.
 
     Raises:
         DatasetError: there are none, or a picture is in one folder and not in another.

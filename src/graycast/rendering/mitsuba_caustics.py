@@ -127,7 +127,7 @@ class CausticTracer:
     def _shining_pixel(
         self, rng: mi.PCG32, place: mi.Point2f, inverse_z: mi.Float
     ) -> tuple[mi.UInt32, mi.Bool]:
-        """The projector's pixel of a path seen at `place`, and whether it shines."""
+        """Return the projector's pixel of a path seen at `place`, and whether it shines."""
         optics = self.projector
         if not optics.is_pinhole:
             disc = _on_disc(rng) * dr.sqrt(blur_radius2(optics, inverse_z))

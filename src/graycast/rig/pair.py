@@ -204,7 +204,7 @@ RESOLUTIONS = tuple(BINNING)
 
 
 def preset_rig(name: str, resolution: str = "low") -> Rig:
-    """A rig known by name, with sharp lenses.
+    """Return a rig known by name, with sharp lenses.
 
     `paper` is a PhoXi M's camera and baseline with a white Gray-code projector: the paper prints
     neither intrinsics nor resolution; it names the PhoXi M and L.

@@ -116,7 +116,7 @@ def load_scanner(path: Path | str) -> Scanner:
 
 
 def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanner:
-    """The scanner that a configuration means by `rig: text`.
+    """Return the scanner that a configuration means by `rig: text`.
 
     Args:
         text: a name in `PRESETS`, a former name of one, or a rig file, relative to `folder`.

@@ -79,7 +79,7 @@ def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
 
 
 def _adapted(scene: Scene, record: Record) -> Scene:
-    """The adapted scene. Values without a deviation are unchanged to the bit."""
+    """Return the adapted scene. Values without a deviation are unchanged to the bit."""
     box = record["bin"]
     lamps = tuple(
         replace(

@@ -42,7 +42,7 @@ def keep_to_threads(threads: int | None) -> None:
 
 
 def is_the_scenes_own(error: BaseException) -> bool:
-    """Whether the scene itself causes an error, so that another try would fail in the same way.
+    """Return whether the scene itself causes an error, so that another try would fail, too.
 
     Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """

@@ -152,7 +152,7 @@ class _Worker:
         return True
 
     def result(self) -> TaskResult | Failed:
-        """The result of the finished scene; a worker that failed unexpectedly is replaced."""
+        """Return the result of the finished scene; replace a worker that failed unexpectedly."""
         if self.connection is None or self._process is None or not self.busy:
             raise RuntimeError("nothing was submitted")
         error: Exception

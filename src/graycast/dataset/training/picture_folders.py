@@ -104,7 +104,7 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
-    """The picture and the depths that an export holds."""
+    """Return the picture and the depths that an export holds."""
     if leads_out(name):
         raise DatasetError(f"{folder}: picture {name} leads out of the folder: export again")
     image = folder / "images" / name

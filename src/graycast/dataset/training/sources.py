@@ -95,7 +95,7 @@ class Examples(Sequence):
 def open_examples(
     folder: Path | str, *, split: str = "train", division: Split | None = None
 ) -> Examples:
-    """The examples of a dataset, of an export of it, or of others' datasets.
+    """Return the examples of a dataset, of an export of it, or of others' datasets.
 
     Args:
         folder: a dataset's or an export's; of others a file of COCO annotations, or the folder of

@@ -190,7 +190,7 @@ def pictures_of(
     scale_m: float | None = None,
     as_real: bool = False,
 ) -> PictureSelection:
-    """The pictures of a dataset, of an export, or of a folder that `import_real` could read.
+    """Return the pictures of a dataset, of an export, or of a folder that `import_real` could read.
 
     Args:
         split: a set, or `all`. The scenes of a dataset are divided as the training divided them.

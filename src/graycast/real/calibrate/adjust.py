@@ -185,7 +185,7 @@ def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
 
 
 def _robust_fit(start, free, obs: Observations, stand):
-    """Which corners agree with a first fit, those that a second rests on, and the second."""
+    """Return the corners that agree with a first fit, those of a second, and the second."""
     fitted, *_ = _fit(start, free, obs, stand)
     size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)

@@ -160,7 +160,7 @@ def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
 
 
 def _read_scene(scene: Path) -> list[BinView]:
-    """The scanner's views of a scene of one of our datasets.
+    """Return the scanner's views of a scene of one of our datasets.
 
     Raises:
         DatasetError: `scene_camera_sl.json` is damaged, or says too little of a camera.

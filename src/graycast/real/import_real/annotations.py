@@ -33,7 +33,7 @@ Runs = Mapping[str, Any]  # compressed run lengths
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Annotation:
-    """What somebody drew on one picture: a name and run lengths (compressed) per instance.
+    """The labels that somebody drew on a picture: a name and compressed run lengths per instance.
 
     `beyond_px` is how far the farthest corner lies outside of the picture; 0 if none does.
     """
@@ -118,7 +118,7 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
 
 
 def _stem(file_name: str) -> str:
-    """The name of a picture without folders and ending; Windows writes folders with backslashes."""
+    """Return the name of a picture without folders, also Windows' with backslashes, and ending."""
     return Path(file_name.replace("\\", "/")).stem
 
 
@@ -223,7 +223,7 @@ def _labelme_outline(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "
 
 
 def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> Runs:
-    """A PNG of the pixels from the first point to the second, both included."""
+    """Return a PNG of the pixels from the first point to the second, both included."""
     try:
         content = base64.b64decode(shape["mask"], validate=True)
         inside = pixels(content, "its mask") > 0
@@ -272,7 +272,7 @@ def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
 
 
 def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: str) -> float:
-    """How far the farthest corner lies outside of the picture.
+    """Return how far the farthest corner lies outside of the picture.
 
     Raises:
         DatasetError: it is so far that this is another picture's polygon.

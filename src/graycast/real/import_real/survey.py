@@ -18,7 +18,7 @@ _FOR_KIND = 20  # So many pictures show whether depth is z.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """What all pictures have in common, the step of their depth, and notes about it."""
+    """The properties that all pictures share, the step of their depth, and notes about it."""
 
     first: ShotData
     step_mm: float

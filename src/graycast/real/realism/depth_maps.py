@@ -81,7 +81,7 @@ def read_scans(
 
 
 def _pictures(paths: Sequence[Path]) -> list[Path]:
-    """The given files, and the files in the given folders sorted by name."""
+    """Return the given files, and the files in the given folders sorted by name."""
     files = []
     for path in paths:
         inside = visible_entries(path) if path.is_dir() else [path]
@@ -122,7 +122,7 @@ def _scenes(path: Path) -> list[Path]:
 
 
 def _read_scene(scene: Path) -> Iterator[DepthScan]:
-    """All images of a scene folder, the scanner's where there is one beside the colour camera."""
+    """Yield all images of a scene folder, the scanner's where one is beside the colour camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
     views = _record(files, f"scene_camera{suffix}", AnyView)

@@ -20,7 +20,7 @@ from .source_files import camera_of
 
 
 def open_depth(folder: Path, options: SourceOptions) -> Source:
-    """The pictures of a folder; each is read when it is asked for.
+    """Return the pictures of a folder; each is read when it is asked for.
 
     Raises:
         DatasetError: there are none, or the camera is not known.

@@ -92,7 +92,7 @@ class _ModelInfo(BaseModel):
 
 
 def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapping[int, ModelFile]:
-    """The models of a dataset in BOP's form, none of them read yet.
+    """Return the models of a dataset in BOP's form, none of them read yet.
 
     Args:
         root: the dataset; the first of `FOLDERS` in it that is there is taken.
@@ -141,7 +141,7 @@ def _own_names(root: Path) -> Mapping[int, str]:
 def read_models(
     files: Mapping[int, ModelFile], obj_ids: Collection[int], materials: Path | None
 ) -> Models:
-    """The objects of a dataset that its images have.
+    """Return the objects of a dataset that its images have.
 
     Args:
         files: all models of the dataset.
@@ -196,7 +196,7 @@ def _unit_notes(converted: Mapping[str, _Units]) -> Iterator[str]:
 
 
 def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
-    """The same symmetry of a part whose lengths are so many times as large."""
+    """Return the same symmetry of a part whose lengths are so many times as large."""
     scale = np.array([[1, 1, 1, factor]] * 3 + [[1, 1, 1, 1]])
     return Symmetry(
         discrete=tuple(matrix * scale for matrix in symmetry.discrete),

@@ -29,7 +29,7 @@ _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
 
 
 def open_source(path: Path | str, options: SourceOptions | None = None) -> Source:
-    """A dataset of others, by what its folder has; images are read when they are asked for.
+    """Return a dataset of others, by what its folder has; images are read when they are asked for.
 
     Args:
         path: a split in BOP's form, such as `lm/train_pbr`; a folder of Siléane or of Fraunhofer
@@ -61,7 +61,7 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
 
 
 def _depth_notes(source: Source, ray_length: bool) -> list[str]:
-    """Whether the first images show that depth is of the other kind, z or lengths of rays."""
+    """Return a note if the first images show that depth is of the other kind, z or ray lengths."""
     images = []
     for place in source.images[:_FOR_KIND]:
         with suppress(DatasetError):  # Whoever makes the image says what is wrong with it.

@@ -111,7 +111,7 @@ class RescanFolder:
                         self._bring(path, scene / path.name)
 
     def finish(self) -> None:
-        """The JSON files of each scene, of all images that are there."""
+        """Return the JSON files of each scene, of all images that are there."""
         for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
             for name, content in scene_records(self._records(scene_id)).items():
                 write_whole(self._scene(scene_id) / f"{name}.json", json_bytes(content))

@@ -144,7 +144,7 @@ class ImageScanner:
     def _scanned(
         self, staged: Staged, scanner: Scanner, seeds: dict[str, int], number: int
     ) -> tuple[Sample, dict[str, Any]]:
-        """The sample of a staged image, and what its record says of it."""
+        """Return the sample of a staged image, and what its record says of it."""
         task = self._task
         render = task.spec.render
         with self._renderer.of(render) as renderer:

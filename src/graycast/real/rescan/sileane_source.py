@@ -91,7 +91,7 @@ class _Camera:
 
 
 def open_sileane(folder: Path, options: SourceOptions) -> Source:
-    """The images of one of Siléane's objects; image i is the i-th of the sorted names.
+    """Return the images of one of Siléane's objects; image i is the i-th of the sorted names.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another.

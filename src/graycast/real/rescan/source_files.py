@@ -39,7 +39,7 @@ def source_image(
     step_m: float,
     ray_length: bool = False,
 ) -> SourceImage:
-    """An image of its depth and its files.
+    """Return an image of its depth and its files.
 
     Args:
         depth_m: as of `stored_depth`, and so is `step_m`.

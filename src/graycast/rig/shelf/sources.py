@@ -1,4 +1,4 @@
-"""Where each number of a scanner's file is from: its class, and the words behind it."""
+"""Sources of the numbers of a scanner's file: the class of each, and the words behind it."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
 
 
 def _leaves(node: yaml.Node, key: str) -> Iterator[tuple[str, yaml.Node]]:
-    """Each number, list of numbers and choice of light below a node, with its key."""
+    """Yield each number, list of numbers and choice of light below a node, with its key."""
     items: list[tuple[str, yaml.Node]] = []
     if isinstance(node, yaml.MappingNode):
         items = [(str(name.value), inner) for name, inner in node.value]
@@ -80,7 +80,7 @@ def class_of(name: str, *keys: str) -> str:
 
 
 def source_lines(name: str) -> list[str]:
-    """One line for each number of a scanner's file, which ends with its class and its source.
+    """Return a line for each number of a scanner's file, which ends with its class and source.
 
     The comment at the head of the file explains the names of sources and comes first. Of the rig
     `paper`, only the geometry is that of a file.

@@ -73,7 +73,7 @@ def scan(
 def _acted_on(
     cell: PickCell, rendering: Rendering, capture: Capture, seed: int
 ) -> Float[np.ndarray, "h w"]:
-    """The scanner's depth, or what simulators without one would give the robot."""
+    """Return the scanner's depth, or what simulators without one would give the robot."""
     picking = cell.config.picking
     if picking.depth == "scanner":
         noise = rendering.radiance.path_noise

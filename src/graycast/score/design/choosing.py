@@ -153,7 +153,7 @@ def _few(spec: DesignSpec) -> str:
 
 
 def where(row: SettingFigures) -> str:
-    """A setting in words: the rig, its place, and what else was chosen."""
+    """Return a setting in words: the rig, its place, and what else was chosen."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
     words = f"The rig {rig.name}"

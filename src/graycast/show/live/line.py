@@ -218,7 +218,7 @@ class Line:
             raise Superseded
 
     def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
-        """From light to what the page shows; the colour picture follows where it takes longer."""
+        """Make what the page shows of light; the colour picture follows where it takes longer."""
         scanner, ask = run.cell.scanner, run.ask
         power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
         light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
@@ -309,12 +309,12 @@ def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hash
 
 
 def _words(config: Config) -> str:
-    """All that a configuration itself says of the world and its light, as text."""
+    """Return all that a configuration itself says of the world and its light, as text."""
     return config.model_dump_json(exclude=set(FREE_SECTIONS))
 
 
 def _state(file: Path) -> Hashable:
-    """What changes when a file is written, or None if there is no such file."""
+    """Return what changes when a file is written; None if there is no such file."""
     try:
         state = file.stat()
     except OSError:

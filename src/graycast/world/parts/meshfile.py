@@ -149,7 +149,7 @@ def _quiet() -> Iterator[None]:
 
 
 def read_surface(path: Path) -> RawMesh:
-    """What a file says, in its own unit; whether it can be a part is not judged.
+    """Return what a file says, in its own unit; whether it can be a part is not judged.
 
     Raises:
         Refusal: the file cannot be read as a mesh with triangles.

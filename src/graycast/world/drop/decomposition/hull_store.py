@@ -33,7 +33,7 @@ _SETTINGS = tuple(
 def prepare(
     parts: Iterable[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Decomposition, ...]:
-    """The convex hulls of each part, whose union is its mesh within `tolerance_m(mesh)`.
+    """Return the convex hulls of each part, whose union is its mesh within `tolerance_m(mesh)`.
 
     Those that the cache lacks are made, those of equal meshes once: a mesh that is convex within
     the tolerance has one hull, and others are cut by one child process per processor, which ends

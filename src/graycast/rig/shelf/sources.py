@@ -44,8 +44,7 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
     Raises:
         ValueError: a number has no class.
     """
-    name = "like-phoxi-m" if name == "paper" else current_name(name)
-    text = files(__package__).joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+    text = _file_text(name)
     lines = text.splitlines()
     stated = {}
     for key, node in _leaves(yaml.compose(text, Loader=yaml.SafeLoader), ""):
@@ -56,6 +55,12 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
             raise ValueError(f"{name}.yaml: {key} has no class: state where {value} is from")
         stated[key] = StatedNumber(key=key, text=value, kind=kinds[0], comment=comment)
     return stated
+
+
+def _file_text(name: str) -> str:
+    """Return the text of the file that has the numbers of a scanner of the shelf."""
+    file = "like-phoxi-m" if name == "paper" else current_name(name)
+    return files(__package__).joinpath(f"{file}.yaml").read_text(encoding="utf-8")
 
 
 def _leaves(node: yaml.Node, key: str) -> Iterator[tuple[str, yaml.Node]]:
@@ -85,10 +90,9 @@ def source_lines(name: str) -> list[str]:
     The comment at the head of the file explains the names of sources and comes first. Of the rig
     `paper`, only the geometry is that of a file.
     """
-    file = "like-phoxi-m" if name == "paper" else current_name(name)
-    text = files(__package__).joinpath(f"{file}.yaml").read_text(encoding="utf-8")
-    head = [line[2:] for line in takewhile(lambda line: line[:1] == "#", text.splitlines())]
-    numbers = list(stated_numbers(file).values())
+    lines = _file_text(name).splitlines()
+    head = [line[2:] for line in takewhile(lambda line: line[:1] == "#", lines)]
+    numbers = list(stated_numbers(name).values())
     if name == "paper":
         head = [
             "The geometry is that of like-phoxi-m; light, lens, code and filters are our choice."

@@ -49,7 +49,7 @@ def imported_by(folder):
 
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
-    """lxml, networkx and mapbox-earcut were asked for, and nothing imported them."""
+    """lxml, networkx and mapbox-earcut were dependencies, and nothing imported them."""
     of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick", "twin")]
     dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     dependencies = {name.replace("-", "_") for name in dependencies}
@@ -80,8 +80,8 @@ def test_what_changes_pictures_or_layouts_of_a_seed_has_an_upper_bound(name):
 
 def test_the_versions_of_python_are_the_same_wherever_they_stand():
     """pip took Python 3.14, which setup refuses and for which some packages have no wheels."""
-    asked = SpecifierSet(PROJECT["requires-python"])
-    allowed = [minor for minor in range(30) if f"3.{minor}" in asked]
+    python_versions = SpecifierSet(PROJECT["requires-python"])
+    allowed = [minor for minor in range(30) if f"3.{minor}" in python_versions]
     assert allowed == list(range(allowed[0], allowed[-1] + 1))
     low, high = allowed[0], allowed[-1]
     setup = (ROOT / "scripts" / "setup").read_text(encoding="utf-8")

@@ -114,8 +114,8 @@ def test_another_number_would_be_noticed():
 def repository():
     """Files and folders of the repository by their paths, without what a run writes."""
     tops = "src tests docs configs examples benchmarks studies scripts".split()
-    found = [path for top in tops for path in (ROOT / top).rglob("*")]
-    paths = [path for path in found if "__pycache__" not in path.parts]
+    candidates = [path for top in tops for path in (ROOT / top).rglob("*")]
+    paths = [path for path in candidates if "__pycache__" not in path.parts]
     paths += [path for path in ROOT.iterdir() if path.is_file()]
     return tops, {path.relative_to(ROOT).as_posix() for path in paths} | set(tops)
 
@@ -162,7 +162,7 @@ def command_of(words):
 
 def test_each_command_within_a_sentence_is_one_of_the_program():
     """Such a command may lack what it needs; blocks of commands are parsed as a whole."""
-    seen = 0
+    count = 0
     for page in PAGES:
         text = FENCE.sub(" ", page.read_text(encoding="utf-8"))
         for command in re.findall(r"`graycast( [^`]+)`", text):
@@ -175,12 +175,12 @@ def test_each_command_within_a_sentence_is_one_of_the_program():
             assert flags <= known, f"{name_of(page)}: graycast{command}"
             is_group = any(isinstance(a, argparse._SubParsersAction) for a in parser._actions)
             assert not (is_group and rest and not flags), f"{name_of(page)}: graycast{command}"
-            seen += 1
-    assert seen > 60
+            count += 1
+    assert count > 60
 
 
 def test_each_benchmark_and_each_study_that_a_page_runs_is_there():
-    seen = 0
+    count = 0
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for line in re.findall(r"python -m\s+benchmarks\s+([^`\n#]*)", text):
@@ -190,12 +190,12 @@ def test_each_benchmark_and_each_study_that_a_page_runs_is_there():
             with pytest.raises(SystemExit) as stopped:
                 benchmarks.parsed([words[0].rstrip(".,:;"), "--help"])
             assert stopped.value.code == 0, f"{name_of(page)}: python -m benchmarks {line}"
-            seen += 1
+            count += 1
         for study in re.findall(r"python -m\s+studies\.(\w+)", text):
             tree = ast.parse((ROOT / "studies" / f"{study}.py").read_text(encoding="utf-8"))
             assert any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in tree.body)
-            seen += 1
-    assert seen > 20
+            count += 1
+    assert count > 20
 
 
 def test_each_target_of_make_that_a_page_names_is_there():
@@ -242,10 +242,10 @@ def test_a_page_says_that_it_is_older_where_the_list_does():
             listed.setdefault(target, set()).add(change)
     for page in MEASUREMENTS:
         text = plain(page.read_text(encoding="utf-8"))
-        said = set()
+        stated = set()
         for remark in re.findall(r"\*[^*]*older\.md[^*]*\*", text, re.IGNORECASE):
-            said |= set(COMMIT.findall(remark))
-        assert page == OLDER or said == listed.get(page.name, set()), page.name
+            stated |= set(COMMIT.findall(remark))
+        assert page == OLDER or stated == listed.get(page.name, set()), page.name
 
 
 def git(*words):

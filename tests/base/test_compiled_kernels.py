@@ -48,8 +48,8 @@ def package(tmp_path, monkeypatch):
 
 
 def forget():
-    for kept in (kernels.imported_modules, kernels._content_digest, sources_digest):
-        kept.cache_clear()
+    for cached in (kernels.imported_modules, kernels._content_digest, sources_digest):
+        cached.cache_clear()
 
 
 @pytest.mark.parametrize(

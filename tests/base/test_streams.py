@@ -57,8 +57,8 @@ def test_a_rescan_has_the_seeds_of_no_image_of_its_source_and_of_no_other_scanne
 def test_scanners_and_devices_have_numbers_of_their_own():
     streams = [np.random.default_rng(5), *(station_stream(5, k) for k in range(1, 4))]
     first = station_stream(5, 0).uniform(size=3).tolist()
-    drawn = [stream.uniform(size=3).tolist() for stream in streams]
-    assert drawn[0] == first
-    assert len({tuple(each) for each in drawn}) == len(drawn)
+    draws = [stream.uniform(size=3).tolist() for stream in streams]
+    assert draws[0] == first
+    assert len({tuple(each) for each in draws}) == len(draws)
     names = ("a", "b", "aa", "left", "right")
     assert len({device_seed(seed, name) for seed in range(3) for name in names}) == 15

@@ -17,8 +17,8 @@ from graycast.cell.resolve import load_cell
 from graycast.cli.command import main
 from graycast.dataset.claim import fingerprint, make_claim, refuse_other
 from graycast.dataset.seal import differing_files
+from graycast.rig.former_names import current_name, with_current_names
 from graycast.rig.pair import PRESETS, preset_rig
-from graycast.rig.shelf import current_name, with_current_names
 from graycast.score.design.study import DesignSpec
 
 FORMER = ("phoxi-s", "phoxi-m", "phoxi-l")

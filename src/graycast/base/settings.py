@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-import yaml
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -29,7 +28,6 @@ from pydantic.fields import FieldInfo
 
 from .argument_check import fits, value_text, words
 from .errors import ConfigError
-from .yaml_loader import OneOfEachKey
 
 Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -240,6 +238,10 @@ def read_text(path: Path) -> str:
 
 def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
     """Return a YAML mapping, also one of numbers; refuse anything else by its line."""
+    import yaml  # Programs that only read a dataset need no PyYAML.
+
+    from .yaml_loader import OneOfEachKey
+
     try:
         content = yaml.load(text, Loader=OneOfEachKey)
     except yaml.YAMLError as error:

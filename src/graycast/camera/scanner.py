@@ -14,10 +14,11 @@ from pydantic import Field
 
 from ..base.settings import Positive, check_fields
 from ..rendering import PathNoise, Radiance
+from ..rig.former_names import current_name
 from ..rig.optics import points
 from ..rig.pair import BINNING, PRESETS, Rig, preset_rig
 from ..rig.pattern import AXES, Code, CodeSpec
-from ..rig.shelf import current_name, shelf_entry
+from ..rig.shelf import shelf_entry
 from .decode import (
     CodeMap,
     DecodeSpec,

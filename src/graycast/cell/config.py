@@ -19,7 +19,7 @@ from ..camera.rig_file import ScannerSections, named_scanner, own_device, with_s
 from ..camera.scanner import Scanner
 from ..rendering import Quality
 from ..rendering.radiance import PathDepth, Samples
-from ..rig.shelf import RigName
+from ..rig.former_names import RigName
 from ..world.bins import Up, load_bin
 from ..world.drop import DropLimits
 from ..world.parts import Material, Part

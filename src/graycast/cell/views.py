@@ -12,9 +12,9 @@ from ..base.errors import ConfigError
 from ..base.frames import axis_rotation, inverse, is_rigid, rigid, transform_points
 from ..base.settings import Level, Positive, PositiveSpan, Settings, SpanOf, Vector
 from ..camera.rig_file import ScannerSections
+from ..rig.former_names import RigName
 from ..rig.optics import Optics, rays
 from ..rig.pair import Rig, place, standoff_m
-from ..rig.shelf import RigName
 from ..world.scene import Bin
 
 Pose = Float[np.ndarray, "4 4"]

@@ -190,8 +190,9 @@ def _list(options: argparse.Namespace) -> None:
 
 
 def _show(options: argparse.Namespace) -> None:
+    from ..rig.former_names import current_name
     from ..rig.pair import PRESETS
-    from ..rig.shelf import current_name, source_lines
+    from ..rig.shelf import source_lines
     from ..show.report import describe_rig, draw_rig
 
     rig = resolve_rig_option(options).rig

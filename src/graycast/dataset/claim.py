@@ -18,9 +18,9 @@ from ..base.version import __version__
 from ..camera.decode import DecodeSpec
 from ..camera.scanner import ExposureSpec
 from ..camera.sensor import SensorSpec
+from ..rig.former_names import with_current_names
 from ..rig.optics import Optics
 from ..rig.pair import Rig
-from ..rig.shelf import with_current_names
 from ..world.parts import Part
 from .json_text import plain
 from .records import FORMAT_VERSION

@@ -20,9 +20,10 @@ from ..base.frames import (
     transform_points,
 )
 from ..base.settings import Level, Positive, Share, Vector, check_fields
+from .former_names import current_name
 from .optics import Optics, in_picture, project, rays
 from .pattern import AXES, Axis
-from .shelf import NAMES, current_name, no_rig, shelf_entry
+from .shelf import NAMES, no_rig, shelf_entry
 
 
 def _rising(response: tuple[float, ...]) -> tuple[float, ...]:

@@ -62,8 +62,8 @@ def test_a_camera_that_was_knocked_between_two_halves_of_the_views_gives_no_rig(
     words = rf"{names} have the devices (\S+) degrees and \S+ mm apart: a device moved between them"
     with pytest.raises(CalibrationError, match=words) as raised:
         calibrated(views)
-    said_deg = float(str(raised.value).split("have the devices ")[1].split()[0])
-    assert said_deg == pytest.approx(turn_deg, rel=0.2)
+    stated_deg = float(str(raised.value).split("have the devices ")[1].split()[0])
+    assert stated_deg == pytest.approx(turn_deg, rel=0.2)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ from ...base.errors import ConfigError, GraycastError
 from ...base.folder import write_whole
 from ...base.frames import rigid
 from ...base.settings import Settings, check_settings, parse_yaml, read_text, section_of
+from ...rig.former_names import current_name
 from ...rig.optics import Optics
 from ...rig.pair import PRESETS, RESOLUTIONS, Rig
-from ...rig.shelf import current_name, no_rig
+from ...rig.shelf import no_rig
 from ..scanner import Scanner, preset
 from .checks import build_optics, build_rig, check_rotation, is_file_storage
 from .scanner_sections import ScannerSections, scanner_of

@@ -8,7 +8,7 @@ from itertools import takewhile
 
 import yaml
 
-from .former_names import current_name
+from ..former_names import current_name
 
 # The comment behind a number begins with the words of its class; this order is from the best on.
 CLASSES: Mapping[str, str] = {

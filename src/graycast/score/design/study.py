@@ -11,8 +11,9 @@ from ...base.errors import ConfigError
 from ...base.settings import Level, Positive, ReadAs, Settings, read_settings
 from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
 from ...cell.config import BinSection
+from ...rig.former_names import RigName
 from ...rig.pair import PRESETS
-from ...rig.shelf import RigName, no_rig
+from ...rig.shelf import no_rig
 from ...world.parts.part_sections import MaterialSection
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.

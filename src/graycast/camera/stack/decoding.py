@@ -33,7 +33,7 @@ from ..decode.plan import plan_axes
 from ..sigma import bend_m, with_depth_term, with_ripple
 from .averaging import join_pixels, meet_rays
 from .description import code_of, read_description
-from .diagnosis import symptoms
+from .diagnosis import diagnose
 from .levels import MeasuredLevels, measure_levels
 from .rig_fit import better_reading
 from .stack_figures import StackFigures, figures_of
@@ -118,7 +118,8 @@ def decode_stack(
     clock.lap("levels")
     codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
-    warnings = [*symptoms(pictures, code, codes, spec=spec, levels=levels.levels)]
+    diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
+    warnings = [*diagnosis.warnings]
     _check_light(pictures, codes, warnings, path)
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
@@ -139,7 +140,8 @@ def decode_stack(
         if filters is not None:
             depth = filter_depth(depth, filters, rig)
         depth = with_depth_term(depth, bend_m(depth))
-        warnings += _rig_symptoms(codes, rig, first, residual_px)
+        if not diagnosis.explained:
+            warnings += _rig_symptoms(codes, rig, first, residual_px)
         clock.lap("triangulate")
         if average:
             cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
@@ -149,9 +151,7 @@ def decode_stack(
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     if depth is not None:  # Only now it is known what is out of range or an outlier.
         figures = replace(figures, reasons=reason_shares(depth.reason))
-    light = None
-    with suppress(DecodeError):  # where the code does not tell direct and global light apart
-        light = separate(pictures.frames, code, levels.levels)
+    light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
         code=code,
@@ -165,6 +165,13 @@ def decode_stack(
         cloud=cloud,
         light=light,
     )
+
+
+def _light(pictures: StackPictures, code: Code, levels: Levels):
+    """Direct and global light; None where the code does not tell them apart."""
+    with suppress(DecodeError):
+        return separate(pictures.frames, code, levels)
+    return None
 
 
 @contextmanager

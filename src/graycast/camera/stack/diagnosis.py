@@ -1,18 +1,25 @@
 """Symptoms of wrong stacks that can still be read, each with its measure."""
 
 from collections.abc import Iterator
-from itertools import combinations
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...rig.pattern import Code
-from ..decode import CodeMap, DecodeSpec, Levels, Reason
-from ..decode.plan import AxisPlan, plan_axes
-from .levels import Stack, inverse_pairs
-from .sense import phase_faults
+from ...rig.pattern import Code, Frame
+from ..decode import CodeMap, DecodeSpec, Levels, Reason, decode
+from ..decode.plan import plan_axes
+from .bit_order import FAR_PX, bits_fault
+from .brightness import brightness_faults
+from .computed import computed_pairs, describe_computed
+from .description import LevelsSection
+from .frame_groups import inverse_pairs, opposite_steps
+from .levels import Stack, measure_levels
+from .motion import describe_motion, stack_motion
+from .sense import gray_bands, phase_faults
 from .stack_figures import MAX_SAMPLES, samples, well_lit
 from .stack_pictures import StackPictures
+from .white_sums import white_sums
 
 CLEAR = 0.75  # A value this far from the middle, in halves of the contrast, is not blurred.
 ALIKE = 0.25  # This share of well lit pixels may be clearly bright, or dark, in both of a pair.
@@ -24,30 +31,165 @@ SATURATED = 0.2
 UNLIT = 0.01
 MIRRORED = 0.7
 ROUGH = 0.15  # This share of neighbours may be more than FAR_PX apart.
-FAR_PX = 8.0
-MENDED_OF = 30_000  # Changes of the order are tried on so many pairs.
-# More than TORN of the neighbours far apart is a fault; its remedy leaves less than FEWER of them.
-TORN, FEWER = 2e-3, 0.5
+TRIED_PX = 800  # Pictures in the opposite order are tried in a window of this width and height.
+SOUND = 0.5  # In the right order more than this share of the well lit pixels decodes.
 
 
-def symptoms(
-    pictures: StackPictures, code: Code, codes: CodeMap, *, spec: DecodeSpec, levels: Levels
-) -> Iterator[str]:
-    """Warnings, the cause before the effect.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """Warnings of a stack, and whether they name a cause from which all else that looks wrong
+    follows, in the stack and in how the rig fits it."""
+
+    warnings: tuple[str, ...]
+    explained: bool
+
+
+def diagnose(
+    pictures: StackPictures,
+    code: Code,
+    codes: CodeMap,
+    spec: DecodeSpec,
+    levels: Levels,
+    *,
+    known: LevelsSection,
+) -> Diagnosis:
+    """Return the warnings of a stack. If the cause is known, what follows from it is left out.
 
     Only the well lit pixels are asked whether frames, order and sizes are right: dark and shaded
     ones contradict themselves in healthy stacks too.
+
+    Args:
+        levels: as `codes` were decoded with; measured, except for what is `known`.
     """
-    well = well_lit(codes)
-    yield from _twins(pictures)
-    yield from _ends(pictures.frames, code, well)
-    yield from _pairs(pictures, code, well)
-    yield from phase_faults(pictures.frames, code, spec, levels, well)
-    yield from _shares(code, codes, well)
-    yield from _contradictions(code, codes, well, levels)
-    yield from _course(code, codes, well)
+    names = [file.name for file in pictures.files]
+    facts = [*_twins(pictures), *_exposure(codes)]
     if pictures.lossy and any(f.kind in ("phase", "line") for f in code.frames):
-        yield "JPEG pictures of a phase code: compression and gamma bend phases; use PNG or TIFF"
+        facts.append(
+            "JPEG pictures of a phase code: compression and gamma bend phases; use PNG or TIFF"
+        )
+    motion = stack_motion(white_sums(pictures.frames, code, levels.saturation_dn))
+    moved = describe_motion(motion, names)
+    computed = [*_computed(pictures.frames, code)]
+    faults = _faults(pictures, code, codes, spec, levels)
+    if faults.warnings:  # Sums of the wrong frames have stripes, which seem to move.
+        explained = faults.explained or motion.explains
+        reading = _better_reading(pictures, code, codes, spec, known, explained)
+        if reading is not None:
+            return Diagnosis(warnings=(reading, *computed, *facts), explained=True)
+    if motion.explains:
+        return Diagnosis(warnings=(*moved, *facts), explained=True)
+    facts = [*_brightness(pictures, code, well_lit(codes), levels), *moved, *facts]
+    if computed and not faults.explained:  # Levels that are not the camera's look wrong, too.
+        return Diagnosis(warnings=(*computed, *facts), explained=False)
+    return Diagnosis(warnings=(*computed, *faults.warnings, *facts), explained=faults.explained)
+
+
+def _faults(
+    pictures: StackPictures, code: Code, codes: CodeMap, spec: DecodeSpec, levels: Levels
+) -> Diagnosis:
+    """What is wrong with the frames and their order, the cause before the effect."""
+    well, frames = well_lit(codes), pictures.frames
+    warnings = [*_ends(frames, code, well), *_alike(pictures, code, well)]
+    explained = False
+    for axis, plan in plan_axes(code, spec.fine_bits).items():
+        order = None
+        if not plan.periods:
+            place_px = np.where(well, codes.column if axis == "column" else codes.row, np.nan)
+            order = bits_fault(_neighbours(place_px), code, axis, plan)
+        elif plan.bits:
+            bands = gray_bands(frames, code, axis, spec, levels, well)
+            order = bits_fault(bands.neighbour_places_px(), code, axis, plan)
+            if order is None:
+                for fault in phase_faults(bands, code, axis, plan):
+                    warnings.append(fault.text)
+                    explained |= fault.remedy
+        if order is not None:
+            warnings.append(order)
+            explained = True
+    if not explained:
+        warnings += _outside(code, codes, well)
+        warnings += _contradictions(code, codes, well, levels)
+        warnings += _course(code, codes, well)
+    return Diagnosis(warnings=tuple(warnings), explained=explained)
+
+
+def _better_reading(
+    pictures: StackPictures,
+    code: Code,
+    codes: CodeMap,
+    spec: DecodeSpec,
+    known: LevelsSection,
+    explained: bool,
+) -> str | None:
+    """A warning if nothing is wrong any more where the stack is read in another order.
+
+    Only the order of all pictures is tried where something else explains the faults, too.
+    """
+    window = (slice(None), *_window(codes.reason != Reason.SHADOW))
+    stack = np.ascontiguousarray(pictures.frames[window])
+    readings = [(_OPPOSITE, stack[::-1], code)]
+    if not explained:
+        readings += [(text, stack, other) for text, other in _other_codes(code)]
+    for text, frames, other in readings:
+        levels = measure_levels(frames, other, known).levels
+        decoded = decode(frames, other, spec, levels)
+        share = (decoded.reason[well_lit(decoded)] == Reason.DECODED).mean()
+        taken = replace(pictures, frames=frames)
+        if share > SOUND and not _faults(taken, other, decoded, spec, levels).warnings:
+            return text + f" (then {100 * share:.0f} % of the well lit pixels decode)"
+    return None
+
+
+_OPPOSITE = (
+    "the pictures are in the opposite order: state the files of the stack from the last to the "
+    "first"
+)
+
+
+def _other_codes(code: Code) -> Iterator[tuple[str, Code]]:
+    """The code with its bits, or its steps, in the opposite order, in all axes and in each."""
+    choices = [code.axes, *((axis,) for axis in code.axes if len(code.axes) > 1)]
+    for axes in choices:
+        whose = " and ".join(f"{axis}s" for axis in axes)
+        bits = [f.bit for f in code.frames if f.kind == "gray" and f.axis in axes]
+        if bits:
+            frames = tuple(_turned_bits(f, code) if f.axis in axes else f for f in code.frames)
+            text = f"the Gray bits of {whose} are in the opposite order: check that bit 0 is the "
+            yield text + "finest", replace(code, frames=frames)
+        if any(f.kind in ("phase", "line") and f.axis in axes for f in code.frames):
+            frames = tuple(_turned_step(f) if f.axis in axes else f for f in code.frames)
+            text = f"the phase steps of {whose} run backwards: state each step as steps - step"
+            yield text, replace(code, frames=frames)
+
+
+def _turned_bits(frame: Frame, code: Code) -> Frame:
+    if frame.kind != "gray":
+        return frame
+    bits = [f.bit for f in code.frames if f.kind == "gray" and f.axis == frame.axis]
+    ends = min(bits) + max(bits)
+    xor_bit = frame.xor_bit if frame.xor_bit < 0 else ends - frame.xor_bit
+    return replace(frame, bit=ends - frame.bit, xor_bit=xor_bit)
+
+
+def _turned_step(frame: Frame) -> Frame:
+    return replace(frame, step=-frame.step % frame.steps) if frame.steps else frame
+
+
+def _window(lit: Bool[np.ndarray, "h w"]) -> tuple[slice, slice]:
+    """A window about the middle of the lit pixels."""
+    y, x = np.nonzero(lit)
+    middle = [float(np.median(place)) if len(place) else 0.0 for place in (y, x)]
+    starts = [
+        round(min(max(m - TRIED_PX / 2, 0), max(size - TRIED_PX, 0)))
+        for m, size in zip(middle, lit.shape, strict=True)
+    ]
+    return slice(starts[0], starts[0] + TRIED_PX), slice(starts[1], starts[1] + TRIED_PX)
+
+
+def _computed(frames: Stack, code: Code) -> Iterator[str]:
+    computed = computed_pairs(frames, code)
+    if computed:
+        yield describe_computed(len(computed), len(inverse_pairs(code)) + len(opposite_steps(code)))
 
 
 def _twins(pictures: StackPictures) -> Iterator[str]:
@@ -88,17 +230,9 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
             )
 
 
-def _pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """A pattern and its inverse are opposite, and together equally bright for every bit."""
-    pairs = inverse_pairs(code)
-    if not pairs or not well.any():
-        return
-    taken = samples(well)
-    flat = pictures.frames.reshape(len(pictures.frames), -1)[:, taken]
-    high, low = flat.max(axis=0).astype(np.float32), flat.min(axis=0).astype(np.float32)
-    middle, half = (high + low) / 2, np.maximum((high - low) / 2, 1)
-    sums = {}
-    for k, other in pairs:
+def _alike(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
+    """A pattern and its inverse are opposite."""
+    for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
         first, second = ((flat[i].astype(np.float32) - middle) / half for i in (k, other))
         clear = (np.abs(first) > CLEAR) & (np.abs(second) > CLEAR)  # well inside a stripe
         alike = clear & (first * second > 0)
@@ -109,10 +243,18 @@ def _pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -
                 f"the well lit pixels (correlation {both:+.2f}, it should be near -1): are "
                 f"{pictures.files[k].name} and {pictures.files[other].name} the right files?"
             )
-        striped = np.abs(first - second) > 1.0  # half of the contrast: not blurred to grey
+
+
+def _brightness(
+    pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"], levels: Levels
+) -> Iterator[str]:
+    """All pairs are equally bright, and so are all steps of a period."""
+    sums = {}
+    for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
+        first, second = (flat[i].astype(np.float32) for i in (k, other))
+        striped = np.abs(first - second) > half  # half of the contrast: not blurred to grey
         if striped.mean() > 0.3:
-            whole = flat[k].astype(np.float32) + flat[other]
-            sums[k] = float(np.median(whole[striped] / (high + low)[striped]))
+            sums[k] = float(np.median((first + second)[striped] / (2 * middle)[striped]))
     usual = float(np.median([*sums.values()])) if sums else 1.0
     for k, total in sums.items():
         if abs(total / usual - 1) > DRIFT:
@@ -120,11 +262,23 @@ def _pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -
                 f"{code.frames[k].name} and its inverse together are {total / usual:.2f} times as "
                 "bright as the others: the exposure or the light may have changed"
             )
+    names = [file.name for file in pictures.files]
+    yield from brightness_faults(pictures.frames, code, names, well, levels.saturation_dn)
 
 
-def _shares(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
+def _well_lit_pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]):
+    """Each pair with samples of all frames, and the middle and half of their range."""
+    pairs = inverse_pairs(code)
+    if not pairs or not well.any():
+        return
+    flat = pictures.frames.reshape(len(pictures.frames), -1)[:, samples(well)]
+    high, low = flat.max(axis=0).astype(np.float32), flat.min(axis=0).astype(np.float32)
+    for k, other in pairs:
+        yield k, other, flat, (high + low) / 2, np.maximum((high - low) / 2, 1)
+
+
+def _exposure(codes: CodeMap) -> Iterator[str]:
     lit = codes.reason != Reason.SHADOW
-    count = {reason: int((codes.reason[well] == reason).sum()) for reason in Reason}
     if lit.mean() < UNLIT:
         yield (
             f"{100 * lit.mean():.2f} % of the pixels are lit: check that the projector is in view "
@@ -133,6 +287,10 @@ def _shares(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
     saturated = int((codes.reason == Reason.SATURATED).sum()) / max(int(lit.sum()), 1)
     if saturated > SATURATED:
         yield f"{100 * saturated:.0f} % of the lit pixels are saturated: shorten the exposure"
+
+
+def _outside(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
+    count = {reason: int((codes.reason[well] == reason).sum()) for reason in Reason}
     placed = count[Reason.DECODED] + count[Reason.OUTSIDE_PROJECTOR]
     outside = count[Reason.OUTSIDE_PROJECTOR] / max(placed, 1)
     if outside > OUTSIDE:
@@ -166,29 +324,19 @@ def _contradictions(
 
 
 def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """Neighbouring pixels should have neighbouring codes; a wrong bit breaks this."""
-    maps = {
-        axis: np.where(well, place, np.float32(np.nan))
-        for axis, place in (("column", codes.column), ("row", codes.row))
-    }
-    for axis, plan in plan_axes(code, 0).items():
-        pairs_px = _neighbours(maps[axis])
+    """Neighbouring pixels should have neighbouring codes."""
+    for axis in code.axes:
+        place_px = np.where(well, codes.column if axis == "column" else codes.row, np.nan)
+        pairs_px = _neighbours(place_px)
         if len(pairs_px) < 50:
             continue
-        far = _far_share(pairs_px)
-        remedy = None if plan.periods else _mended(pairs_px, code, plan, far)
-        if remedy is not None:
-            change, left = remedy
-            yield (
-                f"{100 * far:.1f} % of neighbouring well lit pixels are over {FAR_PX:g} {axis}s "
-                f"apart, {100 * left:.1f} % if {change}"
-            )
-        elif far > ROUGH:
-            jump_px = np.median(np.abs(pairs_px[:, 1] - pairs_px[:, 0]))
+        apart_px = np.abs(pairs_px[:, 1] - pairs_px[:, 0])
+        far = float((apart_px > FAR_PX).mean())
+        if far > ROUGH:
             yield (
                 f"{axis}s do not change smoothly: {100 * far:.0f} % of neighbouring well lit "
-                f"pixels are over {FAR_PX:g} apart, median jump {jump_px:.3g} px: the order of "
-                "the frames, the axes or the period may be wrong"
+                f"pixels are over {FAR_PX:g} apart, median jump {np.median(apart_px):.3g} px: the "
+                "order of the frames, the axes or the period may be wrong"
             )
     if len(code.axes) == 2:
         mirrored = mirror_symptom(codes.column, codes.row, step=2 if code.subpixel else 8)
@@ -230,54 +378,3 @@ def _neighbours(position: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:
     second = np.concatenate([rows[:, 1:].ravel(), columns[1:].ravel()])
     pairs = np.stack([first, second], axis=-1)[:: max(1, step)].astype(np.float64)
     return pairs[np.isfinite(pairs).all(axis=-1)]
-
-
-def _far_share(pairs_px: Float[np.ndarray, "n 2"]) -> float:
-    return float((np.abs(pairs_px[:, 1] - pairs_px[:, 0]) > FAR_PX).mean())
-
-
-def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, float] | None:
-    """The change of the bits that makes most jumps go, in words; and the jumps left."""
-    if far < TORN:
-        return None
-    pairs_px = pairs_px[:: max(1, len(pairs_px) // MENDED_OF)]
-    value = np.floor((pairs_px - plan.first_px) / plan.cell_px).astype(np.int64)
-    gray = value ^ (value >> 1)
-    best = None
-    for change, order, turned in _changes(code, plan):
-        left = _far_share(_binary(_reordered(gray, order) ^ turned) * plan.cell_px)
-        if left < FEWER * far and (best is None or left < best[1]):
-            best = change, left
-    return best
-
-
-def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]:
-    """Candidate errors of the bits: a text, the order of the bits, and the inverted ones."""
-    count = len(plan.bits)
-    names = [code.frames[bit.frame].name for bit in plan.bits]
-    as_is = [*range(count)]
-    for k in as_is:
-        yield f"{names[k]} were its inverse: the two may be swapped", as_is, 1 << (count - 1 - k)
-    for k, other in combinations(as_is, 2):
-        order = as_is.copy()
-        order[k], order[other] = other, k
-        yield f"{names[k]} and {names[other]} were exchanged: their order may be wrong", order, 0
-    yield "all bits were in the opposite order: check that bit 0 is the finest", as_is[::-1], 0
-    for by in range(1, count):
-        moved = f"{by} finer" if 2 * by <= count else f"{count - by} coarser"
-        deviation = f"each bit were {moved}, in a cycle: a file may be missing"
-        yield deviation, as_is[by:] + as_is[:by], 0
-
-
-def _reordered(gray, order: list[int]):
-    """Gray values whose k-th bit from above is what the `order[k]`-th was."""
-    last = len(order) - 1
-    bits = [((gray >> (last - source)) & 1) << (last - k) for k, source in enumerate(order)]
-    return np.bitwise_or.reduce(bits)
-
-
-def _binary(gray):
-    """Values of a Gray code of up to 32 bits."""
-    for shift in (16, 8, 4, 2, 1):
-        gray = gray ^ (gray >> shift)
-    return gray

@@ -14,7 +14,9 @@ from scipy.ndimage import convolve, uniform_filter
 from ...base.errors import DecodeError
 from ...rig.pattern import Code
 from ..decode import Levels
+from .computed import computed_pairs
 from .description import LevelsSection
+from .frame_groups import full_periods, inverse_pairs, opposite_steps
 
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
@@ -34,6 +36,7 @@ TRIM, TRIMMED_SHARE = 0.9, 0.6235
 BINS = 12  # The brightness is divided into so many bins.
 MIN_IN_BIN = 200
 QUANTISATION_DN2 = 1 / 12
+ONE_MEAN = "texture of a period's mean"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +55,7 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
       of that and many pixels share it.
     - Offset: the darkest frame's first percentile.
     - Noise: pattern plus inverse is the same light for every bit, so two such sums differ by the
-      noise of four frames; less its mean over 15 x 15 pixels, which takes off drift and what a
+      noise of four frames, less its mean over 15 x 15 pixels, which takes off drift and what a
       camera's gamma makes of light from elsewhere. Only lit pixels well inside a stripe count.
       Against brightness it gives floor and slope. Without inverses, of phases: what steps of one
       period leave beside mean, cosine and low harmonics, if they are four or more; or by what the
@@ -117,31 +120,22 @@ def _noise(
 ) -> tuple[float, float, str]:
     """Floor [DN^2], slope [DN], and how they were found."""
     bounds = offset_dn, saturation_dn
+    computed = set(computed_pairs(frames, code))  # Their noise is that of one picture, or none.
+    pairs = [pair for pair in inverse_pairs(code) if pair not in computed]
+    measured_steps = computed.isdisjoint(opposite_steps(code))
     for measure, why in (
-        (lambda: _from_pairs(frames, inverse_pairs(code), high, low, *bounds), "inverses"),
-        (lambda: from_steps(frames, code, *bounds), "what phase steps leave"),
-        (lambda: from_means(frames, code, *bounds), "means of periods"),
+        (lambda: _from_pairs(frames, pairs, high, low, *bounds), "inverses"),
+        (lambda: measured_steps and from_steps(frames, code, *bounds), "what phase steps leave"),
+        (lambda: measured_steps and from_means(frames, code, *bounds), "means of periods"),
         (lambda: _from_white(frames, code, *bounds), "white frame"),
-        (lambda: _from_one_mean(frames, code, *bounds), "texture of a period's mean"),
+        (lambda: measured_steps and _from_one_mean(frames, code, *bounds), ONE_MEAN),
     ):
         law = measure()
-        if law is not None:
+        if law:
             return *law, f"measured: {why}"
     range_dn = saturation_dn - offset_dn
     floor_dn2 = (DEFAULT_NOISE * range_dn) ** 2 + QUANTISATION_DN2
     return floor_dn2, range_dn / DEFAULT_WELL_E, "assumed: no inverses, phases or white frame"
-
-
-def inverse_pairs(code: Code) -> list[tuple[int, int]]:
-    """Frames and their inverses, by index, coarse bits first as the code shows them."""
-    index = {
-        (f.kind, f.axis, f.bit, f.period_px): k for k, f in enumerate(code.frames) if f.inverse
-    }
-    return [
-        (k, index[f.kind, f.axis, f.bit, f.period_px])
-        for k, f in enumerate(code.frames)
-        if not f.inverse and (f.kind, f.axis, f.bit, f.period_px) in index
-    ]
 
 
 def _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn):
@@ -194,19 +188,6 @@ def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
 
 
 # --- steps of phases ---------------------------------------------------------------------------
-
-
-def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> list[list[int]]:
-    """Frames of each period that has all its steps, in their order."""
-    groups: dict[tuple, dict[int, int]] = {}
-    for k, frame in enumerate(code.frames):
-        if frame.kind in kinds:
-            whole, start = int(frame.step), frame.step % 1  # a cosine may begin between steps
-            key = frame.axis, frame.kind, frame.period_px, frame.steps, start
-            groups.setdefault(key, {})[whole] = k
-    return [
-        [steps[i] for i in range(key[3])] for key, steps in groups.items() if len(steps) == key[3]
-    ]
 
 
 def from_steps(

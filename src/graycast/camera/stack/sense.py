@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 
 from ...rig.pattern import Axis, Code
 from ..decode import DecodeSpec, Levels, Reason, decode
@@ -33,11 +33,14 @@ class _Edges:
     place: Float[np.ndarray, " n"]  # [periods]
     phase: Float[np.ndarray, " n"]  # It is the phase there [periods], as the stated steps make it.
     forwards: float  # It is the mean of sin(change of phase) towards higher places.
+    sigma: (
+        float  # That of this mean, from its scatter: a camera of small pixels sees small changes.
+    )
 
     @property
     def backwards(self) -> bool:
         """Whether the phase surely falls where the place grows."""
-        return self.forwards < -SURE_SIGMAS * math.sqrt(0.5 / len(self.place))
+        return self.forwards < -SURE_SIGMAS * self.sigma
 
     def origin(self, sign: int) -> tuple[float, float]:
         """Of place = sign * phase + origin [periods], and how well it holds, 0 to 1."""
@@ -50,14 +53,55 @@ class _Edges:
         return float(np.median(np.abs(apart - np.rint(apart))))
 
 
-def phase_faults(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrayBands:
+    """Bands of rows of a stack, and the places that the Gray bits of one axis alone say there."""
+
+    frames: Stack
+    rows: Int[np.ndarray, " h"]  # the numbers of the rows
+    place_px: Float[np.ndarray, "h w"]  # the middle of the Gray value; NaN where nothing is known
+
+    def neighbours(self, value: Num[np.ndarray, "h w"]) -> Num[np.ndarray, "n 2"]:
+        """Return values of pixels beside and below one another."""
+        below = np.diff(self.rows) == 1
+        pairs = [
+            (value[:, :-1].ravel(), value[:, 1:].ravel()),
+            (value[:-1][below].ravel(), value[1:][below].ravel()),
+        ]
+        return np.stack([np.concatenate(ends) for ends in zip(*pairs, strict=True)], axis=-1)
+
+    def neighbour_places_px(self) -> Float[np.ndarray, "n 2"]:
+        """Return places of neighbours that are both known."""
+        pairs_px = self.neighbours(self.place_px)
+        return pairs_px[np.isfinite(pairs_px).all(axis=-1)]
+
+
+def gray_bands(
     frames: Stack,
     code: Code,
+    axis: Axis,
     spec: DecodeSpec,
     levels: Levels,
     well_lit: Bool[np.ndarray, "h w"],
-) -> Iterator[str]:
-    """A warning for each period whose steps do not run as the Gray code of the same axis says.
+) -> GrayBands:
+    """Return what the Gray bits of an axis say, in bands of rows over the whole picture."""
+    rows = _rows(*well_lit.shape)
+    stack = frames[:, rows]
+    place_px = _gray_place_px(stack, code, axis, spec, levels)
+    place_px[~well_lit[rows]] = np.nan
+    return GrayBands(frames=stack, rows=rows, place_px=place_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseFault:
+    """A warning of a period, and whether it says which steps are right."""
+
+    text: str
+    remedy: bool
+
+
+def phase_faults(bands: GrayBands, code: Code, axis: Axis, plan: AxisPlan) -> Iterator[PhaseFault]:
+    """Yield a warning for each period whose steps do not run as the Gray code of its axis says.
 
     Two neighbours in cells side by side see the edge between them, whose place is known, so the
     mean direction of exp 2 pi i (place / period - phase) over many edges is the origin: all are
@@ -67,16 +111,9 @@ def phase_faults(
     Leaves out: codes whose periods count one another; without Gray bits a sense that is wrong
     for all periods gives a mirror image, which only the other axis or a rig can tell.
     """
-    rows = _rows(*well_lit.shape)
-    stack, usable = frames[:, rows], well_lit[rows]
-    for axis, plan in plan_axes(code, spec.fine_bits).items():
-        if not (plan.bits and plan.periods):
-            continue
-        place_px = _gray_place_px(stack, code, axis, spec, levels)
-        place_px[~usable] = np.nan
-        for period in plan.periods:
-            if period.full:
-                yield from _judge(stack, rows, place_px, code, axis, plan, period)
+    for period in plan.periods:
+        if period.full:
+            yield from _judge(bands, code, axis, plan, period)
 
 
 def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
@@ -97,20 +134,24 @@ def _gray_place_px(
         for k, f in enumerate(code.frames)
         if f.kind in ("white", "black") or (f.kind in ("gray", "complementary") and f.axis == axis)
     ]
-    bits = replace(code, frames=tuple(code.frames[k] for k in index))
+    plan = plan_axes(code, spec.fine_bits)[axis]
+    # Bits in a wrong order say places beyond the projector, which are places, too.
+    reach_px = max(2, math.floor(plan.first_px + 0.5 + plan.cell_px * 2 ** len(plan.bits)))
+    size_px = {"width_px" if axis == "column" else "height_px": reach_px}
+    bits = replace(code, frames=tuple(code.frames[k] for k in index), **size_px)
     codes = decode(stack[index], bits, spec, levels)
     place_px = codes.column if axis == "column" else codes.row
     return np.where(codes.reason == Reason.DECODED, place_px, np.nan).astype(np.float64)
 
 
 def _judge(
-    stack: Stack, rows, place_px, code: Code, axis: Axis, plan: AxisPlan, period: Period
-) -> Iterator[str]:
+    bands: GrayBands, code: Code, axis: Axis, plan: AxisPlan, period: Period
+) -> Iterator[PhaseFault]:
     turns = np.tensordot(
-        np.exp(1j * np.array(period.delta_rad)), stack[list(period.frames)], axes=1
+        np.exp(1j * np.array(period.delta_rad)), bands.frames[list(period.frames)], axes=1
     )
-    place, phase = place_px / period.period_px, np.angle(turns) / (2 * np.pi)
-    edges = _edges(place, phase, rows, plan.cell_px / period.period_px)
+    place, phase = bands.place_px / period.period_px, np.angle(turns) / (2 * np.pi)
+    edges = _edges(bands, place, phase, plan.cell_px / period.period_px)
     if edges is None:
         return
     sign = -1 if edges.backwards else 1
@@ -120,10 +161,11 @@ def _judge(
     px = period.period_px
     whose = f"the phases of period {px:g} px do not fit the Gray code of the {axis}s"
     if strength < UNRELATED:
-        yield (
+        text = (
             f"{whose} in any direction or from any origin (off by {px * edges.miss(1, 0.0):.2g} "
             "px at the edges of its values): check period_px and the order of the frames"
         )
+        yield PhaseFault(text=text, remedy=False)
         return
     steps = code.frames[period.frames[0]].steps
     before = [float(code.frames[k].step) for k in period.frames]
@@ -131,24 +173,19 @@ def _judge(
     after = [round((sign * step + origin * steps) % steps, 2) % steps for step in before]
     usable_phase = phase[np.isfinite(place)]
     moved = (1 - sign) * usable_phase - origin
-    yield (
+    text = (
         f"{whose}: the steps run {'backwards' if sign < 0 else 'from another origin'}. With step "
         f"{_listed(after)} of {steps} instead of {_listed(before)} they meet the edges of its "
         f"values within {px * edges.miss(sign, origin):.2g} px, and places move by "
         f"{px * float(np.median(np.abs(moved - np.rint(moved)))):.2g} px (medians)"
     )
+    yield PhaseFault(text=text, remedy=True)
 
 
-def _edges(place, phase, rows, cell: float) -> _Edges | None:
+def _edges(bands: GrayBands, place, phase, cell: float) -> _Edges | None:
     """All pairs of neighbours with an edge of the Gray cells between them; None of too few."""
-    below = np.diff(rows) == 1
-    pairs = [
-        (place[:, :-1], place[:, 1:], phase[:, :-1], phase[:, 1:]),
-        (place[:-1][below], place[1:][below], phase[:-1][below], phase[1:][below]),
-    ]
-    first, second, before, after = (
-        np.concatenate([pair[k].ravel() for pair in pairs]) for k in range(4)
-    )
+    first, second = bands.neighbours(place).T
+    before, after = bands.neighbours(phase).T
     apart = second - first
     with np.errstate(invalid="ignore"):
         beside = (apart != 0) & (np.abs(apart) <= max(cell, FAR_PERIODS) + 1e-6)
@@ -156,10 +193,12 @@ def _edges(place, phase, rows, cell: float) -> _Edges | None:
         return None
     change = after[beside] - before[beside]
     change -= np.rint(change)
+    forwards = np.sign(apart[beside]) * np.sin(2 * np.pi * change)
     return _Edges(
         place=(first + second)[beside] / 2,
         phase=before[beside] + change / 2,
-        forwards=float((np.sign(apart[beside]) * np.sin(2 * np.pi * change)).mean()),
+        forwards=float(forwards.mean()),
+        sigma=float(forwards.std() / math.sqrt(len(forwards))),
     )
 
 

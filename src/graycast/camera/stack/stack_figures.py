@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 
 from ...rig.pattern import Code
 from ..decode import CodeMap, Mark, Reason, reason_shares
-from .levels import inverse_pairs
+from .frame_groups import inverse_pairs
 
 WELL = 0.4  # Well lit is this share of the contrast that two of a hundred lit pixels exceed.
 MAX_SAMPLES = 150_000  # Medians are taken of at most so many pixels.

@@ -1,0 +1,107 @@
+"""Stacks during which something moved: the camera, the projector, or the scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .white_sums import Displacement, WhiteSum, displacements
+
+LEAST_PX = 0.08  # Of the compared pictures; healthy real stacks move by 0.025 at most.
+SURE_SIGMAS = 5.0  # A motion must be this many times its sigma.
+SPREAD = 6.0  # A jump must be this many times the median deviation of all motions.
+EXPLAINS_PX = 0.5  # A motion this large makes frames and rigs look wrong that are not.
+MOST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """A motion that happened after frame `before` and before frame `after`, steady motion off."""
+
+    before: int
+    after: int
+    x_px: float
+    y_px: float
+
+    @property
+    def length_px(self) -> float:
+        """Length of the motion [px]."""
+        return float(np.hypot(self.x_px, self.y_px))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StackMotion:
+    """The jumps of a stack, and its steady motion in all [px]; 0 where there is none."""
+
+    jumps: tuple[Jump, ...] = ()
+    steady_px: float = 0.0
+
+    @property
+    def explains(self) -> bool:
+        """Whether it is enough to make frames contradict, and a good rig misfit."""
+        return max(self.steady_px, *(jump.length_px for jump in self.jumps), 0) >= EXPLAINS_PX
+
+
+def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
+    """Return what moved from one white sum of a stack to the next.
+
+    The median motion is steady; a jump is what is far from it. A jump within a white sum moves the
+    sum by a part, and the next by the rest: two in a row along one way are one.
+    """
+    steps = displacements(sums)
+    if not steps:
+        return StackMotion()
+    scale = sums[0].scale
+    motion_px = np.array([(s.motion.x_px, s.motion.y_px) for s in steps])
+    sigma_px = np.array([s.motion.sigma_px for s in steps])
+    median_px = np.median(motion_px, axis=0) if len(steps) > 2 else np.zeros(2)
+    off_px = np.linalg.norm(motion_px - median_px, axis=1)
+    usual_px = float(np.median(off_px)) if len(steps) > 2 else 0.0
+    limit_px = np.maximum(SURE_SIGMAS * sigma_px, max(LEAST_PX * scale, SPREAD * usual_px))
+    jumps: list[Jump] = []
+    for k in np.flatnonzero(off_px > limit_px):
+        x_px, y_px = motion_px[k] - median_px
+        before, after = _between(steps[k])
+        if jumps and k and off_px[k - 1] > limit_px[k - 1]:
+            last = jumps[-1]
+            if last.x_px * x_px + last.y_px * y_px > 0:
+                inside = steps[k].before
+                before, after = min(inside), max(inside)
+                x_px, y_px = x_px + last.x_px, y_px + last.y_px
+                jumps.pop()
+        jumps.append(Jump(before=before, after=after, x_px=float(x_px), y_px=float(y_px)))
+    sigma_of_median_px = float(np.median(sigma_px)) / np.sqrt(len(steps)) + usual_px
+    steady_px = float(np.linalg.norm(median_px))
+    if steady_px < max(SURE_SIGMAS * sigma_of_median_px, LEAST_PX * scale):
+        steady_px = 0.0
+    return StackMotion(jumps=tuple(jumps), steady_px=steady_px * len(steps))
+
+
+def _between(step: Displacement) -> tuple[int, int]:
+    """The frames between which a motion happened; of groups that interlace, the outermost."""
+    last, first = max(step.before), min(step.after)
+    if last < first:
+        return last, first
+    if max(step.after) < min(step.before):
+        return max(step.after), min(step.before)
+    both = (*step.before, *step.after)
+    return min(both), max(both)
+
+
+def describe_motion(motion: StackMotion, names: Sequence[str]) -> list[str]:
+    """Return a warning for each motion; `names` are those of the pictures."""
+    remedy = "fasten camera, projector and scene, and take the stack again"
+    warnings = [
+        f"the picture moved by {jump.length_px:.1f} px between pictures {jump.before + 1} and "
+        f"{jump.after + 1} ({names[jump.before]}, {names[jump.after]}): {remedy}"
+        for jump in motion.jumps[:MOST_NAMED]
+    ]
+    if len(motion.jumps) > MOST_NAMED:
+        more = len(motion.jumps) - MOST_NAMED
+        warnings.append(f"the picture moved {more} more times in the course of the stack: {remedy}")
+    if motion.steady_px:
+        warnings.append(
+            f"the picture moves steadily, by {motion.steady_px:.1f} px from the first pictures to "
+            f"the last: {remedy}"
+        )
+    return warnings

@@ -1,0 +1,88 @@
+"""A step of a period that is brighter than the others is named, with its factor."""
+
+import re
+
+import numpy as np
+import pytest
+from backends import slow
+
+from graycast.camera.stack import decode_stack
+from graycast.camera.stack.brightness import brightness_faults
+from graycast.camera.stack.frame_groups import full_periods
+from graycast.rig.pattern import gray_phase, micro_phase, multi_frequency
+
+from .cluttered import Look, shoot_cluttered
+from .simulated import describe, save, small_rig, view_of
+
+CODES = {
+    "gray, 3 steps": gray_phase(128, 96, steps=3, inverses=True),
+    "gray, 12 steps": gray_phase(128, 96, period_px=32.0, steps=12),
+    "three frequencies, 3 steps": multi_frequency(128, 96, steps=3),
+    "three frequencies, 4 steps": multi_frequency(128, 96),
+    "micro phase": micro_phase(128, 96),
+}
+LOOK = Look(squares=0.4)
+
+
+def faults(code, stack):
+    lit = np.ptp(stack.astype(int), axis=0) > 60
+    names = [frame.name for frame in code.frames]
+    found = [*brightness_faults(stack, code, names, lit, 255)]
+    return [
+        (m[1], float(m[2]))
+        for m in (re.match(r"\S+ \((\S+)\) is (\S+) times as bright", f) for f in found)
+        if m
+    ]
+
+
+def brighter(stack, k, factor):
+    stack = stack.astype(float)
+    stack[k] *= factor
+    return np.clip(np.rint(stack), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.1, 1.2])
+@pytest.mark.parametrize("name", CODES)
+def test_a_step_that_is_brighter_is_named_with_its_factor(name, factor):
+    """Oracle: the factor by which one frame of the first period was multiplied."""
+    code = CODES[name]
+    stack = shoot_cluttered(code, LOOK)
+    for k in full_periods(code)[0][::2]:
+        ((frame, gain),) = faults(code, brighter(stack, k, factor))
+        assert frame == code.frames[k].name
+        assert gain == pytest.approx(factor, abs=0.03)
+
+
+@pytest.mark.parametrize("name", CODES)
+@pytest.mark.parametrize("power", [1.0, 0.7, 1.5])
+def test_steps_that_are_equally_bright_are_not(name, power):
+    """A response that is not linear makes harmonics, which no brightness of a step makes."""
+    code = CODES[name]
+    stack = shoot_cluttered(code, Look(squares=0.4, blur_px=0.8, indirect=0.1)) / 255
+    assert faults(code, np.rint(255 * stack**power).astype(np.uint8)) == []
+
+
+def test_a_period_of_which_the_picture_has_a_part_blames_no_step():
+    """Less than a third of a period is in view, so mean and cosine are nearly the same."""
+    code = multi_frequency(128, 96)
+    stack = shoot_cluttered(code, LOOK)[:, :, 70:76]
+    assert faults(code, np.rint(255 * (stack / 255) ** 1.3).astype(np.uint8)) == []
+
+
+@pytest.mark.parametrize("name", ["gray, 3 steps", slow("gray, 12 steps")])
+def test_the_places_move_by_no_more_than_the_warning_says(name, tmp_path):
+    """Oracle: the projection of the wall and the ball, and the stack as it was."""
+    code = CODES[name]
+    stack = shoot_cluttered(code, Look(squares=0.4, indirect=0.0, gain=0.005, read_dn=0.3))
+    k = full_periods(code)[0][1]
+    folders = [tmp_path / "as_it_was", tmp_path / "brighter"]
+    results = []
+    for folder, own in zip(folders, (stack, brighter(stack, k, 1.2)), strict=True):
+        folder.mkdir()
+        results.append(decode_stack(save(folder, describe(code), own)))
+    assert results[0].warnings == ()
+    (warning,) = results[1].warnings
+    limit_px = float(re.search(r"by up to (\S+) px", warning)[1])
+    off_px = np.abs(results[1].codes.column - results[0].codes.column)
+    off_px = off_px[np.isfinite(view_of(small_rig()).column) & np.isfinite(off_px)]
+    assert 0.6 * limit_px < np.quantile(off_px, 0.99) < 1.25 * limit_px

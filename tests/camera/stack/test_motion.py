@@ -1,0 +1,94 @@
+"""A camera that was bumped while the stack was taken is named, with where and how far."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from backends import slow
+
+from graycast.camera.stack import decode_stack
+from graycast.camera.stack.motion import stack_motion
+from graycast.camera.stack.white_sums import white_sums
+from graycast.rig.pattern import gray, gray_phase, multi_frequency
+
+from .cluttered import Look, shoot_cluttered
+from .simulated import describe, save
+
+BOTH = ("column", "row")
+CODES = {
+    "gray": gray(128, 96, inverses=True),
+    "gray and phase": gray_phase(128, 96, axes=BOTH, steps=3, inverses=True),
+    "three frequencies": multi_frequency(128, 96, axes=BOTH),
+}
+LOOK = Look(squares=0.3, gain=0.05)
+
+
+def moved(stack, at, x_px, y_px):
+    """The stack whose camera was bumped before frame `at`."""
+    late = np.roll(stack[at:], (y_px, x_px), axis=(1, 2))
+    return np.concatenate([stack[:at], late])
+
+
+def motions(warnings):
+    pattern = r"the picture moved by (\S+) px between pictures (\d+) and (\d+) "
+    return [m.groups() for m in (re.match(pattern, w) for w in warnings) if m]
+
+
+@pytest.mark.parametrize("name", ["gray", slow("gray and phase"), slow("three frequencies")])
+@pytest.mark.parametrize(("x_px", "y_px"), [(2, 1), slow(-10, 3)])
+def test_a_bump_between_columns_and_rows_is_named_and_nothing_else(name, x_px, y_px, tmp_path):
+    """Oracle: the whole pixels by which the frames of the rows were moved."""
+    code = CODES[name]
+    at = next(k for k, frame in enumerate(code.frames) if frame.axis == "row")
+    stack = moved(shoot_cluttered(code, LOOK), at, x_px, y_px)
+    warnings = decode_stack(save(tmp_path, describe(code), stack)).warnings
+    assert len(warnings) == 1
+    ((length, before, after),) = motions(warnings)
+    assert float(length) == pytest.approx(np.hypot(x_px, y_px), abs=0.06)
+    assert (int(before), int(after)) == (at, at + 1)  # counted from 1
+
+
+def test_a_bump_between_a_pattern_and_its_inverse_is_one_bump_about_these():
+    code = CODES["gray"]
+    stack = moved(shoot_cluttered(code, LOOK), 9, 2, 0)  # frame 8 is a pattern, 9 its inverse
+    (jump,) = stack_motion(white_sums(stack, code, 255)).jumps
+    assert 7 <= jump.before <= 8 < 9 <= jump.after <= 10
+    assert jump.x_px == pytest.approx(2.0, abs=0.15)
+    assert abs(jump.y_px) < 0.15
+
+
+def test_a_steady_motion_is_told_from_a_bump_in_it():
+    """Oracle: 1 px to the right for each white sum, and 3 px down once."""
+    code = CODES["gray"]
+    stack = shoot_cluttered(code, LOOK)
+    for k in range(16):
+        stack[k] = np.roll(stack[k], (3 * (k >= 10), k // 2), axis=(0, 1))
+    pairs = stack[:16]
+    first = replace(code, frames=code.frames[:16])
+    motion = stack_motion(white_sums(pairs, first, 255))
+    (jump,) = motion.jumps
+    assert (jump.before, jump.after) == (9, 10)
+    assert jump.y_px == pytest.approx(3.0, abs=0.1)
+    assert motion.steady_px == pytest.approx(7.0, abs=0.3)
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_noise_and_exposure_that_changes_move_nothing(name):
+    """The light of each frame is another one: bulbs warm up."""
+    code = CODES[name]
+    stack = shoot_cluttered(code, Look(squares=0.3, gain=0.3, read_dn=2.0))
+    fading = np.linspace(1, 0.75, len(stack))[:, None, None]
+    motion = stack_motion(white_sums(np.rint(stack * fading).astype(np.uint8), code, 255))
+    assert motion.jumps == ()
+    assert motion.steady_px == 0
+
+
+def test_fringes_that_a_gamma_leaves_in_the_sums_are_no_motion():
+    """The square root of the light: pairs and steps no longer add up to white."""
+    for code in CODES.values():
+        stack = shoot_cluttered(code, Look(squares=0.3, blur_px=0.7))
+        bent = np.rint(255 * np.sqrt(stack / 255)).astype(np.uint8)
+        motion = stack_motion(white_sums(bent, code, 255))
+        assert motion.jumps == ()
+        assert motion.steady_px == 0

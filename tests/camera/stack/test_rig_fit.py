@@ -9,7 +9,7 @@ import yaml
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.camera.rig_file import import_opencv
-from graycast.camera.stack import decode_stack
+from graycast.camera.stack import decode_stack, describe_result
 from graycast.rig.pattern import gray
 
 from .simulated import describe, lens, save, shoot, small_rig
@@ -51,6 +51,35 @@ def test_a_rig_whose_R_and_T_are_inverted_is_named(name, shots, tmp_path):
     assert misfits(tmp_path, code, stack, rig) == []
     (message,) = misfits(tmp_path, code, stack, inverted(rig))
     assert "invert R and T of the rig" in message
+
+
+def test_one_axis_says_that_it_cannot_tell_an_inverted_rig(tmp_path):
+    """All points of an inverted rig were wrong in silence; the camera sees no edge of the light."""
+    rig = small_rig()
+    path = save(tmp_path, describe(COLUMNS), shoot(rig, COLUMNS))
+    for own in (rig, inverted(rig)):
+        result = decode_stack(path, own)
+        assert result.warnings == ()
+        assert "one axis cannot tell whether R and T of rig small are inverted" in result.notes[0]
+        assert f"note: {result.notes[0]}" in describe_result(result)
+
+
+def test_points_out_of_the_working_range_tell_an_inverted_rig_of_one_axis(tmp_path):
+    """The axes cross at 0.55 m; inverting moves the wall from behind that place before it."""
+    T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
+    tight = replace(small_rig(), T_cam_proj=T_cam_proj, near_m=0.6, far_m=0.9)
+    path = save(tmp_path, describe(COLUMNS), shoot(tight, COLUMNS))
+    right, wrong = decode_stack(path, tight), decode_stack(path, inverted(tight))
+    assert (right.warnings, right.notes) == ((), ())
+    assert wrong.notes == ()
+    assert "invert R and T of the rig: then 100 % of the points lie in the" in wrong.warnings[0]
+
+
+def test_both_axes_and_an_edge_of_the_light_leave_no_doubt(shots, tmp_path):
+    for name, (rig, code, stack) in shots.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        assert decode_stack(save(folder, describe(code), stack), rig).notes == ()
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ from .averaging import join_pixels, meet_rays
 from .description import code_of, read_description
 from .diagnosis import diagnose
 from .levels import MeasuredLevels, measure_levels
-from .rig_fit import better_reading
+from .rig_fit import better_reading, doubts
 from .stack_figures import StackFigures, figures_of
 from .stack_pictures import StackPictures, read_color, read_pictures
 
@@ -79,6 +79,7 @@ class StackResult:
     levels: MeasuredLevels
     figures: StackFigures
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]  # what the stack cannot tell
     seconds: dict[str, float]
     depth: DepthMap | None = None
     cloud: Cloud | None = None
@@ -124,7 +125,7 @@ def decode_stack(
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
     depth = cloud = residual_px = None
-    by_noise = codes
+    by_noise, notes = codes, list[str]()
     if rig is not None:
         _refuse_turned(codes, rig, path)
         warnings += _rig_size(code, rig)
@@ -142,6 +143,7 @@ def decode_stack(
         depth = with_depth_term(depth, bend_m(depth))
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)
+            notes += doubts(codes, rig)
         clock.lap("triangulate")
         if average:
             cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
@@ -160,6 +162,7 @@ def decode_stack(
         levels=levels,
         figures=figures,
         warnings=tuple(warnings),
+        notes=tuple(notes),
         seconds=clock.seconds,
         depth=depth,
         cloud=cloud,

@@ -124,6 +124,7 @@ def describe_result(result: StackResult) -> str:
         lines.append(f"cloud: {_count(result.cloud)}")
     took = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.seconds.items())
     lines.append(f"seconds: {took}")
+    lines += [f"note: {note}" for note in result.notes]
     return "\n".join([*lines, *(f"warning: {warning}" for warning in result.warnings)])
 
 

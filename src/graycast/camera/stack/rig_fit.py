@@ -4,10 +4,13 @@ What depth does not use tells. With both axes coded that is the other coordinate
 one axis it is the edge of the projector's picture across the stripes, where the camera sees it:
 the rig must put the last lit pixels on the projector's first and last row.
 
-Leaves out: rigs whose camera sees no such edge, with one axis coded. The sides of shadows would not
-tell there: inverting R and T exchanges near and far, and the side of the projector too.
+Where the camera sees no such edge, the points tell, if they lie out of the working range or beside
+the projector's picture with one reading and not with the other. If they do neither, one axis cannot
+tell, and `doubts` says so. The sides of shadows do not tell: inverting R and T exchanges near and
+far, and the side of the projector too, and each shadow lies where it should.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +27,9 @@ LEAST = 30  # Fewer samples are too few to judge the rig.
 NEAR_PX, NEAR = 3.0, 0.01
 FITS = 0.3  # The rig fits if this share of the samples lies where it puts them.
 TIMES = 4.0  # Another reading must fit this many times better.
+# The other reading must put this share of the points into range and light, and the stated one less
+# than half of that; it is possible if it puts half of them there.
+SURELY_LIT, POSSIBLE = 0.9, 0.5
 RIM_PX = 5  # The outermost decoded pixel may lie this far inside the outermost lit one.
 
 # Each says what to do with the pictures, and where that moves a pixel (x, y) about their middle.
@@ -47,7 +53,7 @@ def better_reading(codes: CodeMap, rig: Rig) -> str | None:
     both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
     y, x = _decoded(codes) if both else _edge(codes, triangulation_axis(rig) == "row")
     if len(y) < LEAST:
-        return None
+        return None if both else _better_by_light(codes, rig)
     size_px = codes.column.shape[::-1]
 
     def fit(turn, own: Rig) -> float:
@@ -70,6 +76,60 @@ def better_reading(codes: CodeMap, rig: Rig) -> str | None:
         f"{best}: then {100 * fits[best]:.0f} % of the {where} lie where rig {rig.name} puts "
         f"them, and {100 * stated:.0f} % as it is"
     )
+
+
+def doubts(codes: CodeMap, rig: Rig) -> Iterator[str]:
+    """Yield a note if a rig with R and T inverted would do as well, for all that the stack says."""
+    both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
+    if both or len(_edge(codes, triangulation_axis(rig) == "row")[0]) >= LEAST:
+        return
+    stated, inverted = _lit_shares(codes, rig)
+    if inverted < POSSIBLE or _surely(stated, inverted):
+        return
+    yield (
+        f"one axis cannot tell whether R and T of rig {rig.name} are inverted: "
+        f"{100 * stated:.0f} % of the points lie in the working range and in the projector's light "
+        f"as it is, and {100 * inverted:.0f} % if they are inverted. Both axes tell, and so does a "
+        "picture with the edge of the projector's light"
+    )
+
+
+def _better_by_light(codes: CodeMap, rig: Rig) -> str | None:
+    stated, inverted = _lit_shares(codes, rig)
+    if not _surely(stated, inverted):
+        return None
+    return (
+        f"invert R and T of the rig: then {100 * inverted:.0f} % of the points lie in the working "
+        f"range and in the projector's light, and {100 * stated:.0f} % as it is"
+    )
+
+
+def _surely(stated: float, inverted: float) -> bool:
+    """Whether shares of `_lit_shares` say that the rig is inverted."""
+    return inverted >= SURELY_LIT and stated <= 0.5 * inverted
+
+
+def _lit_shares(codes: CodeMap, rig: Rig) -> tuple[float, float]:
+    """Shares of points in range and in the projector's picture: of the rig, and R and T inverted.
+
+    Where a pixel decodes there is light of the projector.
+    """
+    if codes.column.shape != (rig.camera.height_px, rig.camera.width_px):
+        return 0.0, 0.0
+    y, x = _decoded(codes)
+    if len(y) < LEAST:
+        return 0.0, 0.0
+    pixel = np.stack([x, y], axis=-1).astype(np.float64)
+    other = 1 if triangulation_axis(rig) == "column" else 0
+    size_px = (rig.projector.width_px, rig.projector.height_px)[other]
+    shares = []
+    for own in (rig, replace(rig, T_cam_proj=inverse(rig.T_cam_proj))):
+        point = meet_planes(pixel, codes.column[y, x], codes.row[y, x], own)
+        place_px = project(own.projector, transform_points(own.T_proj_cam, point))[:, other]
+        lit = (place_px > -NEAR_PX) & (place_px < size_px - 1 + NEAR_PX)
+        lit &= (point[:, 2] >= own.near_m) & (point[:, 2] <= own.far_m)
+        shares.append(float(lit.mean()))
+    return shares[0], shares[1]
 
 
 def _decoded(codes: CodeMap) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

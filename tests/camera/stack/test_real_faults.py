@@ -116,3 +116,18 @@ def test_real_pictures_in_the_opposite_order_are_named(name, stacks, tmp_path):
     content, stack = stacks(name)
     (warning,) = warnings_of(tmp_path, content, stack[::-1])
     assert "the pictures are in the opposite order: state the files" in warning
+
+
+@pytest.mark.slow
+def test_each_real_period_that_runs_backwards_is_named(stacks, tmp_path):
+    """Only one of four was, because a phase changes little from one of the many pixels to the next.
+
+    Gray values of 100 px are one and a half of one period and a whole one of the other.
+    """
+    content, stack = stacks("kamino_phase")
+    for frame in content["frames"]:
+        if frame["kind"] == "phase":
+            frame["step"] = -frame["step"] % 3
+    warnings = warnings_of(tmp_path, content, stack)
+    assert len(warnings) == 4
+    assert all("the steps run backwards. With step 0, 2, 1 of 3" in text for text in warnings)

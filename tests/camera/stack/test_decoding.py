@@ -19,7 +19,7 @@ from graycast.camera.stack import (
     read_description,
     write_result,
 )
-from graycast.camera.stack.decoding import _epipolar_limit_px, _less_outliers
+from graycast.camera.stack.believed_depth import epipolar_limit_px, less_outliers
 from graycast.rig.optics import project
 from graycast.rig.pattern import gray, gray_line_shift, gray_phase, micro_phase, xor_gray
 
@@ -200,9 +200,9 @@ def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_do
     )  # fmt: skip
     depth = triangulate(codes, rig)
     residual_px = epipolar_residual_px(codes, depth, rig)
-    limit_px = _epipolar_limit_px(None, residual_px)
+    limit_px = epipolar_limit_px(None, residual_px)
     assert limit_px < 6
-    filtered = _less_outliers(codes, depth, residual_px, rig, limit_px)
+    filtered = less_outliers(codes, depth, residual_px, rig, limit_px)
     known = depth.reason == Reason.DECODED
     gone = (filtered.reason == Reason.OUTLIER)[known]
     assert gone[~wrong[known]].mean() < 2e-3  # beyond the limit and 3 sigma

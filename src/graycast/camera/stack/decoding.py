@@ -22,16 +22,15 @@ from ..decode import (
     Reason,
     decode,
     epipolar_residual_px,
-    filter_depth,
-    off_the_line,
     reason_shares,
     separate,
     triangulate,
     triangulation_axis,
 )
 from ..decode.plan import plan_axes
-from ..sigma import bend_m, with_depth_term, with_ripple
+from ..sigma import with_ripple
 from .averaging import join_pixels, meet_rays
+from .believed_depth import believed_depth, epipolar_limit_px
 from .description import code_of, read_description
 from .diagnosis import diagnose
 from .levels import MeasuredLevels, measure_levels
@@ -39,9 +38,6 @@ from .rig_fit import better_reading, doubts
 from .stack_figures import StackFigures, figures_of
 from .stack_pictures import StackPictures, read_color, read_pictures
 
-# Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
-# a calibration is off by more than its residual here and there.
-EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
 MISPLACED_PX = 3.0  # With a greater median epipolar residual, the rig is not the stack's.
 OUT_OF_RANGE = 0.3  # The rig is doubtful if more than this share of what decodes is out of range.
 DECODED_AT_LEAST = 0.01  # A stack is refused if no more than this share of its lit pixels decodes.
@@ -133,14 +129,8 @@ def decode_stack(
         if len(code.axes) == 2:
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
-        limit_px = _epipolar_limit_px(stated_px, residual_px)
-        if stated_px is None:
-            depth = _less_outliers(codes, first, residual_px, rig, limit_px)
-        else:  # as a scanner does whose limit this is
-            depth = triangulate(codes, rig, max_epipolar_px=stated_px)
-        if filters is not None:
-            depth = filter_depth(depth, filters, rig)
-        depth = with_depth_term(depth, bend_m(depth))
+        limit_px = epipolar_limit_px(stated_px, residual_px)
+        depth = believed_depth(codes, first, residual_px, rig, stated_px=stated_px, filters=filters)
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)
@@ -316,36 +306,6 @@ def _rig_size(code: Code, rig: Rig) -> list[str]:
         f"{size[0]} x {size[1]}: pixels are matched one to one from the top left, so check that "
         "both use the same display mode"
     ]
-
-
-def _epipolar_limit_px(
-    stated_px: float | None, residual_px: Float[np.ndarray, "h w"] | None
-) -> float:
-    """The limit in force; infinite where none is."""
-    if stated_px is not None or residual_px is None:
-        return stated_px or np.inf
-    known = np.abs(residual_px[np.isfinite(residual_px)])
-    median_px = float(np.median(known)) if known.size else 0.0
-    return max(EPIPOLAR_MEDIANS * median_px, EPIPOLAR_PX)
-
-
-def _less_outliers(
-    codes: CodeMap,
-    depth: DepthMap,
-    residual_px: Float[np.ndarray, "h w"] | None,
-    rig: Rig,
-    limit_px: float,
-) -> DepthMap:
-    """The depth map without what lies off the epipolar line by more than limit and noise."""
-    if residual_px is None or not np.isfinite(limit_px):
-        return depth
-    far = off_the_line(codes, residual_px, rig, limit_px=limit_px)
-    depth_m, sigma_m, reason = (
-        getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
-    )
-    reason[far] = Reason.OUTLIER
-    depth_m[far] = sigma_m[far] = np.nan
-    return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)
 
 
 def _rig_symptoms(

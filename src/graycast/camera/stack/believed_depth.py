@@ -1,0 +1,64 @@
+"""Depth of a stack without outliers of the epipolar line, filtered if asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ...rig.pair import Rig
+from ..decode import CodeMap, DepthMap, FilterSpec, Reason, filter_depth, off_the_line, triangulate
+from ..sigma import bend_m, with_depth_term
+
+# Where no limit is stated, a pixel is refused whose residual is this many times the median, and at
+# least 2 px: a calibration is off by more than its usual residual here and there.
+EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
+
+
+def epipolar_limit_px(
+    stated_px: float | None, residual_px: Float[np.ndarray, "h w"] | None
+) -> float:
+    """Return the largest epipolar residual that is believed; infinite where there is no limit."""
+    if stated_px is not None or residual_px is None:
+        return stated_px or np.inf
+    known = np.abs(residual_px[np.isfinite(residual_px)])
+    median_px = float(np.median(known)) if known.size else 0.0
+    return max(EPIPOLAR_MEDIANS * median_px, EPIPOLAR_PX)
+
+
+def believed_depth(
+    codes: CodeMap,
+    first: DepthMap,
+    residual_px: Float[np.ndarray, "h w"] | None,
+    rig: Rig,
+    *,
+    stated_px: float | None,
+    filters: FilterSpec | None,
+) -> DepthMap:
+    """Return the depth without outliers, filtered if asked for, with the bend in its sigma."""
+    if stated_px is None:
+        limit_px = epipolar_limit_px(stated_px, residual_px)
+        depth = less_outliers(codes, first, residual_px, rig, limit_px)
+    else:  # A scanner of this limit refuses these pixels.
+        depth = triangulate(codes, rig, max_epipolar_px=stated_px)
+    if filters is not None:
+        depth = filter_depth(depth, filters, rig)
+    return with_depth_term(depth, bend_m(depth))
+
+
+def less_outliers(
+    codes: CodeMap,
+    depth: DepthMap,
+    residual_px: Float[np.ndarray, "h w"] | None,
+    rig: Rig,
+    limit_px: float,
+) -> DepthMap:
+    """Return the depth map without pixels that are off the epipolar line beyond limit and noise."""
+    if residual_px is None or not np.isfinite(limit_px):
+        return depth
+    far = off_the_line(codes, residual_px, rig, limit_px=limit_px)
+    depth_m, sigma_m, reason = (
+        getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
+    )
+    reason[far] = Reason.OUTLIER
+    depth_m[far] = sigma_m[far] = np.nan
+    return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)

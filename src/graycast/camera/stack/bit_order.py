@@ -10,10 +10,8 @@ from ...rig.pattern import Axis, Code
 from ..decode.plan import AxisPlan
 
 MENDED_OF = 30_000  # Changes of the order are tried on so many pairs.
-FAR_PX = (
-    8.0  # Neighbours this far apart, or this many of their Gray values, do not belong together.
-)
-FAR_VALUES = 1.5
+# Neighbours this far apart, or this many of their Gray values, do not belong together.
+FAR_PX, FAR_VALUES = 8.0, 1.5
 # More than TORN of the neighbours far apart is a fault; its remedy leaves less than FEWER of them.
 TORN, FEWER = 2e-3, 0.5
 LEAST = 50  # Fewer pairs say nothing.

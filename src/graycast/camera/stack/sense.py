@@ -33,9 +33,8 @@ class _Edges:
     place: Float[np.ndarray, " n"]  # [periods]
     phase: Float[np.ndarray, " n"]  # It is the phase there [periods], as the stated steps make it.
     forwards: float  # It is the mean of sin(change of phase) towards higher places.
-    sigma: (
-        float  # That of this mean, from its scatter: a camera of small pixels sees small changes.
-    )
+    # The deviation of this mean, from its scatter: a camera of small pixels sees small changes.
+    sigma: float
 
     @property
     def backwards(self) -> bool:
@@ -43,7 +42,7 @@ class _Edges:
         return self.forwards < -SURE_SIGMAS * self.sigma
 
     def origin(self, sign: int) -> tuple[float, float]:
-        """Of place = sign * phase + origin [periods], and how well it holds, 0 to 1."""
+        """Return the origin [periods] of place = sign * phase + origin, and its certainty 0 to 1."""
         mean = np.exp(2j * np.pi * (self.place - sign * self.phase)).mean()
         return float(np.angle(mean) / (2 * np.pi)), float(abs(mean))
 

@@ -42,7 +42,7 @@ class _Edges:
         return self.forwards < -SURE_SIGMAS * self.sigma
 
     def origin(self, sign: int) -> tuple[float, float]:
-        """Return the origin [periods] of place = sign * phase + origin, and its certainty 0 to 1."""
+        """Return the origin [periods] of place = sign * phase + origin, and its certainty."""
         mean = np.exp(2j * np.pi * (self.place - sign * self.phase)).mean()
         return float(np.angle(mean) / (2 * np.pi)), float(abs(mean))
 

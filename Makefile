@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript docs release clean
+.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript reference docs release clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -34,15 +34,19 @@ setup:
 setup-test:
 	@scripts/setup test,twin,docs
 
+# The pages of docs/reference that come from the program: commands, keys, materials and the glossary.
+reference: setup
+	.venv/bin/python docs/reference_pages.py
+
 # The documentation as a site: out/site/index.html.
-docs: setup-test
+docs: setup-test reference
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet
 
 # Optional: the second back end, Blender Cycles, in an environment of its own.
 cycles:
 	@scripts/setup-cycles
 
-# Optional: detectors and robots. PyTorch comes with CUDA's libraries, 5 GB on disk.
+# Optional: detectors and robots. PyTorch comes with CUDA's libraries, 6 to 7 GB on disk.
 extras:
 	@scripts/setup-extras
 

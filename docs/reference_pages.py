@@ -1,13 +1,16 @@
-"""The pages of the reference that are made while the site is built.
+"""Writes the pages of the reference that come from the program: `python docs/reference_pages.py`.
 
 Keys come from the models that read the files, and commands from the parser. Every key and every
-flag is an anchor: `configuration.md#bin.inner_m`, `commands.md#dataset-stats--out`.
+flag is an anchor: `configuration.md#bin.inner_m`, `commands.md#dataset-stats--out`. The pages are
+part of the repository, so that their links lead somewhere in a clone and on the site of a forge;
+`tests/test_reference_pages.py` fails while they are out of date.
 """
 
 import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, fields
+from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
@@ -67,6 +70,8 @@ our choice.
 | name | base color | metallic | roughness | anisotropy | density kg/m³ | source of the colour |
 |---|---|---|---|---|---|---|
 """
+# It stands below the title, because MkDocs takes the title from the first line.
+_REMARK = "\n\n<!-- `make reference` writes this page from the program. Do not edit it. -->"
 _TABLE = "| key | value | default | meaning |\n|---|---|---|---|\n"
 _ESCAPED = str.maketrans({c: f"&#{ord(c)};" for c in "|<>*[]{}"})
 
@@ -85,7 +90,24 @@ def pages() -> dict[str, str]:
                 del schema["properties"][key]
         texts[page] = f"{texts.get(page, '')}{head}\n\n{keys.text(page, schema, prefix)}"
     texts["materials"] = _MATERIALS + "".join(_material(*item) for item in MATERIALS.items())
-    return {f"reference/{name}.md": text for name, text in texts.items()}
+    return {
+        f"reference/{name}.md": f"{text.replace(chr(10), _REMARK + chr(10), 1).rstrip()}\n"
+        for name, text in texts.items()
+    }
+
+
+def main() -> None:
+    """Write each page to its place in docs, and print the paths of those that changed."""
+    for place, text in pages().items():
+        path = Path(__file__).parent / place
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+            print(f"docs/{place}")
+
+
+def _anchor(name: str) -> str:
+    """Return an anchor that MkDocs and the sites of forges know."""
+    return f'<a id="{name}"></a>'
 
 
 def _material(name: str, preset: MaterialPreset) -> str:
@@ -99,7 +121,7 @@ def _material(name: str, preset: MaterialPreset) -> str:
         rough += f", film {material.film:g}"
     numbers = f"{material.metallic:g} | {rough} | {grooves}"
     density = f"{preset.density_kg_m3:g}"
-    return f"| `{name}`{{ #{name} }} | {color} | {numbers} | {density} | {preset.source} |\n"
+    return f"| {_anchor(name)}`{name}` | {color} | {numbers} | {density} | {preset.source} |\n"
 
 
 def _state_defaults(schema: Schema) -> None:
@@ -125,7 +147,7 @@ class _Keys:
         while self._todo:
             anchor, section = self._todo.pop(0)
             about = _escaped(section["description"])
-            text += f"## `{anchor}` {{ #{anchor} }}\n\n{about}\n\n"
+            text += f"## {_anchor(anchor)}`{anchor}`\n\n{about}\n\n"
             text += self._table(section, f"{anchor}.")
         return text
 
@@ -135,7 +157,7 @@ class _Keys:
             name = prefix + key
             kind = self._kind(node, name)
             is_section = f"{self._page}.md#{name}" in self._place.values()
-            own = f"[`{key}`](#{name})" if is_section else f"`{key}`{{ #{name} }}"
+            own = f"[`{key}`](#{name})" if is_section else f"{_anchor(name)}`{key}`"
             default = "must be given" if key in required else _default(node)
             text += f"| {own} | {kind} | {default} | {_escaped(node['description'])} |\n"
         return text + "\n"
@@ -201,7 +223,7 @@ def _commands(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
     """A chapter for each command; those of a group's commands follow it."""
     anchor = name.removeprefix("graycast").strip().replace(" ", "-")
     example, _, about = (parser.description or "").rpartition("\n\n")
-    yield f"## {name} {{ #{anchor or 'graycast'} }}\n\n{_escaped(about)}\n\n"
+    yield f"## {_anchor(anchor or 'graycast')}{name}\n\n{_escaped(about)}\n\n"
     if example:
         yield f"```sh\n{dedent(example.partition(chr(10))[2])}\n```\n\n"
     groups = [action for action in parser._actions if isinstance(action.choices, dict)]
@@ -219,10 +241,13 @@ def _argument(parser: argparse.ArgumentParser, action: argparse.Action, anchor: 
     flag = (action.option_strings or [""])[-1]
     value = formatter._format_args(action, action.dest.upper() if flag else action.dest)
     place = f"{anchor}{flag or '-' + action.dest}"
-    return (
-        f"| `{f'{flag} {value}'.strip()}`{{ #{place} }} | {_escaped(_help(formatter, action))} |\n"
-    )
+    words = f"{flag} {value}".strip()
+    return f"| {_anchor(place)}`{words}` | {_escaped(_help(formatter, action))} |\n"
 
 
 def _help(formatter: argparse.HelpFormatter, action: argparse.Action) -> str:
     return formatter._expand_help(action) if action.help else ""
+
+
+if __name__ == "__main__":
+    main()

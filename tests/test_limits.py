@@ -109,4 +109,7 @@ def test_the_package_and_its_pages_grow_by_a_reason_alone():
     """A change that needs more room raises the number here, and its commit says why."""
     assert sum(len(text.splitlines()) for text in sources().values()) <= MOST_LINES
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    assert sum(len(page.read_text().split()) for page in pages) <= MOST_WORDS
+    texts = [page.read_text() for page in pages]
+    by_hand = [text for text in texts if "<!-- `make reference` writes this page" not in text]
+    assert len(by_hand) < len(texts)
+    assert sum(len(text.split()) for text in by_hand) <= MOST_WORDS

@@ -1,4 +1,4 @@
-"""The pages of the reference that are made from the models and from the parser."""
+"""The pages of the reference that come from the models and from the parser."""
 
 import importlib.util
 import json
@@ -40,7 +40,7 @@ def schemas(capsys):
 
 
 def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference, capsys):
-    row = re.compile(r"^\| \[?`(\w+)`(?:\{ #|\]\().* \| (.+) \|$", re.MULTILINE)
+    row = re.compile(r"^\| (?:<[^|]+>|\[)`(\w+)`.* \| (.+) \|$", re.MULTILINE)
     rows = {
         key_and_text for page in reference.pages().values() for key_and_text in row.findall(page)
     }
@@ -57,11 +57,11 @@ def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
     assert len(all_parsers) > 30
     for parser in all_parsers:
         anchor = "-".join(parser.prog.split()[1:])
-        assert f"\n## {parser.prog} {{ #{anchor or 'graycast'} }}\n" in page
+        assert f'\n## <a id="{anchor or "graycast"}"></a>{parser.prog}\n' in page
         for action in parser._actions:
             for flag in action.option_strings:
                 if flag.startswith("--") and flag not in ("--help", "--debug"):
-                    assert f"{{ #{anchor}{flag} }}" in page, f"{parser.prog} {flag}"
+                    assert f'<a id="{anchor}{flag}"></a>' in page, f"{parser.prog} {flag}"
 
 
 def test_every_material_has_a_row_with_its_numbers(reference):
@@ -87,5 +87,35 @@ def test_every_material_has_a_row_with_its_numbers(reference):
 
 def test_no_anchor_of_a_page_is_given_twice(reference):
     for name, page in reference.pages().items():
-        anchors = re.findall(r"\{ #(\S+) \}", page)
+        anchors = re.findall(r'<a id="(\S+)">', page)
         assert len(anchors) == len(set(anchors)), name
+
+
+def test_the_pages_in_the_repository_are_those_of_the_program(reference):
+    """A key or a flag that was renamed would stay on a page that readers of a clone see."""
+    for place, text in reference.pages().items():
+        page = SCRIPT.parent / place
+        stored = page.read_text(encoding="utf-8") if page.exists() else ""
+        assert stored == text, f"docs/{place} is out of date: run make reference"
+
+
+def test_each_page_that_says_that_the_program_writes_it_is_one_of_them(reference):
+    remark = reference._REMARK.strip()
+    own = {
+        page.relative_to(SCRIPT.parent).as_posix()
+        for page in SCRIPT.parent.rglob("*.md")
+        if remark in page.read_text(encoding="utf-8")
+    }
+    assert own == set(reference.pages())
+
+
+def test_main_writes_what_is_out_of_date_and_names_it(reference, tmp_path, monkeypatch, capsys):
+    (tmp_path / "reference").mkdir()
+    monkeypatch.setattr(reference, "__file__", str(tmp_path / "reference_pages.py"))
+    reference.main()
+    assert set(capsys.readouterr().out.split()) == {f"docs/{name}" for name in reference.pages()}
+    old = tmp_path / "reference/stack.md"
+    old.write_text(old.read_text().replace("frame", "fram", 1))
+    reference.main()
+    assert capsys.readouterr().out == "docs/reference/stack.md\n"
+    assert old.read_text() == reference.pages()["reference/stack.md"]

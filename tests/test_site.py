@@ -34,7 +34,7 @@ def commands():
     """Each `graycast ...` that a page tells to run, joined where a backslash breaks it."""
     for page, code in blocks("sh"):
         for line in code.replace("\\\n", " ").splitlines():
-            for command in re.split(r"&&|;|\|", re.sub(r"(^|\s)#.*", "", line)):
+            for command in re.split(r"&&|;|\||>", re.sub(r"(^|\s)#.*", "", line)):
                 words = shlex.split(command)
                 if words and words[0] in ("graycast", ".venv/bin/graycast"):
                     yield page, words[1:]

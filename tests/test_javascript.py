@@ -35,6 +35,7 @@ PAGES = {
         SOURCE / "show/live/web",
         tuple(name for name in (*server._SHARED, *server._OWN) if name.endswith(".js")),
     ),
+    "documentation": (ROOT / "docs", ("iframe-worker.js",)),
 }
 
 

@@ -87,16 +87,23 @@ class Links(HTMLParser):
             self.loads.append(attributes["href"])
 
 
-@pytest.mark.slow
-def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
-    """Every link and anchor leads somewhere; nothing is loaded from elsewhere; no raw equation."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the site; MkDocs must build it without a warning."""
     pytest.importorskip("mkdocs", reason="needs MkDocs: pip install 'graycast[docs]'")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", tmp_path / "site"]
+    folder = tmp_path_factory.mktemp("documentation") / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_is_built_strictly_and_is_whole_without_a_network(site):
+    """Every link and anchor leads somewhere; nothing is loaded from elsewhere; no raw equation."""
     pages = {
-        path.relative_to(tmp_path / "site").as_posix(): Links(path.read_text(encoding="utf-8"))
-        for path in (tmp_path / "site").rglob("*.html")
+        path.relative_to(site).as_posix(): Links(path.read_text(encoding="utf-8"))
+        for path in site.rglob("*.html")
         if path.name != "404.html"  # its paths are those of a server's root
     }
     expected = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
@@ -108,20 +115,45 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
             if parts.scheme in ("http", "https", "mailto"):
                 assert link not in page.loads, f"{name} loads {link}"
                 continue
-            base = (tmp_path / "site" / name).parent
+            base = (site / name).parent
             target = (base / unquote(parts.path)).resolve() if parts.path else None
-            there = name if target is None else str(target.relative_to(tmp_path / "site"))
+            there = name if target is None else str(target.relative_to(site))
             if there in pages and unquote(parts.fragment) not in pages[there].anchors:
                 broken.append(f"{name}: {link} has no such anchor")
-            elif there not in pages and not (tmp_path / "site" / there).exists():
+            elif there not in pages and not (site / there).exists():
                 broken.append(f"{name}: {link} is not there")
     assert not broken, "\n".join(broken)
-    explanations = sorted((tmp_path / "site/explanation").glob("*.html"))
+    explanations = sorted((site / "explanation").glob("*.html"))
     equations = "".join(path.read_text(encoding="utf-8") for path in explanations)
     assert equations.count("<math") > 650
     assert "arithmatex" not in equations
     text = html.unescape(re.sub(r"<[^>]+>", " ", " ".join(MATH.findall(equations))))
     assert not re.findall(r"\\[A-Za-z]+", text), "the converter does not know these commands"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("settling votes", "reference/"), ("interreflection", "explanation/decoding.html")],
+)
+def test_the_search_field_finds_pages_of_a_site_that_is_opened_from_the_disk(
+    site, browser, words, expected
+):
+    """A browser starts no worker and fetches no file there, and nothing may come from a network."""
+    with browser.new_page() as page:
+        requests = []
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto((site / "how-to/live.html").as_uri())
+        page.wait_for_function("document.querySelector('iframe')")
+        page.click("input.md-search__input")
+        page.keyboard.type(words, delay=20)
+        page.wait_for_selector(".md-search-result__item a")
+        links = page.locator(".md-search-result__item a")
+        urls = links.evaluate_all("all => all.map(a => a.href)")
+        paths = [Path(urlsplit(url).path) for url in urls]
+        assert any(path.relative_to(site).as_posix().startswith(expected) for path in paths)
+        assert all(path.is_file() for path in paths)
+        assert {urlsplit(url).scheme for url in requests} <= {"file", "data"}
 
 
 def spec_of(section):

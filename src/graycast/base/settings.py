@@ -155,7 +155,7 @@ def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:
 
 
 def _field(default: Any, info: FieldInfo) -> Any:
-    return Field(default, description=info.description)
+    return Field(default=default, description=info.description)
 
 
 def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:

@@ -40,35 +40,35 @@ class BinSection(Settings):
     """A bin: a box of stated inner sizes, or a mesh file."""
 
     inner_m: tuple[Inner, Inner, Inner] = Field(
-        (0.40, 0.30, 0.15),
+        default=(0.40, 0.30, 0.15),
         description="The inner length, width and height of the box, in metres.",
     )
-    wall_m: Wall = Field(0.012, description="The thickness of the walls in metres.")
+    wall_m: Wall = Field(default=0.012, description="The thickness of the walls in metres.")
     mesh: Path | None = Field(
-        None,
+        default=None,
         description="An OBJ, PLY, STL or GLB file of the bin, which replaces inner_m and wall_m.",
     )
     unit: Unit | None = Field(
-        None,
+        default=None,
         description="The unit of the mesh file. It must be stated if the sizes are not "
         "plausible in metres.",
     )
     up_axis: Up = Field(
-        "z",
+        default="z",
         description="The axis of the mesh file that points out of the bin's opening.",
     )
     material: MaterialWords | None = Field(
-        None,
+        default=None,
         description="The material of the bin. Without this key, a box is of wood, and a mesh "
         "has the material of its file.",
     )
     floor: MaterialWords | None = Field(
-        None,
+        default=None,
         description="The material of the inner floor. Without this key, it is the material "
         "of the walls.",
     )
     friction: Level = Field(
-        0.5, description="The coefficient of friction between the bin and the parts."
+        default=0.5, description="The coefficient of friction between the bin and the parts."
     )
 
     @model_validator(mode="after")
@@ -88,9 +88,10 @@ class EnvironmentSection(Settings):
     """Light from all around."""
 
     radiance: BandRadiance = Field(
-        (0.2, 0.2, 0.2), description="The radiance of each band, in W/(sr m^2). It scales the map."
+        default=(0.2, 0.2, 0.2),
+        description="The radiance of each band, in W/(sr m^2). It scales the map.",
     )
-    map: Path | None = Field(None, description="An EXR or HDR picture by latitude and longitude.")
+    map: Path | None = Field(default=None, description="EXR or HDR file by latitude and longitude.")
 
 
 class LightSection(Settings):
@@ -98,7 +99,7 @@ class LightSection(Settings):
 
     environment: EnvironmentSection = EnvironmentSection()
     lamps: tuple[Lamp, ...] = Field(
-        (Lamp(center_m=(0.7, -0.5, 1.6)),), description="The lamps of the cell."
+        default=(Lamp(center_m=(0.7, -0.5, 1.6)),), description="The lamps of the cell."
     )
 
 
@@ -106,11 +107,10 @@ class CyclesSection(Settings):
     """Settings that only Blender Cycles has."""
 
     denoise: Literal["none", "oidn", "optix"] = Field(
-        "oidn",
-        description="The denoiser of every picture. optix needs a GPU.",
+        default="oidn", description="The denoiser of every picture. optix needs a GPU."
     )
     patterns_per_render: Literal[1, 3] = Field(
-        1,
+        default=1,
         description="The number of patterns in a render. With 3, the red, green and blue "
         "channels hold one pattern each.",
     )
@@ -120,14 +120,14 @@ class RenderSection(Settings):
     """How pictures are rendered."""
 
     backend: Literal["mitsuba", "cycles"] = Field(
-        "mitsuba",
+        default="mitsuba",
         description="The renderer. mitsuba renders all patterns in one pass; "
         "cycles renders them one after the other.",
     )
     samples: Samples = 16
     depth: PathDepth = 4
     denoise: bool = Field(
-        True,
+        default=True,
         description="Whether the colour picture is denoised. The "
         "pictures of patterns are not affected.",
     )
@@ -138,13 +138,13 @@ class StoreSection(Settings):
     """What a scene's folder holds in addition to pictures, depth and labels."""
 
     frames: bool = Field(
-        False, description="Keep every picture as the sensor stored it, for graycast rig decode."
+        default=False, description="Keep every picture as the sensor stored it, for rig decode."
     )
     columns: bool = Field(
-        False, description="Keep the decoded projector columns and rows with their deviations."
+        default=False, description="Keep decoded projector columns and rows with their deviations."
     )
     depth_step_mm: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=1000,
         exclude=True,  # a dataset says it as its depth_scale, chosen or not
@@ -163,52 +163,52 @@ class Config(ScannerSections):
         min_length=1, description="The kinds of parts that fall into the bin."
     )
     mix: bool = Field(
-        False,
+        default=False,
         description="Whether each scene has parts of all kinds. Otherwise each scene has one "
         "kind, and the kinds alternate.",
     )
     count: int | tuple[int, int] = Field(
-        30,
+        default=30,
         description="The number of parts in a scene, from 0 to 255, or its lowest and its highest "
         "value. A scene without parts shows the empty bin.",
     )
     fill: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=1,
         description="The share of the bin that the parts of a scene fill as a loose heap, from 0 "
         "to 1. It replaces count.",
     )
     scenes: int = Field(
-        3, ge=1, description="The number of scenes. The option --scenes replaces it."
+        default=3, ge=1, description="The number of scenes. The option --scenes replaces it."
     )
     seed: int = Field(
-        0, ge=0, description="The seed of all random numbers. The option --seed replaces it."
+        default=0, ge=0, description="The seed of all random numbers; --seed replaces it."
     )
     bin: BinSection = BinSection()
     table: MaterialWords | None = Field(
-        None,
+        default=None,
         description="The material of the table on which the bin stands. Without this key, it "
         "is matt grey.",
     )
-    rig: RigName = Field("paper", description="The name of a preset, or a rig file.")
+    rig: RigName = Field(default="paper", description="The name of a preset, or a rig file.")
     resolution: Literal["small", "low", "full"] = Field(
-        "low",
+        default="low",
         description="The size of a preset: 516 x 386, 1032 x 772 or 2064 x 1544 pixels.",
     )
     view: ViewSection = ViewSection()
     views: Views | None = Field(
-        None,
+        default=None,
         description="Several images of each scene: a list of places, or dome, path or jitter.",
     )
     scanners: tuple[ScannerEntry, ...] | None = Field(
-        None,
+        default=None,
         min_length=1,
         description="Several scanners in the cell, each with a name. They replace rig.",
     )
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(
-        None,
+        default=None,
         description="How the scenes differ in light, views and materials, in addition to the "
         "poses of their parts.",
     )
@@ -279,8 +279,7 @@ def load_config(path: Path | str) -> Config:
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
-    path = Path(path)
-    return read_settings(path, Config)
+    return read_settings(Path(path), Config)
 
 
 # --- from words to values ----------------------------------------------------------------------

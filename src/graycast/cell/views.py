@@ -32,27 +32,27 @@ class ViewSection(Settings):
     """The pose of the rig. At azimuth 0, its baseline is parallel to the world's x axis."""
 
     distance_m: Positive | None = Field(
-        None,
+        default=None,
         description="The distance from the middle of the baseline to the target in metres. "
         "Without this key, the lines of sight of camera and projector meet at the "
         "target.",
     )
     tilt_deg: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=80,
         description="The angle between the viewing axis and the vertical, in degrees.",
     )
     azimuth_deg: float = Field(
-        0.0, description="The rotation of the rig about the vertical, in degrees."
+        default=0.0, description="The rotation of the rig about the vertical, in degrees."
     )
     target_m: Vector | None = Field(
-        None,
+        default=None,
         description="The point in the world that the rig looks at, in metres. Without this "
         "key, it is above the middle of the floor at a third of the bin's height.",
     )
     T_world_cam: tuple[float, ...] | None = Field(
-        None,
+        default=None,
         description="The camera's pose, which replaces all other keys: the 16 numbers of a "
         "4x4 matrix by rows, in metres.",
     )
@@ -83,15 +83,17 @@ class DomeSection(Settings):
     kind: Literal["dome"] = Field(description="The kind of the poses: dome.")
     count: Count = Field(description="The number of images of a scene.")
     distance_m: PositiveSpan | None = Field(
-        None,
+        default=None,
         description="The distance from the middle of the baseline to the target in metres, or its "
         "lowest and highest value. Without this key, it is that of the view.",
     )
     tilt_deg: Tilt = Field(
-        (0.0, 40.0), description="The angle between the viewing axis and the vertical, in degrees."
+        default=(0.0, 40.0),
+        description="The angle between the viewing axis and the vertical, in degrees.",
     )
     azimuth_deg: Angle = Field(
-        (-180.0, 180.0), description="The rotation of the rig about the vertical, in degrees."
+        default=(-180.0, 180.0),
+        description="The rotation of the rig about the vertical, in degrees.",
     )
 
 
@@ -116,10 +118,10 @@ class JitterSection(Settings):
     kind: Literal["jitter"] = Field(description="The kind of the poses: jitter.")
     count: Count = Field(description="The number of images of a scene.")
     position_m: Level = Field(
-        0.01, description="The sigma along each of the world's axes, in metres."
+        default=0.01, description="The sigma along each of the world's axes, in metres."
     )
     rotation_deg: Level = Field(
-        1.0, le=30, description="The sigma about each of the camera's axes, in degrees."
+        default=1.0, le=30, description="The sigma about each of the camera's axes, in degrees."
     )
 
 
@@ -167,14 +169,14 @@ class ScannerEntry(ScannerSections):
     name: str = Field(
         description="The name of the scanner, which is part of its file names, as in rgb_NAME."
     )
-    rig: RigName = Field("paper", description="The name of a preset, or a rig file.")
+    rig: RigName = Field(default="paper", description="The name of a preset, or a rig file.")
     T_first_cam: tuple[float, ...] | None = Field(
-        None,
+        default=None,
         description="The pose of its camera in the frame of the first scanner's camera, with which "
         "it moves: the 16 numbers of a 4x4 matrix by rows, in metres.",
     )
     views: Views | None = Field(
-        None,
+        default=None,
         description="The camera poses of this scanner. Without this key, they are those of the key "
         "views of the configuration.",
     )

@@ -17,12 +17,12 @@ class TestSection(Settings):
         min_length=1, description="Folders of datasets, relative to the study's file."
     )
     split: Literal["train", "val", "test", "all"] = Field(
-        "all",
+        default="all",
         description="The set of scenes to score: test holds the scenes that the training did not "
         "use.",
     )
     as_real: bool = Field(
-        False,
+        default=False,
         description="Whether perfect depth is hidden, so that a detector trained on "
         "it gets the scanner's depth.",
     )
@@ -35,14 +35,17 @@ class ModelSection(Settings):
         description="The network, with a name as in graycast detector train --model."
     )
     backbone: str | None = Field(
-        None, description="The backbone. Without this key, it is the model's own."
+        default=None, description="The backbone. Without this key, it is the model's own."
     )
-    epochs: int | None = Field(None, ge=1, description="Without this key, it is the study's value.")
+    epochs: int | None = Field(
+        default=None, ge=1, description="Without this key, it is the study's value."
+    )
     learning_rate: Positive | None = Field(
-        None, description="The highest learning rate. Without this key, it is the model's own."
+        default=None,
+        description="The highest learning rate. Without this key, it is the model's own.",
     )
     seeds: tuple[int, ...] | None = Field(
-        None, min_length=1, description="Without this key, it is the study's value."
+        default=None, min_length=1, description="Without this key, it is the study's value."
     )
 
 
@@ -51,11 +54,12 @@ class EncodingSection(Settings):
 
     name: str = Field(description="The name of the encoding in the table.")
     holes: Literal["channel", "zero", "far"] = Field(
-        "channel",
+        default="channel",
         description="How missing depth is encoded: as a channel of its own, as zero, or as far.",
     )
     relief: bool = Field(
-        True, description="Whether a channel holds the height over the mean of the neighbourhood."
+        default=True,
+        description="Whether a channel holds the height over the mean of the neighbourhood.",
     )
 
 
@@ -65,14 +69,14 @@ class StudySpec(Settings):
     Relative paths start in the folder of the study's file.
     """
 
-    title: str = Field("Study", description="The title of the table.")
+    title: str = Field(default="Study", description="The title of the table.")
     models: tuple[ModelSection, ...] = Field(min_length=1, description="The networks to train.")
     inputs: tuple[str, ...] = Field(
         min_length=1,
         description="The inputs of the networks, with names as in graycast detector train --input.",
     )
     encodings: tuple[EncodingSection, ...] = Field(
-        (EncodingSection(name="default"),), description="The encodings of depth to compare."
+        default=(EncodingSection(name="default"),), description="The encodings of depth to compare."
     )
     training: dict[str, tuple[Path, ...]] = Field(
         min_length=1,
@@ -80,29 +84,30 @@ class StudySpec(Settings):
     )
     tests: dict[str, TestSection] = Field(min_length=1, description="The test sets by name.")
     gap: tuple[str, str] | None = Field(
-        None,
+        default=None,
         description="Two test sets; the table states the score in the first minus the score in "
         "the second.",
     )
-    seeds: tuple[int, ...] = Field((0,), description="The seeds; each one is a training.")
+    seeds: tuple[int, ...] = Field(default=(0,), description="The seeds; each one is a training.")
     split: tuple[Share, Share, Share] = Field(
-        (0.8, 0.1, 0.1),
+        default=(0.8, 0.1, 0.1),
         description="The shares of train, val and test scenes in the training sets.",
     )
     one_class: bool = Field(
-        False, description="Whether all parts are one class, so that the kind of a part is ignored."
+        default=False,
+        description="Whether all parts are one class, so that the kind of a part is ignored.",
     )
-    epochs: int = Field(20, ge=1, description="The number of passes over the training set.")
+    epochs: int = Field(default=20, ge=1, description="The number of passes over the training set.")
     longest_px: int = Field(
-        320, ge=32, description="The longer side of the network's input picture in pixels."
+        default=320, ge=32, description="The longer side of the network's input picture in pixels."
     )
     batch: int | None = Field(
-        None,
+        default=None,
         ge=1,
         description="The number of pictures in a step. Without this key, it is the model's own.",
     )
     min_visibility: Share = Field(
-        0.1, description="The visible share of an instance from which it counts."
+        default=0.1, description="The visible share of an instance from which it counts."
     )
 
     @model_validator(mode="after")

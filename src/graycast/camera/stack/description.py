@@ -31,22 +31,28 @@ class FrameSection(Settings):
     kind: Literal["white", "black", "gray", "complementary", "phase", "line"] = Field(
         description="The pattern that the projector shows."
     )
-    axis: Axis | None = Field(None, description="What the frame codes: column or row.")
+    axis: Axis | None = Field(default=None, description="What the frame codes: column or row.")
     bit: int | None = Field(
-        None, ge=0, le=23, description="The number of the bit of a Gray code; 0 is the finest bit."
+        default=None,
+        ge=0,
+        le=23,
+        description="The number of the bit of a Gray code; 0 is the finest bit.",
     )
-    inverse: bool = Field(False, description="Whether dark and bright are swapped.")
+    inverse: bool = Field(default=False, description="Whether dark and bright are swapped.")
     xor_bit: int | None = Field(
-        None, ge=0, le=23, description="The Gray bit with which this bit is combined by XOR."
+        default=None,
+        ge=0,
+        le=23,
+        description="The Gray bit with which this bit is combined by XOR.",
     )
-    period_px: float | None = Field(None, ge=2, description="Projector pixels per period.")
+    period_px: float | None = Field(default=None, ge=2, description="Projector pixels per period.")
     step: float | None = Field(
-        None,
+        default=None,
         ge=0,
         description="The number of the phase step, counted from 0. It is a "
         "fraction if the cosine starts between two steps.",
     )
-    steps: int | None = Field(None, ge=3, description="The number of phase steps.")
+    steps: int | None = Field(default=None, ge=3, description="The number of phase steps.")
 
     @model_validator(mode="after")
     def _says_what_its_kind_needs(self) -> "FrameSection":
@@ -89,20 +95,20 @@ class ProjectorSection(Settings):
 class OffsetSection(Settings):
     """Where code 0 lies on the projector."""
 
-    column: float = Field(0.0, description="The projector column of code 0, in pixels.")
-    row: float = Field(0.0, description="The projector row of code 0, in pixels.")
+    column: float = Field(default=0.0, description="The projector column of code 0, in pixels.")
+    row: float = Field(default=0.0, description="The projector row of code 0, in pixels.")
 
 
 class StrideSection(Settings):
     """Projector pixels per code."""
 
     column: Positive | None = Field(
-        None,
+        default=None,
         description="Projector pixels per coded value. Without this key, it is 1 or the "
         "period of a phase code.",
     )
     row: Positive | None = Field(
-        None,
+        default=None,
         description="Projector pixels per coded value. Without this key, it is 1 or the "
         "period of a phase code.",
     )
@@ -111,14 +117,18 @@ class StrideSection(Settings):
 class LevelsSection(Settings):
     """Known properties of the camera (EMVA 1288); others are measured in the stack."""
 
-    offset_dn: float | None = Field(None, ge=0, description="The stored value without light.")
+    offset_dn: float | None = Field(
+        default=None, ge=0, description="The stored value without light."
+    )
     saturation_dn: Positive | None = Field(
-        None, description="The lowest stored value that counts as saturated."
+        default=None, description="The lowest stored value that counts as saturated."
     )
     read_noise_dn: float | None = Field(
-        None, ge=0, description="The standard deviation of the noise in the dark."
+        default=None, ge=0, description="The standard deviation of the noise in the dark."
     )
-    gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
+    gain_dn_per_e: float | None = Field(
+        default=None, ge=0, description="Digital numbers per electron."
+    )
 
 
 DecodeSection = section_of(
@@ -131,7 +141,7 @@ DecodeSection = section_of(
         "max_epipolar_px": (
             Level | None,
             Field(
-                None,
+                default=None,
                 description="Largest distance from the epipolar line in projector pixels; 0 "
                 "switches the test off. Without this key, it is 5 times the "
                 "median distance, but at least 2.",
@@ -151,7 +161,7 @@ class StackDescription(Settings):
     levels: LevelsSection = LevelsSection()
     decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
     rig: Path | None = Field(
-        None, description="The rig file of the scanner, relative to this file."
+        default=None, description="The rig file of the scanner, relative to this file."
     )
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:

@@ -25,10 +25,11 @@ class CameraTolerance(Settings):
     """How far the pose of the rig may deviate from the configured view."""
 
     position_m: Level = Field(
-        1e-3, description="The largest shift of the rig along each axis of the world, in metres."
+        default=1e-3,
+        description="The largest shift of the rig along each axis of the world, in metres.",
     )
     rotation_deg: Level = Field(
-        0.1,
+        default=0.1,
         le=10,
         description="The largest rotation of the rig about each axis of the camera, in degrees.",
     )
@@ -38,10 +39,10 @@ class BinTolerance(Settings):
     """How far the bin may deviate from the middle of the cell, flat on the table."""
 
     position_m: Level = Field(
-        2e-3, description="The largest shift of the bin along x and along y, in metres."
+        default=2e-3, description="The largest shift of the bin along x and along y, in metres."
     )
     rotation_deg: Level = Field(
-        0.5, le=180, description="The largest rotation of the bin about z, in degrees."
+        default=0.5, le=180, description="The largest rotation of the bin about z, in degrees."
     )
 
 
@@ -49,13 +50,15 @@ class LampTolerance(Settings):
     """How far the lamps and the environment may deviate from the configured light."""
 
     position_m: Level = Field(
-        5e-3, description="The largest shift of a lamp along each axis of the world, in metres."
+        default=5e-3,
+        description="The largest shift of a lamp along each axis of the world, in metres.",
     )
     level: Share = Field(
-        0.05, description="The largest change of a lamp's radiance, relative to the radiance."
+        default=0.05,
+        description="The largest change of a lamp's radiance, relative to the radiance.",
     )
     environment_level: Share = Field(
-        0.05,
+        default=0.05,
         description="The largest change of the environment's radiance, relative to the radiance.",
     )
 
@@ -64,11 +67,11 @@ class PartTolerance(Settings):
     """How far the look of a batch of parts may deviate. All parts of a kind look alike."""
 
     reflectance: Share = Field(
-        0.03,
+        default=0.03,
         description="The largest change of the reflectance, relative to it and equal in all bands.",
     )
     roughness: Share = Field(
-        0.02,
+        default=0.02,
         description="The largest change of the roughness. The result is at most 1, and at least "
         "0.05 or the roughness of a smoother material.",
     )
@@ -91,11 +94,13 @@ class ColorRanges(Settings):
     """A colour by hue, saturation and value of its sRGB encoding."""
 
     hue_deg: SpanOf[Annotated[float, Field(ge=0, le=360)]] = Field(
-        (0.0, 360.0), description="The range of the hue in degrees: 0 is red, 120 is green."
+        default=(0.0, 360.0), description="The range of the hue in degrees: 0 is red, 120 is green."
     )
-    saturation: ShareSpan = Field((0.0, 1.0), description="The range of the saturation: 0 is grey.")
+    saturation: ShareSpan = Field(
+        default=(0.0, 1.0), description="The range of the saturation: 0 is grey."
+    )
     value: ShareSpan = Field(
-        (0.1, 0.9), description="The range of the strongest band's value in sRGB encoding."
+        default=(0.1, 0.9), description="The range of the strongest band's value in sRGB encoding."
     )
 
 
@@ -103,20 +108,23 @@ class SurfaceRanges(Settings):
     """The look of a surface: a plain colour, or a picture from a folder."""
 
     color: ColorRanges = ColorRanges()
-    textures: Path | None = Field(None, description="A folder of PNG or JPEG pictures in sRGB.")
+    textures: Path | None = Field(
+        default=None, description="A folder of PNG or JPEG pictures in sRGB."
+    )
     textured_share: Share = Field(
-        0.5, description="The share of scenes whose surface gets a picture, if a folder is given."
+        default=0.5,
+        description="The share of scenes whose surface gets a picture, if a folder is given.",
     )
     texture_size_m: PositiveSpan = Field(
-        (0.2, 1.0),
+        default=(0.2, 1.0),
         description="The range of the length that a picture covers before it repeats, in "
         "metres, log-uniform.",
     )
     roughness: SpanOf[Roughness] = Field(
-        (0.3, 1.0), description="The range of the roughness: 0.05 is polished, 1 is matt."
+        default=(0.3, 1.0), description="The range of the roughness: 0.05 is polished, 1 is matt."
     )
     metal_share: Share = Field(
-        0.0, description="The share of scenes in which the surface is bare metal."
+        default=0.0, description="The share of scenes in which the surface is bare metal."
     )
 
 
@@ -124,7 +132,7 @@ class BinRanges(SurfaceRanges):
     """The look of the bin, which is the same inside and outside, and its size."""
 
     size_factor: SpanOf[Annotated[float, Field(ge=0.5, le=2)]] = Field(
-        (1.0, 1.0),
+        default=(1.0, 1.0),
         description="The range of the factor by which all three inner sizes are scaled, "
         "log-uniform.",
     )
@@ -134,22 +142,23 @@ class CameraRanges(Settings):
     """How the rig moves from its configured view, about the target of the view."""
 
     distance_factor: SpanOf[Annotated[float, Field(ge=0.2, le=5)]] = Field(
-        (0.9, 1.1),
+        default=(0.9, 1.1),
         description="The range of the factor on the distance to the target, log-uniform.",
     )
     tilt_deg: SpanOf[Annotated[float, Field(ge=-80, le=80)]] = Field(
-        (-10.0, 10.0),
+        default=(-10.0, 10.0),
         description="The range of the angle that is added to the view's tilt, in degrees.",
     )
     azimuth_deg: Angle = Field(
-        (-180.0, 180.0),
+        default=(-180.0, 180.0),
         description="The range of the angle that is added to the view's azimuth, in degrees.",
     )
     roll_deg: Angle = Field(
-        (0.0, 0.0), description="The range of the rotation about the viewing axis, in degrees."
+        default=(0.0, 0.0),
+        description="The range of the rotation about the viewing axis, in degrees.",
     )
     shift_m: Span = Field(
-        (-0.02, 0.02),
+        default=(-0.02, 0.02),
         description="The range of the target's shift along each axis of the world, in metres.",
     )
 
@@ -158,18 +167,19 @@ class EnvironmentRanges(Settings):
     """Light from all around."""
 
     radiance: PositiveSpan = Field(
-        (0.02, 0.4),
+        default=(0.02, 0.4),
         description="The range of the radiance in W/(sr m^2), averaged over directions and "
         "bands, log-uniform.",
     )
     maps: Path | None = Field(
-        None, description="A folder of latitude-longitude EXR or HDR pictures in any unit."
+        default=None, description="A folder of latitude-longitude EXR or HDR pictures in any unit."
     )
     rotation_deg: Angle = Field(
-        (-180.0, 180.0), description="The range of the rotation of a map about z, in degrees."
+        default=(-180.0, 180.0),
+        description="The range of the rotation of a map about z, in degrees.",
     )
     color_temperature_k: Kelvins = Field(
-        (2700.0, 7500.0),
+        default=(2700.0, 7500.0),
         description="The range of the colour temperature in kelvins, if no maps are given.",
     )
 
@@ -177,30 +187,32 @@ class EnvironmentRanges(Settings):
 class LampRanges(Settings):
     """Square lamps that replace the lamps of the cell and face the middle of the bin."""
 
-    count: Counts = Field((1, 3), description="The lowest and the highest number of lamps.")
+    count: Counts = Field(default=(1, 3), description="The lowest and the highest number of lamps.")
     distance_m: PositiveSpan = Field(
-        (1.0, 2.5),
+        default=(1.0, 2.5),
         description="The range of a lamp's distance from the middle of the bin, in metres.",
     )
     elevation_deg: SpanOf[Annotated[float, Field(ge=5, le=90)]] = Field(
-        (30.0, 80.0),
+        default=(30.0, 80.0),
         description="The range of a lamp's angle above the horizon, in degrees. Directions "
         "are uniform over the solid angle.",
     )
     azimuth_deg: Angle = Field(
-        (-180.0, 180.0),
+        default=(-180.0, 180.0),
         description="The range of a lamp's azimuth in degrees: 0 is the world's +x, 90 is its +y.",
     )
     size_m: PositiveSpan = Field(
-        (0.1, 0.6), description="The range of the edge length of a lamp, in metres, log-uniform."
+        default=(0.1, 0.6),
+        description="The range of the edge length of a lamp, in metres, log-uniform.",
     )
     irradiance: PositiveSpan = Field(
-        (0.05, 1.0),
+        default=(0.05, 1.0),
         description="The range of the irradiance of each band in W/m^2, on a surface at the "
         "bin that faces the lamp, log-uniform.",
     )
     color_temperature_k: Kelvins = Field(
-        (2700.0, 6500.0), description="The range of the colour temperature of a lamp, in kelvins."
+        default=(2700.0, 6500.0),
+        description="The range of the colour temperature of a lamp, in kelvins.",
     )
 
 
@@ -208,28 +220,28 @@ class PartRanges(Settings):
     """The look of each kind of part. All parts of a kind look alike."""
 
     brightness: PositiveSpan = Field(
-        (0.7, 1.4),
+        default=(0.7, 1.4),
         description="The range of the factor on the reflectance, log-uniform. The result is "
         "at most 1.",
     )
     tint: PositiveSpan = Field(
-        (0.9, 1.1),
+        default=(0.9, 1.1),
         description="The range of one further factor for each band, also of textures, log-uniform.",
     )
     roughness: Span = Field(
-        (-0.1, 0.1),
+        default=(-0.1, 0.1),
         description="The range of the change of the roughness. The result is at most 1, and at "
         "least 0.05 or the roughness of a smoother material.",
     )
     metallic: Span = Field(
-        (0.0, 0.0),
+        default=(0.0, 0.0),
         description="The range of the change of metallic. The result is limited to 0 to 1.",
     )
     repainted_share: Share = Field(
-        0.0, description="The share of scenes in which a kind of part has a random colour."
+        default=0.0, description="The share of scenes in which a kind of part has a random colour."
     )
     color: ColorRanges = Field(
-        ColorRanges(), description="The ranges of the colour of repainted parts."
+        default=ColorRanges(), description="The ranges of the colour of repainted parts."
     )
 
 
@@ -237,12 +249,12 @@ class DistractorRanges(Settings):
     """Foreign parts that lie among the others and hide them. They are not annotated."""
 
     count: Counts = Field(
-        (0, 3),
+        default=(0, 3),
         description="The lowest and the highest number of distractors. A scene has at most "
         "255 parts in all.",
     )
     parts: tuple[PartSection, ...] | None = Field(
-        None,
+        default=None,
         description="The kinds of distractors. Without this key, they are built-in metal "
         "parts that the cell does not use and that are small enough for its bin.",
     )
@@ -259,7 +271,7 @@ class RandomizedSection(Settings):
     table: SurfaceRanges | None = SurfaceRanges()
     parts: PartRanges | None = PartRanges()
     count_share: SpanOf[Annotated[float, Field(ge=0.01, le=1)]] = Field(
-        (0.5, 1.0),
+        default=(0.5, 1.0),
         description="The range of the share of the configured count of parts. It is rounded, "
         "with at least 1 part of each kind.",
     )

@@ -25,14 +25,18 @@ class Labelling(Settings):
 
     tool: AnyTool
     places: int = Field(
-        400, ge=1, description="The number of candidate grasps on each kind of part."
+        default=400, ge=1, description="The number of candidate grasps on each kind of part."
     )
-    per_instance: int = Field(20, ge=1, description="The largest number of labels of an instance.")
+    per_instance: int = Field(
+        default=20, ge=1, description="The largest number of labels of an instance."
+    )
     simulate: int = Field(
-        10, ge=0, description="The number of labels of each scene that are simulated with physics."
+        default=10,
+        ge=0,
+        description="The number of labels of each scene that are simulated with physics.",
     )
     most_lean_deg: float = Field(
-        40.0,
+        default=40.0,
         gt=0,
         le=80,
         description="The largest angle between the tool's axis and the vertical, in degrees.",

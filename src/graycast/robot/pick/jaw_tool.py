@@ -25,14 +25,15 @@ class JawTool(Settings):
     kind: Literal["jaws"] = Field(description="The kind of the tool: jaws.")
     jaws: Jaws = Jaws()
     length_m: Positive = Field(
-        0.16, description="The distance from the flange to the middle between the pads, in metres."
+        default=0.16,
+        description="The distance from the flange to the middle between the pads, in metres.",
     )
     palm_m: tuple[Positive, Positive] = Field(
-        (0.12, 0.06),
+        default=(0.12, 0.06),
         description="The size of the palm along the closing axis and across it, in metres.",
     )
     stiffness_n_m: Positive = Field(
-        20_000.0, description="The stiffness of the fingers along each axis [N/m]."
+        default=20_000.0, description="The stiffness of the fingers along each axis [N/m]."
     )
 
     lost: ClassVar[Outcome] = Outcome.SLIPPED

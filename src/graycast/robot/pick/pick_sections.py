@@ -16,19 +16,19 @@ class RobotSection(Settings):
     """An arm and where it stands."""
 
     arm: str = Field(
-        "ur5e",
+        default="ur5e",
         description=f"The arm is {', '.join(ARMS)}, or a URDF file with a link called flange.",
     )
     base_m: Vector = Field(
-        (-0.45, 0.0, 0.0),
+        default=(-0.45, 0.0, 0.0),
         description="The position of the arm's base relative to the "
         "middle of the bin's floor, in metres.",
     )
     base_yaw_deg: float = Field(
-        0.0, description="The rotation of the arm's base about the vertical, in degrees."
+        default=0.0, description="The rotation of the arm's base about the vertical, in degrees."
     )
     home_rad: tuple[float, ...] | None = Field(
-        None,
+        default=None,
         description="The joint angles at the start in radians. Without this key, they "
         "are the arm's own.",
     )
@@ -38,74 +38,81 @@ class PickingSection(Settings):
     """How parts are found, gripped and put away."""
 
     knows: Literal["part", "depth"] = Field(
-        "part",
+        default="part",
         description="The source of the grips: part uses the part's model and pose, depth "
         "uses the depth map only.",
     )
     detector: str = Field(
-        "truth",
+        default="truth",
         description="The detector: truth, none, or a folder that graycast detector train wrote.",
     )
-    pose: Literal["found", "truth"] = Field("found", description="The source of a part's pose.")
+    pose: Literal["found", "truth"] = Field(
+        default="found", description="The source of a part's pose."
+    )
     depth: Literal["scanner", "perfect", "noisy"] = Field(
-        "scanner",
+        default="scanner",
         description="The depth that the robot uses. noisy is perfect depth with Gaussian noise.",
     )
     depth_noise_m: Positive | None = Field(
-        None, description="The standard deviation of the noise of noisy depth, in metres."
+        default=None, description="The standard deviation of the noise of noisy depth, in metres."
     )
     place_m: Vector = Field(
-        (0.0, -0.45, 0.15),
+        default=(0.0, -0.45, 0.15),
         description="The position of the tool's tip where it releases a part, in metres.",
     )
     approach_m: Positive = Field(
-        0.06,
+        default=0.06,
         description="The length of the straight approach to a grip along the tool's "
         "axis, in metres.",
     )
     clear_m: Level = Field(
-        0.05,
+        default=0.05,
         description="The height above rim and heap to which a part is lifted before it "
         "is carried away, in metres.",
     )
     straight_m_s: Positive = Field(
-        0.25, description="The speed on straight paths in metres per second."
+        default=0.25, description="The speed on straight paths in metres per second."
     )
     lift_off_m_s: Positive = Field(
-        0.05, description="The speed of the first 10 mm of the lift, in metres per second."
+        default=0.05, description="The speed of the first 10 mm of the lift, in metres per second."
     )
     most_lean_deg: float = Field(
-        40.0, gt=0, le=80, description="The largest angle between the tool's axis and the vertical."
+        default=40.0,
+        gt=0,
+        le=80,
+        description="The largest angle between the tool's axis and the vertical.",
     )
-    least_score: Share = Field(0.25, description="The lowest score of a grip that the robot tries.")
+    least_score: Share = Field(
+        default=0.25, description="The lowest score of a grip that the robot tries."
+    )
     targets: int = Field(
-        3,
+        default=3,
         ge=1,
         description="The number of detections for which grips are planned together, "
         "the highest first.",
     )
     grips: int = Field(
-        12, ge=1, description="The largest number of grips that are planned for a scan."
+        default=12, ge=1, description="The largest number of grips that are planned for a scan."
     )
     failures: int = Field(
-        5,
+        default=5,
         ge=1,
         description="The number of consecutive scans without a "
         "pick after which the robot leaves a bin.",
     )
     hand_eye_m: Level = Field(
-        0.5e-3,
+        default=0.5e-3,
         description="The standard deviation of the hand-eye calibration's error "
         "along each axis, in metres.",
     )
     hand_eye_rad: Level = Field(
-        1e-3,
+        default=1e-3,
         description="The standard deviation of the hand-eye "
         "calibration's error about each axis, in "
         "radians.",
     )
     readout_s: Level = Field(
-        0.010,
+        default=0.010,
         description="The time that the scanner needs to read out a frame, in seconds, "
         "in addition to the exposure.",
     )

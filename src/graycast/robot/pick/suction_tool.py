@@ -34,19 +34,21 @@ from .solids import ROUND
 class SuctionTool(Settings):
     """A suction cup at the end of a tube."""
 
-    kind: Literal["suction"] = Field("suction", description="The kind of the tool: suction.")
+    kind: Literal["suction"] = Field(
+        default="suction", description="The kind of the tool: suction."
+    )
     cup: Cup = Cup()
     length_m: Positive = Field(
-        0.20, description="The distance from the flange to the lip of the cup, in metres."
+        default=0.20, description="The distance from the flange to the lip of the cup, in metres."
     )
     tube_m: Positive = Field(
-        0.012, description="The radius of the tube that carries the cup, in metres."
+        default=0.012, description="The radius of the tube that carries the cup, in metres."
     )
     stroke_m: Positive = Field(
-        0.010, description="The stroke of the spring in the cup's holder, in metres."
+        default=0.010, description="The stroke of the spring in the cup's holder, in metres."
     )
     stiffness_n_m: Positive = Field(
-        2000.0, description="The stiffness of the bellows along each axis [N/m]."
+        default=2000.0, description="The stiffness of the bellows along each axis [N/m]."
     )
 
     lost: ClassVar[Outcome] = Outcome.LOST_SEAL

@@ -26,37 +26,41 @@ class SweepSection(Settings):
     """All combinations of its lists are compared. A key that is left out is as in the cell."""
 
     rig: tuple[RigName, ...] | None = Field(
-        None, min_length=1, description="The rigs: names of presets, or rig files."
+        default=None, min_length=1, description="The rigs: names of presets, or rig files."
     )
     resolution: tuple[Literal["small", "low", "full"], ...] | None = Field(
-        None, min_length=1, description="The resolutions of a preset's pictures."
+        default=None, min_length=1, description="The resolutions of a preset's pictures."
     )
     baseline_m: tuple[Positive, ...] | None = Field(
-        None,
+        default=None,
         min_length=1,
         description="The distances between camera and projector in metres. Both are turned "
         "so that their optical axes meet at the target. Without this key, the "
         "rig keeps its own baseline and angle.",
     )
     distance_m: tuple[Positive, ...] | None = Field(
-        None,
+        default=None,
         min_length=1,
         description="The distances from the middle of the baseline to the target in metres.",
     )
     tilt_deg: tuple[Tilt, ...] | None = Field(
-        None, min_length=1, description="The angles of the rig from the vertical in degrees."
+        default=None,
+        min_length=1,
+        description="The angles of the rig from the vertical in degrees.",
     )
     azimuth_deg: tuple[float, ...] | None = Field(
-        None, min_length=1, description="The angles of the rig about the vertical in degrees."
+        default=None,
+        min_length=1,
+        description="The angles of the rig about the vertical in degrees.",
     )
     code: tuple[Name, ...] | None = Field(
-        None, min_length=1, description="Names of entries in codes."
+        default=None, min_length=1, description="Names of entries in codes."
     )
     exposure: tuple[Name, ...] | None = Field(
-        None, min_length=1, description="Names of entries in exposures."
+        default=None, min_length=1, description="Names of entries in exposures."
     )
     bin: tuple[Name, ...] | None = Field(
-        None, min_length=1, description="Names of entries in bins."
+        default=None, min_length=1, description="Names of entries in bins."
     )
 
 
@@ -64,12 +68,15 @@ class NeedsSection(Settings):
     """The most that a setting may have to be chosen."""
 
     sigma_m: Positive | None = Field(
-        None, description="The largest standard deviation of depth, in metres."
+        default=None, description="The largest standard deviation of depth, in metres."
     )
     feature_m: Positive | None = Field(
-        None, description="The side, in metres, that the smallest visible cube may have at most."
+        default=None,
+        description="The side, in metres, that the smallest visible cube may have at most.",
     )
-    seconds: Positive | None = Field(None, description="The longest time of a scan, in seconds.")
+    seconds: Positive | None = Field(
+        default=None, description="The longest time of a scan, in seconds."
+    )
 
 
 class DesignSpec(Settings):
@@ -78,42 +85,42 @@ class DesignSpec(Settings):
     Relative paths start at the file's folder.
     """
 
-    title: str = Field("Design study", description="The title of the table.")
+    title: str = Field(default="Design study", description="The title of the table.")
     cell: Path = Field(description="The configuration of the cell: parts, bin, light, rendering.")
     layouts: int = Field(
-        4,
+        default=4,
         ge=1,
         le=1000,
         description="The number of heaps that each setting scans. All "
         "settings scan the same heaps.",
     )
-    seed: int = Field(0, ge=0, description="The seed of the heaps and of the noise.")
+    seed: int = Field(default=0, ge=0, description="The seed of the heaps and of the noise.")
     points: int = Field(
-        20_000,
+        default=20_000,
         ge=1000,
         le=1_000_000,
         description="The number of sample points on the surface of the parts of a heap.",
     )
     cone_deg: float = Field(
-        30.0,
+        default=30.0,
         ge=0,
         le=80,
         description="The open surface is the surface that is visible from a direction at "
         "most this angle from the vertical, in degrees.",
     )
     wrong_m: Positive = Field(
-        0.005,
+        default=0.005,
         description="The largest depth error in metres. Depth with a larger error "
         "counts as wrong, not as measured.",
     )
     readout_s: Level = Field(
-        0.010,
+        default=0.010,
         description="The time that the scanner needs to read out a frame, in seconds, "
         "in addition to the exposure.",
     )
-    codes: dict[Name, Code] = Field({}, description="Codes by name.")
-    exposures: dict[Name, Exposure] = Field({}, description="Exposures by name.")
-    bins: dict[Name, BinSection] = Field({}, description="Bins by name.")
+    codes: dict[Name, Code] = Field(default={}, description="Codes by name.")
+    exposures: dict[Name, Exposure] = Field(default={}, description="Exposures by name.")
+    bins: dict[Name, BinSection] = Field(default={}, description="Bins by name.")
     sweeps: tuple[SweepSection, ...] = Field(
         min_length=1, description="The sweeps, whose settings together make up the study."
     )

@@ -61,74 +61,75 @@ class MaterialSection(Settings):
     """
 
     preset: PresetName | None = Field(
-        None, description="The name of a material, of which the other keys change one each."
+        default=None, description="The name of a material, of which the other keys change one each."
     )
     base_color: Color | None = Field(
-        None,
+        default=None,
         description="The linear RGB reflectance, from 0 to 1 each; it replaces a built-in part's "
         "print. The default is [0.5, 0.5, 0.5].",
     )
     texture: Path | None = Field(
-        None, description="A picture file in sRGB that replaces base_color."
+        default=None, description="A picture file in sRGB that replaces base_color."
     )
     metallic: Share | None = Field(
-        None,
+        default=None,
         description="The kind of surface: 0 is plastic, paint, wood or card; 1 is bare metal. The "
         "default is 0.",
     )
     roughness: Roughness | None = Field(
-        None,
+        default=None,
         description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. What is "
         "transparent has none. The default is 0.5.",
     )
     roughness_map: Path | None = Field(
-        None,
+        default=None,
         description="A picture file, grey and read as numbers, of where roughness is less, such as "
         "in scratches: white is roughness itself, black is polished. It lies as a texture does.",
     )
     specular: Share | None = Field(
-        None,
+        default=None,
         description="The strength of the clear coat: 0 is Lambertian, 0.5 is a coat of refractive "
         "index 1.5. The default is 0.5.",
     )
     projector_reflectance: Share | None = Field(
-        None,
+        default=None,
         description="The reflectance at the projector's wavelength. Without this key, "
         "it follows from base_color and the projector's bands.",
     )
     anisotropy: Share | None = Field(
-        None,
+        default=None,
         description="How much smoother metal is along its grooves than across them: 0 is not at "
         "all, 0.8 is brushed. It needs grain or turned. The default is 0.",
     )
     grain: Direction | None = Field(
-        None,
+        default=None,
         description="The direction of the grooves of brushed metal: x, y or z of the mesh, or a "
         "direction. Of a bin or table, it is that of the world.",
     )
     turned: Direction | None = Field(
-        None, description="The axis about which the grooves run, as on a lathe, in place of grain."
+        default=None,
+        description="The axis about which the grooves run, as on a lathe, in place of grain.",
     )
     turned_about_m: Vector | None = Field(
-        None,
+        default=None,
         description="A point on the axis of turned, in metres in the frame of the mesh. The "
         "default is its origin.",
     )
 
     film: Roughness | None = Field(
-        None,
+        default=None,
         description="The roughness of a clear film over metal, such as oil or lacquer; its index "
         "follows from specular, and base_color is the reflectance in it. Without this key, metal "
         "is bare.",
     )
     transparent: Transparent | None = Field(
-        None,
+        default=None,
         description="Clear glass or plastic: solid, or thin for a mesh that is a wall without "
         "thickness. The index n follows from specular = 12.5 ((n - 1) / (n + 1))^2. Without this "
         "key, the surface is opaque.",
     )
     color_depth_m: Positive | None = Field(
-        None,
+        default=None,
         description="The way in metres through a solid that leaves base_color of the light; a thin "
         "wall does at each pass. The default is 0.01.",
     )
@@ -169,7 +170,8 @@ class ContinuousSymmetry(Settings):
 
     axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
     point_m: Vector = Field(
-        (0.0, 0.0, 0.0), description="A point on the axis, in metres in the frame of the mesh."
+        default=(0.0, 0.0, 0.0),
+        description="A point on the axis, in metres in the frame of the mesh.",
     )
 
 
@@ -181,7 +183,7 @@ class TurnSymmetry(Settings):
         ge=2, le=120, description="The number of turns in a full circle: 2 is a half turn."
     )
     point_m: Vector | None = Field(
-        None,
+        default=None,
         description="A point on the axis, in metres in the frame of the mesh. Without this key, "
         "it is the middle of the bounding box.",
     )
@@ -191,23 +193,23 @@ class SymmetrySection(Settings):
     """Rigid motions that leave the part looking the same, in its own frame."""
 
     auto: bool = Field(
-        False,
+        default=False,
         description="Whether the symmetries of the shape are found. Use it if neither print nor "
         "colour tells the sides of the part apart.",
     )
     turns: tuple[TurnSymmetry, ...] = Field(
-        (),
+        default=(),
         description="The discrete symmetries as turns about axes, such as {axis: z, fold: 4}. "
         "What several turns make together is added.",
     )
 
     discrete: tuple[tuple[float, ...], ...] = Field(
-        (),
+        default=(),
         description="The discrete symmetries as 4x4 transforms: 16 numbers row by row, "
         "lengths in metres.",
     )
     continuous: tuple[ContinuousSymmetry, ...] = Field(
-        (), description="The axes about which any turn leaves the part the same."
+        default=(), description="The axes about which any turn leaves the part the same."
     )
 
     @model_validator(mode="after")
@@ -224,39 +226,42 @@ class PartSection(Settings):
     """A kind of part: one of the built-in ones, or a mesh file of your own."""
 
     builtin: str | None = Field(
-        None, description=f"The built-in part: one of {', '.join(BUILTIN)}."
+        default=None, description=f"The built-in part: one of {', '.join(BUILTIN)}."
     )
-    mesh: Path | None = Field(None, description="The OBJ, PLY, STL, GLB or STEP file of the part.")
+    mesh: Path | None = Field(
+        default=None, description="The OBJ, PLY, STL, GLB or STEP file of the part."
+    )
     unit: Unit | None = Field(
-        None,
+        default=None,
         description="The unit of the mesh file. It must be stated if the sizes are not "
         "plausible in metres.",
     )
     scale: Positive = Field(
-        1.0,
+        default=1.0,
         description="The factor on the size of the file or of the built-in part; 1.005 "
         "makes parts 0.5 % larger.",
     )
     name: str | None = Field(
-        None, description="The name of the part. Without this key, it is the name of the file."
+        default=None,
+        description="The name of the part. Without this key, it is the name of the file.",
     )
     material: MaterialWords | None = Field(
-        None,
+        default=None,
         description="The material: a name, or a section. Keys change a built-in part's own "
         "material; a name replaces it, and so does either that of a file.",
     )
     density_kg_m3: Positive | None = Field(
-        None,
+        default=None,
         description="The density in kg/m^3; steel has 7800. Without this key, it is 1000 for a "
         "mesh.",
     )
     friction: float | None = Field(
-        None,
+        default=None,
         ge=0,
         description="The coefficient of friction. Without this key, it is 0.4 for a mesh.",
     )
     symmetry: SymmetrySection | None = Field(
-        None, description="The motions that leave the part looking the same."
+        default=None, description="The motions that leave the part looking the same."
     )
 
     @model_validator(mode="after")

@@ -50,7 +50,7 @@ cycles:
 extras:
 	@scripts/setup-extras
 
-# Optional: TypeScript's checker and a formatter for the scripts of the pages.
+# Optional: TypeScript's checker and a formatter for the scripts of the pages, and Pyright.
 javascript:
 	@scripts/setup-javascript
 

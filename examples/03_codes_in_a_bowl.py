@@ -33,7 +33,7 @@ def bowl() -> Part:
     outer = (RADIUS_M + WALL_M) * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
     inner = RADIUS_M * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)[::-1]
     vertices, faces = revolve(np.concatenate([outer, inner]), 160)
-    white = Material(base_color=(ALBEDO,) * 3, specular=0.0)
+    white = Material(base_color=(ALBEDO, ALBEDO, ALBEDO), specular=0.0)
     mesh = Mesh(vertices_m=vertices, faces=faces)
     return Part(name="bowl", mesh=mesh, material=white, density_kg_m3=2400.0, friction=0.5)
 
@@ -52,8 +52,8 @@ def main(path: Path, samples: int) -> None:
     figure, axes = plt.subplots(2, 3, figsize=(13, 8.4), layout="constrained")
     print("code              frames  decoded  off by > 2 mm  median |error|")
     for codec, ax in zip(CODECS, axes.flat, strict=True):
-        code = CodeSpec(codec=codec, axes=("column",))
-        scanner = Scanner(rig=rig, code=code, decode=DecodeSpec(doubt=0.0, min_contrast=0.005))
+        spec = CodeSpec(codec=codec, axes=("column",))
+        scanner = Scanner(rig=rig, code=spec, decode=DecodeSpec(doubt=0.0, min_contrast=0.005))
         code = scanner.light_code()
         rendering = renderer.render(scene, layout, code.render(), quality=quality, seed=1)
         depth = scan(scanner, rendering.radiance, seed=1).depth.depth_m

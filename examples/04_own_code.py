@@ -7,6 +7,7 @@ Run: .venv/bin/python examples/04_own_code.py
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,11 +22,10 @@ PERIOD_PX, STEPS = 60.0, 3
 def own_code(width_px: int, height_px: int) -> graycast.Code:
     """The frames in the order in which they are shown."""
     bits = int(np.ceil(np.log2(width_px / PERIOD_PX)))
-    words = {"axis": "column", "period_px": PERIOD_PX}
+    halves = graycast.Frame(kind="complementary", axis="column", period_px=PERIOD_PX)
     frames = [graycast.Frame(kind="white"), graycast.Frame(kind="black")]
     frames += [graycast.Frame(kind="gray", axis="column", bit=b) for b in reversed(range(bits))]
-    frames += [graycast.Frame(kind="complementary", **words)]
-    frames += [graycast.Frame(kind="phase", step=k, steps=STEPS, **words) for k in range(STEPS)]
+    frames += [halves, *(replace(halves, kind="phase", step=k, steps=STEPS) for k in range(STEPS))]
     return graycast.Code(
         width_px=width_px,
         height_px=height_px,

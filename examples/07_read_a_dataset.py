@@ -18,14 +18,19 @@ def main(folder: Path) -> None:
     print(f"{folder}: {len(examples)} scenes of {', '.join(examples.categories.values())}")
     print("scene  instance  part                  visible  without depth  median error")
     for example in examples:
-        for i, mask in enumerate(example.mask):
-            error_mm = 1000 * (example.scanner_depth_m[mask] - example.depth_m[mask])
+        depth_m, true_m, masks = example.scanner_depth_m, example.depth_m, example.mask
+        obj_id, instance, visible = example.obj_id, example.instance, example.visib_fract
+        # What a dataset may lack is None. One that Graycast generated has all of it.
+        assert depth_m is not None and true_m is not None and masks is not None
+        assert obj_id is not None and instance is not None and visible is not None
+        for i, mask in enumerate(masks):
+            error_mm = 1000 * (depth_m[mask] - true_m[mask])
             missing = np.isnan(error_mm)
             error = "-" if missing.all() else f"{np.nanmedian(np.abs(error_mm)):.2f} mm"
-            name = examples.categories[int(example.obj_id[i])]
+            name = examples.categories[int(obj_id[i])]
             print(
-                f"{example.scene_id:5} {example.instance[i]:9}  {name:20}  "
-                f"{example.visib_fract[i]:7.0%} {missing.mean():14.0%} {error:>13}"
+                f"{example.scene_id:5} {instance[i]:9}  {name:20}  "
+                f"{visible[i]:7.0%} {missing.mean():14.0%} {error:>13}"
             )
 
 

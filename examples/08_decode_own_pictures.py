@@ -26,6 +26,8 @@ def main(pictures: Path, rig_file: Path, cloud: Path) -> None:
     description = pictures / "stack.yaml"
     description.write_text(describe_code(code, names), encoding="utf-8")
     result = graycast.decode_stack(description, rig)
+    # Without a rig there would be neither depth nor cloud.
+    assert result.depth is not None and result.cloud is not None
 
     for warning in result.warnings:
         print(f"warning: {warning}")

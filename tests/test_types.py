@@ -1,8 +1,15 @@
-"""Which modules the type checker still looks past; `make test` runs the checker itself."""
+"""What the type checkers of developers and of users read; `make test` checks the package itself."""
 
 import ast
+import json
+import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -28,3 +35,88 @@ def test_no_default_of_a_field_is_positional():
     ]
     assert len(calls) > 300
     assert not [f"{path}:{call.lineno}" for path, call in calls if call.args]
+
+
+# --- what a user writes --------------------------------------------------------------------------
+
+PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+# An editor must underline each of these lines; without that, the checks below prove nothing.
+WRONG = """\
+import graycast as gc
+
+cell = gc.load_cell("configs/demo.yaml")
+gc.MaterialSection(rouhgness=0.4)
+gc.MaterialSection(roughness="matt")
+gc.SensorSection(read_noise=3.0)
+gc.Config(parts=gc.PartSection(builtin="toothpaste"))
+gc.Config()
+gc.scenes(cell, "3")
+next(gc.scenes(cell, 3)).depths
+gc.open_examples("out/demo")[0].colour
+for example in gc.open_examples("out/demo"):
+    example.colour
+"""
+WRONG_LINES = [k for k, line in enumerate(WRONG.splitlines(), 1) if k > 3 and line[:3] != "for"]
+
+
+def python_of(page):
+    """The Python of a page, each line where it stands on the page."""
+    text = page.read_text(encoding="utf-8")
+    lines = [""] * (text.count("\n") + 1)
+    for block in PYTHON_BLOCK.finditer(text):
+        first = text[: block.start(1)].count("\n")
+        code = block[1].splitlines()
+        lines[first : first + len(code)] = code
+    return "\n".join(lines) if any(lines) else ""
+
+
+@pytest.fixture(scope="module")
+def user_files(tmp_path_factory):
+    """Everything that the documentation and the examples show, as modules of a user."""
+    folder = tmp_path_factory.mktemp("user")
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+        if code := python_of(page):
+            name = re.sub(r"\W", "_", str(page.relative_to(ROOT).with_suffix("")))
+            (folder / f"{name}.py").write_text(code + "\n", encoding="utf-8")
+    for example in sorted((ROOT / "examples").glob("*.py")):
+        shutil.copy(example, folder / f"example_{example.name}")
+    (folder / "wrong.py").write_text(WRONG, encoding="utf-8")
+    assert len(list(folder.iterdir())) > 15
+    return folder
+
+
+def refuse_errors(errors):
+    """Refuse errors (file, line, text) in right code, and a wrong line that has none."""
+    assert sorted({line for name, line, _ in errors if name == "wrong.py"}) == WRONG_LINES
+    assert not [error for error in errors if error[0] != "wrong.py"]
+
+
+@pytest.mark.slow
+def test_mypy_without_plugins_accepts_every_page_and_example(user_files):
+    settings = user_files / "mypy.ini"  # Many other libraries have no types.
+    settings.write_text("[mypy]\nignore_missing_imports = true\n", encoding="utf-8")
+    command = [sys.executable, "-m", "mypy", "--config-file", settings, "--no-error-summary"]
+    command += ["--cache-dir", ROOT / ".mypy_cache/pages", "--hide-error-context", user_files]
+    done = subprocess.run(command, cwd=user_files, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stdout + done.stderr
+    found = re.findall(r"^(.+?):(\d+): error: (.*)$", done.stdout, re.MULTILINE)
+    refuse_errors([(Path(name).name, int(line), text) for name, line, text in found])
+
+
+@pytest.mark.slow
+def test_pyright_accepts_every_page_and_example(user_files):
+    node, program = shutil.which("node"), ROOT / ".venv-javascript/node_modules/pyright/index.js"
+    if node is None or not program.is_file():
+        pytest.skip("needs Pyright, which needs npm: make javascript")
+    settings = {"reportMissingImports": "none", "reportMissingModuleSource": "none"}
+    (user_files / "pyrightconfig.json").write_text(json.dumps(settings), encoding="utf-8")
+    command = [node, program, "--outputjson", "--pythonpath", sys.executable, "-p", user_files]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    found = json.loads(done.stdout)["generalDiagnostics"]
+    refuse_errors(
+        [
+            (Path(one["file"]).name, one["range"]["start"]["line"] + 1, one["message"])
+            for one in found
+            if one["severity"] == "error"
+        ]
+    )

@@ -25,7 +25,7 @@ ReadOne = Callable[[int], Example]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Examples(Sequence):
+class Examples(Sequence[Example]):
     """The examples of one set, each read from its files when it is asked for.
 
     It holds no open files, so that the processes of a data loader can each have it.

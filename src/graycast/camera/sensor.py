@@ -160,12 +160,14 @@ class Capture:
 
     `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
     light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
+    `merged_s` lists all exposures of such a stack, also those that no pixel is taken from.
     """
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
     reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
+    merged_s: tuple[float, ...] = ()  # It is empty for a single exposure.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):
@@ -258,8 +260,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
         captures: of one sensor and one scene, frame by frame; in any order.
 
     Returns:
-        A capture whose `exposure_s` is a float32 map and whose `reference_s` is the shortest time;
-        of a single capture, that capture.
+        A capture whose `exposure_s` is a float32 map, whose `reference_s` is the shortest time and
+        whose `merged_s` has all times, the shortest first; of a single capture, that capture.
 
     Raises:
         ValueError: no captures, different sensors or sizes, or one that is merged already.
@@ -285,7 +287,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    return replace(first, frames=frames, exposure_s=exposure_s)
+    merged_s = tuple(float(np.min(capture.exposure_s)) for capture in (first, *longer))
+    return replace(first, frames=frames, exposure_s=exposure_s, merged_s=merged_s)
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:

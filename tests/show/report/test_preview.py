@@ -12,7 +12,7 @@ from PIL import Image
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, random_quaternions, rigid, rotation_from_quaternion
 from graycast.camera.decode import CodeMap, DepthMap, Reason
-from graycast.camera.sensor import Capture, SensorSpec
+from graycast.camera.sensor import Capture, SensorSpec, merge_exposures
 from graycast.cell.simulate import Shot
 from graycast.dataset.sample import Sample
 from graycast.rendering import GroundTruth, Radiance, Rendering, Silhouette
@@ -196,6 +196,23 @@ def test_a_scan_of_several_exposures_says_all_of_them(tiles):
     assert "exposure 5, 20 ms" in words
 
 
+def test_the_head_lists_an_exposure_that_no_pixel_is_taken_from(tiles):
+    """All pixels fit the longest of four exposures; the head says the other three, too."""
+    shot = make_shot()
+    times_s = (0.001, 0.01, 0.1, 0.4)
+    single = [replace(shot.capture, exposure_s=time_s) for time_s in times_s]
+    dim = [replace(one, frames=np.minimum(one.frames, 100)) for one in single]
+    merged = merge_exposures(dim)
+    assert np.unique(merged.exposure_s).size == 1
+    words = " ".join(text.get_text() for text in tiles(replace(shot, capture=merged))[0].texts)
+    assert "exposure 1, 10, 100, 400 ms" in words
+
+
+def test_the_number_of_surfaces_on_a_light_path_is_not_called_depth(tiles):
+    words = " ".join(text.get_text() for text in tiles(make_shot())[0].texts)
+    assert "up to 4 surfaces" in words and "depth 4" not in words
+
+
 def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):
     nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
     figure, by_title = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
@@ -343,14 +360,29 @@ def test_maps_have_the_published_colours():
     assert color.tolist() == [[68, 1, 84]] * 2 + [[253, 231, 37]] * 2 + [[255, 0, 0]]
 
 
-def test_errors_are_shown_up_to_three_columns_worth_of_depth():
-    """Oracle: dz = z^2 / (f b) per column for parallel axes; beside the projector, 5 mm."""
-    shot = make_shot()
-    scene, truth = shot.sample.scene, shot.sample.truth
-    limit_m = preview.error_limit_m(scene, truth)
-    assert limit_m == pytest.approx(3 * WALL_M**2 / (F_PX * BASELINE_M), rel=1e-3)
-    unlit = replace(scene.rig, projector=replace(scene.rig.projector, cx_px=-500.0))
-    assert preview.error_limit_m(replace(scene, rig=unlit), truth) == 5e-3
+@pytest.mark.parametrize("sigma_mm", [0.08, 0.3, 2.0])
+@pytest.mark.parametrize("spikes", [0, 0.05])
+def test_the_scale_of_errors_holds_the_noise_and_not_the_spikes(tiles, sigma_mm, spikes):
+    """Oracle: 99 % of a normal law lie within 2.576 sigmas; no picture of noise may be white."""
+    rng = np.random.default_rng(3)
+    error_m = rng.normal(0.0, 1e-3 * sigma_mm, (HEIGHT, WIDTH)).astype(np.float32)
+    error_m[rng.random(error_m.shape) < spikes] = 0.04
+    ax = tiles(make_shot(error_m=error_m))[1]["scanner minus perfect"]
+    limit_mm = preview.error_limit_mm(1e3 * error_m)
+    assert 2.5 * sigma_mm <= limit_mm < 10 * sigma_mm
+    strength = np.ptp(image(ax)[error_m < 0.03].astype(int), axis=-1)  # 0 is grey or white
+    assert (
+        np.median(strength) > 10
+    )  # The median, 0.67 sigmas, is 7 % of 10 sigmas: 10 of 255 steps.
+
+
+def test_a_scale_of_errors_is_a_round_number_also_without_any_error():
+    nothing = np.full((4, 5), np.nan)
+    assert preview.error_limit_mm(nothing) == preview.error_limit_mm(0 * np.ones((4, 5))) == 0.01
+    few = np.zeros((20, 20))
+    few[:3, 0] = 0.013
+    few[3:9, 0] = -0.0133
+    assert preview.error_limit_mm(few) == pytest.approx(0.015)  # most errors are 0: the 99 % hold
 
 
 def test_no_two_of_255_instances_look_the_same():

@@ -5,6 +5,7 @@ linear light are shown in sRGB, as an eye would see them; maps of numbers bear a
 """
 
 import math
+from collections.abc import Sequence
 from colorsys import hls_to_rgb
 from pathlib import Path
 
@@ -23,16 +24,16 @@ from PIL import Image
 from ...base.frames import inverse, transform_points
 from ...base.mask_box import mask_box
 from ...base.plotting import save_png
+from ...base.robust import robust_sigma
 from ...camera.decode import Reason, triangulation_axis
 from ...camera.picture import srgb_frame
+from ...camera.sensor import Capture
 from ...cell.simulate import Shot
 from ...dataset.sample import labelled
 from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
-from ...rig.pair import depth_per_line_m
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
-from ...world.scene import Scene
 
 DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400
@@ -46,7 +47,9 @@ _CLOSE_UP = 4  # The finest bit shows a camera pixel this large: less would beat
 # Unknown is a neutral grey that its map does not hold: dark, but light where the map ends dark.
 _DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
 _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
-_ERROR_COLUMNS, _ERROR_FALLBACK_M = 3.0, 5e-3
+_ERROR_SHARE, _ERROR_SIGMAS = 99.0, 5.0  # The scale of errors holds this many per cent, or sigmas.
+_LEAST_ERROR_MM = 0.01  # Perfect depth is written in steps of about this size.
+_ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)  # A scale ends at one of these, times a power of 10.
 _EDGE_POINTS = 17  # An edge of a box has this many points, as a lens with distortion bends it.
 # Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
@@ -161,8 +164,8 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"rig {rig.name}, baseline {1e3 * rig.baseline_m:.0f} mm",
         f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
         f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
-        f"{render['samples']} samples, depth {render['depth']}",
-        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in np.unique(shot.capture.exposure_s))} ms",
+        f"{render['samples']} samples, light paths over up to {render['depth']} surfaces",
+        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in _exposures_s(shot.capture))} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
         f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
@@ -176,6 +179,11 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
     figure.text(left, 1 - 34 / height_px, title, fontsize=17, weight="bold", va="center")
     figure.text(left, 1 - 70 / height_px, "   |   ".join(words), fontsize=10.5, va="center",
                 color="0.25")  # fmt: skip
+
+
+def _exposures_s(capture: Capture) -> Sequence[float]:
+    """All exposures of a capture, the shortest first, also those that no pixel is taken from."""
+    return capture.merged_s or np.unique(capture.exposure_s).tolist()
 
 
 # --- pictures and codes ------------------------------------------------------------------------
@@ -268,7 +276,7 @@ def depth_limits_mm(truth: GroundTruth) -> tuple[float, float]:
 def _draw_error(sheet: _Sheet, shot: Shot) -> None:
     sample = shot.sample
     error_mm = 1e3 * (sample.scanner_depth.depth_m - sample.truth.depth_m)
-    limit_mm = 1e3 * error_limit_m(sample.scene, sample.truth)
+    limit_mm = error_limit_mm(error_mm)
     limits = (-limit_mm, limit_mm)
     ax = sheet.picture(
         "scanner minus perfect", painted(error_mm, _ERROR_MAP, limits, unknown=_LIGHT)
@@ -282,16 +290,20 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
     sheet.color_bar(_ERROR_MAP, limits, "mm, red is too far, grey unknown")
 
 
-def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
-    """Three projector columns' worth of depth (or rows', by the baseline) at the middle depth.
+def error_limit_mm(error_mm: Float[np.ndarray, "h w"]) -> float:
+    """Return the error at which the colours end: the least round one that holds the noise.
 
-    5 mm where that says nothing.
+    The noise reaches to five robust sigmas, or to where 99 % of the errors lie if that is less or
+    if more than half of the errors are 0. Spikes therefore do not widen the scale.
     """
-    known = truth.depth_m[np.isfinite(truth.depth_m)]
-    z_m = float(np.median(known)) if known.size else scene.rig.near_m
-    axis = triangulation_axis(scene.rig)
-    limit_m = _ERROR_COLUMNS * depth_per_line_m(scene.rig, z_m, axis)
-    return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
+    size_mm = np.abs(error_mm[np.isfinite(error_mm)])
+    if not size_mm.size:
+        return _LEAST_ERROR_MM
+    share_mm = float(np.percentile(size_mm, _ERROR_SHARE))
+    limit_mm = min(share_mm, _ERROR_SIGMAS * float(robust_sigma(size_mm))) or share_mm
+    limit_mm = max(limit_mm, _LEAST_ERROR_MM)
+    power = 10.0 ** math.floor(math.log10(limit_mm))
+    return next(step * power for step in _ROUND if step * power >= limit_mm * (1 - 1e-9))
 
 
 def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:

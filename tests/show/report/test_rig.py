@@ -9,6 +9,7 @@ import pytest
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig, preset_rig
+from graycast.show.report import rig_picture
 from graycast.show.report.rig_picture import common_field, describe_rig, draw_rig, footprint_m
 
 PURPLE = (148, 103, 189)  # the common volume's colour before it is made translucent
@@ -115,3 +116,17 @@ def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
     aside = parallel_rig(axis_rotation("y", np.pi / 2))
     assert purple_share(aside, tmp_path / "aside.png") < 0.002  # the legend's patch
     assert "none" in describe_rig(aside)
+
+
+@pytest.mark.parametrize("name", ["like-phoxi-m", "like-zivid-2-m70", "office-projector"])
+def test_both_views_have_one_scale_and_fill_their_places(name, monkeypatch, tmp_path):
+    """A millimetre is as long in one view as in the other, on paper, and little stays empty."""
+    figures = []
+    monkeypatch.setattr(rig_picture, "save_png", lambda figure, path, dpi: figures.append(figure))
+    draw_rig(preset_rig(name), tmp_path / "rig.png")
+    figures[0].draw_without_rendering()
+    above, side, depth = figures[0].axes[:3]
+    boxes = [ax.get_window_extent() for ax in (above, side)]
+    scales = [ax.get_window_extent().height / np.ptp(ax.get_ylim()) for ax in (above, side)]
+    assert scales[0] == pytest.approx(scales[1], rel=1e-6)
+    assert [box.height for box in boxes] == pytest.approx([depth.bbox.height] * 2, rel=0.1)

@@ -21,6 +21,7 @@ from ...rig.pair import Rig, depth_per_line_m
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
 _BORDER_POINTS = 33  # A side has this many points, as distorted borders are curved.
 _DEPTHS = 61
+_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # What words take is beside or below the plots.
 
 
 def footprint_m(
@@ -84,14 +85,27 @@ def draw_rig(rig: Rig, path: Path) -> None:
     Raises:
         GraycastError: the file cannot be written.
     """
-    figure = Figure(figsize=(15, 10), layout="constrained")
-    axes = figure.subplots(2, 3, height_ratios=(1.35, 1))
+    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN), layout="constrained")
+    rows = figure.add_gridspec(2, 1)
+    above, below = rows[0].subgridspec(1, 3), rows[1].subgridspec(1, 3)
+    axes = np.array([[figure.add_subplot(row[k]) for k in range(3)] for row in (above, below)])
     _draw_view(axes[0, 0], rig, across=0)
     _draw_view(axes[0, 1], rig, across=1)
     _draw_depth_per_line(axes[0, 2], rig)
     for ax, (name, z_m) in zip(axes[1], _stations(rig), strict=True):
         _draw_fields(ax, rig, name, z_m)
     _share_limits(axes[1])
+    _share_scale(axes[0, :2])
+    # Each row is as high as its drawings at one scale, so that neither leaves a part of it empty.
+    spans = [abs(np.diff(ax.get_xlim()).item()) for ax in axes[0, :2]]
+    above.set_width_ratios([*spans, sum(spans) / 2])
+    depth = abs(np.diff(axes[0, 0].get_ylim()).item())
+    heights_in = [
+        _PLOTS_IN * depth / (1.5 * sum(spans)) + _WORDS_IN,
+        _PLOTS_IN * axes[1, 0].get_data_ratio() / 3 + _WORDS_IN,
+    ]
+    rows.set_height_ratios(heights_in)
+    figure.set_size_inches(_WIDTH_IN, sum(heights_in) + 2 * _WORDS_IN / 3)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     toe_in = f"toe-in {math.degrees(rig.axes_angle_rad):.2f}° between the axes"
@@ -181,6 +195,16 @@ def _share_limits(axes: np.ndarray) -> None:
     for ax in axes:
         ax.set_xlim(min(x), max(x))
         ax.set_ylim(max(y), min(y))
+
+
+def _share_scale(axes: np.ndarray) -> None:
+    """One range of depth for both views, so that the same distance is as long in each."""
+    bottom, top = axes[0].get_ylim()
+    for ax in axes:
+        low, high = ax.get_ylim()
+        bottom, top = max(bottom, low), min(top, high)
+    for ax in axes:
+        ax.set_ylim(bottom, top)
 
 
 def _stations(rig: Rig) -> tuple[tuple[str, float], ...]:

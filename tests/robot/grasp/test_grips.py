@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import CrossSection
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
@@ -314,10 +315,10 @@ def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
     both = mesh_of(trimesh.util.concatenate([near, far]))
     jaws = Jaws(opening_m=0.06)
     T = rigid(np.eye(3), np.array([0.002, 0.0, 0.0]))  # 2 mm beside the plate's middle
-    aside_m, slope = closing(both, jaws, T, opening_m=0.020)
+    aside_m, slope, _ = closing(both, jaws, T, opening_m=0.020)
     assert aside_m == pytest.approx(-0.002)
     assert slope == pytest.approx(0, abs=1e-6)
-    aside_m, _ = closing(both, jaws, T, opening_m=0.040)  # now it is: from -5 to 20 mm
+    aside_m, *_ = closing(both, jaws, T, opening_m=0.040)  # now it is: from -5 to 20 mm
     assert aside_m == pytest.approx(0.0075 - 0.002)
     beyond = rigid(np.eye(3), np.array([-0.020, 0.0, 0.0]))
     assert closing(both, jaws, beyond, opening_m=0.020) is None
@@ -352,6 +353,55 @@ def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_
     assert bool(walls) == inside
     for grip in walls:
         assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's mouth, not through the wall
-        aside_m, _ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
+        aside_m, *_ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
         assert aside_m == pytest.approx(0, abs=1e-9)
     assert any(grip.opening_m == pytest.approx(hole_m + 0.008) for grip in grips)
+
+
+def stepped(step_m, begins_m):
+    """Return a block between pads 20 mm apart, with a step on one side from a place along y on."""
+    block = trimesh.creation.box((0.020, 0.06, 0.03))
+    middle = np.array([0.010 + step_m / 2 - 0.5e-3, begins_m + 0.005, 0.0])
+    step = trimesh.creation.box((step_m + 1e-3, 0.010, 0.03), rigid(np.eye(3), middle))
+    return mesh_of(trimesh.boolean.union([block, step]))
+
+
+@pytest.mark.parametrize(
+    ("step_m", "begins_m", "ahead_m"),
+    [
+        (1.5e-3, 0.0042, 1.5e-3),  # beside the pad of 4 mm, under the finger of 10 mm
+        (0.4e-3, 0.0042, 0.4e-3),
+        (1.5e-3, 0.0052, 0.0),  # beside the finger, too
+        (9.0e-3, 0.0042, 5.0e-3),  # it reaches behind the open finger, which is 5 mm away
+    ],
+)
+def test_a_step_beside_the_pad_meets_the_finger_first(step_m, begins_m, ahead_m):
+    contact = closing(stepped(step_m, begins_m), JAWS, np.eye(4), opening_m=0.030)
+    assert contact.ahead_m == pytest.approx(ahead_m, abs=1e-9)
+    assert contact.on_pads == (ahead_m < 0.5e-3)
+    assert contact.slope == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("lean_rad", [0.0, 0.05, 0.2])
+def test_a_finger_lies_along_a_flat_face_that_leans(lean_rad):
+    """Jaws whose pad meets one plane alone have nothing before the plane, however they lean."""
+    T = rigid(axis_rotation("z", lean_rad), np.zeros(3))
+    contact = closing(box((0.02, 0.08, 0.03)), JAWS, T, opening_m=0.048)
+    assert contact.ahead_m == pytest.approx(0, abs=1e-9)
+    assert contact.slope == pytest.approx(math.tan(lean_rad))
+
+
+def test_a_flat_finger_meets_a_hollow_with_its_edges():
+    """Oracle: heights of a circle; of the pad's lines the outermost lie at 0.95 of its radius."""
+    radius_m, sides = 0.010, 720
+    turn = 2 * np.pi * np.arange(sides) / sides
+    circle = radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    outside = [[0.03, -0.02], [0.03, 0.02], [-0.03, 0.02], [-0.03, -0.02]]
+    solid = CrossSection([1e3 * np.asarray(outside)]) - CrossSection([1e3 * circle])
+    wall = solid.extrude(40.0).to_mesh64()
+    mesh = Mesh(vertices_m=1e-3 * wall.vert_properties[:, :3], faces=wall.tri_verts)
+    # One finger stands in the bore, the other one beside the block; a wall of 20 mm between them.
+    T = rigid(np.eye(3), np.array([0.020, 0.0, 0.020]))
+    contact = closing(mesh, replace(JAWS, opening_m=0.03), T, opening_m=0.024)
+    height = [math.sqrt(radius_m**2 - y**2) for y in (0.95 * JAWS.pad_radius_m, 0.005)]
+    assert contact.ahead_m == pytest.approx(height[0] - height[1], abs=5e-6)

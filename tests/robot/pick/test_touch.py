@@ -1,13 +1,15 @@
 """What a tool meets: plates, edges, neighbours and wedges whose answers are known by hand."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
-from manifold3d import CrossSection
+from manifold3d import CrossSection, Manifold
 
 from graycast.base.frames import axis_rotation, rigid
-from graycast.robot.grasp import Cup, Jaws, closing
-from graycast.robot.pick.contact import PartGrip
+from graycast.robot.grasp import Cup, Doubt, Jaws, closing, jaw_places
+from graycast.robot.pick.contact import NoGrip, PartGrip
 from graycast.robot.pick.jaw_tool import JawTool
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.suction_tool import SuctionTool
@@ -102,6 +104,48 @@ def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
     assert two.outcome is Outcome.NOT_HELD and "two parts" in two.detail
 
 
+@pytest.fixture(scope="module")
+def flanged(robots, tmp_path_factory):
+    """A disc of 40 mm with a hub of 20 mm upon it, each 12 mm high."""
+    disc = Manifold.cylinder(12, 20, 20, 48) + Manifold.cylinder(24, 10, 10, 48)
+    solid = disc.to_mesh64()
+    part = part_of(trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts))
+    folder = tmp_path_factory.mktemp("hulls")
+    return ContactPart.of(part, make_bodies([part], hull_folder=folder)[0])
+
+
+def test_a_finger_that_meets_a_flange_before_its_pad_meets_the_hub_holds_nothing(flanged):
+    """The tips stand 1 mm deep in the flange, less than what a tool may push aside."""
+    for z, outcome in ((0.017, PartGrip), (0.015, NoGrip)):
+        met = touch(
+            JAWS, at(0, 0, z), [flanged], np.eye(4)[None], np.zeros(1, int), opening_m=0.020
+        )
+        assert isinstance(met, outcome), z
+    assert met.outcome is Outcome.NOT_HELD
+    # The open finger is 2 mm from the hub, whose facets lean a little.
+    assert re.fullmatch(r"a finger meets the part 2\.[01] mm before its pad", met.detail)
+
+
+def test_no_grip_that_cannot_hold_by_its_score_is_held_in_the_simulation(flanged, robots):
+    part = flanged.part
+    jaws = JAWS.jaws
+    doubt = Doubt(position_m=2e-4, angle_rad=2e-3)
+    known = {"weight_n": 0.3, "center_m": np.array([0, 0, 0.010]), "doubt": doubt}
+    held = {True: [], False: []}
+    for grip in jaw_places(part.mesh, jaws, **known, count=12, chances=3):
+        met = touch(
+            JAWS,
+            grip.T_part_tool,
+            [flanged],
+            np.eye(4)[None],
+            np.zeros(1, int),
+            opening_m=grip.opening_m,
+        )
+        held[grip.score > 0].append(isinstance(met, PartGrip))
+    assert len(held[False]) >= 20 and not any(held[False])
+    assert len(held[True]) >= 8 and np.mean(held[True]) > 0.9
+
+
 def extruded(outline_m):
     """A prism over an outline, 40 mm high along z."""
     # Metres are near the least length that the library distinguishes.
@@ -115,7 +159,7 @@ def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
     low, high = 0.02, 0.02 + slope * 0.04
     outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
     part = part_of(extruded(outline))
-    aside_m, estimate = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    aside_m, estimate, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert estimate == pytest.approx(slope, rel=1e-6)
     # The pad meets the wedge where it is thickest under it, 0.95 of its radius up.
     outermost = 0.02 + slope * (0.02 + 0.95 * 0.004)
@@ -126,10 +170,10 @@ def test_what_lies_behind_the_face_that_a_pad_meets_does_not_lean_it():
     """A block 20 mm thick whose corner is cut at 45 degrees under the half of one pad."""
     outline = [[0, -0.02], [0.02, -0.02], [0.02, 0.8e-3], [5e-3, 15.8e-3], [0, 15.8e-3]]
     part = part_of(extruded(outline))
-    aside_m, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    aside_m, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
     # 3 mm farther along, the pad meets the cut alone, and slips.
-    _, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
+    _, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
     assert slope == pytest.approx(1, rel=1e-6)
 
 

@@ -1,7 +1,7 @@
 """Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -64,6 +64,24 @@ class Jaws:
             raise ValueError(f"friction is {self.friction}; it must be at least 0")
 
 
+class PadContact(NamedTuple):
+    """Where closed jaws touch a mesh.
+
+    `aside_m` is how far aside the middle between the pads lies along x. `slope` is the steeper
+    tangent between the jaws' axis and the normal of what a pad touches. `ahead_m` is how far before
+    the plane that its pad touches a finger meets the mesh, the larger of both fingers.
+    """
+
+    aside_m: float
+    slope: float
+    ahead_m: float
+
+    @property
+    def on_pads(self) -> bool:
+        """Whether the pads touch, because they give by more than the fingers meet before them."""
+        return self.ahead_m <= PAD_GIVES_M
+
+
 def jaw_load_factor(
     jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, " k"]:
@@ -103,9 +121,9 @@ def jaw_places(
     They hold where both normals lie in the cone of friction about the line between the pads, and no
     point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
     between two walls that leave it room. The score is then the share of chances (place of the tool,
-    friction, centre of mass) in which both pads meet the part within the cone and the burden is
-    held, the least over an upright tool and one that leans to four sides; elsewhere it is 0. The
-    first chance has the tool where it was planned.
+    friction, centre of mass) in which both pads meet the part within the cone, before the rest of a
+    finger does, and the burden is held, the least over an upright tool and one that leans to four
+    sides; elsewhere it is 0. The first chance has the tool where it was planned.
 
     Args:
         center_m: the part's centre of mass.
@@ -135,7 +153,7 @@ def jaw_places(
                 continue
             wide_m = opening_m + 2 * CLEARANCE_M
             met = [closing(mesh, jaws, T @ error, opening_m=wide_m) for error in T_tool_true]
-            stable = friction >= [np.inf if one is None else one[1] for one in met]
+            stable = friction >= [one.slope if one and one.on_pads else np.inf for one in met]
             centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
             loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
             factor = np.array(
@@ -163,20 +181,18 @@ def closing(
     T_mesh_tool: Float[np.ndarray, "4 4"],
     *,
     opening_m: float | None = None,
-) -> tuple[float, float] | None:
-    """The contact of jaws that close on a mesh: the middle between the pads, and the steeper slope.
+) -> PadContact | None:
+    """Return the contact of jaws that close on a mesh; None where a pad meets nothing.
 
     Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
     that a pad meets. What lies beyond an open pad is not between them. A pad touches what lies
     within `PAD_GIVES_M` of the point that it meets first, and no surface behind that. The slope is
-    the tangent between the axis and the mean normal of what a pad touches.
+    the tangent between the axis and the mean normal of what a pad touches. The flat face of a
+    finger, as wide and as long as the finger, lies along the plane that the pad touches: what is
+    more than `PAD_GIVES_M` before this plane keeps the pad off the part.
 
     Args:
         opening_m: between the open pads; left out: as far as they open.
-
-    Returns:
-        How far aside the part's middle lies along x [m], and the slope; None where a pad meets
-        nothing.
     """
     around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
     across = [np.zeros((1, 2))]
@@ -186,16 +202,15 @@ def closing(
     ]
     line = np.concatenate(across)
     open_m = jaws.opening_m if opening_m is None else opening_m
+    _, wide_m, long_m = jaws.finger_m
+    finger = (wide_m / 2, -jaws.pad_radius_m, long_m - jaws.pad_radius_m)
     vertices = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
-    reach_m = jaws.pad_radius_m
-    near = np.ones(len(mesh.faces), dtype=bool)  # to the lines; no others are crossed
-    for i in (1, 2):
-        first, second, third = vertices[:, i][mesh.faces.T]
-        near &= np.minimum(np.minimum(first, second), third) <= reach_m
-        near &= np.maximum(np.maximum(first, second), third) >= -reach_m
-    a, b, c = np.moveaxis(vertices[mesh.faces[near]], 1, 0)
+    corners = vertices[mesh.faces]
+    low, high = corners[..., 1:].min(axis=1), corners[..., 1:].max(axis=1)
+    near = ((low <= jaws.pad_radius_m) & (high >= -jaws.pad_radius_m)).all(axis=1)
+    a, b, c = np.moveaxis(corners[near], 1, 0)  # No line crosses the others.
     cross = np.cross(b - a, c - a)
-    outermost_m, slopes = [], []
+    outermost_m, slopes, ahead_m = [], [], []
     for side in (1.0, -1.0):
         origin = np.column_stack([np.full(len(line), -side * open_m / 2), line])
         way = np.tile([side, 0.0, 0.0], (len(line), 1))
@@ -209,7 +224,10 @@ def closing(
         along = side * mean[0] / np.linalg.norm(mean)
         slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))
         outermost_m.append(side * float(far_m[hit].max() - open_m / 2))
-    return sum(outermost_m) / 2, max(slopes)
+        lean = mean[1:] / (np.linalg.norm(mean) * max(along, 1e-6))
+        pad_m = float((far_m - open_m / 2 + line @ lean)[hit].max())
+        ahead_m.append(_foremost(corners * [side, 1.0, 1.0], open_m / 2, *finger, *lean) - pad_m)
+    return PadContact(sum(outermost_m) / 2, max(slopes), max(ahead_m))
 
 
 def _closed_on(
@@ -228,11 +246,14 @@ def _in_the_way(
     T: Float[np.ndarray, "4 4"],
     opening_m: float,
 ) -> bool:
-    """Whether the part reaches into an open finger or the palm."""
+    """Return whether the part reaches into an open finger or the palm.
+
+    Between an open finger and the pad's place on the part lies its way, of which `closing` knows.
+    """
     x, y, z = ((probes - T[:3, 3]) @ T[:3, :3]).T
     thick, wide, long = jaws.finger_m
     inner = opening_m / 2 + 1e-6
-    beside = (np.abs(x) > inner) & (np.abs(x) < inner + CLEARANCE_M + thick)
+    beside = (np.abs(x) > inner + CLEARANCE_M) & (np.abs(x) < inner + CLEARANCE_M + thick)
     palm_m = long - jaws.pad_radius_m
     finger = beside & (np.abs(y) < wide / 2) & (z > -jaws.pad_radius_m) & (z < palm_m)
     palm = (z >= palm_m) & (np.abs(x) < inner + CLEARANCE_M + thick) & (np.abs(y) < wide / 2)
@@ -263,3 +284,37 @@ def _far_side(origin, way, a, ab, ac, most_m):
             if distance[i] < t <= most_m:
                 distance[i], face[i] = t, f
     return distance, face
+
+
+@kernel()
+def _foremost(corners, most_x, half_y, low_z, high_z, lean_y, lean_z):
+    """Return how far triangles within a box that ends at `most_x` reach along x, over a plane.
+
+    The plane is `x + lean_y y + lean_z z = 0`. The value is -inf where no triangle is in the box.
+    Each triangle is cut by the planes of the box (Sutherland and Hodgman, 1974).
+    """
+    axes, signs = (0, 1, 1, 2, 2), (1.0, 1.0, -1.0, 1.0, -1.0)
+    bounds = (most_x, half_y, half_y, high_z, -low_z)
+    polygon, cut = np.empty((8, 3)), np.empty((8, 3))
+    foremost = -np.inf
+    for f in range(len(corners)):
+        count = 3
+        polygon[:3] = corners[f]
+        for plane in range(5):
+            axis, sign, bound = axes[plane], signs[plane], bounds[plane]
+            before, size = count - 1, 0
+            for k in range(count):
+                here, there = sign * polygon[k, axis] - bound, sign * polygon[before, axis] - bound
+                if (here <= 0) != (there <= 0):
+                    share = there / (there - here)
+                    cut[size] = polygon[before] + share * (polygon[k] - polygon[before])
+                    size += 1
+                if here <= 0:
+                    cut[size] = polygon[k]
+                    size += 1
+                before = k
+            polygon, cut, count = cut, polygon, size
+        for k in range(count):
+            over = polygon[k, 0] + lean_y * polygon[k, 1] + lean_z * polygon[k, 2]
+            foremost = max(foremost, over)
+    return foremost

@@ -1,4 +1,4 @@
-"""What labels say of their score: how often physics holds what it promises."""
+"""How often grips are held in the simulation, by the score that predicts it."""
 
 import math
 from collections import Counter
@@ -30,6 +30,14 @@ class Band:
     @property
     def rate(self) -> tuple[float, float, float]:
         return self.held / self.grips, *wilson(self.held, self.grips)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether scores below one half are held more often than not, or scores above it less."""
+        if not self.grips:
+            return False
+        _, low, high = self.rate
+        return (self.high <= 0.5 < low) or (high < 0.5 <= self.low)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +102,7 @@ def _band(score: np.ndarray, success: np.ndarray, low: float, high: float) -> Ba
 
 
 def describe_ranking(ranking: Ranking) -> str:
-    """The success of the labels by their score, as lines of text."""
+    """Return the success of the labels by their score, as lines of text with what contradicts."""
     reach = ", ".join(f"{count} {name}" for name, count in ranking.reach.items())
     lines = [f"{ranking.labels} labels in {ranking.scenes} scenes: {reach}"]
     if not ranking.simulated:
@@ -107,15 +115,25 @@ def describe_ranking(ranking: Ranking) -> str:
     )
     for band in ranking.bands:
         if band.grips:
-            span = "0" if band.high == 0 else f"above {band.low:g} to {band.high:g}"
             rate, low, high = band.rate
             lines.append(
-                f"  score {span:18} {band.held:4d} of {band.grips:4d} held, {rate:6.1%} "
+                f"  score {_span(band):18} {band.held:4d} of {band.grips:4d} held, {rate:6.1%} "
                 f"({low:.1%} to {high:.1%})"
             )
     lines.append(f"the score ranks success with ROC AUC {_interval(ranking.auc)}")
     lines.append(f"  among scores above 0               {_interval(ranking.auc_above_0)}")
+    lines += [
+        f"note: {band.held} of {band.grips} grips with score {_span(band)} were held: score and "
+        "simulation contradict each other here. The simulated results are those of the true "
+        "surfaces and poses: use them, and not the score, for this tool and these parts"
+        for band in ranking.bands
+        if band.contradicted
+    ]
     return "\n".join(lines)
+
+
+def _span(band: Band) -> str:
+    return "0" if band.high == 0 else f"above {band.low:g} to {band.high:g}"
 
 
 def _interval(figure: Interval) -> str:

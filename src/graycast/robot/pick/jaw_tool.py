@@ -99,19 +99,25 @@ class JawTool(Settings):
             return NoGrip(
                 outcome=Outcome.NOT_HELD, detail="two parts are between the pads", part=met[0][0]
             )
-        part, (aside_m, slope) = met[0]
-        if slope > jaws.friction:
+        part, contact = met[0]
+        if contact.slope > jaws.friction:
             return NoGrip(
                 outcome=Outcome.NOT_HELD,
-                detail=f"the pads meet the part at a slope of {slope:.2f}, and the friction is "
-                f"{jaws.friction:.2f}",
+                detail=f"the pads meet the part at a slope of {contact.slope:.2f}, and the "
+                f"friction is {jaws.friction:.2f}",
+                part=part,
+            )
+        if not contact.on_pads:
+            return NoGrip(
+                outcome=Outcome.NOT_HELD,
+                detail=f"a finger meets the part {1e3 * contact.ahead_m:.1f} mm before its pad",
                 part=part,
             )
         # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
         return PartGrip.of(
             part,
             T_world_part[part],
-            T_world_tool @ rigid(np.eye(3), np.array([aside_m, 0.0, 0.0])),
+            T_world_tool @ rigid(np.eye(3), np.array([contact.aside_m, 0.0, 0.0])),
             law=partial(jaw_load_factor, jaws),
             stiffness_n_m=self.stiffness_n_m,
         )

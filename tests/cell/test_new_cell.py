@@ -1,7 +1,6 @@
 """A new cell fits its part: the configuration is read, the bin is in view, the heap has room."""
 
 import shlex
-from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -10,9 +9,9 @@ import trimesh
 from backends import slow
 
 from graycast.base.frames import UNITS_M
-from graycast.camera.scanner import preset
 from graycast.cell.config import load_config
-from graycast.cell.new_cell import RIGS, _sees, bin_for, new_cell, rig_for
+from graycast.cell.framing import best_framing, bin_share, part_width_px
+from graycast.cell.new_cell import bin_for, framing_text, new_cell
 from graycast.cell.resolve import resolve_cell
 from graycast.cli.command import main
 from graycast.world.parts import MATERIALS, builtin_part
@@ -32,7 +31,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
     (tmp_path / "block.stl").rename(tmp_path / name)
     assert main(["new", "a cell", "--part", name, "--unit", "m"]) == 0
-    _, *commands = capsys.readouterr().out.splitlines()
+    _, *commands, _ = capsys.readouterr().out.splitlines()
     assert [shlex.split(line)[2] for line in commands] == 3 * ["a cell/cell.yaml"]
     cell = resolve_cell(load_config(tmp_path / "a cell/cell.yaml"), tmp_path / "a cell")
     assert cell.scene.parts[0].source == name
@@ -57,25 +56,32 @@ def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     assert most == round(round(full) / 3) and least == most // 2
 
 
-def test_the_rig_is_the_smallest_that_sees_the_bin():
-    rigs = [rig_for(Bin(inner_m=(s, 0.75 * s, 0.375 * s))) for s in (0.12, 0.3, 0.5, 0.9, 3.0)]
-    places = [RIGS.index(name) for name, _ in rigs]
-    assert places == sorted(places) and places[0] == 0 and places[-1] == len(RIGS) - 1
-    assert [covers for _, covers in rigs] == [True, True, True, True, False]
+def test_the_line_of_a_new_cell_is_true_of_the_cell_that_is_read(tmp_path, monkeypatch, capsys):
+    """Oracle: the share and the width that the configuration itself has, at two resolutions."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.02, 0.03, 0.044)).export("block.stl")
+    assert main(["new", "cell", "--part", "block.stl", "--unit", "m"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1].strip()
+    config = load_config(tmp_path / "cell/cell.yaml")
+    widths = []
+    for resolution in ("full", "small"):
+        scaled = config.model_copy(update={"resolution": resolution})
+        scene = resolve_cell(scaled, tmp_path / "cell").scene
+        camera, box = scene.rig.camera, scene.bin
+        widths.append(part_width_px(scene.parts[0], camera, scene.T_world_cam, box))
+        share = bin_share(camera, scene.T_world_cam, box)
+    assert line == (
+        f"{config.rig} at {config.view.distance_m:.2f} m: the bin fills {100 * share:.0f} % of the "
+        f"picture, a part is {widths[0]:.0f} px wide at full, {widths[1]:.0f} px at small"
+    )
+    assert f"# {line}" in (tmp_path / "cell/cell.yaml").read_text()
 
 
-def test_a_rig_has_to_light_the_whole_bin_and_to_see_its_rim():
-    """A narrow projector lights its middle alone; a rim nearer to the rig leaves the field."""
-    rig, room = preset("like-phoxi-m").rig, Bin(inner_m=(0.4, 0.3, 0.15))
-    projector = rig.projector
-    narrow = replace(projector, fx_px=3 * projector.fx_px, fy_px=3 * projector.fy_px)
-    assert _sees(rig, room) and not _sees(replace(rig, projector=narrow), room)
-    floors = [length_m for length_m in np.arange(0.3, 1.0, 0.02) if sees_bin(rig, length_m, 0.02)]
-    assert sees_bin(rig, max(floors), 0.02) and not sees_bin(rig, max(floors), 0.2)
-
-
-def sees_bin(rig, length_m, height_m):
-    return _sees(rig, Bin(inner_m=(length_m, 0.75 * length_m, height_m)))
+def test_a_bin_that_no_scanner_holds_names_the_nearest_and_what_it_lacks():
+    box = Bin(inner_m=(3.0, 2.25, 1.12))
+    framing = best_framing(box)
+    lacking = f"this one is nearest: it lacks {1e3 * framing.missing_m:.0f} mm"
+    assert framing_text(framing, builtin_part("toothpaste"), box).endswith(lacking)
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])

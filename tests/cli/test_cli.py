@@ -25,6 +25,8 @@ from graycast.camera.scanner import preset
 from graycast.camera.stack import stack_schema
 from graycast.cell.config import config_schema
 from graycast.cell.engine import TaskResult
+from graycast.cell.framing import framing_line
+from graycast.cell.resolve import load_cell
 from graycast.cli import (
     arguments,
     command,
@@ -420,6 +422,7 @@ def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(
     manifest = json.loads((out / "train/000001/manifest.json").read_text())
     of_parts, of_all = (manifest[key]["decoded"] for key in ("part_reasons", "reasons"))
     assert f"{of_parts:7.2%} of the parts' pixels, {of_all:7.2%} of all pixels" in printed
+    assert f"\n{framing_line(load_cell(path).scene)}\n" in printed
     with Image.open(tmp_path / "p.png") as picture:
         assert min(picture.size) > 400
         assert np.std(np.array(picture.convert("L"))) > 10
@@ -434,6 +437,8 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, cell_
     assert "60.0 x 40.0 x 30.0" in own
     assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
     assert "toothpaste" not in own
+    scene = load_cell(cell_and_dataset[0]).scene
+    assert f"\nin the picture of {scene.rig.name}, {framing_line(scene)}\n" in own
     # Its diagonal is 78.1 mm, and one hull is the box itself.
     assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own
     # It has the three half turns of a box, and states none of them.

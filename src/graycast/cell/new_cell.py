@@ -1,23 +1,17 @@
-"""A commented configuration for one part: bin, number of parts and rig are fitted to its size."""
+"""A commented configuration for one part, whose size decides the bin, the rig and its distance."""
 
 import json
 import shlex
 from collections.abc import Mapping
-from itertools import product
 
 import numpy as np
 
-from ..base.frames import inverse, transform_points
-from ..camera.scanner import preset
-from ..rig.optics import Optics, project
-from ..rig.pair import Rig
+from ..rig.pair import BINNING
 from ..world.parts import Part, Symmetry, full_count, material_preset
 from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
-from .views import ViewSection, hang
+from .framing import Framing, best_framing, part_width_px
 
-# They go from the smallest field to the largest.
-RIGS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l")
 BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
 BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
@@ -40,7 +34,8 @@ def new_cell(
         ValueError: no material has that name.
     """
     inner_m = bin_for(part)
-    rig_name, covers = rig_for(Bin(inner_m=inner_m))
+    box = Bin(inner_m=inner_m)
+    framing = best_framing(box)
     full = max(1, round(full_count(part, inner_m)))
     most = int(np.clip(round(HEAP_SHARE * full), 3, MOST_PARTS))
     # Text of JSON is text of YAML, also where a file's name has a colon, a hash or a quote.
@@ -58,12 +53,12 @@ def new_cell(
     cell, picture, dataset = (
         shlex.quote(f"{name}/{file}") for file in ("cell.yaml", "preview.png", "dataset")
     )
-    field = "its field holds the bin" if covers else "the bin is larger than its field"
     return f"""\
 # A cell for {part.name} ({size} mm). `graycast schema config` explains every key.
 #   graycast preview {cell} --out {picture}     draws one scene
 #   graycast live {cell}     shows the cell in a browser
 #   graycast generate {cell} --out {dataset}     makes the dataset
+# {framing_text(framing, part, box)}
 parts:
   - {f"{chr(10)}    ".join(keys)}
 
@@ -71,7 +66,9 @@ count: [{max(1, most // 2)}, {most}]   # parts in a scene; about {full} fill the
 scenes: {scenes}
 bin:
   inner_m: [{room}]   # length, width and height inside
-rig: {rig_name}   # graycast rig list has others; of {", ".join(RIGS)}: {field}
+rig: {framing.rig.name}   # graycast rig list has others
+view:
+  distance_m: {framing.distance_m:.2f}   # change or remove it for another rig
 resolution: low   # small, low or full
 """
 
@@ -83,31 +80,21 @@ def bin_for(part: Part) -> tuple[float, float, float]:
     return length, width, height
 
 
-def rig_for(room: Bin) -> tuple[str, bool]:
-    """The first of `RIGS` that sees and lights the whole bin from where it hangs by default.
+def framing_text(framing: Framing, part: Part, box: Bin) -> str:
+    """Return a line that says which rig was chosen, and how large bin and part are in its picture.
 
-    Returns:
-        Its name, and whether it does; otherwise it is the rig with the largest field.
+    If no scanner holds the bin, the line says how much is missing.
     """
-    fit = next((name for name in RIGS if _sees(preset(name).rig, room)), None)
-    return fit or RIGS[-1], fit is not None
-
-
-def _sees(rig: Rig, room: Bin) -> bool:
-    length_m, width_m, height_m = room.inner_m
-    corner_m = np.array(
-        list(product((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0, height_m)))
+    width_px = part_width_px(part, framing.rig.camera, framing.T_world_cam, box)
+    small_px = width_px * BINNING["full"] / BINNING["small"]
+    line = (
+        f"{framing.rig.name} at {framing.distance_m:.2f} m: the bin fills "
+        f"{100 * framing.bin_share:.0f} % of the picture, a part is {width_px:.0f} px wide at "
+        f"full, {small_px:.0f} px at small"
     )
-    in_camera = transform_points(inverse(hang(ViewSection(), rig, room)), corner_m)
-    near_enough = (in_camera[:, 2] > rig.near_m) & (in_camera[:, 2] < rig.far_m)
-    in_projector = transform_points(inverse(rig.T_cam_proj), in_camera)
-    return bool(
-        near_enough.all()
-        and _inside(rig.camera, in_camera)
-        and _inside(rig.projector, in_projector)
+    if framing.missing_m <= 0:
+        return line
+    return (
+        f"{line}; no scanner of the shelf holds the whole bin, and this one is nearest: it lacks "
+        f"{1e3 * framing.missing_m:.0f} mm"
     )
-
-
-def _inside(optics: Optics, point_m: np.ndarray) -> bool:
-    x, y = project(optics, point_m).T
-    return bool(((x > 0) & (x < optics.width_px) & (y > 0) & (y < optics.height_px)).all())

@@ -132,6 +132,7 @@ def _add_reading(commands) -> None:
 
 
 def _preview(options: argparse.Namespace) -> int:
+    from ..cell.framing import framing_line
     from ..cell.resolve import open_cell_renderer
     from ..cell.simulate import make_images
     from ..show.report import draw_preview
@@ -157,6 +158,7 @@ def _preview(options: argparse.Namespace) -> int:
             shot = next(images)
     scanner = dict(cell.scanners)[cell.images[options.image][0]]
     draw_preview(shot, scanner.light_code(), options.out)
+    print(framing_line(shot.sample.scene, shot.sample.layout))
     _tell_coarse(shot)
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     print(options.out)
@@ -346,15 +348,18 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _parts(options: argparse.Namespace) -> int:
+    from ..cell.framing import framing_line
     from ..show.report import describe_parts, draw_parts
     from ..world.parts import BUILTIN, builtin_part
 
     if options.config is None:
         parts = tuple(builtin_part(name) for name in BUILTIN)
+        print(describe_parts(parts))
     else:
-        parts = cell_of(options).scene.parts
-    print(describe_parts(parts))
-    if options.config is not None:
+        scene = cell_of(options).scene
+        parts = scene.parts
+        print(describe_parts(parts))
+        print(f"in the picture of {scene.rig.name}, {framing_line(scene)}")
         _describe_hulls(parts)
     if options.out is not None:
         from ..rendering import open_renderer

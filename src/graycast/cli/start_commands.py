@@ -14,9 +14,9 @@ DEMO = """\
 It writes the configuration of a cell with machined brackets in a bin, a dataset of three scenes,
 and a picture of one of them. If the command is stopped, the same command continues."""
 NEW = """\
-The command prints the commands that use the configuration. The size of the bin, the number of parts
-and the rig are fitted to the size of the part. Give a mesh file of your own with --part, or a
-built-in part with --builtin."""
+The command prints the commands that use the configuration. The size of the part decides the size of
+the bin, the number of parts, the rig and its distance, at which the bin fills the picture. Give a
+mesh file of your own with --part, or a built-in part with --builtin."""
 KINDS = ("config", "rig", "stack", "study", "design", "robot", "tool")
 
 
@@ -86,7 +86,7 @@ def _new(options: argparse.Namespace) -> None:
     )
     path = options.folder / "cell.yaml"
     print(path)
-    for line in path.read_text(encoding="utf-8").splitlines()[1:4]:
+    for line in path.read_text(encoding="utf-8").splitlines()[1:5]:
         print(line.removeprefix("#"))
 
 

@@ -1,0 +1,172 @@
+"""The sentences of the code and the docs: a docstring begins with what the function does.
+
+`test_words.py` reads the names; this file reads the sentences. A table lists what is left of an
+older way of writing. The quick tests fail if a number grows, the slow ones also if it is too large.
+"""
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# A docstring begins with a verb ("Return the header of a PLY file.") or, for a property or a class,
+# with a noun. These words begin a clause that has no verb of its own. "Whether" is allowed, because
+# "Whether the part is at rest." is a common way to describe a boolean.
+# The text is searched, because parsing all tests would take ten times as long.
+OPENING = re.compile(r'^ *r?"""(Of|What|Which|As|So many|By|How|Where)\b', re.MULTILINE)
+
+# How many docstrings of each room, and of each folder of tests, still begin with such a word.
+OPENINGS_LEFT = {
+    "src/graycast/base": 13,
+    "src/graycast/camera": 33,
+    "src/graycast/cell": 18,
+    "src/graycast/cli": 6,
+    "src/graycast/dataset": 64,
+    "src/graycast/learn": 13,
+    "src/graycast/real": 76,
+    "src/graycast/rendering": 29,
+    "src/graycast/rig": 13,
+    "src/graycast/robot": 45,
+    "src/graycast/score": 48,
+    "src/graycast/show": 33,
+    "src/graycast/world": 27,
+    "tests": 29,
+    "tests/base": 2,
+    "tests/benchmarks": 2,
+    "tests/camera": 22,
+    "tests/cell": 12,
+    "tests/cli": 9,
+    "tests/dataset": 11,
+    "tests/learn": 10,
+    "tests/real": 15,
+    "tests/rendering": 19,
+    "tests/rig": 6,
+    "tests/robot": 13,
+    "tests/score": 12,
+    "tests/show": 12,
+    "tests/studies": 1,
+    "tests/world": 6,
+}
+
+# Words that a technical writer would replace, and their number in the source and in the docs:
+# say "as many as", "others'", "no one", "again", "next to" or "with", "the value that ...".
+PHRASES_LEFT = {
+    "alike": (80, 4),
+    "anew": (28, 2),
+    "are none": (16, 1),
+    "as far as": (12, 2),
+    "as it was": (5, 0),
+    "beside": (203, 21),
+    "by itself": (18, 2),
+    "by turns": (1, 0),
+    "has none": (32, 4),
+    "have none": (8, 0),
+    "in the place of": (4, 2),
+    "is asked": (14, 0),
+    "is none": (71, 1),
+    "let go": (6, 0),
+    "lies": (172, 17),
+    "nobody": (32, 1),
+    "none of": (22, 2),
+    "of another": (71, 13),
+    "of others": (23, 5),
+    "one's": (14, 0),
+    "so far as": (0, 0),
+    "so many": (122, 0),
+    "so much": (11, 0),
+    "somebody": (3, 1),
+    "stands": (108, 13),
+    "tells": (52, 3),
+    "that is to say": (0, 0),
+    "told": (18, 2),
+    "what is": (238, 23),
+    "what stands": (9, 0),
+    "what was": (45, 13),
+    "whatever": (31, 1),
+    "which one": (7, 0),
+    "whoever": (15, 2),
+}
+
+
+def room_of(file: Path) -> str:
+    """Return the room of a file, such as "src/graycast/camera" or "tests/camera"."""
+    depth = 3 if file.is_relative_to(ROOT / "src") else 2
+    return "/".join(file.relative_to(ROOT).parent.parts[:depth])
+
+
+def openings() -> Counter[str]:
+    """Count, for each room, the docstrings that begin with a word of `OPENING`."""
+    files = [file for top in ("src/graycast", "tests") for file in (ROOT / top).rglob("*.py")]
+    counts: Counter[str] = Counter()
+    for file in set(files) - {Path(__file__)}:
+        counts[room_of(file)] += len(OPENING.findall(file.read_text(encoding="utf-8")))
+    return +counts
+
+
+def in_one_line(text: str) -> str:
+    """Join the lines of a text, and drop the "#" of a comment that goes on in the next line."""
+    return re.sub(r"\s+(?:# )?", " ", text)
+
+
+def phrases(text: str) -> Counter[str]:
+    """Count the phrases of the table in a text; a phrase may begin with a capital letter."""
+    first_letters = (f"[{name[0].upper()}{name[0]}]{name[1:]}" for name in PHRASES_LEFT)
+    any_phrase = re.compile(rf"\b(?:{'|'.join(first_letters)})\b")  # `x is None` does not match.
+    return Counter(match[0].lower() for match in any_phrase.finditer(in_one_line(text)))
+
+
+def phrases_of_source_and_docs() -> dict[str, tuple[int, int]]:
+    """Count each phrase in the source and in the docs (README and CHANGELOG included)."""
+    source = sorted((ROOT / "src/graycast").rglob("*.py"))
+    pages = [*sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("*.md"))]
+    in_source, in_docs = (
+        phrases("\n".join(file.read_text(encoding="utf-8") for file in files))
+        for files in (source, pages)
+    )
+    return {name: (in_source[name], in_docs[name]) for name in PHRASES_LEFT}
+
+
+def test_no_more_docstrings_begin_with_a_bare_clause():
+    more = openings() - Counter(OPENINGS_LEFT)
+    assert not more, "begin with a verb ('Return ...') or, for a property, with a noun"
+
+
+def test_no_phrase_becomes_more_frequent():
+    more = {
+        name: (counts, PHRASES_LEFT[name])
+        for name, counts in phrases_of_source_and_docs().items()
+        if any(now > limit for now, limit in zip(counts, PHRASES_LEFT[name], strict=True))
+    }
+    assert not more, "(source, docs) now and at most: say it in plain English"
+
+
+@pytest.mark.slow
+def test_the_tables_hold_no_number_that_is_too_large():
+    assert dict(openings()) == OPENINGS_LEFT, "write the smaller numbers"
+    assert phrases_of_source_and_docs() == PHRASES_LEFT, "write the smaller numbers"
+
+
+def test_docstrings_are_read_wherever_they_stand():
+    text = '''"""Of a module."""
+class Surface:
+    """What a class is."""
+    def area_m2(self):
+        """Return the area."""
+    def edge(self):
+        r"""How long it is.
+        Where it ends.
+        """
+def plain():
+    """Offset of the plane."""
+def level():
+    """Whether it is level."""
+'''
+    assert OPENING.findall(text) == ["Of", "What", "How"]
+
+
+def test_phrases_are_read_across_lines_and_comments():
+    text = "# Nobody reads so\n    # many; there is none.\nx is None\n\n'''told so\n    much'''"
+    assert phrases(text) == {"nobody": 1, "so many": 1, "is none": 1, "told": 1, "so much": 1}

@@ -1,4 +1,4 @@
-"""What every room uses.
+"""Foundations that every room uses: errors, files, settings, transforms and random streams.
 
 Each imports only from those above it:
 

@@ -1,4 +1,4 @@
-"""Wrong kinds of arguments, refused at the door of the package with their names.
+"""Check of the arguments of public functions: a wrong kind is refused with the argument's name.
 
 Python itself notices a string in the place of a cell only deep inside, where the message no longer
 names what the caller wrote. What scripts call checks its arguments by its own annotations. An array
@@ -24,7 +24,7 @@ _WORDS = {
     bool: "True or False", int: "a whole number", float: "a number", str: "a string",
     Path: "a pathlib.Path", type(None): "None",
 }  # fmt: skip
-_MAKERS = {  # What makes a value that a script does not build by itself.
+_MAKERS = {  # These functions make the values that a script does not build itself.
     "Cell": "graycast.load_cell returns one",
     "Config": "graycast.Config(**settings) makes one of a dictionary",
     "Detector": "graycast.load_detector returns one",
@@ -64,7 +64,7 @@ def _checker(
     name: str, source: Any, signature: inspect.Signature
 ) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
     @cache
-    def hints() -> dict[str, Any]:  # at the first call, since an annotation may name a later class
+    def hints() -> dict[str, Any]:  # Lazy: an annotation may name a later class.
         return typing.get_type_hints(source)
 
     def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
@@ -88,7 +88,7 @@ def fits(value: Any, hint: Any) -> bool:
     if origin in (Union, types.UnionType):
         return any(fits(value, one) for one in inner)
     if origin is Literal:
-        return any(isinstance(value, type(one)) for one in inner)  # Its values are the class's own.
+        return any(isinstance(value, type(one)) for one in inner)  # The callee checks the values.
     if origin is tuple:
         if not isinstance(value, tuple | list):
             return False

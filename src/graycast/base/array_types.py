@@ -6,7 +6,7 @@ checked. Modules that `graycast.dataset.training` does not import take the names
 
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # a type checker knows jaxtyping's names only as they are imported
+if TYPE_CHECKING:  # Type checkers must see jaxtyping's own names.
     from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
 else:
     try:

@@ -34,12 +34,12 @@ class DecodeError(GraycastError):
 
 
 def one_line(error: Exception) -> str:
-    """The message of an error as one line, or its class where it has none."""
+    """Return an error's message as one line, or the name of its class if it has no message."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def error_line(error: Exception) -> str:
-    """An error as one line; an error of the operating system begins with its path."""
+    """Return an error as one line; one of the operating system begins with its path."""
     text = one_line(error)
     if not isinstance(error, OSError):
         return text

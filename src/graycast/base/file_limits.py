@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 MOST_PX = 100_000_000
 _HEAD_BYTES = 1 << 16
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_ORIENTATION = 0x0112  # the tag of EXIF and of TIFF
+_ORIENTATION = 0x0112  # the tag of the orientation in EXIF and TIFF
 _TURNS = {
     2: "mirrored",
     3: "turned by 180 degrees",
@@ -29,7 +29,7 @@ _ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
 
 
 def parse_json(content: bytes | str) -> Any:
-    """What a JSON text says. This is the one reader of JSON that comes from files or from outside.
+    """Parse a JSON text. Every JSON text that comes from a file or from outside is read here.
 
     It follows lists and objects for 200 levels, so that no reader of the result meets the limit
     of Python's recursion.
@@ -57,6 +57,9 @@ def refuse_large_size(width_px: int, height_px: int, name: str, error: type[Exce
 
 def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]) -> None:
     """Raise an error of the given class if a picture's header states too many pixels.
+
+    Only the header is read. A picture without a known header passes, because its decoder can
+    say better what is wrong with it.
 
     Only the header is read. A picture without a known header passes: its decoder knows better
     what is wrong with it.
@@ -102,7 +105,7 @@ def _orientation(content: bytes) -> int:
         exif = _exif(content)
         return 1 if exif is None else _tiff_tags(BytesIO(exif), (_ORIENTATION,))[_ORIENTATION]
     except (LookupError, ValueError, TypeError, struct.error):
-        return 1  # A decoder tells what is wrong with it.
+        return 1  # The decoder will say what is wrong with the file.
 
 
 def _exif(content: bytes) -> bytes | None:
@@ -122,7 +125,7 @@ def _exif(content: bytes) -> bytes | None:
 
 
 def load_array(path: Path) -> np.ndarray:
-    """The array of an NPY file, whose header must not state more than the file holds.
+    """Read the array of an NPY file; refuse a file that holds less than its header states.
 
     Raises:
         ValueError: it is no NPY file, holds Python objects, or ends early.
@@ -188,7 +191,7 @@ def _lengths(counts: str) -> list[int] | None:
 
 
 def _stated_size(file: _File) -> tuple[int, int]:
-    """Columns and rows of a picture; some of its file is read, and none of its pixels."""
+    """Return columns and rows of a picture from its header; no pixel is decoded."""
     head = file.read(_HEAD_BYTES)
     file.seek(0)
     if head.startswith(b"\x89PNG"):
@@ -197,26 +200,26 @@ def _stated_size(file: _File) -> tuple[int, int]:
         return _tiff_size(file)
     if head.startswith(b"\xff\xd8\xff"):
         return _jpeg_size(file)
-    if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR: first and last column and row
+    if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR states the first and last column and row.
         at = head.index(b"dataWindow\0box2i\0") + 21
         left, top, right, bottom = np.frombuffer(head, "<i4", 4, at).tolist()
         return right - left + 1, bottom - top + 1
-    if head.startswith(b"#?"):  # Radiance: -Y rows +X columns
+    if head.startswith(b"#?"):  # Radiance states "-Y rows +X columns".
         size = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", head)
         if size is None:
             raise ValueError("no size")
         return int(size[2]), int(size[1])
-    from PIL import Image  # only here: training reads PNGs where Pillow is not installed
+    from PIL import Image  # Training reads PNGs without Pillow.
 
     Image.init()
-    for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes
+    for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes.
         if accepts is not None and accepts(head[:16]) is True:
             return factory(file, "").size
     raise ValueError("no known format")
 
 
 def _jpeg_size(file: _File) -> tuple[int, int]:
-    """Of the first frame header, marker by marker."""
+    """Return columns and rows of a JPEG file, from its first frame header."""
     file.seek(2)
     while True:
         mark, kind, high, low = file.read(4)
@@ -229,13 +232,13 @@ def _jpeg_size(file: _File) -> tuple[int, int]:
 
 
 def _tiff_size(file: _File) -> tuple[int, int]:
-    """Columns and rows of the first picture: tags 256 and 257."""
+    """Return columns and rows of a TIFF file's first picture (tags 256 and 257)."""
     size = _tiff_tags(file, (256, 257))
     return size[256], size[257]
 
 
 def _tiff_tags(file: _File, tags: tuple[int, ...]) -> dict[int, int]:
-    """Whole numbers of the first picture that stand among its tags."""
+    """Return the values of those tags of a TIFF file's first picture that are whole numbers."""
     head = file.read(16)
     order, is_big = "<" if head.startswith(b"II") else ">", 43 in head[2:4]
     (at,) = struct.unpack_from(order + ("Q" if is_big else "I"), head, 8 if is_big else 4)

@@ -18,8 +18,8 @@ ASIDE = ".tmp-"
 def cache_folder(kind: str) -> Path | None:
     """Return the folder where results of a kind are kept between runs; it may not exist yet.
 
-    It lies in `$XDG_CACHE_HOME`, else in `~/.cache`; None if the user has no home. What is kept is
-    never needed: whoever uses the folder goes on where it cannot be read or written.
+    It is in `$XDG_CACHE_HOME`, else in `~/.cache`; None if the user has no home. The results can
+    always be computed again, so callers must go on if the folder cannot be read or written.
     """
     base = os.environ.get("XDG_CACHE_HOME")
     try:
@@ -41,8 +41,8 @@ def why_unwritable(folder: Path) -> str | None:
 def visible_entries(folder: Path) -> list[Path]:
     """Return what a folder holds, in the order of the names, without hidden entries.
 
-    macOS writes a file `._NAME` beside each file on drives of others, and file browsers write
-    their own: these are nobody's data.
+    On drives of other systems, macOS adds a file `._NAME` for each file, and file browsers add
+    hidden files of their own. None of them is data.
     """
     return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
 
@@ -50,7 +50,7 @@ def visible_entries(folder: Path) -> list[Path]:
 def leads_out(name: str) -> bool:
     """Return whether a file's name in a list of others leads out of the folder of the list.
 
-    Such a name is an absolute path, or has `..`: it would open files of whoever reads the list.
+    Such a name is an absolute path, or has `..`: it could open any file of the reader's machine.
     Windows' `\\` counts as `/`.
     """
     path = PurePosixPath(name.replace("\\", "/"))
@@ -67,7 +67,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Like `write_whole`, for a file that is written piece by piece.
+    """Write a file like `write_whole`, but piece by piece.
 
     Args:
         path: the file, in a folder that exists.
@@ -126,10 +126,11 @@ def whole_folder(out: Path) -> Iterator[Path]:
             for entry in sorted(aside.iterdir()):
                 place = out / entry.name
                 if entry.is_dir() and place.is_dir():
-                    place.rename(aside / f".before-{place.name}")  # no folder replaces a full one
+                    # A folder cannot replace one that is not empty.
+                    place.rename(aside / f".before-{place.name}")
                 entry.rename(place)
     finally:
-        with suppress(OSError):  # what holds something stays: the result, or what was there
+        with suppress(OSError):  # A folder that is not empty stays.
             for folder in new_folders:
                 folder.rmdir()
 

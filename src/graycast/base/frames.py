@@ -15,7 +15,7 @@ UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}  # in metres
 def rigid(
     rotation: Float[np.ndarray, "3 3"], translation_m: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """The transform `p -> rotation @ p + translation_m`."""
+    """Return the transform `p -> rotation @ p + translation_m`."""
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = translation_m
@@ -23,7 +23,7 @@ def rigid(
 
 
 def inverse(T_a_b: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
-    """`T_b_a` of a rigid transform, by transposing its rotation (no matrix inversion)."""
+    """Return the inverse of a rigid transform, `T_b_a` of `T_a_b`, by transposing its rotation."""
     rotation = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     T_b_a = np.zeros_like(T_a_b)
     T_b_a[..., :3, :3] = rotation
@@ -35,12 +35,12 @@ def inverse(T_a_b: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
 def transform_points(
     T_a_b: Float[np.ndarray, "4 4"], point_b: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Points given in frame b, expressed in frame a."""
+    """Return points that are given in frame b, expressed in frame a."""
     return point_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
 def is_rigid(T: np.ndarray, tolerance: float = 1e-6) -> bool:
-    """Whether T is a proper rigid transform: orthonormal, determinant +1, last row 0 0 0 1."""
+    """Return whether T is a rigid transform: orthonormal, determinant +1, last row 0 0 0 1."""
     if T.shape != (4, 4) or not np.isfinite(T).all():
         return False
     rotation = T[:3, :3]
@@ -49,7 +49,7 @@ def is_rigid(T: np.ndarray, tolerance: float = 1e-6) -> bool:
 
 
 def axis_rotation(axis: str, angle_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation about a coordinate axis 'x', 'y' or 'z' by the right-hand rule."""
+    """Return the rotation about a coordinate axis 'x', 'y' or 'z' by the right-hand rule."""
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
@@ -60,7 +60,7 @@ def axis_rotation(axis: str, angle_rad: float) -> Float[np.ndarray, "3 3"]:
 
 
 def rotation_from_quaternion(xyzw: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
-    """Rotation matrices of unit quaternions given as (x, y, z, w)."""
+    """Return the rotation matrices of unit quaternions given as (x, y, z, w)."""
     unit = xyzw / np.linalg.norm(xyzw, axis=-1, keepdims=True)
     x, y, z, w = (unit[..., i] for i in range(4))
     R = np.empty((*xyzw.shape[:-1], 3, 3))
@@ -77,7 +77,7 @@ def rotation_from_quaternion(xyzw: Float[np.ndarray, "*n 4"]) -> Float[np.ndarra
 
 
 def random_quaternions(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 4"]:
-    """Unit quaternions (x, y, z, w), uniform over rotations (normalised Gaussians)."""
+    """Draw unit quaternions (x, y, z, w), uniform over rotations (normalised Gaussians)."""
     q = rng.standard_normal((n, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
@@ -85,7 +85,7 @@ def random_quaternions(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n
 def look_at(
     eye_m: Float[np.ndarray, "3"], target_m: Float[np.ndarray, "3"], down: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam` of a camera at `eye_m` that looks at `target_m`.
+    """Return `T_world_cam` of a camera at `eye_m` that looks at `target_m`.
 
     The image's y axis points along `down` as far as the viewing direction allows.
 
@@ -102,6 +102,6 @@ def look_at(
 
 
 def pixel_grid(height_px: int, width_px: int) -> Float[np.ndarray, "h w 2"]:
-    """(x, y) of every pixel centre; the centre of the top-left pixel is (0, 0)."""
+    """Return (x, y) of every pixel centre; the centre of the top-left pixel is (0, 0)."""
     y, x = np.mgrid[0:height_px, 0:width_px].astype(np.float64)
     return np.stack([x, y], axis=-1)

@@ -4,7 +4,7 @@ Numba's own cache notices only that the file of a function has changed. A kernel
 functions and constants from other files, and the compiled code contains them. Here the kernels of a
 file lie in a folder whose name has a digest of that file and of all files of this package that it
 imports, directly or not. So no list has to be kept, and a change elsewhere in the package compiles
-nothing anew. Nothing is read or written before a kernel is compiled for the first time.
+nothing again. Nothing is read or written before a kernel is compiled for the first time.
 
 A cache is never needed: where no folder can be written, each process compiles what it uses.
 """
@@ -35,7 +35,7 @@ from numba.core.dispatcher import Dispatcher
 from .folder import cache_folder, why_unwritable
 
 MOST_VERSIONS = (
-    16  # So many folders are kept for the kernels of one file: clones, branches, old ones.
+    16  # Number of folders that are kept for the kernels of one file (clones, branches).
 )
 
 _ROOT = Path(__file__).parents[1]
@@ -168,7 +168,7 @@ class _Locator(_CacheLocator):
             line = py_func.__code__.co_firstlineno
             locator = cls(py_file, line, module, folder / f"{module}-{digest}")
             locator.ensure_cache_path()
-            os.utime(locator._folder)  # the time of its last use
+            os.utime(locator._folder)  # This is the time of its last use.
         except OSError:
             return None
         return locator
@@ -184,7 +184,7 @@ class _Locator(_CacheLocator):
     def _forget_old(self) -> None:
         """Remove the folders of this file's kernels that were not used for the longest time.
 
-        Another process may use one of them: it then compiles anew what it does not find.
+        Another process may use one of them: it then compiles again what it does not find.
         """
         versions = self._folder.parent.glob(f"{self._module}-{'[0-9a-f]' * 16}")
         aged = sorted(versions, key=lambda folder: folder.stat().st_mtime_ns, reverse=True)
@@ -195,7 +195,7 @@ class _Locator(_CacheLocator):
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        return ""  # The folder's name says it.
+        return ""  # The folder's name has the digest of the sources.
 
     def get_disambiguator(self) -> str:
         return str(self._line)
@@ -251,7 +251,7 @@ class _KernelCache(NullCache):
             return None
         try:
             return self._disk.load_overload(sig, target_context)
-        except Exception:  # Damaged files raise whatever their bytes lead to: compile anew.
+        except Exception:  # A damaged file can raise anything: compile again.
             self.flush()
             return None
 

@@ -1,4 +1,4 @@
-"""Boxes of pixels: about a mask, and of a window in an image. One law for all pictures."""
+"""Bounding boxes of masks, and the overlap of a window with an image, in pixels."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ Window = tuple[slice, ...]  # rows and columns
 def overlap(
     top_px: int, left_px: int, shape: tuple[int, ...], size: tuple[int, ...]
 ) -> tuple[Window, Window]:
-    """Where a window of a shape and an image of a size overlap, perhaps nowhere: in both's pixels.
+    """Return the overlap of a window with an image, in the image's and in the window's pixels.
 
     The window's first pixel is (left, top) of the image, which may lie outside it.
     """

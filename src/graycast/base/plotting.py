@@ -1,4 +1,4 @@
-"""How plots look and how they are written: the one style of sheets, studies and certificates."""
+"""The common style of all plots, and how they are written to a file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ def plain_figure(
     rows: int = 1,
     grid: Grid = "both",
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of plain axes, row by row; `columns` are the widths of a row's, as shares."""
+    """Return a figure of plain axes, row by row; `columns` are the relative widths in a row."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     axes = figure.subplots(rows, len(columns), width_ratios=columns, squeeze=False).ravel().tolist()
     for ax in axes:
@@ -32,7 +32,7 @@ def plain_figure(
 
 
 def plain_axes(ax: Axes, *, grid: Grid = "both") -> None:
-    """Two quiet spines, small ticks, and a pale grid behind what is drawn."""
+    """Show two pale spines, small ticks, and a pale grid behind what is drawn."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(SOFT)
     ax.tick_params(colors=INK, labelsize=8, length=3)
@@ -41,14 +41,14 @@ def plain_axes(ax: Axes, *, grid: Grid = "both") -> None:
 
 
 def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
-    """A title at the left, and what the axes are."""
+    """Set a title at the left, and the labels of both axes."""
     ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
     ax.set_xlabel(x, fontsize=8, color=INK)
     ax.set_ylabel(y, fontsize=8, color=INK)
 
 
 def save_png(figure: Figure, path: Path, *, dpi: int) -> None:
-    """Write a figure: beside the file first, then renamed, so that none is half written.
+    """Write a figure as PNG under a temporary name and rename it, so it is never incomplete.
 
     Raises:
         GraycastError: the folder is missing or the disk refuses.

@@ -1,4 +1,4 @@
-"""PLY files: the header that meshes and clouds share, clouds written, tables of vertices read.
+"""PLY files: the header of meshes and clouds, a writer of clouds, a reader of vertices.
 
 Meshes are read by trimesh (`parts.load_mesh`), which knows faces and loses what else a vertex has.
 """
@@ -87,7 +87,7 @@ def _kind(dtype: np.dtype) -> str:
 
 
 def split(path: Path) -> tuple[list[str], bytes]:
-    """The lines of the header, and what follows it.
+    """Return the lines of the header, and the bytes after it.
 
     Raises:
         DatasetError: it is no PLY.
@@ -100,7 +100,7 @@ def split(path: Path) -> tuple[list[str], bytes]:
 
 
 def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]:
-    """The header, each property of the vertices by its name, and the number of vertices.
+    """Return the header, each property of the vertices by its name, and the number of vertices.
 
     Vertices are the first element; what follows is not read.
 
@@ -132,7 +132,7 @@ def _order(path: Path, header: list[str]) -> str:
 
 
 def _vertices(path: Path, header: list[str]) -> tuple[int, list[tuple[str, str]]]:
-    """How many there are, and names and types of their properties."""
+    """Return the number of vertices, and the names and types of their properties."""
     at = [i for i, line in enumerate(header) if line.startswith("element ")]
     first = header[at[0]].split() if at else []
     if len(first) != 3 or first[1] != "vertex":

@@ -1,4 +1,4 @@
-"""What a long task tells whoever waits for it; an object that is handed down to it.
+"""Messages of a long task to its caller, by way of an object that is handed down to it.
 
 After the progress meters of diffrax: a task takes a `ProgressMeter`, and the caller chooses what is
 done with it. The command line draws bars. What a meter raises ends the task.
@@ -10,18 +10,18 @@ from typing import Protocol, final, runtime_checkable
 
 @runtime_checkable
 class ProgressMeter(Protocol):
-    """Hears how far a task is, in the thread that waits for the task."""
+    """Receiver of a task's progress; it is called in the thread that waits for the task."""
 
     def stage(self, text: str) -> None:
-        """The task begins something that may take seconds; `text` says what."""
+        """Report that the task begins something that may take seconds; `text` says what."""
         ...
 
     def count(self, what: str, done: int, total: int) -> None:
-        """So many are done of all `what`, such as scenes; what was there before counts as done."""
+        """Report that `done` of `total` are finished; earlier results count as finished."""
         ...
 
     def note(self, text: str) -> None:
-        """The user should read this, also after the task."""
+        """Report something that the user should read, also after the task."""
         ...
 
 

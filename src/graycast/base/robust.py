@@ -14,9 +14,10 @@ def robust_sigma(
     *,
     keepdims: bool = False,
 ) -> Any:
-    """The standard deviation about 0 of the normal law whose |values| have the same median.
+    """Return the standard deviation of the zero-mean normal law with the values' median |value|.
 
-    Along some axes, or of all values; NaN are left out, and no values have NaN.
+    It is taken along some axes, or over all values. NaN values are left out; the result is NaN
+    if no value is left.
     """
     if axis is None and not values.size:
         return float("nan")

@@ -50,7 +50,7 @@ ShareSpan = SpanOf[Share]
 
 
 class Settings(BaseModel):
-    """What a user writes: unknown keys, NaN and infinity are refused, and nothing changes later."""
+    """Base of all models of user files: frozen; refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -82,10 +82,11 @@ def check_fields(value: object) -> None:
     Raises:
         ValueError: the text names the field, its value and what it may be.
     """
-    kind: Any = type(value)  # a type that the cache takes, which mypy doubts
+    kind: Any = type(value)  # `Any`, because mypy doubts that a type is hashable
     for name, (allowed, default, about) in _limits(kind).items():
         item = getattr(value, name)
-        if item is default or default == math.inf == item:  # another infinity from a pickle
+        # Unpickled infinity is another object than the default.
+        if item is default or default == math.inf == item:
             continue
         if not isinstance(allowed, TypeAdapter):
             if not fits(item, allowed):
@@ -107,18 +108,18 @@ def section_of(
     base: type[Base],
     more: Mapping[str, Any],
 ) -> type[Base]:
-    """A section with the fields of a dataclass; those without a default must be given.
+    """Return a section with the fields of a dataclass; those without a default must be given.
 
-    A default of infinity is left out in a file, which knows no such number.
+    An infinite default becomes a key that may be left out, because files hold no infinity.
 
     Args:
         dataclass: with `Field` in its annotations.
         name: of the section.
         module: `__name__` of the module that holds it under that name, where pickle looks for it.
-        about: what the section is, for its schema.
-        base: what the section is beside that.
-        more: further fields, or what stands in the place of some: (annotation, field); None leaves
-            a field of the dataclass out.
+        about: description of the section in its schema.
+        base: base class of the section.
+        more: extra or replacement fields as (annotation, field); None leaves out a field of the
+            dataclass.
     """
     own: dict[str, Any] = {}
     for key, hint, info, default in _declared(dataclass):
@@ -131,7 +132,7 @@ def section_of(
 
 
 def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[Settings]:
-    """A section that says what is to change: each field of a dataclass may be left out."""
+    """Return a section of changes, in which each field of a dataclass may be left out."""
     own: dict[str, Any] = {
         key: _may_miss(hint, info) for key, hint, info, _ in _declared(dataclass)
     }
@@ -139,14 +140,14 @@ def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[S
 
 
 class ReadAs:
-    """In an annotation: pydantic reads the field by a section that was made at run time."""
+    """Annotation by which pydantic reads a field as a section that was made at run time."""
 
     def __init__(self, section: type[Any]) -> None:
         self._section = section
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
-    ) -> Any:  # the schema of the section
+    ) -> Any:  # This is the schema of the section.
         return handler(self._section)
 
 
@@ -159,7 +160,7 @@ def _field(default: Any, info: FieldInfo) -> Any:
 
 
 def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
-    """Name, bare annotation, what its `Field` says, and default of each field."""
+    """Return the name, bare annotation, `Field` and default of each field."""
     hints = get_type_hints(dataclass, include_extras=True)
     rows = []
     for field in fields(dataclass):
@@ -196,7 +197,7 @@ def _says_more(hint: Any) -> bool:
 
 
 def _reason(message: str) -> str:
-    """Pydantic's words as the second half of a sentence."""
+    """Return pydantic's message as the second half of a sentence."""
     message = message.removeprefix("Value error, ").replace("Input should", "it should", 1)
     return f"{message[0].lower()}{message[1:]}"
 
@@ -207,7 +208,7 @@ Model = TypeVar("Model", bound=Settings)
 
 
 def read_settings(path: Path, model: type[Model]) -> Model:
-    """Read and check a file.
+    """Read a YAML file and check it against a model.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown, missing or wrong key.
@@ -216,7 +217,7 @@ def read_settings(path: Path, model: type[Model]) -> Model:
 
 
 def check_settings(content: Mapping[str, Any], model: type[Model], path: Path) -> Model:
-    """Check what a file said."""
+    """Check the content of a file against a model."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -251,7 +252,7 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
         raise ConfigError(
             f"{path}: is not YAML{line} ({why}): correct or remove that line"
         ) from error
-    except (ValueError, RecursionError) as error:  # an impossible date, brackets without end
+    except (ValueError, RecursionError) as error:  # It has an impossible date or endless brackets.
         raise ConfigError(f"{path}: is not YAML ({error}): correct or remove that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give lines such as 'name: value'")
@@ -259,9 +260,9 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
 
 
 def _first_problem(error: ValidationError, model: type[Settings]) -> str:
-    """The first of pydantic's complaints in one line: key, value and what is allowed."""
+    """Describe the first of pydantic's complaints in one line: key, value and what is allowed."""
     problems = error.errors(include_url=False)
-    # pydantic counts only the sound items of a list: what is wrong inside makes it too short, too.
+    # pydantic counts only valid items, so a list with an invalid item may also be "too short".
     inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
     problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
     # A misspelt key goes first, because it explains the one that is missing.
@@ -281,7 +282,7 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
 
 
 def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
-    """Where a key belongs that stands in the wrong section, or which key is meant."""
+    """Suggest the section that an unknown key belongs to, or else the key that was meant."""
     *above, key = location
     known = _place(model, tuple(above))[1]
     for section in _place(model, tuple(above[:-1]))[1] if above else ():
@@ -316,7 +317,7 @@ def _schema(model: type[Settings]) -> Mapping[str, Any]:
 
 
 def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
-    """Where a problem is: the keys that lead there, and the keys known there, by the JSON Schema.
+    """Return the keys that lead to a problem, and the keys that are allowed there (JSON Schema).
 
     Where a key `kind` chooses between sections, pydantic puts the choice into its locations; what
     a user reads has only the keys of his file.
@@ -335,7 +336,7 @@ def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list
 
 
 def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What a value may be, references followed, sections first."""
+    """Return the schemas that a value may follow, with references resolved and sections first."""
     if "$ref" in node:
         return [schema["$defs"][node["$ref"].rsplit("/", 1)[1]]]
     choices = node.get("anyOf", node.get("oneOf"))
@@ -347,5 +348,5 @@ def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mappin
 
 def _kind(section: Mapping[str, Any]) -> str | None:
     if section.get("type") == "array":
-        return "list"  # the tag of a list that stands among sections of several kinds
+        return "list"  # pydantic's tag of a list among sections of several kinds
     return section.get("properties", {}).get("kind", {}).get("const")

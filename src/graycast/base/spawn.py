@@ -1,4 +1,4 @@
-"""Processes that Python starts anew, since a JIT's threads do not survive a fork.
+"""Processes that Python starts from scratch, because a JIT's threads do not survive a fork.
 
 By itself, `spawn` runs the user's script again in each process, so a script without the guard
 `if __name__ == "__main__"` would end in an error. Our processes need nothing of a script: what they
@@ -27,4 +27,4 @@ class _Context(SpawnContext):
     Process = _Process
 
 
-SPAWN = _Context()  # in the place of `multiprocessing.get_context("spawn")`
+SPAWN = _Context()  # replaces `multiprocessing.get_context("spawn")`

@@ -1,4 +1,4 @@
-"""Random numbers that are independent: every stream of the package, by the seed that it is of.
+"""Random numbers in independent streams, each derived from a seed and a key.
 
 A stream is known by its number or by its place in a tuple, so that a change in one leaves the
 others as they were: new ones go last. What belongs to one of several scanners has the scanner's
@@ -10,10 +10,10 @@ from enum import IntEnum
 
 import numpy as np
 
-# A dataset's seed has the first of these; each image of a scene has the second for itself.
+# `SCENE` are the streams of a dataset's seed; each image has its own streams `OF_IMAGE`.
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
-_RESCAN = 1 << 31  # It stands where an image has its scanner's place, which is never so large.
+_RESCAN = 1 << 31  # It takes the place of a scanner's index, which is always smaller.
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
 EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these.
 
@@ -53,7 +53,7 @@ def device_seed(seed: int, name: str) -> int:
 def scene_seeds(
     seed: int, scene_id: int, *, domain: bool = False, views: bool = False
 ) -> dict[str, int]:
-    """The seed of each stage of a scene and of its first image.
+    """Return the seed of each stage of a scene and of its first image.
 
     Args:
         domain: whether values are drawn from one; else there is no seed of it.
@@ -66,7 +66,7 @@ def scene_seeds(
 
 
 def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[str, int]:
-    """The seeds of one image's own stages: of the first, those of its scene.
+    """Return the seeds of one image's own stages; those of the first image are the scene's.
 
     Args:
         station: the scanner's place in the configuration.

@@ -1,4 +1,4 @@
-"""What memory this process uses, and how busy the GPUs are: /proc (Linux), NVIDIA's NVML."""
+"""Memory of this process (from /proc, Linux) and load of the GPUs (from NVIDIA's NVML)."""
 
 import resource
 import threading
@@ -6,13 +6,13 @@ from pathlib import Path
 
 
 def rss_bytes() -> int:
-    """Memory of this process now."""
+    """Return the memory of this process now."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize()
 
 
 class GpuWatch:
-    """Samples how busy this machine's NVIDIA GPUs are, while the `with` block runs.
+    """Sampler of the load of this machine's NVIDIA GPUs, while the `with` block runs.
 
     A GPU counts as busy while a kernel runs on it, whoever started that; NVML means this over up
     to a second. Without a driver there is nothing to watch.
@@ -25,7 +25,7 @@ class GpuWatch:
 
     @property
     def share(self) -> float | None:
-        """The mean share of the time that a GPU was busy, 0 to 1; None before the first sample."""
+        """Mean share of the time that a GPU was busy, 0 to 1; None before the first sample."""
         return self._sum / self._count if self._count else None
 
     def __enter__(self) -> "GpuWatch":
@@ -42,7 +42,7 @@ class GpuWatch:
         try:
             pynvml.nvmlInit()
         except pynvml.NVMLError:
-            return  # no driver: `share` stays None
+            return  # Without a driver, `share` stays None.
         numbers = range(pynvml.nvmlDeviceGetCount())
         gpus = [pynvml.nvmlDeviceGetHandleByIndex(number) for number in numbers]
         while gpus and not self._ended.wait(self._period_s):

@@ -6,7 +6,7 @@ _MOST_COPIED = 1_000_000  # The largest honest file with aliases is some thousan
 
 
 class OneOfEachKey(yaml.SafeLoader):
-    """YAML that refuses a key written twice, where PyYAML would take the last.
+    """YAML loader that refuses a key written twice, of which PyYAML would take the last.
 
     It also refuses aliases that would fill the memory: ten lines of ten aliases each stand for ten
     billion values. PyYAML copies none of them, but whoever checks the values visits each.
@@ -29,7 +29,7 @@ class OneOfEachKey(yaml.SafeLoader):
 
 
 def _refuse_bomb(root: yaml.Node) -> None:
-    """Refuse a document whose aliases stand for too much, or that contains itself.
+    """Refuse a document whose aliases expand to too many values, or that contains itself.
 
     A value's size is 1, its characters, and the sizes of the values in it. With aliases, the size
     of the whole is larger than the sum over all nodes, in which each node counts once.

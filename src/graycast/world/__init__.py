@@ -1,4 +1,4 @@
-"""What is simulated: parts, a bin, the scene, and how the parts fall.
+"""The simulated world: parts, a bin, the scene, and how the parts fall.
 
 Each imports only from those above it:
 

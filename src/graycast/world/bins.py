@@ -78,7 +78,7 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
 
 
 def inside_of(mesh: Mesh) -> tuple[Float[np.ndarray, "3"], tuple[float, float, float]]:
-    """Where `load_bin` puts the origin of an upright bin [m], and its inner size [m].
+    """Return the origin that `load_bin` gives an upright bin, and the bin's inner size [m].
 
     Raises:
         MeshError: the mesh has no floor with walls around it.
@@ -144,7 +144,7 @@ def _cut(
 
 
 def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, " n"]:
-    """The length of the part of each span that lies between -half and half."""
+    """Return the length of the part of each span that is between -half and half."""
     low, high = np.clip(np.sort(span_m, axis=1), -half_m, half_m).T
     return high - low
 

@@ -53,7 +53,7 @@ class Bin:
 
     @property
     def floor_m(self) -> float:
-        """How high the inner floor is above the table."""
+        """Height of the inner floor above the table."""
         return -float(self.bounds_m[0, 2])
 
 
@@ -85,7 +85,7 @@ class Quad:
 
     @property
     def texture_repeats(self) -> tuple[float, float]:
-        """How often a texture fits along each edge."""
+        """Number of times that a texture fits along each edge."""
         if self.texture_size_m is None:
             return 1.0, 1.0
         u, v = (2 * float(np.linalg.norm(half)) for half in (self.half_u_m, self.half_v_m))
@@ -180,13 +180,12 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Where the parts came to lie, and how well: the outcome of a drop.
+    """Result of a drop: where the parts lie, and the figures by which a layout is accepted.
 
-    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
-    are what an acceptance test needs: nobody has judged them yet. `last_motion_m` is how far a
-    point of a part was from its place within the last 0.6 s, or 0.2 s if that showed rest.
-    Penetration is that of the collision hulls, which may lie inside a curved surface by half a
-    millimetre.
+    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The
+    figures are not judged here. `last_motion_m` is how far a point of a part was from its place
+    within the last 0.6 s, or 0.2 s if that showed rest. Penetration is that of the collision
+    hulls, which may be inside a curved surface by half a millimetre.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
@@ -204,7 +203,7 @@ class Layout:
 
 
 def bin_of(scene: Scene) -> Bin:
-    """The bin, for what makes no sense without one.
+    """Return the bin; raise an error if the scene has none.
 
     Raises:
         ValueError: the scene has none.
@@ -220,7 +219,7 @@ EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, d
 
 
 def table_quad(scene: Scene) -> Quad | None:
-    """The table that the bin stands on; None without a bin."""
+    """Return the table that the bin stands on; None without a bin."""
     if scene.bin is None:
         return None
     return Quad(
@@ -242,7 +241,7 @@ def quad_mesh(quad: Quad) -> Mesh:
 
 
 def lamp_quad(lamp: Lamp) -> Quad:
-    """A lamp's square, its front towards the target; black but for what it emits."""
+    """Return a lamp's square, its front towards the target; black except for what it emits."""
     center, target = np.array(lamp.center_m), np.array(lamp.target_m)
     direction = (target - center) / np.linalg.norm(target - center)
     aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
@@ -294,7 +293,10 @@ def _box_mesh(box: Bin) -> Mesh:
 
 
 def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
-    """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
+    """Return a mask of the faces of the bin's mesh that are its inner floor.
+
+    They face up and are at the floor's height.
+    """
     corner = mesh.vertices_m[mesh.faces]
     looks_up = mesh.face_normal[:, 2] > _UPRIGHT
     low = np.abs(corner[..., 2]).max(axis=1) < max(1e-3, _LOW * box.inner_m[2])
@@ -318,7 +320,7 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
 
 
 def _faces_of(mesh: Mesh, subset: Bool[np.ndarray, " f"]) -> Mesh:
-    """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
+    """Return a mesh with some of the faces; unused vertices stay, because they do no harm."""
     return Mesh(
         vertices_m=mesh.vertices_m,
         faces=mesh.faces[subset],

@@ -1,4 +1,4 @@
-"""What falls: a kind of part as a rigid body, and whether it lies in the bin."""
+"""Rigid bodies that fall, one for each kind of part, and the check that they are in the bin."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -16,7 +16,7 @@ Kinds = Int[np.ndarray, " n"]  # the kind of each
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """One kind of part as the engine needs it, in the part's frame.
+    """One kind of part as a rigid body of the physics engine, in the part's frame.
 
     Mass, centre and moments are those of the true mesh filled evenly, not of the hulls.
     """
@@ -88,7 +88,7 @@ def motion_m(
 def parts_outside(
     box: Bin, bodies: tuple[Body, ...], T_world_part: Poses, part_index: Kinds
 ) -> Bool[np.ndarray, " n"]:
-    """Which parts are not in the bin.
+    """Return a mask of the parts that are not in the bin.
 
     A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest
     point is below the rim. So a part that sticks out of the heap over the rim is inside, one that

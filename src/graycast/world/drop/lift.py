@@ -32,7 +32,7 @@ STEP_S = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """How a tool holds a part.
+    """Grip of a tool on a part: its pose on the part, its strength and its stiffness.
 
     `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor of a load:
     a force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
@@ -52,7 +52,7 @@ class Hold:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lift:
-    """How a lift ended.
+    """Outcome of a lift.
 
     `T_world_part` are the poses at its end. `lost_s` is the time at which the tool lost the
     part, or None. `least_factor` is the smallest safety factor during the lift, with `force_n`
@@ -112,7 +112,7 @@ def lift(
 def _motion(
     T_world_tool: Float[np.ndarray, "t 4 4"],
 ) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
-    """How the tool moves [m/s] and turns [rad/s] at each step, in the world.
+    """Return the velocity [m/s] and the angular velocity [rad/s] of the tool at each step.
 
     It stands still at first, and then moves as it has moved from the pose before.
     """
@@ -170,7 +170,7 @@ class _Spring:
 
 
 def _cross(a: Vector3, b: Vector3) -> Vector3:
-    """As `numpy.cross`, which takes ten times as long for one pair."""
+    """Return the cross product of one pair, in a tenth of the time of `numpy.cross`."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -180,6 +180,6 @@ def _turn(R: Float[np.ndarray, "3 3"]) -> Vector3:
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
     twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the angle's sine
     sine, cosine = math.hypot(zy - yz, xz - zx, yx - xy) / 2, (xx + yy + zz - 1) / 2
-    if sine < 1e-6 and cosine < 0:  # about half a turn, of which the sine tells no axis
+    if sine < 1e-6 and cosine < 0:  # At about half a turn, the sine gives no axis.
         return Rotation.from_matrix(R).as_rotvec()
     return twice * (math.atan2(sine, cosine) / (2 * sine) if sine > 1e-9 else 0.5)

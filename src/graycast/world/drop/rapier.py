@@ -37,7 +37,7 @@ SPEED_LIMIT_M_S = 1.0
 SKIN_M = 0.2e-3
 TRUSTED_DEPTH_M = 0.05e-3  # Deeper contacts than this are measured again, exactly.
 TABLE_M = 3.0  # It is half the table's width.
-WALL_M = 0.15  # Parts collide with walls that are so thick outwards: nothing tunnels through.
+WALL_M = 0.15  # Walls extend this far outwards, so that no part tunnels through.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +114,7 @@ class RapierHeap:
         body.add_torque(tuple((SCALE**2 * moment_nm).tolist()), True)
 
     def damp(self, factor: Float[np.ndarray, " n"]) -> None:
-        """Damp each part by this factor times the engine's small damping; 0 is none."""
+        """Damp each part by its factor times the engine's small damping; 0 means no damping."""
         for handle, own in zip(self.parts, factor.tolist(), strict=True):
             body = self.world.rigid_bodies[handle]
             body.linear_damping = LINEAR_DAMPING * own
@@ -141,10 +141,10 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     settings = world.integration_parameters
     settings.dt = terms.step_s
     settings.num_solver_iterations = 8
-    # Continuous detection against what stands still computes every hull's mass properties anew at
+    # Continuous detection against what stands still computes every hull's mass properties again at
     # every step, two thirds of all time. No part that moves 4 mm a step gets through `WALL_M`.
     settings.max_ccd_substeps = 0
-    # Clustering chooses among the contact points of a compound's hulls anew at every step: four
+    # Clustering chooses among the contact points of a compound's hulls at every step: four
     # times as fast, but a part on three points rocks from two of them to another two for ever, as
     # bolts and tubes did. So parts fall with it and come to rest without it.
     settings.contact_clustering = terms.clustered
@@ -250,7 +250,7 @@ def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
 
 
 def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
-    """Which pieces of two solids have bounding boxes that meet."""
+    """Return the index pairs of pieces of two solids whose bounding boxes meet."""
     (low, high), (low_b, high_b) = (
         np.array([[piece.min(axis=0), piece.max(axis=0)] for piece in solid]).swapaxes(0, 1)
         for solid in (one, other)

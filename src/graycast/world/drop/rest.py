@@ -1,4 +1,4 @@
-"""Parts fall and come to rest, in two stages, until the heap holds by itself.
+"""Simulation of parts that fall and come to rest, in two stages.
 
 They **fall** between walls that stand on the bin's and guide them, damped a little, until no part
 moves far. Then they **rest** in a new world without speeds, forces or contacts of the fall, without
@@ -28,7 +28,7 @@ FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # The fall ends where nothing moved far
 
 # A heap that holds with nine tenths of its friction does not hang on the last of it.
 _REST = Terms(friction=0.9)
-# A part that has moved so far in 0.6 s has left its place. Contacts find their forces anew when the
+# A part that moved farther than this in 0.6 s left its place. Contact forces start from 0 when the
 # stage begins, which shakes a heap that is in balance by less.
 REST_MOTION_M, REST_LOOKS = 0.5e-3, 15
 # It has come to another place where it moved no farther in 0.2 s: a scanner does not see that.

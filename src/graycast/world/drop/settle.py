@@ -35,7 +35,9 @@ HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
-    """Where parts fall, and the limits of a layout, which must also be at rest, all parts inside.
+    """Area where parts start to fall, and the limits of an accepted layout.
+
+    A layout must also be at rest, with all parts inside the bin.
 
     `simulated_s` is how long one attempt may fall and settle, in simulated time. `opening_share`
     is the share of the bin's inner length and of its inner width, about the middle, over which the
@@ -86,7 +88,7 @@ def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
             f"not at rest after {layout.simulated_s:.1f} s "
             f"(a part still moved by {1e3 * layout.last_motion_m:.2f} mm)"
         )
-    if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
+    if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN fails, too.
         defects.append(
             f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or into the "
             f"bin, and the limit is {1e3 * limits.penetration_m:.2f} mm"
@@ -103,7 +105,7 @@ def drop(
     hull_folder: Path | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Layout:
-    """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
+    """Drop `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
     Attempt k starts from `stream(seed, k)`; the first layout without `flaws`
     is returned, with its attempt number. One seed gives one layout, bit for bit.
@@ -154,7 +156,7 @@ def drop(
 def make_bodies(
     parts: Sequence[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Body, ...]:
-    """Each kind of part as the engine needs it.
+    """Return each kind of part as a rigid body of the physics engine.
 
     Raises:
         ValueError, GraycastError: as in `prepare` and `body_of`.
@@ -234,7 +236,7 @@ def start_poses(
     *,
     opening_share: float = 1.0,
 ) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
-    """Start poses that touch neither each other nor the bin's walls carried upwards.
+    """Draw start poses that touch neither each other nor the bin's walls extended upwards.
 
     A cell is as large as the largest part's bounding sphere, about the middle of its box. Cells
     are stacked in layers from the rim up; a part may have any orientation in its cell. In a bin

@@ -1,4 +1,4 @@
-"""Materials of the trade by name: what `material: steel` in a configuration stands for.
+"""Named materials, such as `material: steel` in a configuration.
 
 The colour of a pure metal is its reflectance at normal incidence in air,
 `((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands;
@@ -43,7 +43,7 @@ _MEASURED = "measured: physicallybased.info, "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialPreset:
-    """A material, the density [kg/m^3] of what it is made of, and where its colour is from."""
+    """A material, the density of its substance [kg/m^3], and the source of its colour."""
 
     material: Material
     density_kg_m3: float

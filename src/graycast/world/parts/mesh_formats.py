@@ -37,7 +37,7 @@ _OTHER_FORMATS = (  # the first bytes, the endings that they belong to, and the 
 
 
 def refuse_other_format(path: Path, suffix: str) -> None:
-    """Refuse a file whose first bytes are those of another format than its ending says.
+    """Refuse a file whose first bytes are those of another format than its ending states.
 
     Raises:
         Refusal: it is of such a format; the text says of which, and the remedy.
@@ -118,7 +118,7 @@ def files_of_mesh(path: Path) -> tuple[Path, ...]:
 
 
 def file_beside(path: Path, name: str) -> Path | None:
-    r"""Return the file that a mesh file calls by a name; None if there is none.
+    r"""Return the file that a mesh file refers to by a name; None if it does not exist.
 
     Programs on Windows write `maps\red.png`. A name that leads out of the mesh's folder is looked
     for by its last part in that folder alone.
@@ -163,6 +163,6 @@ def _names_in_glb(path: Path) -> Iterator[str]:
             record = parse_json(stream.read(min(size, path.stat().st_size)))
             entries = [*record.get("images", ()), *record.get("buffers", ())]
             names = [str(entry.get("uri", "data:")) for entry in entries]
-        except (ValueError, TypeError, AttributeError):  # The reader tells of a damaged file.
+        except (ValueError, TypeError, AttributeError):  # The reader will report a damaged file.
             return
     yield from (name for name in names if not name.startswith("data:"))

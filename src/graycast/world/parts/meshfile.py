@@ -51,7 +51,7 @@ def load_part(
     friction: float,
     symmetry: Symmetry | None = None,
 ) -> tuple[Part, tuple[str, ...]]:
-    """A part from an OBJ, PLY, STL, GLB or STEP file.
+    """Load a part from an OBJ, PLY, STL, GLB or STEP file.
 
     Args:
         path: as in `load_mesh`, and so are `unit` and `material`.
@@ -173,7 +173,7 @@ def read_surface(path: Path) -> RawMesh:
             reason = f"unreadable as {suffix[1:].upper()} ({_one_line(error)})"
             raise Refusal(f"{reason}; the file may be incomplete, so export it again") from error
     if not pieces:
-        # Which of the two a cut file gives depends on what else is installed beside the reader.
+        # The installed packages decide which of the two errors a truncated file raises.
         raise Refusal(
             "it has no triangles; it may be incomplete or hold only points, so export it again "
             "as a mesh"
@@ -197,10 +197,10 @@ def _resolver(path: Path):
 
 
 def _check_file(path: Path, suffix: str) -> None:
-    """Refuses what is no mesh file by its kind, ending and size, before any of it is read."""
+    """Refuse a file that cannot be a mesh by its kind, ending and size, before reading it."""
     if not path.exists():
         raise Refusal("there is no such file; check the path")
-    if not path.is_file():  # a pipe would be waited for, and a device never ends
+    if not path.is_file():  # A pipe would block, and a device never ends.
         kind = "a folder" if path.is_dir() else "a device or a pipe"
         raise Refusal(f"it is {kind}; give the path of a mesh file")
     if suffix in STEP and importlib.util.find_spec("cascadio") is None:
@@ -298,7 +298,7 @@ def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
     refuse_large_size(picture.width, picture.height, "its texture", Refusal)
     try:
         pixels = np.array(picture.convert("RGB"))
-        # Where a file has uv and no material, trimesh 5 stands in four pixels of this grey.
+        # For uv without a material, trimesh 5 substitutes four pixels of this grey.
         stand_in = pixels.shape == (2, 2, 3) and (pixels == 100).all()
         return None if stand_in else pixels
     except OSError as error:
@@ -314,7 +314,7 @@ def _face_color(pieces: Sequence) -> UInt8[np.ndarray, "f 3"] | None:
 
 
 def _has_colours(piece) -> bool:
-    """Whether a file gives colours; the reader's stand-in for none is a certain grey."""
+    """Return whether a file gives colours; the reader uses a certain grey if it does not."""
     if piece.visual.kind in ("vertex", "face"):
         return True
     material = getattr(piece.visual, "material", None)

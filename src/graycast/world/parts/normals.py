@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 def crease_normals(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], crease_rad: float
 ) -> Float[np.ndarray, "f 3 3"]:
-    """Unit normal of every face corner, averaged over all faces it is smoothly joined to.
+    """Return the unit normal of every face corner, averaged over smoothly joined faces.
 
     Two faces are smoothly joined where they share an edge, no third face does, and their normals
     differ by at most `crease_rad`. A corner's normal is the mean over the faces round its vertex

@@ -19,8 +19,10 @@ Transparent = Literal["solid", "thin"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grain:
-    """Which way the grooves of metal run, in the frame of the mesh: along `axis`, or, where
-    `turned`, in circles about the line of that direction through `point_m`, as on a lathe.
+    """Direction of the grooves of a metal surface, in the frame of the mesh.
+
+    The grooves run along `axis`, or, if `turned`, in circles about the line of that direction
+    through `point_m`, as on a lathe.
     """
 
     axis: Vector
@@ -107,7 +109,7 @@ class Material:
             raise ValueError(f"a material with a film has {what}: remove one of the two")
 
     def scaled(self, factor: float) -> "Material":
-        """On a mesh `factor` times as large: the axis of a lathe lies elsewhere."""
+        """Return the material for a mesh `factor` times as large: the lathe's axis moves."""
         if self.grain is None:
             return self
         x, y, z = self.grain.point_m
@@ -116,7 +118,7 @@ class Material:
 
     @property
     def words(self) -> dict[str, Any]:
-        """The keys of a configuration that say what it is, without its pictures."""
+        """Keys of a configuration that describe the material, without its pictures."""
         words: dict[str, Any] = {"base_color": list(self.base_color)}
         words |= {name: getattr(self, name) for name in ("metallic", "roughness", "specular")}
         if self.projector_reflectance is not None:
@@ -256,7 +258,7 @@ class Symmetry:
 class Part:
     """One kind of part. `source` says where it came from, for datasets and error messages.
 
-    A part that is not `labelled` lies among the others and hides them, but is not annotated.
+    A part that is not `labelled` is in the heap and hides others, but is not annotated.
     """
 
     name: str

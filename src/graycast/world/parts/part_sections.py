@@ -1,4 +1,4 @@
-"""What a user writes about a part and its surface, and the values that it stands for."""
+"""Settings of a part and of its surface, and the values that they stand for."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ Unit = Literal["m", "cm", "mm", "inch"]
 
 
 def _known(name: str) -> str:
-    material_preset(name)  # which refuses a name that there is not
+    material_preset(name)  # It refuses unknown names.
     return name
 
 
@@ -39,7 +39,7 @@ def _named_axis(axis: Any) -> Any:
 
 
 def _unit(axis: Vector) -> Vector:
-    """As datasets hold it."""
+    """Return the unit vector along an axis, the form in which datasets store it."""
     if not any(axis):
         raise ValueError("an axis must have a direction, such as [0, 0, 1]")
     x, y, z = np.array(axis) / np.linalg.norm(axis)
@@ -166,7 +166,7 @@ MaterialWords = Annotated[
 
 
 class ContinuousSymmetry(Settings):
-    """Any turn about an axis leaves the part the same."""
+    """Symmetry under any turn about an axis."""
 
     axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
     point_m: Vector = Field(
@@ -176,7 +176,7 @@ class ContinuousSymmetry(Settings):
 
 
 class TurnSymmetry(Settings):
-    """So many equal turns about an axis make a full circle, and each leaves the part the same."""
+    """Symmetry under `fold` equal turns, which together make a full circle about an axis."""
 
     axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
     fold: int = Field(
@@ -274,7 +274,7 @@ class PartSection(Settings):
 
 
 def resolve_part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
-    """A part, and what was noticed about its mesh.
+    """Return a part, and notes on its mesh.
 
     Raises:
         ConfigError: an unknown built-in part, or a texture that cannot be read.
@@ -368,7 +368,7 @@ def resolve_material(
 
 
 def material_words(material: Material, section: MaterialSection | None) -> dict[str, Any]:
-    """The keys that say what a material is, without its texture; `section` names its map."""
+    """Return the keys that describe a material, without its texture; `section` names its map."""
     if section is None or section.roughness_map is None:
         return material.words
     return material.words | {"roughness_map": str(section.roughness_map)}

@@ -39,7 +39,7 @@ class Atlas:
 
 
 def pack(panels: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], *rows: Sequence[str]) -> Atlas:
-    """Panels side by side in rows, rows from top to bottom; what is left over stays grey."""
+    """Pack panels side by side in rows, from top to bottom; unused area stays grey."""
     b = _BLEED_PX
     heights = [max(len(panels[name]) for name in row) + 2 * b for row in rows]
     width = max(sum(panels[name].shape[1] + 2 * b for name in row) for row in rows)
@@ -192,7 +192,7 @@ def salt_box_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
 
 
 def toothpaste_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """The six panels of the toothpaste carton; it lies, its long side along x."""
+    """Return the six panels of the toothpaste carton, which lies with its long side along x."""
     white, teal, red, mint = (248, 250, 250), (0, 110, 140), (215, 30, 55), (150, 220, 205)
     x_mm, y_mm, z_mm = TOOTHPASTE_MM
 

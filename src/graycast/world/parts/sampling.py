@@ -6,7 +6,7 @@ from jaxtyping import Float
 from ...base.kernels import kernel
 from .part import Mesh
 
-DENSITY = 8  # So many candidates are drawn for each point that is kept.
+DENSITY = 8  # This many candidates are drawn for each point that is kept.
 # R2 sequence: the plastic number's powers spread points evenly. Source: M. Roberts, "The
 # Unreasonable Effectiveness of Quasirandom Sequences", 2018.
 _PLASTIC = 1.32471795724474602596

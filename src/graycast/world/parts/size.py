@@ -1,4 +1,4 @@
-"""What a part weighs, and whether size and weight are those of a part that a bin holds."""
+"""Weight of a part, and a check that size and weight suit a part in a bin."""
 
 from collections.abc import Iterable
 
@@ -24,7 +24,7 @@ def mass_kg(part: Part) -> float:
 
 
 def full_count(part: Part, inner_m: tuple[float, float, float]) -> float:
-    """How many of a part fill a bin of these inner sizes as a loose heap."""
+    """Return the number of parts that fill a bin of these inner sizes as a loose heap."""
     return PACKING * float(np.prod(inner_m)) / float(ConvexHull(part.mesh.vertices_m).volume)
 
 

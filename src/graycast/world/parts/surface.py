@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 MAX_FACES = 500_000
-TOUCHING = 1e-4  # Bodies that merely touch share so much of the whole volume: the file rounds.
+TOUCHING = 1e-4  # Rounding makes bodies that only touch share this much of the volume.
 _MERGE = 1e-6  # Vertices closer than this share of the longest side are one: float32 rounds so.
 
 
@@ -33,7 +33,7 @@ class RawMesh:
 
     @property
     def used(self) -> Bool[np.ndarray, " v"]:
-        """Which vertices any face has."""
+        """Mask of the vertices that belong to a face."""
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces] = True
         return used
@@ -104,9 +104,9 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
 def _distinct(
     rows: Shaped[np.ndarray, "n k"],
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " n"]]:
-    """Where each distinct row stands first, in the rows' order of size; which one each row is.
+    """Return the first index of each distinct row, in sorted order, and the group of each row.
 
-    As `np.unique` with `axis=0`, in a tenth of its time.
+    It is `np.unique` with `axis=0`, in a tenth of its time.
     """
     order = np.lexsort(rows.T[::-1])  # the first column decides first; stable
     new = np.ones(len(rows), dtype=bool)
@@ -224,7 +224,7 @@ def separate(whole: Manifold) -> tuple[Manifold, ...]:
 def union_if_overlapping(
     outward: tuple[Manifold, ...], inward: tuple[Manifold, ...]
 ) -> tuple[Manifold, float] | None:
-    """The union of bodies where they overlap, and the share of volume that would count twice.
+    """Return the union of overlapping bodies, and the share of volume that would count twice.
 
     A shell that faces inwards is a cavity of the smallest body whose box holds its own.
 

@@ -25,7 +25,7 @@ AXIS_WEIGHT = (3.0, 2.0, 1.0)
 
 
 def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
-    """All motions of a symmetry, the identity first; continuous ones in equal steps.
+    """Return all motions of a symmetry, the identity first; continuous ones in equal steps.
 
     A continuous symmetry is taken in `ceil(pi / STEP)` turns, so that a point on the rim of the
     diameter, at half a diameter from the axis, moves by at most `2 * STEP * diameter / 2` from one
@@ -47,7 +47,7 @@ def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
 def nearest_member(
     T: Float[np.ndarray, "4 4"], symmetry: Symmetry, *, near: Float[np.ndarray, "4 4"] | None = None
 ) -> Float[np.ndarray, "4 4"]:
-    """Of all poses that look the same, the one whose orientation is nearest to a reference.
+    """Return, among all poses that look the same, the one nearest to a reference orientation.
 
     With the motions S of the symmetry it is the T S that makes `trace(W.T R)` greatest, where R is
     its rotation. For W = the reference's rotation this is the least angle between both. Without a
@@ -129,7 +129,7 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
 def turns_together(
     turns: Iterable[tuple[tuple[float, float, float], tuple[float, float, float], int]],
 ) -> tuple[Float[np.ndarray, "4 4"], ...]:
-    """All motions but the identity that turns make one after the other, in any order.
+    """Return all motions except the identity that combinations of turns make.
 
     Args:
         turns: of each the axis, a point on it [m], and how many of them make a full circle.
@@ -155,7 +155,7 @@ def turns_together(
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:
-    """The union of two symmetries; the second's continuous axes apply if the first has none.
+    """Join two symmetries; the second's continuous axes apply only if the first has none.
 
     A body has one motion at most for each rotation, so motions are told apart by that alone.
     """

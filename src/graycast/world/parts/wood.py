@@ -31,5 +31,5 @@ def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
     pores = noise(14.0, 0.8) > 2.6
     share = np.clip(dark + 0.35 * pores, 0, 1)[..., None]
     picture = np.round(_LIGHT_SRGB + share * (_DARK_SRGB - _LIGHT_SRGB)).astype(np.uint8)
-    picture.flags.writeable = False  # all who ask for it are given the same one
+    picture.flags.writeable = False  # All callers share this array.
     return picture

@@ -1,4 +1,4 @@
-"""A solid taken apart into pieces that are convex within a tolerance.
+"""Cutting of a solid into pieces that are convex within a tolerance.
 
 First along its own flat faces: a head leaves its shank whole, a plate its flange, and the hulls'
 vertices are the mesh's own. Then what is round about an axis, like an orange. What neither does is
@@ -22,7 +22,7 @@ from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import Points
 
 REFLEX_RAD = np.radians(12)  # A smaller bend inwards is a facet of something round.
-PLANES = 12  # So many flat faces are tried, those with the longest bends first.
+PLANES = 12  # Most flat faces that are tried, those with the longest bends first.
 WORTH = 0.2  # A cut is worth it if it takes this share of what the hull fills.
 WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the numbers of most round facets.
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
@@ -30,8 +30,8 @@ ROUND = 0.02  # A piece is round if two principal variances differ by less, of t
 # One more part, the share of the largest part and the cut's share of the surface count so much, as
 # shares of what there is to fill. Without them thin slices are cut off, one after another.
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
-GUESSES, FIRST_GUESSES = 120, 24  # So many points of a hull are tested, the few first.
-DEEPEST_CUTS = 40  # After so many cuts in a row a piece is taken, however far it is from its hull.
+GUESSES, FIRST_GUESSES = 120, 24  # Tested points of a hull; the few are tested first.
+DEEPEST_CUTS = 40  # After this many cuts in a row a piece is accepted as it is.
 THIN = 0.02  # Sheets and slivers thinner than this share of the limit, 9 um, are left out.
 HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.
 
@@ -48,7 +48,7 @@ class Cutter:
         self._surface = surface_samples(body)
 
     def guessed_harm_m(self, points: Points) -> float:
-        """How far the hull of some points reaches out of the body, by a quick look at its faces.
+        """Estimate quickly how far the hull of some points reaches out of the body [m].
 
         The value may be too small, so `fits` decides. A test of a few samples rejects most
         hulls that reach too far.
@@ -59,7 +59,7 @@ class Cutter:
         return harm_m if harm_m > self.limit_m else max(harm_m, self._surface.outside_m(sample))
 
     def fits(self, hull: Manifold) -> bool:
-        """Whether a hull stays within the limit outside the body."""
+        """Return whether a hull stays within the limit outside the body."""
         return filled_m(hull, self._body, self._surface) <= self.limit_m
 
     def pieces(self) -> Iterator[Manifold]:
@@ -136,7 +136,7 @@ def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
 def _cut_anywhere(
     piece: Manifold, deepest: Float[np.ndarray, "3"], thin_m: float
 ) -> list[Manifold]:
-    """The parts by the best of many planes, whatever is won; none if none parts it."""
+    """Return the parts by the best of many planes, however small the gain; may be empty."""
     planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
     parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN, thin_m=thin_m)
     return parts
@@ -177,7 +177,7 @@ def _planes_across(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> Iterator
 
 
 def _faces_at_bends(piece: Manifold) -> Iterator[Plane]:
-    """Planes of faces beside edges that bend inwards; those with the most bend first."""
+    """Yield planes of faces next to concave edges; those with the longest edges first."""
     vertices, faces = surface_of(piece)
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

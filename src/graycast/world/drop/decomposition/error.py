@@ -21,14 +21,16 @@ TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5
 MIDDLE_TOLERANCE = (0.01, 1e-3)  # A bracket at 0.5 mm instead of 0.8 drops a third more slowly.
 SAMPLES = 20_000  # They lie on a part's surface.
 LID_SAMPLES = 1000  # They lie on the surface of what a hull fills.
-NEAR = 48  # A point's distance is measured to the triangles of so many samples.
-AT_A_TIME = 32  # Exact distances are computed for so many points at once.
+NEAR = 48  # Distance is measured to the triangles of this many nearest samples.
+AT_A_TIME = 32  # Exact distances are computed for this many points at once.
 STEEP = 0.5  # The way to a point outside has a larger cosine to the normal.
 _NOTHING = 1e-4  # A filling that is thinner on the mean, as a share of the tolerance, is round-off.
 
 
 def tolerance_m(mesh: Mesh) -> float:
-    """How far the hulls' union may be from the surface, by the diagonal of the mesh's box.
+    """Return how far the hulls' union may be from the surface, for the size of the mesh [m].
+
+    The size is the diagonal of the bounding box.
 
     0.5 mm up to 50 mm, then 1 % of it up to 1 mm at 100 mm, and 0.5 % of it beyond 200 mm.
     """
@@ -55,9 +57,10 @@ class MeshSamples:
         return self._farthest_m(point, self.tree.query(point)[0])
 
     def outside_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """The largest distance of those points that are outside for certain; 0 if none is.
+        """Return the largest distance of the points that are certainly outside; 0 if there is none.
 
-        Certain is what lies before the nearest sample's triangle rather than beside it.
+        A point is certainly outside if it is in front of the nearest sample's triangle, not
+        beside it.
         """
         apart, near = self.tree.query(point)
         before = np.einsum("ni,ni->n", point - self.point[near], self.normal[self.face[near]])
@@ -90,9 +93,9 @@ def surface_samples(solid: Manifold) -> MeshSamples:
 def spread(
     solid: Manifold, count: int
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "f 3 3"]]:
-    """Points at random by area, and the triangles' middles; their triangles; all triangles.
+    """Return random points by area with the triangles' middles, their triangles, all triangles.
 
-    The random numbers are fixed: what is made of them is a function of the solid alone.
+    The random numbers are fixed, so the result is a function of the solid alone.
     """
     vertices, faces = surface_of(solid)
     corner = vertices[faces]
@@ -109,7 +112,7 @@ def spread(
 
 
 def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
-    """How far a hull reaches out of a solid: the farthest from its surface, outside it [m]."""
+    """Return how far a hull reaches out of a solid: the largest distance from its surface [m]."""
     filling = hull - solid
     if filling.is_empty():
         return 0.0
@@ -163,7 +166,7 @@ def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
 
 @kernel(error_model="numpy")  # no shape of triangle raises
 def _nearest_m(point, faces, corner):
-    """Distance of each point to the nearest of its faces.
+    """Return the distance of each point to the nearest of its faces.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.1.5 (the regions of a
     triangle, told apart by barycentric coordinates).

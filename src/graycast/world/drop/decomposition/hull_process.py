@@ -101,12 +101,12 @@ def _started(part: Part) -> Iterator[_Child]:
         log = stack.enter_context(tempfile.TemporaryFile("w+"))
         process = subprocess.Popen(
             [sys.executable, "-m", __spec__.name, mesh_file, hull_file],
-            bufsize=0,  # no line may lie in a buffer, where a selector does not find it
+            bufsize=0,  # A selector does not see lines that are in a buffer.
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=log,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            start_new_session=True,  # Ctrl-C is for the parent, which then ends it
+            start_new_session=True,  # Only the parent gets Ctrl-C; it then ends the child.
         )
         stack.enter_context(process)  # closes its pipes and waits for it
         stack.callback(process.kill)

@@ -18,7 +18,7 @@ from .error import Decomposition, measure
 from .hull_process import decompose_apart
 from .mesh_hulls import decompose
 
-FEW_FACES = 20_000  # A mesh with so few faces is tried as one hull here, without a child process.
+FEW_FACES = 20_000  # Up to this many faces, a single hull is tried without a child process.
 
 CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
 # All numbers that hulls depend on.

@@ -1,4 +1,4 @@
-"""From a mesh to its hulls: pieces of the cut mesh, joined again where one hull serves two."""
+"""Convex hulls of a mesh: it is cut into pieces, and pieces that fit one hull are joined again."""
 
 import heapq
 
@@ -13,7 +13,7 @@ from .cutting import Cutter
 from .error import tolerance_m
 from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned
 
-# A hull that loses vertices may shrink so far, of the box diagonal. A scanned box whose nearly flat
+# Most shrinkage of a hull that loses vertices, of the box diagonal. A scanned box whose nearly flat
 # sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
 VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # Cutting and joining may fill this share, less what simplifying moved; the rest of the tolerance is
@@ -23,7 +23,7 @@ CUT_SHARE = 0.9
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
 _CONVEX = 1e-9  # A body may lack this share of its hull's volume by round-off alone.
-_PROGRESS_EACH = 25  # Progress is shown anew after so many pieces.
+_PROGRESS_EACH = 25  # Progress is reported after each group of this many pieces.
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
@@ -59,7 +59,7 @@ def _pieces(cutter: Cutter, body: Manifold, of: str, progress: ProgressMeter) ->
 
 
 def is_one_hull(mesh: Mesh) -> bool:
-    """Whether a mesh is convex within the tolerance."""
+    """Return whether a mesh is convex within the tolerance."""
     bodies = bodies_of(mesh)
     limit_m = CUT_SHARE * tolerance_m(mesh)
     return len(bodies) == 1 and Cutter(bodies[0], limit_m).fits(bodies[0].hull())
@@ -122,7 +122,7 @@ def _joined(hulls: list[Points], cutter: Cutter) -> list[Points]:
 
 
 def _near(others: list[Points], one: Points, gap_m: float) -> Int[np.ndarray, " n"]:
-    """Which hulls have bounding boxes no farther than a gap from that of one."""
+    """Return the indices of hulls whose bounding boxes are within a gap of that of one hull."""
     if not others:
         return np.empty(0, dtype=np.int64)
     low = np.array([points.min(axis=0) for points in others])

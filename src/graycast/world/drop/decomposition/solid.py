@@ -14,14 +14,14 @@ Points = Float[np.ndarray, "_ 3"]
 Hull = tuple[np.ndarray, np.ndarray]
 """Vertices [m] (v, 3) in the part's frame and faces (f, 3), counter-clockwise from outside."""
 
-# These shares of the tolerance are tried in turn until so few faces are left: each costs time.
+# These shares of the tolerance are tried in turn until few enough faces are left.
 SIMPLIFIED_BY = (0.1, 0.2, 0.3)
 ENOUGH_FACES = 12_500
 _PLANE_DECIMALS = 12  # Planes [m] that differ less are one: they are of coplanar triangles.
 
 
 def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
-    """The separate bodies that a closed mesh consists of, largest first, cavities filled.
+    """Return the separate bodies of a closed mesh, largest first, with cavities filled.
 
     Bodies that overlap or touch along a face become one; what lies inside another is none.
 

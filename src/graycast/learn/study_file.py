@@ -1,4 +1,4 @@
-"""What a study's YAML file says."""
+"""Settings in the YAML file of a study."""
 
 import os
 from pathlib import Path
@@ -50,7 +50,7 @@ class ModelSection(Settings):
 
 
 class EncodingSection(Settings):
-    """How depth is encoded for a network. Several encodings make an ablation study."""
+    """Encoding of depth for a network. Several encodings make an ablation study."""
 
     name: str = Field(description="The name of the encoding in the table.")
     holes: Literal["channel", "zero", "far"] = Field(

@@ -58,7 +58,7 @@ class Backbone(nn.Module):
 
 
 def open_backbone(name: str, *, channels: int) -> Backbone:
-    """A backbone with random weights for images of so many channels.
+    """Return a backbone with random weights for images with the given number of channels.
 
     Raises:
         GraycastError: there is no such backbone.
@@ -91,7 +91,7 @@ def follow_fast(network: nn.Module) -> None:
 
 
 def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
-    """Take the weights of a published classifier (RGB) into a backbone.
+    """Load the weights of a published classifier (RGB) into a backbone.
 
     Where the backbone has other than three channels, each of them gets the mean of the published
     first convolution over red, green and blue, times 3 / channels: grey spread over all channels
@@ -110,7 +110,7 @@ def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
     weights = {k: v for k, v in own.items() if k.endswith("num_batches_tracked")} | weights
     first = next(iter(own))
     if first in weights and weights[first].shape[1] == 3 != own[first].shape[1]:
-        # A first convolution for other channels.
+        # The first convolution is adapted to the number of channels.
         mean = weights[first].mean(dim=1, keepdim=True)
         channels = own[first].shape[1]
         weights[first] = mean.repeat(1, channels, 1, 1) * (3 / channels)
@@ -130,7 +130,7 @@ def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
 
 
 def load_weights(network: Network, file: Path) -> None:
-    """Take the weights of a file: another run's detector, or a backbone as its makers publish it.
+    """Load weights from a file: another run's detector, or a backbone as its makers publish it.
 
     A detector's weights that have another shape, those of other classes, stay as they were drawn.
 
@@ -165,7 +165,7 @@ def _state(file: Path) -> Mapping[str, Any]:
         tensors = torch.load(file, map_location="cpu", weights_only=True)
         for key in ("state", "model", "state_dict"):
             tensors = tensors.get(key, tensors)
-    except Exception as error:  # unpickling raises whatever the bytes lead it to
+    except Exception as error:  # A damaged pickle can raise anything.
         raise GraycastError(
             f"{file}: is damaged or is not a file of weights: download it again"
         ) from error

@@ -32,14 +32,14 @@ from .encoding import Encoding
 
 DRAWINGS = "drawings"
 _INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))
-_LEAST_SCORE = 0.5  # of a detection that is drawn
+_LEAST_SCORE = 0.5  # Detections below this score are not drawn.
 LEAST_INSIDE = 0.5  # A note warns of a picture with less of its depth in the range that was learnt.
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionResult:
-    """What a detector found in pictures, how long it took for each [ms], and notes on depth."""
+    """Detections in pictures, the time for each picture [ms], and notes on depth."""
 
     found: tuple[Detections, ...]
     ms_per_picture: tuple[float, ...]
@@ -119,7 +119,7 @@ def detect(
 
 
 def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
-    """What in a picture's depth the detector cannot take for what it is."""
+    """Yield notes on depth that the detector would misread: filled holes, an unknown range."""
     if encoding.near_m is None or encoding.far_m is None:
         return
     name, depth_m = f"scene {example.scene_id}", encoding.depth_m(example)
@@ -164,7 +164,7 @@ def detection_record(folder: Path) -> dict[str, Any]:
 
 
 def _drawing(example: Example, detections: Detections) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
+    """Return the picture (BGR) with boxes, outlines and scores of detections scored 0.5 or more."""
     image = np.ascontiguousarray(display_image(example)[..., ::-1])
     for i in np.flatnonzero(detections.score >= _LEAST_SCORE):
         ink = _INKS[int(detections.obj_id[i]) % len(_INKS)]

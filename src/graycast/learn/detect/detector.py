@@ -61,7 +61,7 @@ class About:
         return {obj_id: place.get(name, -1) for obj_id, name in categories.items()}
 
     def obj_ids(self, categories: Mapping[int, str], folder: Path) -> dict[str, int]:
-        """A dataset's id of each class; of the one class, the dataset's first.
+        """Return a dataset's id of each class; a detector of one class gets the dataset's first id.
 
         Raises:
             GraycastError: the dataset has none of the classes.
@@ -114,7 +114,7 @@ class Detector:
         most: int = 300,
         least_score: float = 0.05,
     ) -> Detections:
-        """What the network finds in one picture; its labels are not looked at.
+        """Return the detections in one picture; its labels are not used.
 
         Args:
             obj_ids: the dataset's id of each class; what it does not name is left out.
@@ -175,7 +175,7 @@ def _detections(
     picture_px: tuple[int, int],
     scale: float,
 ) -> Detections:
-    """In the pixels of the picture, cut at its edges; what is empty there is left out."""
+    """Convert detections to the picture's pixels, cut them at its edges, and drop empty ones."""
     height_px, width_px = picture_px
     edge = output.box.float().cpu().numpy().astype(np.float64) / scale
     edge = np.clip(edge, 0, [width_px, height_px, width_px, height_px])
@@ -258,7 +258,7 @@ def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
             trained=record["trained"],
         )
         state = checkpoint["state"]
-    except Exception as error:  # unpickling raises whatever the bytes lead it to
+    except Exception as error:  # A damaged pickle can raise anything.
         why = " ".join(str(error).split())[:120]
         raise GraycastError(
             f"{file}: is damaged or is not a detector ({why}): train it again"
@@ -295,7 +295,7 @@ def without_denormals() -> Iterator[None]:
     The mode is restored at the end, because it affects all code of the thread: SciPy's k-d
     tree, for one, never ends where the difference of two unequal numbers is zero.
     """
-    before = sys.float_info.min / 2 == 0  # torch sets the mode but does not tell it
+    before = sys.float_info.min / 2 == 0  # torch sets the mode but cannot report it.
     torch.set_flush_denormal(True)
     try:
         yield
@@ -316,7 +316,7 @@ def autocast(device: torch.device):
 
     On a processor that has to emulate bfloat16 it would be slower than plain numbers.
     """
-    # Older releases of torch do not tell.
+    # Older releases of torch do not report it.
     can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     fast = device.type == "cuda" or can.get("avx512_bf16") or can.get("amx_bf16")
     return torch.autocast(device.type, torch.bfloat16, enabled=bool(fast))

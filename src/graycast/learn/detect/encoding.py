@@ -107,7 +107,7 @@ class Encoding:
         return _needed(image, "rgb", example).shape[:2]
 
     def depth_m(self, example: Example) -> Float32[np.ndarray, "h w"]:
-        """The depth that is encoded, before any noise.
+        """Return the depth that is encoded, before any noise is added.
 
         A real camera has no perfect depth: what was trained on it looks at the scanner's there,
         and no noise is added to that.

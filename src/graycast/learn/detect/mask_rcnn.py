@@ -136,7 +136,7 @@ class _Proposals(RegionProposalNetwork):
 
 
 def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tensor, " n"]:
-    """The share of each box that lies in one of the others, at most."""
+    """Return the largest share of each box that is covered by a single one of the others."""
     low = torch.maximum(box[:, None, :2], by[None, :, :2])
     high = torch.minimum(box[:, None, 2:], by[None, :, 2:])
     shared = (high - low).clamp(min=0).prod(dim=2)

@@ -26,7 +26,7 @@ class Target:
     ignored: Bool[Tensor, " n"]
 
     def masks(self) -> Bool[Tensor, "n h w"]:
-        """The masks, for a network that asks for them.
+        """Masks, for a network that asks for them.
 
         Raises:
             ValueError: there are none.
@@ -47,7 +47,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkOutput:
-    """What a network finds in one picture, best first, in pixels of its input.
+    """Detections in one picture, best first, in pixels of the network's input.
 
     `mask` is a probability, 0 to 255; its edge is where it crosses 127.5. None from a network that
     has boxes alone.
@@ -75,7 +75,7 @@ class Recipe:
 
 
 class Network(nn.Module):
-    """What every network has: training on labels and finding parts.
+    """Base of all networks: training on labels, and detection of parts.
 
     Input is `(b, channels, h, w)` float, h and w multiples of 32, made by `encoding.Encoding`. All
     random choices use torch's global generator, which the training loop owns.

@@ -1,4 +1,4 @@
-"""Which networks there are, and what they see; the command line has the names from here.
+"""Names of the networks and of their inputs, from which the command line takes its choices.
 
 PyTorch, which takes seconds to load and may be missing, is imported with a network.
 """

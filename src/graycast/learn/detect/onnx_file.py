@@ -61,7 +61,7 @@ def write_onnx(
     traced_model = io.BytesIO()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the tracer, about what the check below checks
+            warnings.simplefilter("ignore")  # The check below covers the tracer's warnings.
             torch.onnx.export(
                 model,
                 (traced,),
@@ -80,9 +80,9 @@ def write_onnx(
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{detector.about.model} cannot be written as ONNX ({why})") from error
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # sizes that differ from picture to picture are no news
+    options.log_severity_level = 3  # no warnings about sizes that vary between pictures
     session = onnxruntime.InferenceSession(content, options)
-    for image in others:  # a number that was frozen while tracing shows in another picture
+    for image in others:  # Other pictures reveal a value that tracing froze.
         _compare(session, model, image)
     write_whole(file, content)
 
@@ -99,7 +99,7 @@ def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tens
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:
         onnx_box, _, onnx_score = session.run(None, {"image": image.numpy()})[:3]
-    except Exception as error:  # onnxruntime has no class of its own for it
+    except Exception as error:  # onnxruntime has no error class for this.
         raise GraycastError(
             f"onnxruntime cannot run the file: {' '.join(str(error).split())}"
         ) from error

@@ -67,7 +67,7 @@ class RfDetr(Network):
         self._see(channels)
 
     def _see(self, channels: int) -> None:
-        """Another first layer, for so many channels."""
+        """Replace the first layer by one for another number of channels, if they differ."""
         patches = self.network.backbone[0].encoder.encoder.embeddings.patch_embeddings
         first = patches.projection
         if channels != first.in_channels:
@@ -159,7 +159,7 @@ class RfDetr(Network):
 
 
 def _queries(size: Any, size_px: tuple[int, int]) -> int:
-    """As many queries as a size has, but no more than there are patches in a picture.
+    """Return the number of queries of a size, but at most the number of patches in a picture.
 
     Each query starts at a patch of its own. In training, the library hands the patches on to its
     groups of queries as if there were enough for all: if not, whole groups get none, and others

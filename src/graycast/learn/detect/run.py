@@ -125,7 +125,7 @@ class RunFolder:
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
         """Load the last checkpoint into both; start from the beginning if there is none.
 
-        The history is written anew: a kill between it and its checkpoint would lose its last row.
+        The history is rewritten: a kill between it and its checkpoint would lose its last row.
 
         Raises:
             GraycastError: the checkpoint is damaged.
@@ -138,7 +138,7 @@ class RunFolder:
             network.load_state_dict(checkpoint["network"])
             optimizer.load_state_dict(checkpoint["optimizer"])
             progress = Progress(**parse_json(checkpoint["progress"]))
-        except Exception as error:  # unpickling raises whatever the bytes lead it to
+        except Exception as error:  # A damaged pickle can raise anything.
             raise GraycastError(
                 f"{file}: is damaged: remove it, and the training starts again"
             ) from error

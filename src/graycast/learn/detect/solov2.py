@@ -156,7 +156,7 @@ class _Painter(nn.Module):
         super().__init__()
         self.levels = nn.ModuleList()
         for level in range(4):
-            place = 2 if level == 3 else 0  # the coarsest level knows where it is
+            place = 2 if level == 3 else 0  # The coarsest level gets the coordinates.
             steps = []
             for step in range(max(level, 1)):
                 inside = PYRAMID_WIDTH + place if step == 0 else width
@@ -262,7 +262,7 @@ def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classe
 
 
 def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Matrix NMS: how much of its score each mask keeps beside better ones of its class.
+    """Return by how much matrix NMS scales each mask's score, given better ones of its class.
 
     The paper's equation 5, Gaussian: the least of exp(-s iou_ij^2) / exp(-s worst_i^2) over the
     better masks i, where worst_i is the overlap of i with what is better still.
@@ -288,5 +288,5 @@ def _output(
     keep = (painted > 127).flatten(1).any(dim=1)
     painted = painted[keep]
     box = masks_to_boxes(painted > 127) if len(painted) else mask.new_zeros(0, 4)
-    box = box + box.new_tensor([0, 0, 1, 1])  # its last pixels are inside
+    box = box + box.new_tensor([0, 0, 1, 1])  # Both end pixels are inside.
     return NetworkOutput(box=box, label=label[keep], score=score[keep], mask=painted)

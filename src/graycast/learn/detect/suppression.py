@@ -17,7 +17,7 @@ def best_boxes(
     least_score: float,
     size_px: tuple[int, int],
 ) -> NetworkOutput:
-    """Boxes that no better one of their class overlaps by more than `OVERLAP`, cut to the picture.
+    """Return boxes that no better one of their class overlaps much, cut to the picture.
 
     Args:
         box: candidates, each for every class.

@@ -47,7 +47,7 @@ _RANGE_MARGIN = 0.05  # This share of the depth's span is added at both ends.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainSpec:
-    """How to train; what is None is the model's own choice.
+    """Options of a training; None leaves the choice to the model.
 
     Attributes:
         model: one of `networks.MODELS`.
@@ -124,7 +124,7 @@ def train(
             or the disk is full.
     """
     device = choose_device(spec.device)
-    train_sets, val_sets = (  # of exports, those into which they were divided
+    train_sets, val_sets = (  # Exports are already divided.
         [sets_of(Path(folder), split, spec.split)[0][0] for folder in datasets]
         for split in ("train", "val")
     )
@@ -215,8 +215,11 @@ def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
 
 @final
 class _Training:
-    """The loop. Every random number follows from seed, epoch, picture and step, so a training
-    that goes on draws what it would have drawn."""
+    """The training loop.
+
+    Every random number follows from seed, epoch, picture and step, so a training that is
+    resumed draws the same numbers as one that was never stopped.
+    """
 
     def __init__(
         self,
@@ -226,12 +229,12 @@ class _Training:
         sets: Sequence[Examples],
         meter: ProgressMeter,
     ) -> None:
-        """Begin, or take up what the folder holds."""
+        """Start a training, or resume the one in the folder."""
         self.spec, self.detector, self.run, self.sets, self.meter = spec, detector, run, sets, meter
         self.network = detector.network
         recipe, count = self.network.recipe, sum(map(len, sets))
         self.batch = min(spec.batch or recipe.batch, count)
-        self.steps = count // self.batch  # of an epoch
+        self.steps = count // self.batch  # per epoch
         self.rate = spec.learning_rate or recipe.learning_rate
         self.optimizer = _optimizer(self.network, self.rate, recipe.weight_decay)
         self.progress = run.resume(self.network, self.optimizer)
@@ -322,7 +325,7 @@ class _Training:
         """Keep the weights if their validation is the best so far."""
         progress = self.progress
         figure = np.mean([value for name, value in figures.items() if name.endswith("_ap")])
-        if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
+        if figure > progress.best or progress.best <= 0:  # Before any detection, keep the latest.
             progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
             weights = self.network.state_dict()
             save_detector(self.run.path / WEIGHTS, self.detector.about, weights)

@@ -141,7 +141,7 @@ class TrainingPictures(torch.utils.data.Dataset):
 
 
 def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target]]:
-    """One tensor of pictures and a list of labels: pictures differ in their number of parts."""
+    """Return one tensor of pictures, and a list of labels, since numbers of parts differ."""
     return torch.stack([image for image, _ in items]), [target for _, target in items]
 
 
@@ -221,12 +221,12 @@ def _augmented(
     how: Augmentation,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "c h w"], _Labelled]:
-    """One draw. The numbers drawn do not depend on the picture."""
+    """Return one random augmentation. The numbers drawn do not depend on the picture."""
     flip_x, flip_y = rng.random(2) < 0.5
     zoom = how.zoom ** rng.uniform(-1, 1)
     at_x, at_y = rng.random(2)
     gain = how.brightness ** rng.uniform(-1, 1)
-    shift = 2 * how.depth_shift * rng.uniform(-1, 1)  # depth spans 2
+    shift = 2 * how.depth_shift * rng.uniform(-1, 1)  # Encoded depth spans -1 to 1.
     image = _toned(image, encoding, np.float32(gain), np.float32(shift))
     if how == NO_AUGMENTATION:
         return image, labels

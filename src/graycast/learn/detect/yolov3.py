@@ -56,7 +56,7 @@ class Yolov3(Network):
         scale = (size_px[0] * size_px[1]) ** 0.5 / 416
         anchor_px = torch.tensor(ANCHORS_416_PX, dtype=torch.float32) * scale
         self.register_buffer("anchor_px", anchor_px, persistent=False)
-        with torch.no_grad():  # from an objectness of 0.01, because nearly all anchors are empty
+        with torch.no_grad():  # Objectness starts at 0.01: most anchors are empty.
             for end in self.ends:
                 end.last.weight.normal_(std=0.01)
                 end.last.bias.zero_()
@@ -101,7 +101,7 @@ class Yolov3(Network):
     def _anchors(
         self, image: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "anchors 4"], Float[Tensor, " anchors"]]:
-        """Every anchor as a box, and the side of its cell, in the order of `forward`."""
+        """Return every anchor as a box, and the side of its cell, in the order of `forward`."""
         boxes, strides = [], []
         for stride, size in zip(STRIDES, self.anchor_px, strict=True):
             rows, columns = (
@@ -186,7 +186,7 @@ def _cross_entropy(logit: Float[Tensor, "..."], truth: Float[Tensor, "..."]) -> 
 def assign(
     anchor: Float[Tensor, "anchors 4"], stride: Float[Tensor, " anchors"], target: Target
 ) -> tuple[Int64[Tensor, " anchors"], Bool[Tensor, " anchors"]]:
-    """The assignment of anchors to instances, and the negative anchors.
+    """Assign anchors to instances, and find the negative anchors.
 
     An instance owns the anchors of the cell of its centre that overlap it by more than `OVERLAP`,
     and in any case the best of them. An ignored instance owns none, but what it would own, and
@@ -228,7 +228,7 @@ def _owners(
 def _encode(
     box: Float[Tensor, "n 4"], anchor: Float[Tensor, "n 4"], stride: Float[Tensor, " n"]
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
-    """Where in its cell the centre of the box is, from 0 to 1, and the logarithm of its growth."""
+    """Return the box centre's place in its cell, from 0 to 1, and the logarithm of its growth."""
     away = (box[:, :2] + box[:, 2:] - anchor[:, :2] - anchor[:, 2:]) / 2
     centre = (away / stride[:, None] + 0.5).clamp(LEAST_SHARE, 1 - LEAST_SHARE)
     growth = (box[:, 2:] - box[:, :2]) / (anchor[:, 2:] - anchor[:, :2])

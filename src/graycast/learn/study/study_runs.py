@@ -30,7 +30,7 @@ FIGURE = "ap50"  # The study uses the same figure as the paper.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyRun:
-    """One combination of a study."""
+    """One combination of a study: model, input, encoding, training and seed."""
 
     model: ModelSection
     input: str
@@ -40,7 +40,7 @@ class StudyRun:
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Name of the run's folder."""
         words = [self.model.model, self.model.backbone, self.input, self.encoding.name]
         words += [self.training, f"seed{self.seed}"]
         return "_".join(word for word in words if word)
@@ -66,7 +66,7 @@ class Result:
 
 
 def runs_of(spec: StudySpec) -> Iterator[StudyRun]:
-    """All combinations; colour has no encodings to choose from, so it comes once."""
+    """Yield all combinations; colour has no encodings to choose from, so it comes once."""
     for training, model, input_name, encoding in product(
         spec.training, spec.models, spec.inputs, spec.encodings
     ):
@@ -86,7 +86,7 @@ def run_study(
     progress: ProgressMeter = UNWATCHED,
     on_done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Train and score what is not done yet.
+    """Train and score the runs that are not done yet.
 
     Args:
         out: each run has a folder in `out/runs`; the same study goes on in it.
@@ -153,7 +153,7 @@ def _trained(
 def _detections(
     detector: Detector, dataset: Path, world: TestSection, folder: Path
 ) -> list[Detections]:
-    """Return what the detector beside a folder finds; again if it or the data have changed."""
+    """Return the detections of the detector next to a folder; detect again if anything changed."""
     pictures = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
@@ -169,7 +169,7 @@ def _detections(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _World:
-    """What there is to find in each of a world's datasets, and what can be compared there."""
+    """Labels of each of a world's datasets, and the kinds of shapes that can be compared there."""
 
     labels: tuple[tuple[Labels, ...], ...]
     kinds: tuple[Kind, ...]
@@ -193,7 +193,7 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
 
 
 def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
-    """Whether the sets to learn from hold what the study's inputs and models ask for."""
+    """Check that the training sets hold what the study's inputs and models need."""
     for dataset in datasets:
         sets, _ = sets_of(dataset, "train", spec.division)
         first = next(chain.from_iterable(sets), None)

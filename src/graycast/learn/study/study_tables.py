@@ -47,7 +47,7 @@ def _datasets(spec: StudySpec) -> list[str]:
 
 
 def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = None) -> list[Row]:
-    """One for boxes and one for masks; a world has its value and both ends of its interval."""
+    """Return one row for boxes and one for masks, with a value and interval for each world."""
     rows = []
     run = result.run
     number, name = dataset if dataset is not None else (None, _ALL)

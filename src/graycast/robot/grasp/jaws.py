@@ -85,7 +85,7 @@ class PadContact(NamedTuple):
 def jaw_load_factor(
     jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, " k"]:
-    """The safety factor of a load between two pads with friction; below 1 the part slips.
+    """Return the safety factor of a load between two pads with friction; below 1 the part slips.
 
     Both pads together carry 2 friction force across their axis, and about it the moment of two
     discs of even pressure, 2 friction force (2/3 r). The load's moment about other axes is held
@@ -116,7 +116,7 @@ def jaw_places(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """All places around which open fingers fit, including those where they do not hold.
+    """Return all places around which open fingers fit, also those where they do not hold.
 
     They hold where both normals lie in the cone of friction about the line between the pads, and no
     point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
@@ -165,7 +165,7 @@ def jaw_places(
 
 
 def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
-    """Where a tool may be instead, in its planned frame; at most three deviations off."""
+    """Return possible true poses of a tool in its planned frame, at most three deviations off."""
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(count, 6)), -3, 3)
     off[0] = 0

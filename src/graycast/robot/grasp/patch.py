@@ -35,7 +35,7 @@ class Patch:
 
     @property
     def reach_m(self) -> float:
-        """How far the grid goes from the axis along x and y."""
+        """Distance that the grid extends from the axis along x and y."""
         return (len(self.height_m) // 2) * self.step_m
 
     @property
@@ -134,7 +134,7 @@ def _highest_of_depth(points, here, least_facing, step_m, height):
 
 @kernel()
 def _is_surface(a, b, c, least_facing):
-    """Whether a triangle is known, and not steep to the line of sight, in the camera's frame."""
+    """Return whether a triangle is known and not steep to the line of sight (camera frame)."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -45,7 +45,7 @@ def robustness(
     The first chance is the grip as planned. Positions off by more than three deviations count as
     three, so that the patch need not be larger than that.
     """
-    # Another stream than that of the places, which callers draw from the same seed.
+    # Callers draw the places from the same seed, so this takes another stream.
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(chances, 8)), -3, 3)
     off[0] = 0

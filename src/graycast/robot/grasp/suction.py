@@ -54,7 +54,7 @@ class Cup:
 
     @property
     def pull_n(self) -> float:
-        """What the vacuum pulls with."""
+        """Force with which the vacuum pulls."""
         return self.vacuum_pa * math.pi * self.radius_m**2
 
 
@@ -140,7 +140,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
 
 @kernel()
 def _between(height_m, place):
-    """Bilinear between nodes, in steps from the middle; NaN beyond the grid or beside a gap."""
+    """Interpolate bilinearly, in steps from the middle; NaN outside the grid or next to a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
     j, i = math.floor(x), math.floor(y)
     if min(i, j) < 0 or max(i, j) >= len(height_m) - 1:
@@ -170,7 +170,7 @@ def load_factor(
     *,
     friction: Float[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """The safety factor of a load on a sealed cup; below 1 the cup loses the part.
+    """Return the safety factor of a load on a sealed cup; below 1 the cup loses the part.
 
     The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
     adds along the axis. Three limits, each met first by some load:

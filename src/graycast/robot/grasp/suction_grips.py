@@ -1,4 +1,4 @@
-"""Where a suction cup holds a part: one whose mesh is known, or what a scanner saw.
+"""Places where a suction cup holds a part, on a known mesh or on a measured surface.
 
 Places on a mesh are found once and carried to wherever the part lies by its pose.
 
@@ -35,7 +35,7 @@ def suction_places(
     count: int = 200,
     seed: int = 0,
 ) -> list[Grip]:
-    """Every place that is tried, also where a cup does not hold, in the order over the surface.
+    """Return every place that is tried, also where a cup does not hold, in order over the surface.
 
     A place's score is its robustness with the tool's axis upright and leaning by up to
     30 degrees to four sides, the least of the five: how the part will lie is not known yet.
@@ -67,13 +67,13 @@ class DepthView:
 
     @property
     def down(self) -> Float[np.ndarray, "3"]:
-        """Which way weights pull, in the camera's frame."""
+        """Direction of gravity in the camera's frame."""
         return self.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripEstimate:
-    """Where a tool goes, in the camera's frame, and how sure it is to hold there (0 to 1)."""
+    """Pose of a tool in the camera's frame, and the score (0 to 1) of its grip there."""
 
     T_cam_tool: Float[np.ndarray, "4 4"]
     score: float
@@ -165,9 +165,9 @@ class SuctionSearch:
 def _normal(
     point: Float[np.ndarray, "3"], view: DepthView, radius_m: float
 ) -> Float[np.ndarray, "3"] | None:
-    """Of the plane of least squares through what is measured within the cup's radius.
+    """Return the normal of the least-squares plane through the depth within the cup's radius.
 
-    It looks at the camera. None where fewer than ten points lie there.
+    It points to the camera. It is None if fewer than ten points are measured there.
     """
     T_cam_eye = frame_on(point, -point / np.linalg.norm(point))
     patch = patch_of_depth(

@@ -1,4 +1,4 @@
-"""Grasp labels on disk, beside a dataset's scenes: `dataset.grasp_files` has their form."""
+"""Grasp labels on disk, in the folder of their dataset; see `dataset.grasp_files`."""
 
 import platform
 from collections.abc import Iterator, Sequence
@@ -33,7 +33,7 @@ class LabelFolder:
     out: Path
 
     def of(self, scene: StoredScene) -> Path:
-        """Where the labels of a scene are, or are to be."""
+        """Return the path of a scene's labels, whether or not they exist."""
         return self.out / scene.split / f"{scene.scene_id:06d}.json"
 
     def write(self, scene: StoredScene, content: bytes) -> None:
@@ -153,7 +153,7 @@ def scene_json(labels: Sequence[GraspLabel], heap: ScenePoses, obj_ids: Sequence
 
 
 def read_scene_labels(path: Path) -> SceneGrasps:
-    """What a scene's file says.
+    """Read the grasp labels of a scene from its file.
 
     Raises:
         DatasetError: it is missing, damaged, or of another form.

@@ -1,4 +1,4 @@
-"""What a user asks of grasp labels: a tool, and how many."""
+"""Options of grasp labels: the tool, and the number of labels."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ def tool_schema() -> dict[str, Any]:
 
 
 class Labelling(Settings):
-    """Which labels a dataset gets; another one is another set of labels."""
+    """Options of a set of labels; with another value it is another set."""
 
     tool: AnyTool
     places: int = Field(

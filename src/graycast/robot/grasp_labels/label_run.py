@@ -23,7 +23,7 @@ class SceneLabeller:
         self._world: GraspWorld | None = None
 
     def make(self, scene_id: int) -> TaskResult:
-        """One scene, by its place among all scenes of the dataset.
+        """Label one scene, which is given by its index among all scenes of the dataset.
 
         Raises:
             DatasetError: a file of the scene is missing or damaged.
@@ -59,7 +59,7 @@ class SceneLabeller:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelTask(Job):
-    """What a worker needs to know to label any scene of a dataset; it needs no light."""
+    """Data that a worker needs to label any scene of a dataset; no light is rendered."""
 
     RUNNER = SceneLabeller
 

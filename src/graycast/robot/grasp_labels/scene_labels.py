@@ -26,7 +26,7 @@ STILL_S = 0.3  # The part has to hang on the tool for this time after the lift.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ending:
-    """What became of a grip in physics."""
+    """Outcome of a grip in physics."""
 
     ended: str
     least_factor: float | None = None
@@ -55,7 +55,7 @@ class GraspLabel:
 def label_scene(
     world: GraspWorld, heap: ScenePoses, labelling: Labelling, *, seed: int, scene_id: int
 ) -> tuple[GraspLabel, ...]:
-    """Labels of all instances, one after the other.
+    """Label all instances of a scene, one after the other.
 
     Of each instance half of the places are such as the tool should hold by their score, the other
     half such as it should not, as far as there are as many; so are those that physics carries out,
@@ -92,7 +92,7 @@ def _selection(
 
 
 def _half_and_half(scores: Sequence[float], count: int, rng: np.random.Generator) -> list[int]:
-    """So many numbers of scores, half of them of those that are 0; more where the others lack."""
+    """Pick `count` indices, half of them with score 0; if one half is short, the other fills up."""
     order = rng.permutation(len(scores)).tolist()
     good = [k for k in order if scores[k] > 0]
     bad = [k for k in order if scores[k] == 0]

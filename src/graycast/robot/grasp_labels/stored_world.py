@@ -29,7 +29,7 @@ from .label_options import Labelling
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stock:
-    """What the scenes of a dataset are made of."""
+    """Bin, parts and rig that all scenes of a dataset share."""
 
     bin: Bin
     parts: tuple[Part, ...]
@@ -49,7 +49,7 @@ class GraspWorld:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenePoses:
-    """Where the parts of a scene lie, and the camera."""
+    """Poses of the camera and of the parts of a scene."""
 
     T_world_cam: Float[np.ndarray, "4 4"]
     T_world_part: Float[np.ndarray, "n 4 4"]
@@ -132,7 +132,7 @@ def make_world(
 
 
 def read_heap(scene: StoredScene) -> ScenePoses:
-    """Where the parts of a scene lie.
+    """Read the poses of the camera and of the parts of a scene.
 
     Raises:
         DatasetError: a file is missing or damaged.

@@ -100,7 +100,7 @@ def ranked(
 
 
 def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
-    """The share of an outline's pixels next to which something nearer to the camera is seen.
+    """Return the share of an outline's pixels next to which a nearer surface is visible.
 
     There another part covers this one, or stands close before it.
     """
@@ -115,7 +115,7 @@ def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h
 def _holds_any(
     target: Candidate, view: DepthView, place_m: Sequence[Float[np.ndarray, "3"]]
 ) -> bool:
-    """Whether a place in the world is seen within a detection's outline."""
+    """Return whether a place in the world is within a detection's outline."""
     if not len(place_m):
         return False
     inside = target.inside(view.depth_m.shape)

@@ -40,11 +40,11 @@ class BinState:
     blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
     def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "BinState":
-        """The same, where the arm found no way to these places."""
+        """Return the same state with these places, to which the arm found no way."""
         return replace(self, blocked=(*self.blocked, *places_m))
 
     def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "BinState":
-        """The same after a grip: a failure is remembered, a pick clears what is near it."""
+        """Return the state after a grip: note a failed place, or forget those near a pick."""
         if not taken:
             return replace(self, tabu=(*self.tabu, place_m))
         tabu, blocked = (
@@ -56,7 +56,7 @@ class BinState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carried:
-    """How a grip ended; fields as in `Attempt`, but `part` is its place in the layout."""
+    """Outcome of a grip; fields as in `Attempt`, but `part` is the index in the layout."""
 
     outcome: Outcome
     detail: str = ""
@@ -129,7 +129,7 @@ def _carried(
 def _path(
     ready: Ready, ways: Ways, T_world_tool: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "t 4 4"]:
-    """Where the tool truly goes with the part, a pose for each step of the engine.
+    """Return the true poses of the tool with the part, one for each step of the engine.
 
     Args:
         T_world_tool: where it truly is at the start, which the arm's own account differs from.

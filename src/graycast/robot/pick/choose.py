@@ -68,7 +68,7 @@ def choose(
     heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(targets))
 
     def aims() -> Iterator[Aim]:
-        """In the order in which they are tried; the places that are sought decide it, too."""
+        """Yield grips in the order of trial, which depends on the sought places, too."""
         nonlocal why, reached
         later = []
         for together in _together(ranked(targets, view, (*tabu, *blocked)), picking.targets):
@@ -218,10 +218,11 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
 
 
 def _load(ready: Ready, aim: Aim) -> Load:
-    """How far the part reaches from the tip.
+    """Return how far the part extends from the tip.
 
-    An unknown one reaches as far as any may, but not through the floor on which it lies: from a
-    place h above it, h cos a + size sin a below the tip once a tool that leans by a is upright.
+    An unknown part extends as far as the largest may, but not through the floor on which it
+    lies. At a height h above the floor, with a tool that leans by an angle a, that is at most h
+    cos a + size sin a below the tip once the tool is upright.
     """
     if aim.T_part_tool is None:
         size_m, axis = ready.load.below_m, aim.T_world_tool[:3, 2]

@@ -1,4 +1,4 @@
-"""What a tool meets among the true parts: a part that it holds, or the reason why it holds none."""
+"""Contact of a tool with the true parts: the part that it holds, or why it holds none."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ def is_near(
     part: Part,
     radius_m: float,
 ) -> bool:
-    """Whether a part's bounding ball meets the cylinder about the tool's axis."""
+    """Return whether a part's bounding sphere meets the cylinder about the tool's axis."""
     low, high = part.mesh.bounds_m
     middle = transform_points(T_world_part, (low + high) / 2)
     aside = (inverse(T_world_tool) @ np.append(middle, 1.0))[:2]

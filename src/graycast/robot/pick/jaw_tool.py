@@ -39,12 +39,12 @@ class JawTool(Settings):
     lost: ClassVar[Outcome] = Outcome.SLIPPED
     is_round: ClassVar[bool] = False
     reaches_round: ClassVar[bool] = True
-    in_depth: ClassVar[None] = None  # the far side, on which one finger presses, is not measured
-    ground_m: ClassVar[None] = None  # fingers stand beside the part, not on it
+    in_depth: ClassVar[None] = None  # One finger presses on a side that is not measured.
+    ground_m: ClassVar[None] = None  # The fingers do not stand on the part.
     soft: ClassVar[tuple[Mesh, ...]] = ()
 
     def _open_m(self, opening_m: float | None) -> float:
-        """How far the pads stand apart before they close on what is so wide."""
+        """Return the distance between the pads before they close on a part of this width."""
         return self.jaws.opening_m if opening_m is None else opening_m + 2 * CLEARANCE_M
 
     def pieces(

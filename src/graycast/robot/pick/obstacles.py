@@ -61,7 +61,7 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
 
 
 def triangles(mesh: Mesh) -> Any:
-    """A mesh's surface; what is wholly inside touches nothing."""
+    """Return a mesh as a surface of triangles; a shape that is wholly inside does not touch it."""
     import coal
 
     model = coal.BVHModelOBBRSS()
@@ -118,7 +118,7 @@ def measured_points(
     T_world_cam: Float[np.ndarray, "4 4"],
     box: Bin,
 ) -> MeasuredPoints:
-    """What is neither a spike nor a wall of the bin.
+    """Return the measured points, without spikes and without the walls of the bin.
 
     Args:
         depth_m: z of each pixel, NaN where it is missing.
@@ -168,7 +168,7 @@ def _of_wall(
     T_world_cam: Float[np.ndarray, "4 4"],
     box: Bin,
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose point lies on a wall of the bin, or on its rim."""
+    """Return a mask of the pixels whose points are on a wall of the bin, or on its rim."""
     mesh = bin_mesh(box)
     face, z = visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)
     ray = picture_rays(camera)

@@ -12,7 +12,7 @@ class Outcome(StrEnum):
     """The outcome of a scan and its grip. The first four occur before the arm moves."""
 
     NOTHING_FOUND = "nothing found"  # no part, no pose, or no place that a tool would hold
-    COLLISION_SEEN = "collision seen"  # every grip would push the tool into what was measured
+    COLLISION_SEEN = "collision seen"  # Every grip would push the tool into the measured heap.
     UNREACHABLE = "unreachable"  # no joint angles, or no free way
     GIVEN_UP = "given up"  # every grip is where one failed before
     PICKED = "picked"
@@ -20,7 +20,7 @@ class Outcome(StrEnum):
     MISSED = "missed"  # nothing was where the tool went
     WRONG_POSE = "wrong pose"  # it failed, the pose off by over `WRONG_RAD` or `WRONG_M`
     NOT_HELD = "not held"  # the cup did not seal, or the jaws did not close on both sides
-    COLLISION_UNSEEN = "collision unseen"  # the tool pushed into what the scanner did not show
+    COLLISION_UNSEEN = "collision unseen"  # The tool hit something that the scanner did not show.
     LOST_SEAL = "lost seal"  # a cup let go on the way
     SLIPPED = "slipped"  # jaws let go on the way
 
@@ -39,7 +39,7 @@ WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """A scan and what followed.
+    """A scan and its result.
 
     Attributes:
         outcome: how it ended.

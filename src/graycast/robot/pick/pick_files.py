@@ -157,7 +157,7 @@ class StoredEpisode:
 
 
 def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
-    """All finished bins of a folder, in the order of their numbers.
+    """Read all finished bins of a folder, in the order of their numbers.
 
     Raises:
         GraycastError: the folder holds no picks, or a file is damaged.

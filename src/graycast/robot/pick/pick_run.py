@@ -24,7 +24,7 @@ class BinEmptier:
         self._ready: Ready | None = None
 
     def make(self, scene_id: int) -> TaskResult:
-        """One bin.
+        """Empty one bin.
 
         Raises:
             DropError, ValueError: this bin cannot be filled; the next one may be.
@@ -53,7 +53,7 @@ class BinEmptier:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickTask(Job):
-    """What a worker needs to know to empty any bin of a cell."""
+    """Data that a worker needs to empty any bin of a cell."""
 
     RUNNER = BinEmptier
 

@@ -1,4 +1,4 @@
-"""What a user writes of a robot's cell: all of a dataset's cell, and robot, tool and picking."""
+"""Settings of a robot's cell: those of a dataset's cell, and robot, tool and picking."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from .tools import AnyTool
 
 
 class RobotSection(Settings):
-    """An arm and where it stands."""
+    """An arm, and the place of its base."""
 
     arm: str = Field(
         default="ur5e",
@@ -35,7 +35,7 @@ class RobotSection(Settings):
 
 
 class PickingSection(Settings):
-    """How parts are found, gripped and put away."""
+    """Settings of how parts are found, gripped and put away."""
 
     knows: Literal["part", "depth"] = Field(
         default="part",

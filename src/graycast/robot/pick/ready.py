@@ -52,7 +52,7 @@ class Ready:
 
     @property
     def weight_n(self) -> float:
-        """Of the heaviest part."""
+        """Weight of the heaviest part."""
         return max(body.mass_kg for body in self.bodies) * GRAVITY_M_S2
 
     def tip(self, q: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "4 4"]:

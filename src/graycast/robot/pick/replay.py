@@ -47,7 +47,7 @@ class Motion:
     def T_world_part(
         self, i: int, T_world_before: Float[np.ndarray, "4 4"]
     ) -> Float[np.ndarray, "4 4"] | None:
-        """Where the part is at the time `i` of a lift; None before it and after it was let go."""
+        """Return the part's pose at time `i`; None before the grip and after the release."""
         if self.held_until_s is None or not self.time_s[self.grip] <= self.time_s[i]:
             return None
         if self.time_s[i] > self.held_until_s:
@@ -58,7 +58,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """What all bins of a folder share. `limbs` are in frames of their own, the tool's last."""
+    """Data that all bins of a folder share. `limbs` are in their own frames, the tool's last."""
 
     folder: Path
     claim: Mapping[str, Any]
@@ -68,7 +68,7 @@ class Replay:
 
     @property
     def arm_limbs(self) -> int:
-        """How many of `limbs` are the arm's."""
+        """Number of `limbs` that belong to the arm."""
         return len(self.limbs) - len(_tool_limbs(self.cell.config.tool))
 
     def T_world_limb(
@@ -78,7 +78,7 @@ class Replay:
         *,
         closed: bool = False,
     ) -> Float[np.ndarray, "limbs 4 4"]:
-        """Where the limbs are at joint angles [rad]; see `Tool.pieces`."""
+        """Return the poses of the limbs at joint angles [rad]; see `Tool.pieces`."""
         T_world_base, tool = self.cell.T_world_base, self.cell.config.tool
         arm = T_world_base @ self.robot.places(q)
         T_world_flange = T_world_base @ self.robot.flange(q)
@@ -87,7 +87,7 @@ class Replay:
         return np.concatenate([arm, T_world_flange @ np.stack([*pieces, *soft])])
 
     def kinds(self, episode: StoredEpisode) -> tuple[int, ...]:
-        """Which of the cell's parts each part of a bin is.
+        """Return the kind of each part of a bin, as an index into the cell's parts.
 
         Raises:
             GraycastError: the folder does not say, and there are several.
@@ -200,7 +200,7 @@ def _held_until(
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:
         return float(time_s[-1])
-    lost_s = attempt.get("lost_s")  # folders of before it was kept have none
+    lost_s = attempt.get("lost_s")  # Older folders lack it.
     return None if lost_s is None else float(time_s[grip] + lost_s)
 
 

@@ -94,7 +94,7 @@ class Robot:
 
     @property
     def speed(self) -> Joints:
-        """Of each joint at most [rad/s]."""
+        """Highest speed of each joint [rad/s]."""
         return np.array(self._model.velocityLimit)
 
     def flange(self, q: Joints) -> Float[np.ndarray, "4 4"]:
@@ -105,7 +105,7 @@ class Robot:
         return self._data.oMf[self._flange].homogeneous.copy()
 
     def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
-        """Its shapes: the index in `places`, a shape of Coal, and `T_joint_shape`."""
+        """Shapes of the limbs: the index in `places`, a shape of Coal, and `T_joint_shape`."""
         return tuple(
             (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
             for thing in self._geometry.geometryObjects

@@ -51,7 +51,7 @@ class PickCell:
         own = {
             name: hashlib.sha256(path.read_bytes()).hexdigest()
             for name, path in named.items()
-            if path.is_file()  # else opening it says what is missing
+            if path.is_file()  # Otherwise, opening it names the missing file.
         }
         return self.cell.file_digests | own
 

@@ -140,7 +140,7 @@ class SuctionTool(Settings):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"]]:
-        """The highest surface under the cup, and whose it is; -1 is nobody's."""
+        """Return the highest surface under the cup, and the part of each node; -1 for no part."""
         radius_m = self.cup.radius_m
         size = 2 * (int(np.ceil(radius_m / STEP_M)) + 1) + 1
         height, number = np.full((size, size), np.nan), np.full((size, size), -1)

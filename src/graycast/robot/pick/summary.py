@@ -21,7 +21,7 @@ _TAKEN = [str(outcome) for outcome in TAKEN]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickSummary:
-    """Of all bins of a folder.
+    """Summary of all bins of a folder.
 
     Attributes:
         bins: how many.
@@ -57,12 +57,12 @@ class PickSummary:
 
     @property
     def picks_per_hour(self) -> float:
-        """Of robot and scanner alone, as if computing took no time."""
+        """Picks per hour of robot and scanner alone, as if computing took no time."""
         return self._per_hour(0.0)
 
     @property
     def picks_per_hour_here(self) -> float:
-        """With the median time that this machine computes for an attempt."""
+        """Picks per hour with this machine's median computing time for an attempt."""
         return self._per_hour(self.thinking_s)
 
     def _per_hour(self, computing_s: float) -> float:
@@ -108,7 +108,7 @@ def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paired:
-    """Two arms over the same bins: attempt by attempt in the order in which they were made.
+    """Comparison of two arms over the same bins, attempt by attempt in order.
 
     The first attempts of a bin are of one heap; later ones are of what each arm left, so that they
     are alike and not equal. `p` is McNemar's, over the pairs in which both arms moved.

@@ -1,4 +1,4 @@
-"""What the robot asks of its tool, a gripper, and the choice of tools that a file has.
+"""Protocol of a tool (a gripper), and the tools that a file may choose.
 
 The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
 flange, jaws close along x.
@@ -29,7 +29,7 @@ AnyTool = Annotated[
 
 @runtime_checkable
 class Tool(Protocol):
-    """A tool at the flange. The rest of the program knows it by these answers alone.
+    """A tool at the flange; the rest of the program knows it only by this protocol.
 
     Attributes:
         lost: how an attempt ends in which the tool lets go on the way.
@@ -45,7 +45,7 @@ class Tool(Protocol):
 
     @property
     def length_m(self) -> float:
-        """From the flange to the tip."""
+        """Distance from the flange to the tip."""
         ...
 
     @property
@@ -66,7 +66,7 @@ class Tool(Protocol):
 
     @property
     def soft(self) -> tuple[Mesh, ...]:
-        """What gives way and collides with nothing, in the tip's frame: for pictures."""
+        """Flexible shapes in the tip's frame; they appear in pictures and never collide."""
         ...
 
     def pieces(
@@ -81,7 +81,7 @@ class Tool(Protocol):
         ...
 
     def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
-        """Where the tool goes on a part, also where it does not hold: `count` places are tried."""
+        """Try `count` places on a part; return also those where the tool does not hold."""
         ...
 
     def meet(
@@ -92,7 +92,7 @@ class Tool(Protocol):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """What happens when the tip arrives among the true parts, where no rigid shape collides.
+        """Return the result when the tip arrives at the true parts, if no rigid shape collides.
 
         Args:
             T_world_tool: where the tip is sent.

@@ -12,7 +12,7 @@ from .motion import Trajectory, drive, plan, straight
 from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
-TURNS = 4  # A round cup holds alike at each of these turns about its axis.
+TURNS = 4  # A round cup holds equally well at each of these turns about its axis.
 OFF_M = 0.01  # The load comes on the tool along this way: bellows stretch by less.
 Lines = dict[str, Float[np.ndarray, "k joints"]]  # The keys are names of straight motions.
 ELBOWS = 3  # Before a grip, at most this many ways to place the arm are tried.
@@ -48,7 +48,7 @@ class Ways:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Load:
-    """How far a held part may reach from the tip: below it along the tool's axis, and aside."""
+    """Extent of a held part from the tip: below it along the tool's axis, and sideways."""
 
     below_m: float
     aside_m: float
@@ -111,7 +111,7 @@ class WaySearch:
     def ways(
         self, q: Joints, T_world_tip: Float[np.ndarray, "4 4"], *, round_tool: bool
     ) -> Ways | Blocked:
-        """From joint angles to a grip and away with the part; or why not.
+        """Return a path from joint angles to a grip and away with the part, or why there is none.
 
         A round tool may be turned about its axis as one likes, another one by half a turn.
         """

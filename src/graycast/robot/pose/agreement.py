@@ -22,7 +22,7 @@ KINDS = 7
 # on around it, and the true part hides it) and a neighbour.
 OUTSIDE = 0.3  # A pixel that agrees, but outside the box, is worth this.
 HIDING = 1.0  # A hidden pixel takes this off.
-GOING_ON = 3.0  # A pixel beside the part takes this off where the part's surface goes on.
+GOING_ON = 3.0  # A pixel next to the part costs this if the part's surface goes on there.
 OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share of the box's pixels.
 
 
@@ -66,7 +66,7 @@ def misfits(depth, z, inside, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def tight_score(number, misfit):
-    """The share of agreeing pixels among those of the outline or of the part at its pose.
+    """Return the agreeing share of the pixels in the outline or on the part at its pose.
 
     What is hidden outside the outline and what is unknown within it says nothing; within the
     outline nothing may lie before the part (`misfit`).
@@ -78,7 +78,7 @@ def tight_score(number, misfit):
 
 @kernel(nogil=True, error_model="numpy")
 def loose_score(number, edge, box, going_on):
-    """Agreeing minus contradicting pixels, divided by the pixels of the box.
+    """Return agreeing minus contradicting pixels, divided by the pixels of the box.
 
     A box around a part holds other things too, so what the part does not cover says nothing.
     """
@@ -92,7 +92,7 @@ def loose_score(number, edge, box, going_on):
 
 @kernel(nogil=True, error_model="numpy")
 def going_on(depth, z, tolerance_m):
-    """Pixels just outside the part where what is measured goes on as its surface does."""
+    """Count pixels just outside the part where the measurement continues the part's surface."""
     number = 0
     h, w = z.shape
     for i in range(2, h - 2):

@@ -99,7 +99,7 @@ def _on_outline(depth, i, j):
 
 @kernel(nogil=True, error_model="numpy")
 def _outwards(depth, i, j):
-    """The outline's normal in the picture: away from what is covered in a window of five."""
+    """Return the outline's outward normal in the picture, from a window of five pixels."""
     x, y = 0.0, 0.0
     for di in range(-2, 3):
         for dj in range(-2, 3):
@@ -128,9 +128,9 @@ def _end(depth, i, j, nx, ny):
 
 @kernel(nogil=True, error_model="numpy")
 def _measured_end(window, i, j, nx, ny, zc, edge_m, near):
-    """Where along that normal the measured part ends, the place nearest to `near`; NaN if nowhere.
+    """Return where the measured part ends along that normal, nearest to `near`; NaN if nowhere.
 
-    An edge in front of which something nearer lies is not an edge of the part.
+    An edge behind a nearer surface is not an edge of the part.
     """
     z, inside, tight = window.z, window.inside, window.tight
     best, before = np.nan, -1

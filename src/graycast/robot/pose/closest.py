@@ -23,7 +23,7 @@ class OrientedPoints(NamedTuple):
 
 
 class Closest(NamedTuple):
-    """For each cell of a grid around a part, the nearest of its surface's points.
+    """Lookup of the nearest surface point, for each cell of a grid around a part.
 
     Attributes:
         points: of the surface, in the part's frame.
@@ -68,7 +68,7 @@ def settle(T, scene, surface, gates_m, rounds):
 
 @kernel(nogil=True, error_model="numpy")
 def _round(T, scene, surface, gate):
-    """One step; the share of the points that have a place on the part within the gate."""
+    """Do one step; return the share of the points that have a match on the part within the gate."""
     point, normal = scene.point, scene.normal
     low, cell, nearest = surface.low_m, surface.cell_m, surface.nearest
     A, b = np.zeros((6, 6)), np.zeros(6)
@@ -107,7 +107,7 @@ def _round(T, scene, surface, gate):
 
 @kernel(nogil=True, error_model="numpy")
 def fill_row(row, p, mx, my, mz):
-    """How a place p of the part moves along m when the part turns and shifts."""
+    """Fill a row with the derivative of a point's place p along m by turn and shift."""
     row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
     row[3], row[4], row[5] = mx, my, mz
 

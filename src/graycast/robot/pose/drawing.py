@@ -19,7 +19,7 @@ class Facets(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What compiled code needs of a detection's `Crop`; `lens` is the camera's."""
+    """Fields of a detection's `Crop` that compiled code needs; `lens` is the camera's."""
 
     lens: Float[np.ndarray, "9"]
     ray: Float[np.ndarray, "h w 2"]
@@ -31,7 +31,7 @@ class Window(NamedTuple):
 
 
 class Canvas(NamedTuple):
-    """What is drawn in a window: depth (infinite where there is nothing) and face (-1)."""
+    """Picture drawn in a window: depth (infinite where it is empty) and face (-1 there)."""
 
     depth: Float[np.ndarray, "h w"]
     face: Int[np.ndarray, "h w"]
@@ -50,7 +50,7 @@ def _cross(a, b):
 
 @kernel(nogil=True, error_model="numpy")
 def draw(T, part, window, canvas):
-    """Fill a canvas with what the pixels' rays meet.
+    """Fill a canvas with the depth and face that each pixel's ray meets.
 
     Faces turned away are left out: the mesh is closed. A face that reaches behind the lens is too.
     The same equation as in `graycast.rig.meshdepth`, in one pass.

@@ -1,4 +1,4 @@
-"""From a detection and a depth map to the part's pose."""
+"""Search of a part's pose from a detection and a depth map."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -29,7 +29,7 @@ ALIGNED = 16  # This many poses are aligned.
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
 SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
-TRIES = 3  # The other ways of the best pose are tried anew at most this many times.
+TRIES = 3  # The other symmetric poses of the best one are tried at most this many times.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ def find_pose(
     *,
     near: Float[np.ndarray, "4 4"] | None = None,
 ) -> PoseMatch:
-    """The pose of the part whose visible outline is known.
+    """Find the pose of a part whose visible outline is known.
 
     Of the poses that the symmetry of `pose_model` makes alike, the result is the one nearest to
     `near`, or the standard one without it: `graycast.world.parts.symmetry.nearest_member`.

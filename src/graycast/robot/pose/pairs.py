@@ -41,7 +41,7 @@ class PairTable(NamedTuple):
 
 
 def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
-    """All ordered pairs of a model's points."""
+    """Return all ordered pairs of a model's points."""
     longest = float(np.linalg.norm(np.ptp(points.point, axis=0)))
     distances = int(longest / step_m) + 1
     start, first, turn = _filled(*points, step_m, distances)
@@ -84,7 +84,7 @@ def frame_of(n):
 
 @kernel(nogil=True, error_model="numpy")
 def turn_of(R, p, q):
-    """The angle of q about the x axis once the point p with its normal lies along it."""
+    """Return the angle of q about the x axis once the point p with its normal is on that axis."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     y = R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz
     z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz

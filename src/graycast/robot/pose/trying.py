@@ -60,15 +60,15 @@ class Trials:
         return PoseTrial(T=T, worth=float(worth), number=number)
 
     def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """The pose moved so that surface and outline lie on what is measured."""
+        """Return the pose moved so that surface and outline agree with the measurement."""
         moved, gates_m = T.copy(), np.array(GATES) * self.tolerance_m
         align(moved, self._part, self._window, gates_m, EDGE * self.tolerance_m, self._canvas)
         return moved
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-        """The pose shifted to the detection's place and depth; None if it covers too little.
+        """Return the pose shifted to the detection's place and depth; None if it covers too little.
 
-        Twice: a shift along the ray changes what is covered.
+        The shift is made twice, because a shift along the ray changes the covered pixels.
         """
         window, depth, moved = self._window, self._canvas.depth, T.copy()
         for _ in range(2):

@@ -1,4 +1,4 @@
-"""What is measured and compared.
+"""Measurement and comparison of scanners, detectors, poses and views.
 
 Each imports only from those above it:
 

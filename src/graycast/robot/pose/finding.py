@@ -29,7 +29,7 @@ ALIGNED = 16  # This many poses are aligned.
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
 SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
-TRIES = 3  # The other symmetric poses of the best one are tried at most this many times.
+TRIES = 3  # The best pose is turned in all other ways at most this many times.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

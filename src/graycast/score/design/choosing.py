@@ -1,4 +1,4 @@
-"""Which setting to take: figures over all heaps, the Pareto front, and a sentence that says it."""
+"""Choice of a setting: figures over all heaps, the Pareto front, and a sentence with the choice."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -80,9 +80,10 @@ def _mean(values: Sequence[float | None]) -> float:
 
 
 def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
-    """Which rows no other row beats: in no figure worse, in one better. Less is better.
+    """Return whether each row is on the Pareto front; smaller figures are better.
 
-    A row with NaN is beaten.
+    A row is off the front if another row is nowhere worse and somewhere better, or if it has
+    NaN.
     """
     beaten = np.isnan(values).any(axis=1)
     for i, own in enumerate(values):

@@ -1,4 +1,4 @@
-"""All settings of a study on all its heaps, by workers wherever they are."""
+"""Scans of all settings of a study on all its heaps, done by workers."""
 
 import time
 from collections.abc import Callable
@@ -70,7 +70,7 @@ class Comparer:
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> TaskResult:
-        """One heap in one light, by all codes and exposures.
+        """Scan one heap in one light, with all codes and exposures.
 
         Raises:
             DropError, ValueError: this heap cannot be made or lit; the next one may be.
@@ -116,7 +116,7 @@ class Comparer:
         return self._heaps[key]
 
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
-        """One rendering of the patterns of all codes, and where each setting's own are in it."""
+        """Render the patterns of all codes at once; return also the range of each setting's own."""
         cell = group[0].cell
         by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
         ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()
@@ -141,9 +141,10 @@ class Comparer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignTask(Job):
-    """What a worker needs to know: with n lights its scene k is heap `k // n` in light `k % n`.
+    """Data that a worker needs; with n lights, its scene k is heap `k // n` in light `k % n`.
 
-    Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
+    Scenes are ordered by heap, so that a worker holds only one heap at a time and a stopped
+    study has some results of every setting.
     """
 
     RUNNER = Comparer
@@ -177,7 +178,7 @@ def run_design(
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
-    """Scan what is not scanned yet.
+    """Scan the settings and heaps that are not scanned yet.
 
     Args:
         out: the study's folder. The same study goes on in it, also with more settings or heaps.

@@ -18,14 +18,14 @@ from ...world.parts import Mesh
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 from ..merge.adding import surface_of
 
-LEAST_PX = 1000  # The longer side of a picture in which points are looked for has at least so many.
+LEAST_PX = 1000  # The longer side of the rendered visibility picture is at least this.
 SLACK_M = 0.5e-3  # Parts may press into each other, and their meshes lie off, by less than this.
-# Each ring has so many directions, which lean by this share of the cone.
+# Each ring has this many directions, which lean by this share of the cone.
 RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))
 
 
 class Visibility(IntEnum):
-    """Whether a point is visible from an eye position, and what hides it otherwise."""
+    """Visibility of a point from an eye position, and what hides it otherwise."""
 
     VISIBLE = 0
     OUTSIDE = 1  # The point is not in the picture.
@@ -67,7 +67,7 @@ class Obstacles:
 
 
 def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> HeapSurface:
-    """So many points over all parts of a heap, and how much of them the cone above it sees.
+    """Spread `points` over the parts of a heap; weight each by how well the cone above sees it.
 
     No chance is involved: one heap has the same points in every setting.
     """
@@ -102,7 +102,7 @@ def sight(
     point_m: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],
 ) -> Int[np.ndarray, " n"]:
-    """What a camera or a projector sees of points on the parts: of each a `Visibility`.
+    """Return the `Visibility` of points on the parts from a camera or a projector.
 
     A point is hidden where the nearest surface, both at its pixel's centre and where its plane
     meets the point's own ray, lies before it by more than `SLACK_M`. The picture is made as large
@@ -121,7 +121,7 @@ def sight(
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
     by_bin = hidden & (hit < obstacles.bin_faces)
     towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
-    # What looks away would be hidden by its own part without any bin.
+    # A point that faces away is hidden by its own part, with or without a bin.
     cases = [by_bin & (towards > 0), hidden | (towards <= 0)]
     visibility[inside] = np.select(
         cases, [int(Visibility.BY_BIN), int(Visibility.BY_PARTS)], int(Visibility.VISIBLE)

@@ -78,7 +78,7 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceView:
-    """What camera and projector of a setting see of a heap's points; codes do not change it."""
+    """Visibility of a heap's points to a setting's camera and projector; codes do not change it."""
 
     camera: Int[np.ndarray, " n"]  # a `Visibility` each
     projector: Int[np.ndarray, " n"]
@@ -93,7 +93,7 @@ class SurfaceView:
 
 
 def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
-    """Where the scene's camera and projector see the surface's points."""
+    """Return what the scene's camera and projector see of the surface's points."""
     obstacles, rig = obstacles_of(scene, layout), scene.rig
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     at = transform_points(inverse(scene.T_world_cam), surface.point_m)
@@ -205,9 +205,9 @@ def _quantiles(
 def picture_png(
     gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, fates: PointFates
 ) -> bytes:
-    """What the camera sees of the open surface, beside the white frame, as a PNG file.
+    """Return a PNG file of the open surface's points as the camera sees them, on the white frame.
 
-    A point colours its pixel and the eight around it, what is not measured over what is.
+    A point colours its pixel and the eight around it; points that were not measured are on top.
     """
     gray, fate = srgb_of_bytes(gray), fates.fate
     visible = surface.opened & (view.camera == Visibility.VISIBLE)

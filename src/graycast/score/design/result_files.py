@@ -33,7 +33,7 @@ def heap_file(layout: int) -> str:
 def heap_files(
     name: str, layout: int, figures: Mapping[str, Any], picture: bytes | None
 ) -> list[tuple[str, bytes]]:
-    """What a setting's scan of a heap comes to: (path, content), the figures last."""
+    """Return the files of a setting's scan of a heap as (path, content), the figures last."""
     files = [] if picture is None else [(f"{name}/{PICTURE}", picture)]
     return [*files, (f"{name}/{heap_file(layout)}", json_bytes(figures))]
 

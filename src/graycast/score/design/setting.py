@@ -25,7 +25,7 @@ from .study import DesignSpec, SweepSection
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One combination of a sweep; None is as the cell has it."""
+    """One combination of a sweep; None keeps the cell's own value."""
 
     rig: str | None = None
     resolution: str | None = None
@@ -39,7 +39,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Name of the setting's folder."""
         rig = self.rig if self.rig is None or self.rig in PRESETS else Path(self.rig).stem
         words = [rig, self.resolution]
         for value, form in (
@@ -59,7 +59,7 @@ class Setting:
 
 
 def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
-    """All settings of a study, in the order of its file.
+    """Return all settings of a study, in the order of its file.
 
     Raises:
         ConfigError: two settings have one name.

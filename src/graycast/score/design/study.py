@@ -1,4 +1,4 @@
-"""What the YAML file of a design study says: one cell, and the scanners and places to compare."""
+"""Settings in the YAML file of a design study: one cell, and the scanners and places to compare."""
 
 import os
 from collections.abc import Mapping

@@ -116,7 +116,7 @@ def incidence_rad(
     K: Float[np.ndarray, "3 3"],
     distortion: tuple[float, ...],
 ) -> Float[np.ndarray, "h w"]:
-    """Angle between the camera's ray and the surface's normal; NaN where there is no one surface.
+    """Return the angle between camera ray and surface normal; NaN where no single surface is.
 
     Args:
         depth_m: z of the camera frame, NaN where there is none.
@@ -141,10 +141,10 @@ def incidence_rad(
 def _smooth(
     depth_m: Float[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether a pixel lies between its neighbours: on a plane 1/z is linear in the picture.
+    """Return whether each pixel is on a plane with its neighbours, where 1/z is linear.
 
-    How far 1/z lies off the mean of its neighbours is told as a depth and compared with their
-    spacing on a facing surface, z / f.
+    The difference of 1/z from the mean of its neighbours is converted to a depth and compared
+    with their spacing on a facing surface, z / f.
     """
     inverse = _with_border(1 / depth_m.astype(float))
     middle = inverse[1:-1, 1:-1]

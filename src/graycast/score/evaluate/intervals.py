@@ -130,7 +130,7 @@ def differences(
 
 
 def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
-    """One of `FIGURES` of the scores with its draws."""
+    """Return one of `FIGURES` of the scores, with its draws."""
     return figures_with_draws(scores, draw_scenes(scores.scene_of, seed=seed))[figure]
 
 

@@ -67,7 +67,7 @@ def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> 
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
-    """All figures; NaN is null."""
+    """Return all figures for JSON, with null for NaN."""
     protocol, run, known = evaluation.protocol, evaluation.run, evaluation.judgements[0].known
     return plain(
         {
@@ -194,7 +194,7 @@ def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
 
 
 def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
-    """What is found, missed and false in each scene at the working point."""
+    """Yield the found, missed and false detections of each scene at the working point."""
     hits: Counter[int] = Counter()
     for match in one.scores.matches.values():
         at_work = match.hit[AT_HALF] & (match.score >= one.point.score)

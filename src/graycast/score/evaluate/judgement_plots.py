@@ -31,7 +31,7 @@ _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 def draw_precision_recall(
     judgements: Sequence[Judgement], categories: Mapping[int, str], path: Path
 ) -> None:
-    """A panel for boxes, one for masks; beside each the classes, if there are several."""
+    """Draw a panel for boxes and one for masks, and panels of the classes if there are several."""
     several = len(judgements[0].scores.matches) > 1
     panels = 2 if several else 1
     count = panels * len(judgements)
@@ -45,7 +45,7 @@ def draw_precision_recall(
 
 
 def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
-    """Average precision of each group, a panel for each way to group; no file if there is none."""
+    """Draw the average precision of each group, a panel for each grouping; no file if none."""
     ways = list(dict.fromkeys(row.by for row in judgements[0].rows if row.by != "all"))
     if not ways:
         return
@@ -56,7 +56,7 @@ def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
 
 
 def _curves(judgement: Judgement) -> dict[int, Float[np.ndarray, "t recalls"]]:
-    """Of the classes that there are to find."""
+    """Return the precision curves of the classes of which there are instances to find."""
     return {
         obj_id: precision_curves(one)
         for obj_id, one in judgement.scores.matches.items()

@@ -1,4 +1,4 @@
-"""From labels and detections to all figures of them, for boxes and for masks.
+"""All figures of detections against labels, for boxes and for masks.
 
 Instances outside a group are ignored: they need not be found, and what finds one is neither a hit
 nor a mistake. They overlap as ever (intersection over union), so a bad outline of one is a mistake
@@ -89,7 +89,7 @@ class Judgement:
 
 
 def kinds_of(labels: Sequence[Labels], detections: Sequence[Detections]) -> tuple[Kind, ...]:
-    """What can be compared: boxes, and masks where both sides have them."""
+    """Return the kinds that can be compared: boxes, and masks if both sides have them."""
     has_masks = all(one.mask is not None for one in labels)
     has_masks &= all(one.mask is not None for one in detections if len(one))
     return KINDS if has_masks and any(map(len, detections)) else ("box",)
@@ -104,7 +104,7 @@ def judge(
     protocol: Protocol,
     against: Sequence[Detections] | None = None,
 ) -> Judgement:
-    """All figures of one kind of outline.
+    """Compute all figures of one kind of outline.
 
     Raises:
         GraycastError: labels and detections do not fit together.

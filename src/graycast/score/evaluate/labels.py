@@ -53,10 +53,10 @@ class Labels:
 
 
 def labels_of(example: Example, *, min_visibility: float, scene: int | None = None) -> Labels:
-    """The labels of an example; instances visible for less than that share are ignored.
+    """Return the labels of an example; ignore instances with a smaller visible share.
 
-    Where nobody knows what share is visible, none is ignored. `scene` is the scene of a picture
-    that is one of several of it.
+    Where the visible share is unknown, no instance is ignored. `scene` is the scene of a picture
+    if a scene has several.
 
     Raises:
         GraycastError: the example has no labels.

@@ -156,7 +156,7 @@ def _check_scenes(labelled: list[int], detected: list[int]) -> None:
 
 
 def shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
-    """What is compared: boxes or run lengths of instances and of detections."""
+    """Return the boxes or run lengths of instances and of detections, to be compared."""
     if kind == "box":
         return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
     if there.mask is None:

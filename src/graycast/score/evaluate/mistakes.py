@@ -32,7 +32,7 @@ class WorkingPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Miss:
-    """An instance that was to be found and was not.
+    """An instance that should have been found and was not.
 
     `scene` and `instance` are places among the scenes and in its `Labels`. `overlap` and `score`
     are of the detection that overlaps it most, of whatever score and class; 0 and NaN for none.
@@ -128,7 +128,7 @@ def _miss(known: Overlaps, scene: int, instance: int) -> Miss:
 
 
 def _visible(known: Overlaps, miss: Miss) -> float:
-    """The share that is visible or, where nobody knows it, the box's area."""
+    """Return the visible share or, if it is unknown, the box's area."""
     labels = known.labels[miss.scene]
     if labels.visib_fract is not None:
         return float(labels.visib_fract[miss.instance])
@@ -157,7 +157,7 @@ def _overlaps(
     detection: Int[np.ndarray, " d"],
     instance: Int[np.ndarray, " g"],
 ) -> Float[np.ndarray, "d g"]:
-    """Intersection over union, whatever the classes."""
+    """Return the intersection over union of all pairs, regardless of class."""
     if not (len(detection) and len(instance)):
         return np.zeros((len(detection), len(instance)))
     instances, detections = shapes(known.labels[scene], known.detections[scene], known.kind)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ...base.kernels import kernel
 from ...rig.optics import Optics
 
-DELTA_M = 0.015  # For VSD a surface is visible up to so far behind the measured one.
+DELTA_M = 0.015  # For VSD a surface is visible up to this far behind the measured one.
 WIDTH_PX = 640.0  # MSPD is in pixels of a picture of this width.
 
 
@@ -61,7 +61,7 @@ def mspd(
     motions: Float[np.ndarray, "s 4 4"],
     camera: Optics,
 ) -> float:
-    """Maximum symmetry-aware projection distance in pixels of a picture 640 wide.
+    """Return the maximum symmetry-aware projection distance, in pixels of a picture 640 wide.
 
     As BOP's camera matrix says, without lens distortion. Infinite if a vertex lies behind the
     camera at the estimated pose.
@@ -81,7 +81,7 @@ def vsd(
     measured_m: Float[np.ndarray, "h w"],
     tolerances_m: Float[np.ndarray, " t"],
 ) -> Float[np.ndarray, " t"]:
-    """Visible surface discrepancy, 0 to 1, for each tolerance.
+    """Return the visible surface discrepancy, 0 to 1, for each tolerance.
 
     All three are distances from the camera's centre to the surface, not z; NaN where there is none.
     A surface is visible where it is not more than `DELTA_M` behind the measured one, or nothing was

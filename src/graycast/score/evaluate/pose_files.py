@@ -1,4 +1,4 @@
-"""From a file of estimated poses and a dataset to figures, and the files that hold them."""
+"""Scoring of a file of estimated poses against a dataset, and the files of the figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -200,7 +200,7 @@ def _by_picture(
 
 
 def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: PictureTruth) -> None:
-    """Refuse poses whose distances from the camera are of another unit than the parts'."""
+    """Refuse poses whose distances from the camera suggest another unit than the parts'."""
     if not estimates:
         return
     estimated_m = np.median([np.linalg.norm(one.T_cam_part[:3, 3]) for one in estimates])

@@ -28,7 +28,7 @@ NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # They are the plain criterion beside
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PictureTruth:
-    """What is to be found in one picture.
+    """Truth of one picture: the camera, the depth, and the poses of the parts.
 
     Attributes:
         measured_m: the scanner's z [m], NaN where there is none.
@@ -56,7 +56,7 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Counts:
-    """Of one object in one picture: instances to find, found by each criterion, and their errors.
+    """Counts and errors of one object in one picture, by each criterion.
 
     Attributes:
         vsd: found, by tolerance and threshold; `mssd`, `mspd`: by threshold.

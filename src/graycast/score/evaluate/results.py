@@ -34,7 +34,7 @@ class DetectionRun:
 
     @property
     def name(self) -> str:
-        """Of the folder that `graycast detector find` wrote, or of the file."""
+        """Name of the folder that `graycast detector find` wrote, or else of the file."""
         path = self.path.resolve()
         return path.parent.name if self.scene_ids is not None else path.name
 
@@ -44,7 +44,7 @@ class DetectionRun:
 
 
 def open_run(path: Path) -> DetectionRun:
-    """Results and what is known of them.
+    """Open results, with the record of their run.
 
     Raises:
         GraycastError: there are none, or `detect.json` is missing or damaged.

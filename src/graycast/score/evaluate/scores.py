@@ -129,7 +129,7 @@ def precision_curves(matches: ClassMatches) -> Float[np.ndarray, "t recalls"]:
 
 
 def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
-    """Where detections of one scene with one score begin, and the end of the last."""
+    """Return the first index of each run of equal scene and score, and the end of the last run."""
     if not len(matches.score):
         return np.zeros(1, dtype=np.int64)
     new = (np.diff(matches.score) != 0) | (np.diff(matches.scene) != 0)

@@ -1,4 +1,4 @@
-"""From a results' path and a dataset's to an evaluation."""
+"""Evaluation of results against a dataset, both given by their paths."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -52,7 +52,7 @@ class Task:
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
-    """All figures of results, and a function that reads the pictures they are of.
+    """Return all figures of results, and a function that reads the pictures.
 
     Args:
         progress: counts scenes as they are read.
@@ -112,7 +112,7 @@ def _sets(task: Task, run: DetectionRun) -> list[Examples]:
 
 
 def _scene_ids(task: Task, run: DetectionRun, of_scene: Mapping[int, Examples]) -> tuple[int, ...]:
-    """Those that were looked at or, where the set is named, all of the set."""
+    """Return the scenes that the detector looked at or, if the set is named, all of the set."""
     if run.scene_ids is None or task.split is not None:
         return tuple(of_scene)
     if odd := set(run.scene_ids) - set(of_scene):
@@ -201,7 +201,7 @@ def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
 
 
 def _doubled(detections: Detections) -> int:
-    """How many detections of a picture have the class, box and mask of an earlier one."""
+    """Count the detections of a picture with the class, box and mask of an earlier one."""
     masks = (
         [None] * len(detections)
         if detections.mask is None

@@ -1,4 +1,4 @@
-"""What each view has of the parts' surface, and in which order views add most.
+"""Share of the parts' surface that each view measures, and the order in which views add most.
 
 The surface is that of the parts' models where they truly lie, as points of equal area. A point
 counts as visible where at least one camera sees it, and as measured by a view whose own pixel there
@@ -19,7 +19,7 @@ from ...world.parts.sampling import spread_points
 from .fuse import HIDDEN, OUTSIDE
 from .view import MeasuredView, Points
 
-WRONG_M = 2e-3  # A depth farther off the truth is none.
+WRONG_M = 2e-3  # A depth farther off the truth counts as wrong.
 WRONG = 252  # It stands beside a dataset's reasons: there is a depth, and it is wrong.
 # A model may be so far off the truth in its pixel: surfaces curve and parts press into others.
 _SLACK_M = 0.5e-3
@@ -29,7 +29,7 @@ _SLOPE = 0.2  # The same slack grows with a pixel's size on the surface.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewTruth:
-    """What a simulated view should have measured: z [m], NaN for nothing; -1 is no part."""
+    """Perfect measurement of a simulated view: z [m], NaN for nothing; instance -1 is no part."""
 
     depth_m: Float[np.ndarray, "h w"]
     instance: Int[np.ndarray, "h w"]
@@ -56,7 +56,7 @@ class SurfacePoints:
 def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
 ) -> SurfacePoints:
-    """So many points over all instances, by their areas; no chance is involved."""
+    """Spread `points` over all instances, by their areas; no chance is involved."""
     area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for number, (mesh, T) in enumerate(zip(meshes, T_world_part, strict=True)):

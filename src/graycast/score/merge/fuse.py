@@ -1,4 +1,4 @@
-"""Views of one scene to one cloud, each place once, with what is left of its noise.
+"""Fusion of the views of one scene into one cloud with one point per place, and its noise.
 
 A point is looked up in every other view: at the pixel where it would be seen, that view measured
 the same surface (and agrees), something before it (which hides the point), something behind it (so
@@ -24,7 +24,7 @@ from .view_poses import pose_doubts
 # Beside a dataset's reasons, these say why the first view has no such point: it measured something
 # behind the place, or before it; the place is not in its picture.
 THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
-MOST = 250  # So many views may be merged: their numbers have eight bits.
+MOST = 250  # Most views of a merge: their numbers have eight bits.
 
 
 @final
@@ -74,7 +74,7 @@ class Fused:
 
 
 def fuse(views: Sequence[MeasuredView]) -> Fused:
-    """The cloud of all views. A place stands where the view stands that has most pixels on it.
+    """Fuse all views into one cloud; a place is represented by the view with most pixels on it.
 
     Raises:
         ValueError: there is no view, or there are more than `MOST`.
@@ -115,7 +115,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
 def _votes(
     answers: Mapping[int, ViewAgreement], points: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """How many other views confirm each point, and how many saw through it."""
+    """Count, for each point, the other views that confirm it and those that saw through it."""
     confirmed, against = np.zeros((2, points), dtype=np.int64)
     for answer in answers.values():
         confirmed += answer.met.agrees
@@ -137,7 +137,7 @@ def _stood_for(
     answers: Mapping[int, ViewAgreement],
     wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
-    """Whether a view with smaller pixels on the surface has the place; of equals the first."""
+    """Return whether a view with smaller pixels on the surface, or an equal earlier one, wins."""
     better = np.zeros(len(own.pixel), dtype=bool)
     for j, answer in answers.items():
         met = answer.met

@@ -1,4 +1,4 @@
-"""What one view has to say of points that another measured."""
+"""Comparison of one view with points that another view measured."""
 
 from dataclasses import dataclass
 from typing import final
@@ -11,9 +11,9 @@ from ...base.frames import inverse, transform_points
 from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
-SIGMAS = 4.0  # Views of one surface may differ by so many standard deviations.
+SIGMAS = 4.0  # Views of one surface may differ by this many standard deviations.
 _TURNED = 0.5  # Normals of one surface have a larger cosine: beyond 60 degrees it is another.
-_ASIDE = 1.0  # Another view's point may stand for this one up to so many pixels along the surface.
+_ASIDE = 1.0  # Another view's point may replace this one up to this many pixels away.
 # Per metre aside, a surface may leave its plane by the first; without a plane, the second counts.
 _SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 
@@ -57,7 +57,7 @@ class ViewAgreement:
 
 
 def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
-    """What a view measured where it would see another's points."""
+    """Return what a view measured at the pixels onto which another view's points project."""
     place = transform_points(inverse(view.T_world_cam), own.point_m)
     pixel, inside = pixels_of(view.camera, place)
     there = points.at(pixel)
@@ -76,7 +76,7 @@ def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
 
 
 def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
-    """Ask a view about another's points.
+    """Return the answer of a view to another view's points.
 
     A view sees through a point where all nine pixels about the place have measured something
     behind it, and the middle one a plane that the point lies before.
@@ -101,7 +101,7 @@ def _mean_normal(own: Points, there: Points) -> Float[np.ndarray, "n 3"]:
     total = np.where((own.plane | ~there.plane)[:, None], own.normal, 0.0)
     total = total + np.where(there.plane[:, None], there.normal, 0.0)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
-    # Opposite normals, which are of no one surface, have no mean.
+    # Opposite normals belong to different surfaces and have no mean.
     return np.where(length > LEAST_COSINE, total / np.maximum(length, LEAST_COSINE), own.normal)
 
 
@@ -116,7 +116,7 @@ def _on_one_surface(
     spread_m = np.sqrt(own.variance_along(across) + there.variance_along(across))
     both = own.plane & there.plane
     slope = np.where(both, _SLOPE, _UNKNOWN_SLOPE)
-    # Without a plane the way to the camera stands for the normal: it is on the same side.
+    # Without a plane, the direction to the camera replaces the normal, on the same side.
     turned = (own.normal * there.normal).sum(axis=-1) < np.where(both, _TURNED, 0.0)
     reach_m = _ASIDE * there.spacing_m / there.cosine + SIGMAS * (own.sigma_m + there.sigma_m)
     near = (np.abs(offset_m) <= SIGMAS * spread_m + slope * aside_m) & (aside_m <= reach_m)
@@ -124,7 +124,7 @@ def _on_one_surface(
 
 
 def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
-    """Whether the point lies before the other's plane, by more than both noises."""
+    """Return whether the point is in front of the other's plane, by more than both noises."""
     apart = own.point_m - there.point_m
     height_m = (apart * there.normal).sum(axis=-1)
     aside_m = np.linalg.norm(apart - height_m[:, None] * there.normal, axis=-1)
@@ -134,5 +134,5 @@ def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
 
 
 def _nearest_m(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """The least depth of the nine pixels about each; 0 where one of them has none."""
+    """Return the least depth of the nine pixels about each; 0 if one of them has no depth."""
     return ndimage.minimum_filter(np.nan_to_num(depth_m, nan=0.0), 3, mode="constant", cval=0.0)

@@ -1,4 +1,4 @@
-"""The views of a stored scene as merging wants them, with the noise of their depths.
+"""Views of a stored scene in the form that merging needs, with the noise of their depths.
 
 A dataset stores no standard deviation of depth. Depth follows from a place in the projector's
 picture, so its noise is that place's, times how fast depth changes with it. Where code maps are
@@ -34,7 +34,7 @@ from .adding import SurfacePoints, ViewTruth, surface_of
 from .view import MeasuredView, planes_of
 
 SURFACE_POINTS = 20000  # All parts of a scene share them.
-_GROUPS, _LEAST = 8, 400  # Each group has pixels of like light, and so many at least.
+_GROUPS, _LEAST = 8, 400  # Groups of similar light, and the least number of pixels of each.
 _NO_PLANES_PX = 12**-0.5  # Where no plane shows its noise, a place is known to a projector pixel.
 _CENTRE = 24 / 25  # A plane through 25 pixels leaves this of the middle one's variance.
 _NUDGE = 1e-4  # The depth's slope is taken over this share of it.
@@ -43,7 +43,7 @@ _NUDGE = 1e-4  # The depth's slope is taken over this share of it.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredView:
-    """A view with what it should have measured, and where its noise is known from."""
+    """A view with its perfect measurement, and the source of its noise."""
 
     view: MeasuredView
     truth: ViewTruth
@@ -52,7 +52,7 @@ class StoredView:
 
 
 def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
-    """One picture of a scene.
+    """Read one picture of a scene.
 
     Raises:
         DatasetError: the dataset is of real pictures, or a file is missing or damaged.
@@ -63,7 +63,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
             "give a dataset of graycast generate"
         )
     content = scene_content(shot)
-    assert content.rgb is not None  # what is simulated has a colour picture
+    assert content.rgb is not None  # Simulated views have a colour picture.
     step_m = content.depth_scale_mm / MM_PER_M
     depth_m = _metres(content.scanner, step_m)
     sigma_m, noise = _sigma_m(stored, shot, depth_m, step_m)
@@ -107,7 +107,7 @@ def _T_world_cam(view: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
 def _sigma_m(
     stored: StoredDataset, shot: StoredScene, depth_m: Float[np.ndarray, "h w"], step_m: float
 ) -> tuple[Float[np.ndarray, "h w"], str]:
-    """Of z, with the rounding to steps; NaN where there is no depth."""
+    """Return sigma of z, with the rounding to steps, and its source; NaN where depth is missing."""
     rig = rig_of(stored.taker(shot.sensor)["rig"])
     slope_m = depth_slope_m(depth_m, rig)
     try:
@@ -125,7 +125,7 @@ def _sigma_m(
 
 
 def depth_slope_m(depth_m: Float[np.ndarray, "h w"], rig: Rig) -> Float[np.ndarray, "h w"]:
-    """How depth changes with the projector's coordinate [m/px]; NaN where there is none."""
+    """Return the change of depth with the projector's coordinate [m/px]; NaN without depth."""
     point_m = points(rig.camera, depth_m)
     axis = 0 if triangulation_axis(rig) == "column" else 1
     place = [
@@ -142,7 +142,7 @@ def measured_noise_px(
     light: Num[np.ndarray, "h w"],
     rig: Rig,
 ) -> Float[np.ndarray, "h w"]:
-    """Of each pixel's place in the projector [px], from how rough depth is where light is alike.
+    """Estimate each pixel's noise in the projector [px] from the roughness at similar light.
 
     Args:
         light: the modulation, in any unit.

@@ -1,4 +1,4 @@
-"""What one view measured, as fusing wants it: places, normals and noise, all in the world."""
+"""Measurements of one view in the form that fusion needs: points, normals, noise, in the world."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LEAST_COSINE = 0.2  # Where a surface is steeper to the ray, its normal's error 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredView:
-    """One picture's depth and where it was taken from.
+    """Depth of one picture, and the camera's pose.
 
     Attributes:
         name: what tables call it.
@@ -85,11 +85,11 @@ class Points:
 
     @property
     def area_m2(self) -> Float[np.ndarray, "*n"]:
-        """Of the surface, what a pixel covers."""
+        """Area of the surface that a pixel covers."""
         return np.square(self.spacing_m) / self.cosine
 
     def variance_along(self, direction: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-        """Of each point along a direction [m^2]: noise is along the ray, and its shadow counts."""
+        """Return each point's variance along a direction [m^2], from its noise along the ray."""
         cosine = np.abs((self.toward * direction).sum(axis=-1)).clip(LEAST_COSINE, 1.0)
         return np.square(self.sigma_m * cosine)
 
@@ -101,7 +101,7 @@ class Points:
 
 
 def points_of(view: MeasuredView) -> Points:
-    """Each pixel's place on its true ray, with the normal of the plane through its neighbours."""
+    """Return each pixel's point on its true ray, with the normal of its neighbourhood's plane."""
     camera, T = view.camera, view.T_world_cam
     ray = picture_rays(camera)
     length = np.linalg.norm(ray, axis=-1)

@@ -1,4 +1,4 @@
-"""A scene's views in figures: what each measured, what it adds, and how good the cloud is."""
+"""Figures of a scene's views: what each measured, what it adds, and how good the cloud is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ def surface_figures(
 def cloud_figures(
     fused: Fused, views: Sequence[StoredView], reason_name: dict[int, str]
 ) -> dict[str, Any]:
-    """What became of the measurements; errors are along the normals, by how many views agreed."""
+    """Return figures of the fused cloud, with errors along the normals by number of views."""
     cloud = fused.cloud
     error_m = cloud_errors_m(cloud, views)
     counts = sorted(set(cloud.views.tolist()))
@@ -110,9 +110,9 @@ def cloud_figures(
 
 
 def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.ndarray, " n"]:
-    """How far each point lies off the true surface of its pixel, along its normal; NaN if unknown.
+    """Return each point's distance from its pixel's true surface, along its normal; else NaN.
 
-    The true surface is taken for a plane about the pixel.
+    The true surface is taken as a plane about the pixel.
     """
     error_m = np.full(len(cloud.view), np.nan)
     for i, one in enumerate(views):

@@ -1,4 +1,4 @@
-"""Whether views agree where they see the same surface, and what a wrong pose would explain.
+"""Check that views agree where they see the same surface, and the likely error of a wrong pose.
 
 The poses of real views come from a robot and a hand-eye calibration. Points of one view are looked
 up in another, and the least motion that moves them onto its surface is found by robust least
@@ -24,8 +24,8 @@ from ...base.robust import robust_sigma
 from .looking import SIGMAS, meet
 from .view import MeasuredView, Points, points_of
 
-POINTS = 4000  # So many points of a view are looked up in another.
-LEAST_POINTS = 200  # A statement needs so many points on planes that both see.
+POINTS = 4000  # Number of points of a view that are looked up in another.
+LEAST_POINTS = 200  # A statement needs this many points on planes that both see.
 # In each step a point may be off by this share of the depth and by 4 sigma.
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
 ALIGNED = 0.7  # Normals of one surface have a larger cosine between them.
@@ -37,7 +37,7 @@ LEAST_SHARE = 0.3  # Of the points that two right views measured, this share is 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """One view's points in another view.
+    """Agreement of one view's points with another view.
 
     Attributes:
         points: that lie where the other view has a depth.
@@ -78,14 +78,14 @@ def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tupl
 def agreements(
     views: Sequence[MeasuredView], points: Sequence[Points]
 ) -> dict[tuple[int, int], Agreement]:
-    """Of each pair of views."""
+    """Return the agreement of each pair of views."""
     own = [_some(view_points) for view_points in points]
     pairs = combinations(range(len(views)), 2)
     return {(i, j): _agreement(own[i], views[j], points[j]) for i, j in pairs}
 
 
 def _all_differ(views: Sequence[MeasuredView], points: Sequence[Points]) -> str:
-    """Of views of which no two agree: the same mistake may be in all poses."""
+    """Explain that no two views agree: the same mistake may be in all poses."""
     names = ", ".join(view.name for view in views)
     none = f"no two of the views {names} agree where both measured a surface"
     for what, change in _MISTAKES.items():
@@ -103,7 +103,7 @@ def _differs(
     points: Sequence[Points],
     pairs: Mapping[tuple[int, int], Agreement],
 ) -> str:
-    """Of a view that agrees with none, while others agree."""
+    """Explain that a view agrees with no other, while others agree."""
     mine = {pair: one for pair, one in pairs.items() if i in pair}
     pair, best = max(mine.items(), key=lambda item: (item[1].meets, item[1].points))
     if best.meets:
@@ -132,7 +132,7 @@ def _displaced(view: MeasuredView, other: MeasuredView, one: Agreement) -> str:
 
 
 def _remedy(i: int, views: Sequence[MeasuredView], points: Sequence[Points]) -> str:
-    """Which usual mistake in one view's pose explains that it agrees with none."""
+    """Return the usual mistake in one view's pose that explains why it agrees with none."""
     T = views[i].T_world_cam
     for what, change in _MISTAKES.items():
         own = _moved(_some(points[i]), change(T) @ inverse(T))
@@ -220,10 +220,10 @@ def _least_squares(
     kernel_m: float,
     determined_m: float,
 ) -> Float[np.ndarray, "6"]:
-    """With Cauchy's weights, in the directions that the noise lets be known to `held_m`.
+    """Solve by least squares with Cauchy weights, in directions that the noise determines.
 
-    The kernel is wide at first: what leans shows a shift aside, and would be an outlier beside a
-    floor that shows none.
+    Such a direction is known to `determined_m`. The kernel is wide at first, because a leaning
+    surface shows a sideways shift and would be an outlier next to a floor that shows none.
     """
     spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)

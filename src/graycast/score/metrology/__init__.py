@@ -1,4 +1,4 @@
-"""What a virtual camera is worth: flatness, spheres, noise, focus, as a metrology lab measures."""
+"""Certificate of a virtual camera: flatness, spheres, noise, focus, as a metrology lab measures."""
 
 from .certificate import Certificate, Scope
 from .certify import certify

@@ -1,4 +1,4 @@
-"""What is measured: planes, spheres and ball bars, and where they stand in a rig's volume.
+"""Artefacts to measure: planes, spheres and ball bars, and their places in a rig's volume.
 
 All is in the camera frame. A point counts as in the volume where the camera sees it, the projector
 lights it, and its depth lies in the working range.
@@ -21,7 +21,7 @@ from ...world.scene import Quad, Sphere
 
 EDGE_PX = 2.0  # Artefacts keep clear of the edge of either picture by this.
 RANGE_MARGIN = 0.03  # It is a share of the range at both ends: noise takes no point out of it.
-DEPTHS = 41  # A common field is looked for at so many depths.
+DEPTHS = 41  # A common field is searched for at this many depths.
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # They lie on a sphere; about half of them face the camera.
 CLEARANCE = 1.1  # Spheres are apart by this multiple of their angular radii's sum.
@@ -49,7 +49,7 @@ class Volume:
 
 
 def working_volume(rig: Rig) -> Volume:
-    """The part of the working range in which camera and projector have a field in common.
+    """Return the part of the working range in which camera and projector have a common field.
 
     Raises:
         ValueError: they have none.
@@ -94,7 +94,7 @@ def common_rectangle_m(
 
 
 def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-    """Whether camera and projector both have a point in their fields; depth is not asked."""
+    """Return whether a point is in the fields of camera and projector; depth is not checked."""
     in_camera = _in_picture(project(rig.camera, point), rig.camera)
     lit = project(rig.projector, transform_points(rig.T_proj_cam, point))
     return in_camera & _in_picture(lit, rig.projector)
@@ -121,7 +121,7 @@ def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material
 def sphere_centre_m(
     rig: Rig, volume: Volume, at: tuple[float, float, float], radius_m: float
 ) -> Float[np.ndarray, "3"]:
-    """Centre of a sphere that lies in the volume as near to a wanted place as it can.
+    """Return the centre of a sphere in the volume, as near to a wanted place as possible.
 
     Args:
         at: (u, v, w): -1 to 1 across the common field, 0 near to 1 far.
@@ -147,7 +147,7 @@ def sphere_centre_m(
 def sphere_fits(
     rig: Rig, volume: Volume, centre_m: Float[np.ndarray, "3"], radius_m: float
 ) -> bool:
-    """Whether all of a sphere's surface that faces the camera is in the volume."""
+    """Return whether all of a sphere's surface that faces the camera is in the volume."""
     golden = np.arange(FACING_POINTS) * (math.pi * (3 - math.sqrt(5)))
     height = np.linspace(-1, 1, FACING_POINTS)
     ring = np.sqrt(1 - height**2)
@@ -186,7 +186,7 @@ BAR_DIRECTIONS = {
 
 
 def ball_bars(rig: Rig, volume: Volume, *, radius_m: float) -> tuple[BallBar, ...]:
-    """One ball bar in seven positions about the volume's middle, as long as all of them allow.
+    """Return one ball bar in seven positions about the volume's middle, as long as they all allow.
 
     Raises:
         ValueError: no length down to a tenth of the volume's diagonal fits.
@@ -215,7 +215,7 @@ def ball_bars(rig: Rig, volume: Volume, *, radius_m: float) -> tuple[BallBar, ..
 
 
 def clear(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> bool:
-    """Whether no sphere hides any of another from the camera or from the projector."""
+    """Return whether no sphere hides part of another from the camera or from the projector."""
     for eye in (np.zeros(3), rig.T_cam_proj[:3, 3]):
         way = centre_m - eye
         distance = np.linalg.norm(way, axis=-1)
@@ -229,7 +229,7 @@ def clear(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> bool
 
 
 def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> list[list[int]]:
-    """Which spheres can stand in one scene, so that few need be rendered.
+    """Group the spheres that can be in one scene, so that few scenes must be rendered.
 
     Each goes to the first scene at its own depth, where one exposure suits all, in which it neither
     hides another nor is hidden.

@@ -1,4 +1,4 @@
-"""What was found: plain numbers with their units, ready for JSON."""
+"""Results of a certificate: plain numbers with their units, ready for JSON."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scope:
-    """How much is measured, and under what light.
+    """Extent of the measurements, and their light.
 
     `distances` facing planes from near to far, planes tilted by `tilts_deg` about the baseline,
     `spheres` for probing, the ball bar in its first `bars` positions. Light is traced with
@@ -49,7 +49,7 @@ class Scope:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneResult:
-    """One plane in one pose.
+    """Figures of one plane in one pose.
 
     `flatness_m` is the range of signed distances from the best-fit plane, `std_m` their standard
     deviation, `offset_m` the median of measured less true depth. Distances are over the whole
@@ -76,7 +76,7 @@ class PlaneResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbingResult:
-    """One sphere: PF is `form_m`, PS is `size_m` (fitted less nominal diameter)."""
+    """Figures of one sphere: PF is `form_m`, PS is `size_m` (fitted less nominal diameter)."""
 
     centre_m: tuple[float, float, float]
     form_m: float
@@ -89,7 +89,7 @@ class ProbingResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpacingResult:
-    """One position of the ball bar: SD is `error_m`, measured less nominal distance."""
+    """Figures of one position of the ball bar: SD is `error_m`, measured less nominal distance."""
 
     name: str
     ends_m: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -111,7 +111,7 @@ class BlurResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """What a virtual camera is worth; see docs and `sheet` for how each number was measured.
+    """Accuracy of a virtual camera; see the docs and `sheet` for how each number was measured.
 
     `deviation_m` is the middle plane's signed distance from its best fit, block means over the
     picture; it goes into a plot, not into the JSON.
@@ -174,7 +174,7 @@ class Certificate:
         }
 
     def record(self) -> dict[str, Any]:
-        """All numbers as JSON takes them: None where there is none."""
+        """Return all numbers for JSON, with None for NaN."""
         known = asdict(self)
         known.pop("deviation_m")
         return _without_nan({"summary": self.summary, **known})

@@ -10,7 +10,7 @@ from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, s
 from .certificate import Certificate
 
 DEPTH_COLORS = ("#5aa9c7", ACCENT, "#0a3d56")
-MAP_SIGMAS = 3.0  # The colours span so many of the plane's deviation.
+MAP_SIGMAS = 3.0  # The colours span this many of the plane's standard deviations.
 
 
 def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
@@ -33,7 +33,7 @@ def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
 
 
 def _volume(certificate: Certificate) -> Figure:
-    """Where the artefacts stood, from above and from the side."""
+    """Plot the places of the artefacts, from above and from the side."""
     figure, axes = plain_figure(9.6, 4.2, (1, 1))
     for ax, across, letter in zip(axes, (0, 1), "xy", strict=True):
         for plane in certificate.facing:

@@ -68,7 +68,7 @@ class _Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan:
-    """All artefacts, and which probing spheres stand in one scene; a ball bar stands alone."""
+    """All artefacts, and the probing spheres of each scene; a ball bar has a scene of its own."""
 
     poses: tuple[_Pose, ...]
     probing_radius_m: float
@@ -90,7 +90,7 @@ def certify(
     rendered_with: Rig | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Certificate:
-    """Measure what a scanner is worth over its working volume.
+    """Measure the accuracy of a scanner over its working volume.
 
     The scanner is taken as it is, filters and smoothing included; a picture's exposure is metered
     on the artefact in it, unless the scanner's is fixed. Truth comes from the scene.
@@ -180,7 +180,7 @@ def _plan(lab: Lab) -> _Plan:
 
 
 def _poses(lab: Lab) -> tuple[_Pose, ...]:
-    """Facing planes near to far; tilts about the baseline, where noise is measured; other tilts.
+    """Return facing planes near to far, tilts about the baseline (with noise), and other tilts.
 
     About the baseline both devices are tilted alike; across it one sees the plane steeper.
     """
@@ -223,7 +223,7 @@ def _poses(lab: Lab) -> tuple[_Pose, ...]:
 
 
 def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndarray, "h w"]]:
-    """The figures of one plane, and a map of how far it lies from its best fit."""
+    """Return the figures of one plane, and a map of distances from its best fit."""
     surface = plane(
         pose.z_m,
         tilt_rad=math.radians(pose.tilt_deg),
@@ -264,7 +264,7 @@ def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndar
 
 
 def _middle(shots: Shots, z_m: float) -> Bool[np.ndarray, "h w"]:
-    """The middle of what both devices see, and of a tilted plane what is near its distance."""
+    """Return a mask of the middle of the common field; on a tilted plane, near its distance."""
     rows, columns = (np.flatnonzero(shots.where.any(axis=axis)) for axis in (1, 0))
     window = np.zeros_like(shots.where)
     cut = (1 - MIDDLE_SHARE) / 2

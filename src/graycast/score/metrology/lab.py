@@ -30,7 +30,7 @@ MIN_DECODED = 0.05  # Fewer of an artefact's pixels say more of the settings tha
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lab:
-    """What stays the same from scene to scene. `rig` is the truth, `scanner.rig` the calibration.
+    """Data that stay the same for all scenes.
 
     `ray` are the directions of the pixels through the true camera, `scanner_ray` those that the
     scanner believes in.
@@ -50,7 +50,7 @@ class Lab:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shots:
-    """One scene: its truth, the light of each frame, and what the scanner measured in each shot.
+    """One scene: its truth, the light of each frame, and the measurement of each shot.
 
     `where` are the pixels in both fields and in the working range, away from outlines.
     """
@@ -82,7 +82,7 @@ def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> La
 
 
 def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed: int) -> Shots:
-    """Render a scene once and scan it so many times: the shots differ by the sensor's noise alone.
+    """Render a scene once and scan it `captures` times; only the sensor's noise differs.
 
     Raises:
         ValueError: nothing of the artefacts lies in the volume.

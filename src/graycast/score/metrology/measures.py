@@ -12,14 +12,14 @@ from scipy.stats import chi2
 
 from ...rig.pattern import Code, Frame
 
-DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows at most so many points to be dropped.
+DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows dropping at most this share of the points.
 ITERATIONS = 50
 CONVERGED = 1e-12  # It is a share of the radius.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviations:
-    """How far points lie from the shape fitted to them.
+    """Distances of points from the shape that was fitted to them.
 
     `range_m` is largest less smallest signed distance, `std_m` their standard deviation; both of
     the points kept, whose number is `points`.
@@ -103,7 +103,7 @@ def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
 
 
 def without_worst(distance: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """All but the 3 points in 1000 (rounded down) that lie farthest from the shape."""
+    """Select all points except the 3 in 1000 (rounded down) that are farthest from the shape."""
     worst = len(distance) * DROPPED_SHARE[0] // DROPPED_SHARE[1]
     keep = np.ones(len(distance), dtype=bool)
     if worst:
@@ -180,7 +180,7 @@ def point_spacing_m(point: Float[np.ndarray, "h w 3"], where: Bool[np.ndarray, "
 def modulation(
     code: Code, light: Float[np.ndarray, "n h w"], where: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """Modulation of each bit and each set of phases, the mean over the pixels given; 1 is perfect.
+    """Return the mean modulation of each bit and each set of phases over pixels; 1 is perfect.
 
     With white W and black B: `|P - I| / (W - B)` of a binary frame and its inverse, without one
     `|2 P - W - B| / (W - B)`; of phases or lines twice the amplitude over W - B, which a lit line

@@ -27,7 +27,7 @@ _FIT_PX = 0.5  # It is the largest RMS of a cloud about its own pinhole camera.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileOptions:
-    """What a user states where files leave it open.
+    """Facts that a user states because files leave them open.
 
     Attributes:
         K: intrinsics [px]; organised clouds bring their own where this is None.

@@ -196,7 +196,7 @@ def _corners(
 
 
 def _places(vertex: Int[np.ndarray, "h1 w1 4"], count: int) -> Float[np.ndarray, "v 2"]:
-    """Where each vertex lies in the picture."""
+    """Return the place of each vertex in the picture."""
     place = np.empty((count, 2))
     for k in range(len(_ABOUT)):
         i, j = np.nonzero(vertex[..., k] >= 0)
@@ -205,7 +205,7 @@ def _places(vertex: Int[np.ndarray, "h1 w1 4"], count: int) -> Float[np.ndarray,
 
 
 def _slopes(vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes) -> Float[np.ndarray, "v 2"]:
-    """How the inverse depth changes at each vertex, per pixel in x and y."""
+    """Return the slope of the inverse depth at each vertex, per pixel in x and y."""
     i, j, k = np.nonzero(vertex >= 0)
     number = vertex[i, j, k]
     count = np.bincount(number)
@@ -217,7 +217,7 @@ def _slopes(vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes) -> Float[np.ndar
 def _outwards(
     vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
 ) -> Float[np.ndarray, "v 2"]:
-    """By how many pixels each vertex moves, so that its pixel's surface covers what it shall."""
+    """Return how many pixels each vertex must move, so that surfaces cover the wanted share."""
     most, least = np.zeros((count, 2)), np.zeros((count, 2))
     for k, (down, right) in enumerate(_ABOUT):
         i, j = np.nonzero(vertex[..., k] >= 0)
@@ -285,7 +285,7 @@ def _blocks(
 def _joined(
     whole: Bool[np.ndarray, "h w"], mean: Planes, size: int
 ) -> tuple[Bool[np.ndarray, "h2 w2"], Float[np.ndarray, "h2 w2 3"]]:
-    """Which fours of squares become one, and the mean plane of each four."""
+    """Return which groups of four squares become one, and the mean plane of each group."""
     rows, columns = (n // 2 for n in whole.shape)
     four = mean[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3)
     larger: np.ndarray = four.mean(axis=(1, 3))

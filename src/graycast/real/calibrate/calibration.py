@@ -29,7 +29,7 @@ RANGE_MARGIN = 0.1  # The range goes beyond the nearest and farthest corner by t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewResidual:
-    """How well one view fits. RMS is of the distance in the picture, as OpenCV counts it.
+    """Residuals of one view after the fit.
 
     `epipolar_rms_px` is the distance of a projector corner from the line on which the camera's
     corner puts it. `left_out` corners disagreed so strongly that the fit does without them; they
@@ -197,7 +197,7 @@ def _refuse_impossible(fit: Adjustment) -> None:
 
 
 def _impossible(optics: Optics, rms_px: float):
-    """What no device has, with its value."""
+    """Yield properties that no device has, with their values."""
     width_px, height_px = optics.width_px, optics.height_px
     aspect = optics.fx_px / optics.fy_px
     if not 1 / MOST_ASPECT < aspect < MOST_ASPECT:

@@ -337,7 +337,7 @@ def _read_at(
 
 
 def _robust_fit(basis, value, weight):
-    """Which values agree with the smooth fit, and its coefficients by least squares of those.
+    """Return a mask of the values that agree with the smooth fit, and its coefficients.
 
     Least absolute deviations first (reweighted), which half of the pixels cannot pull away; then
     those beyond three robust deviations are left out.

@@ -180,7 +180,7 @@ def _cast(
 def _taken(
     mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Where the measurement is the bin's."""
+    """Return a mask of the pixels at which the measurement is of the bin."""
     # A gap in the measurement has no margin: scans have single gaps everywhere.
     with np.errstate(invalid="ignore"):
         other = np.abs(depth_m - mesh_m) >= REACH_M
@@ -251,7 +251,7 @@ def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Bend:
-    """Where points of the world go: along their camera ray, by a ratio for each pixel."""
+    """Displacement of points of the world along their camera ray, by a ratio for each pixel."""
 
     T_world_cam: Float[np.ndarray, "4 4"]
     camera: Optics
@@ -335,7 +335,7 @@ def _split(mesh: Mesh, bend: _Bend) -> Mesh:
 def _curved(
     corner_m: Float[np.ndarray, "f 3 3"], longest_m: Float[np.ndarray, " f"], bend: _Bend
 ) -> Bool[np.ndarray, " f"]:
-    """Which faces are to be split: too long, or farther from the smooth shape than allowed."""
+    """Return the faces to split: those that are too long or too far from the smooth shape."""
     curved = longest_m > _LONGEST_M
     candidates = np.flatnonzero(~curved & (longest_m > EDGE_M))
     point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[candidates])

@@ -37,7 +37,7 @@ class Grid:
 
     @cached_property
     def point_m(self) -> Float[np.ndarray, "rows columns 3"]:
-        """What is measured, in the camera frame; NaN where nothing is."""
+        """Measured points in the camera frame; NaN where depth is missing."""
         return self.ray * self.depth_m[..., None]
 
 
@@ -246,7 +246,7 @@ def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h
 def _mean_color(
     pictures: Sequence[UInt8[np.ndarray, "h w 3"]], sees: Bool[np.ndarray, "n h w"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Of the views that see the bin; of all where none does."""
+    """Return the mean colour over the views that see the bin; over all views where none does."""
     weight = np.where(sees.any(axis=0), sees, True)[..., None].astype(np.float64)
     mean = (np.stack(pictures) * weight).sum(axis=0) / weight.sum(axis=0)
     return np.round(mean).astype(np.uint8)

@@ -174,7 +174,7 @@ def write_fit(
 
 
 def azimuth_of(config: Config) -> float:
-    """Where a configuration has its camera's x axis in the world [rad]."""
+    """Return the direction of the camera's x axis in the world, from a configuration [rad]."""
     T = config.view.T_world_cam
     return math.radians(config.view.azimuth_deg) if T is None else math.atan2(T[4], T[0])
 

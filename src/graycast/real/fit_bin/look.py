@@ -186,7 +186,7 @@ def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, 
 def _masks(
     view: BinView, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> dict[str, Bool[np.ndarray, "rows columns"]]:
-    """Where each surface is seen, by geometry and by depth alike, and its picture can be used.
+    """Return a mask of each surface where geometry and depth agree and its picture is usable.
 
     `..._depth` is the same whatever the picture is like. The table is `floor_m` below the floor.
     """

@@ -125,7 +125,7 @@ def mesh_shape(box: Bin) -> MeshShape:
 
 
 def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
-    """Which normals are nearest to +x, -x, +y, -y, +z, -z."""
+    """Return a mask of the normals nearest to each of +x, -x, +y, -y, +z, -z."""
     axis = np.abs(normal).argmax(axis=1)
     positive = normal[np.arange(len(normal)), axis] > 0
     return [(axis == a) & (positive == sign) for a in range(3) for sign in (True, False)]

@@ -221,7 +221,7 @@ def judge(
     *,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> PoseFit:
-    """What residuals and geometry say about a pose; `trust` as in `register`.
+    """Judge a pose by residuals and geometry; `trust` as in `register`.
 
     Raises:
         GraycastError: too little of what is measured agrees with the bin.
@@ -259,7 +259,7 @@ def judge(
 def difference(
     T_world_cam: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
-    """How far two fits are apart: places of the bin's origin [m], and the angle [rad]."""
+    """Return the distance between two fits: places of the bin's origin [m], and the angle [rad]."""
     T_a, T_b = inverse(T_world_cam), inverse(other)
     turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
     return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(turn)
@@ -279,7 +279,7 @@ def _turned(
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """Of all views' pixels: the surface that each should show, and what was measured there."""
+    """Comparison for all views' pixels: the expected surface, and what was measured there."""
 
     surface: Int[np.ndarray, " n"]
     measured: Bool[np.ndarray, " n"]

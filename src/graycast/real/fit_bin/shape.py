@@ -1,4 +1,4 @@
-"""What a fit asks of a bin: flat faces in the world frame, of a box or of a mesh."""
+"""Protocol of a bin for fits: flat faces in the world frame, of a box or of a mesh."""
 
 from typing import Protocol, runtime_checkable
 
@@ -24,12 +24,12 @@ class BinShape(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the surfaces: floor, wall +x, ..."""
+        """Names of the surfaces: floor, wall +x, ..."""
         ...
 
     @property
     def surface(self) -> Int[np.ndarray, " f"]:
-        """Which surface each face belongs to."""
+        """Index of the surface of each face."""
         ...
 
     @property
@@ -62,7 +62,7 @@ class BinShape(Protocol):
     def cast(
         self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
     ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-        """What each pixel's ray meets first, from either side: the face, and its z-depth [m].
+        """Return the first face that each pixel's ray meets, from either side, and its z-depth [m].
 
         `NO_FACE` and inf where it meets nothing.
         """
@@ -87,5 +87,5 @@ def height_over(
 
 
 def is_floor(shape: BinShape) -> Bool[np.ndarray, " f"]:
-    """Which faces are the inner floor's."""
+    """Return a mask of the faces of the inner floor."""
     return np.array(shape.names)[shape.surface] == "floor"

@@ -1,4 +1,4 @@
-"""Where the bin is, roughly, without a hint: planes that may be its floor, and a search on them.
+"""Rough search of the bin without a hint, over planes that may be its floor.
 
 A pose is judged by evidence along the rays: depth that agrees with the box counts for it, depth
 behind one of its faces, which would have been seen through it, counts against it, and depth that is

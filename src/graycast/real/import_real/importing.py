@@ -30,7 +30,7 @@ from .survey import survey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import:
-    """What was imported: the sources of the scenes in their order, and what they hold."""
+    """Result of an import: the sources of the scenes in their order, and their content."""
 
     stems: tuple[str, ...]
     categories: tuple[str, ...]  # object ids count from 1

@@ -162,7 +162,7 @@ def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
 
 
 def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
-    """What a file of the scene says by image."""
+    """Return the entries of a file of the scene, by image."""
     try:
         return files.record(name, Images[form])  # type: ignore[valid-type]
     except Unreadable as error:
@@ -172,7 +172,7 @@ def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
 
 
 def _baseline_m(scene: Path) -> float | None:
-    """Of the rig that made a dataset of ours."""
+    """Return the baseline of the rig of a dataset that Graycast made; None for any other."""
     claim = scene.parent.parent / "graycast.json"
     if not claim.is_file():
         return None

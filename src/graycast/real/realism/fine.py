@@ -50,7 +50,7 @@ class FineNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairNoise:
-    """Of the places that two maps share."""
+    """Noise of the places that two maps share."""
 
     pixels: int
     sigma_m: float
@@ -155,7 +155,7 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
 
 @cache
 def median_over_mean() -> float:
-    """Of the mean square of a tile's differences in white noise.
+    """Return median over mean of a tile's mean square difference, in white noise.
 
     Differences of neighbours share pixels, so the sum of their squares is no chi-square; it is
     taken as a shifted one of its own mean, variance and skewness.

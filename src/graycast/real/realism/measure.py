@@ -20,7 +20,7 @@ _LEAST_PATCHES = 10  # Fewer patches do not determine an autocorrelation.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """What one map adds to a set's record."""
+    """Contribution of one map to the record of a set."""
 
     median_depth_m: float  # NaN where nothing is valid
     known_baseline_m: float | None

@@ -69,7 +69,7 @@ def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
 
 def missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]) -> float:
-    """Of the pixels whose four neighbours are all among some, the share that has no depth."""
+    """Return the missing share of the pixels whose four neighbours are all in a mask."""
     ring = among[1:-1, :-2] & among[1:-1, 2:] & among[:-2, 1:-1] & among[2:, 1:-1]
     return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
 
@@ -120,7 +120,7 @@ def _by_size(sizes_px: Int[np.ndarray, " n"], maps: int) -> dict[str, float]:
 def drop_out_step(
     total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
 ) -> DropOut | None:
-    """Where the missing share falls in a step from dark to bright, if it does.
+    """Find the step from dark to bright at which the missing share falls; None without one.
 
     The step is the most likely place of a change between two constant shares (maximum likelihood
     of two binomials); how wide it is, is read from the share made falling by isotonic regression.

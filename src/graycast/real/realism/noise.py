@@ -153,7 +153,7 @@ def _basis() -> Float[np.ndarray, "pixels terms"]:
 
 
 def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]]:
-    """Which patches are planes, and the noise's autocorrelation."""
+    """Return which patches are planes, and the noise's autocorrelation."""
     smooth = (fit.outliers <= _MOST_OUTLIERS * PATCH_PX**2) & (fit.rest_power > 0)
     bend = (fit.plane_power - fit.rest_power) / np.where(smooth, fit.rest_power, np.nan)
     flat = smooth & (bend <= (np.median(bend[smooth]) if smooth.any() else 0.0))
@@ -181,14 +181,14 @@ def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
 
 
 def _fit_loss(correlation: Float[np.ndarray, " lags"], terms: int) -> float:
-    """How many pixels' worth of the noise's variance a fit takes: 3 for a plane in white noise."""
+    """Return the noise variance that a fit removes, in pixels: 3 for a plane in white noise."""
     return float(np.trace(_coefficient_covariance(correlation)[:terms, :terms]))
 
 
 def _coefficient_covariance(
     correlation: Float[np.ndarray, " lags"],
 ) -> Float[np.ndarray, "terms terms"]:
-    """Of a fit's coefficients in noise of unit variance."""
+    """Return the covariance of a fit's coefficients in noise of unit variance."""
     return np.tensordot(correlation, _lags_in_basis(), axes=1)
 
 

@@ -167,7 +167,7 @@ def third_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n 
 def correlation(
     a: Float[np.ndarray, "*n a b"], b: Float[np.ndarray, "*n a b"]
 ) -> Float[np.ndarray, "*n"]:
-    """Of each two arrays, with what is far out cut off at 4 sigma; NaN of fewer than 30 pairs."""
+    """Return the correlation of each two arrays, clipped at 4 sigma; NaN below 30 pairs."""
     both = ~np.isnan(a) & ~np.isnan(b)
     enough = both.sum(axis=(-2, -1)) >= _LEAST_PAIRS
     pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]

@@ -1,4 +1,4 @@
-"""What is reported about a set of depth maps, as values that JSON holds; None is unknown."""
+"""Report about a set of depth maps, as values that JSON holds; None is unknown."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ class _Record(BaseModel):
 
 
 class BinRecord(_Record):
-    """What was found between two limits of a quantity; brightness is a share of the range."""
+    """Value between two limits of a quantity; brightness is a share of the range."""
 
     low: float
     high: float
@@ -97,7 +97,7 @@ class Pairs(_Record):
 
 
 class Autocorrelation(_Record):
-    """Of the noise at 1, 2 and 3 pixels, along the rows and along the columns."""
+    """Autocorrelation of the noise at 1, 2 and 3 pixels, along the rows and along the columns."""
 
     patches: int
     along_rows: list[float] | None

@@ -43,7 +43,7 @@ class Auc:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telling:
-    """How well one feature alone tells the sets apart, and how it differs between them."""
+    """Separation of the two sets by one feature alone, and the feature's difference."""
 
     feature: str
     auc: float

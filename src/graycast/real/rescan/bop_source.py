@@ -181,7 +181,7 @@ def _sensor(folder: Path, folders: list[Path], request: str) -> str:
 
 
 def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
-    """What a file says by image; a number that stands in it twice is refused."""
+    """Return the entries of a file by image; refuse an image number that is listed twice."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
     entries = scene.record(name, form)
     # JSON's readers take the last of two; no other key in these files is a number.
@@ -210,7 +210,7 @@ def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
 def _visible(
     scene: SceneFolder, image_id: int, z_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Which instances an image shows; where a dataset does not say, at least the farthest one.
+    """Return which instances an image shows; without this information, at least the farthest.
 
     Renderers also list what is not in the image, and it may lie behind the camera.
     """

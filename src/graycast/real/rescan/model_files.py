@@ -132,7 +132,7 @@ def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapp
 
 
 def _own_names(root: Path) -> Mapping[int, str]:
-    """Of the parts of a dataset that `generate` made: BOP's files have no place for them."""
+    """Return the part names of a dataset that `generate` made; BOP's files cannot hold them."""
     if not (root / CLAIM).is_file() or claim_kind(root) is not None:
         return {}
     return {part.obj_id: part.name for part in read_claim(root).parts}

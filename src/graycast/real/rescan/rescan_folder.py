@@ -88,7 +88,7 @@ class RescanFolder:
             )
 
     def begin(self, scene_ids: Iterable[int]) -> None:
-        """What was there: the models, and scenes without what a scanner added to them."""
+        """Bring the source's models, and its scenes without the files that a scanner added."""
         source = self.source
         if source.scenes:
             root = source.folder.parent

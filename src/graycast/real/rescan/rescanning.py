@@ -53,7 +53,7 @@ _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim has what these 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSpec:
-    """How images are scanned: whose camera it is, how light is rendered, and the seed.
+    """Options of a scan of images: the camera, the rendering of light, and the seed.
 
     With the `camera` of an 'image', its intrinsics take the place of the rig's; with that of the
     'rig', the rig's own camera stands where the image's stood. The first `images` are made, or all
@@ -73,7 +73,7 @@ class RescanSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSummary:
-    """What a run did: images that it made, that were there, and that it gave up; mean shares."""
+    """Summary of a run: images made, already there and given up, and mean shares."""
 
     written: int
     there: int
@@ -194,7 +194,7 @@ class ImageScanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanTask(Job):
-    """What a worker needs to know to scan any image of a source."""
+    """Data that a worker needs to scan any image of a source."""
 
     RUNNER = ImageScanner
 

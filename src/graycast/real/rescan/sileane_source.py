@@ -79,7 +79,7 @@ class _Pose(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Camera:
-    """What all images of a folder share; `poses` reads those of an image by its depth file."""
+    """Data that all images of a folder share; `poses` reads those of an image by its depth file."""
 
     path: Path
     K: list[float]

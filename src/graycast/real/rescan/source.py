@@ -26,7 +26,7 @@ from ...world.parts import Material, Part
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceOptions:
-    """What the files of a dataset do not say, or what is to be read of them.
+    """Facts that the files of a dataset do not state, and the choice of what to read.
 
     Attributes:
         sensor: the camera, where a dataset has several.

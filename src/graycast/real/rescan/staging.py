@@ -162,7 +162,7 @@ def _nearest(
 def _of_objects(
     depth_m: Float[np.ndarray, "h w"], nearest_m: Float[np.ndarray, "h w"], step_m: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Where the depth is that of an object, or not known."""
+    """Return a mask of the pixels whose depth is that of an object, or unknown."""
     near_m = _NEAR_M + _NEAR_SHARE * nearest_m + step_m
     with np.errstate(invalid="ignore"):  # NaN is not <
         agrees = np.abs(depth_m - nearest_m) < near_m
@@ -199,7 +199,7 @@ def _background(
     reflectance: Float[np.ndarray, "h w 3"] | None,
     material: Material | None,
 ) -> Part:
-    """What is no object, as a solid in the camera's frame."""
+    """Return everything that is not an object, as a solid in the camera's frame."""
     known = np.isfinite(image.depth_m) & ~own
     depth_m = np.where(known, image.depth_m, np.nan)
     if known.any():
@@ -276,7 +276,7 @@ def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> n
 
 
 def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """What a picture says of reflectance: its light, the brightest of it taken to be white."""
+    """Estimate reflectance from a picture's linear values; the brightest are taken as white."""
     light = linear(rgb)
     white = float(np.quantile(light.max(axis=-1), _WHITE_SHARE))
     return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)

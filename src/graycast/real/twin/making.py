@@ -39,7 +39,7 @@ COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Twin:
-    """What was found, with pictures and the classifier's word on it.
+    """Result of a fit, with pictures and the classifier's judgement.
 
     `examples` has a real scan, and its scene by the configured scanner and by the twin.
     `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.

@@ -1,4 +1,4 @@
-"""What a user cannot know of his scanner: the list of what is fitted, by the rig file's own keys.
+"""Parameters of a scanner that are fitted because its user cannot know them.
 
 A new parameter is one line of `PARAMETERS`: its key, its bounds and how its range is walked.
 """
@@ -55,7 +55,7 @@ class Parameter:
         return float(f"{value:.4g}")
 
     def share(self, value: float) -> float:
-        """Where a value lies between low and high; the nearer bound where it lies outside."""
+        """Return the place of a value between low and high, 0 to 1; values outside are clipped."""
         value = min(max(value, self.low), self.high)
         if self.walk == "log":
             return math.log(value / self.low) / math.log(self.high / self.low)
@@ -127,7 +127,7 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
 
 
 def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
-    """Where the scanner's own values lie between the bounds."""
+    """Return the places of the scanner's own values between the bounds."""
     return np.array([p.share(value_of(scanner, p)) for p in parameters])
 
 

@@ -79,7 +79,7 @@ def restage(
 
 
 def layout_of(staged: Scene) -> Layout:
-    """Where the solid of a scene of `restage` lies."""
+    """Return the layout of the solid in a scene of `restage`."""
     if not staged.parts:
         return EMPTY_LAYOUT
     return Layout(T_world_part=np.eye(4)[None], part_index=np.zeros(1, dtype=np.int64))
@@ -170,7 +170,7 @@ def _mean(
 def _covered(
     known: Bool[np.ndarray, "h w"], brightness: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 4"]:
-    """How much of each neighbour without depth a pixel's surface covers (left, right, up, down).
+    """Return the share of each neighbour without depth (left, right, up, down) that is covered.
 
     A scanner loses a pixel that sees two surfaces if both send it about as much light, so in a gap
     of one or two pixels the edge lies where they do: a bright thing covers little of a pixel that
@@ -188,7 +188,7 @@ def _covered(
 
 
 def _shifted(image: np.ndarray, axis: int, step: int) -> np.ndarray:
-    """What lies so many pixels further along an axis; at the border the last one."""
+    """Return an image shifted along an axis, with the border's pixels repeated."""
     return np.take(image, np.arange(image.shape[axis]) + step, axis=axis, mode="clip")
 
 

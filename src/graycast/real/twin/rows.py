@@ -46,7 +46,7 @@ class Row:
 
     @property
     def off(self) -> float:
-        """How many spreads the twin is off."""
+        """Deviation of the twin in spreads."""
         return (self.twin - self.real) / self.spread
 
     @property
@@ -66,7 +66,7 @@ class Figures:
 
     @property
     def scans(self) -> int:
-        """How many scans the figures are of."""
+        """Number of scans from which the figures are."""
         return len(next(iter(self.value.values())))
 
 
@@ -103,7 +103,7 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
 
 
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
-    """How many spreads each row is off; far ones count by their logarithm.
+    """Return by how many spreads each row is off; far rows count by their logarithm.
 
     A few rows that no twin meets shall not decide alone, but a bound that is flat would hide which
     way leads nearer to them: the search would stay where many rows are far off.
@@ -178,7 +178,7 @@ def _percentile(sigma_mm: Float[np.ndarray, " n"], share: int) -> float:
 
 
 def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
-    """Of the bare floor: fine noise [mm], and the share of holes [%]."""
+    """Return the fine noise [mm] and the share of holes [%] of the bare floor."""
     if floor is None:
         return [float("nan")] * 2
     plane_m = depth_of_floor(floor, *map(slice, scan.depth_m.shape))
@@ -191,7 +191,7 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
 
 
 def _texture(scan: DepthScan) -> list[float]:
-    """By how much noise along rows and columns is above the fine noise [%]; what lines share.
+    """Return the excess of noise along rows and columns over the fine noise [%], and line noise.
 
     They are medians over squares of smooth surfaces, as a classifier judges squares.
     """

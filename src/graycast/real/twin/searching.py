@@ -142,7 +142,7 @@ def scans_of(
 
 
 def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
-    """How far each parameter may lie from its value, the others making up for it.
+    """Return the half-width of each parameter's interval when the others are refitted.
 
     It is two standard deviations of the marginal law, if each row is normal about the real one with
     one spread, is linear in the parameters, and a parameter alone lies evenly in its range, whose
@@ -174,7 +174,7 @@ class _Trials:
 
     @property
     def done(self) -> int:
-        """How many trials were made."""
+        """Number of trials that were made."""
         return sum(len(places) for places in self.tried.values())
 
     def rows(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[Row, ...]:
@@ -209,13 +209,13 @@ class _Trials:
         return sorted(starts, key=lambda x: self.judge(code, x)[0])
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
-        """What the steps make small: by how much each row is off."""
+        """Return the residuals that the steps minimise: by how much each row is off."""
         _, rows = self.judge(code, x)
         known = sum(bool(np.isfinite(value).any()) for value in self.real.value.values())
         return pulls_of(rows) if rows else np.full(known, np.sqrt(_DARK_LOSS))
 
     def slopes(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
-        """Of each row by each parameter: a trial for each."""
+        """Return the slope of each row by each parameter, with one trial for each parameter."""
         here, columns = self.pulls(code, x), []
         for i, share in enumerate(x):
             lever = _LEVER if share + _LEVER <= 1 else -_LEVER

@@ -138,7 +138,7 @@ def with_black_bin(scene: Scene, rougher: float) -> Scene:
 def missing_places(
     lit: Sequence[LitScene], real: Sequence[DepthScan]
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
-    """Where missing depth is counted: in all that real scans see, and on the bin's steep sides.
+    """Return masks in which missing depth is counted: all that real scans see, and steep sides.
 
     `visible` has the pixels at which one of the real scans has depth, and `blind` those of the bin
     at which none has any: the light does not reach them or is too weak there. Of the sides only the
@@ -170,7 +170,7 @@ def missing_places(
 def scan_lit(
     lit: LitScene, scanner: Scanner, look: BinLook, *, seed: int, name: str
 ) -> DepthScan | None:
-    """What the scanner makes of a scene whose bin has another look; None where nothing is lit.
+    """Scan a scene whose bin has another look; None where nothing is lit.
 
     The bin's own light is scaled, direct and indirect alike; what it sends to the parts is not.
     That holds while the bin is dark. Gloss is taken to be proportional to the coat's reflectance
@@ -214,7 +214,7 @@ def _with_look(
     is_bin: Bool[np.ndarray, "h w"],
     look: BinLook,
 ) -> Float[np.ndarray, "*n h w"]:
-    """Where the bin is seen: so many times what lies under the coat, and so many times the coat."""
+    """Scale the light where the bin is visible: one factor for the base, weights for the coats."""
     weight = _weights(sorted(coats), look)
     scaled = np.float32(look.color) * light
     for more, share in weight.items():
@@ -226,7 +226,7 @@ def _with_look(
 
 
 def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
-    """How often each coat is added: that of the look, and less the one that the light has."""
+    """Return the weight of each coat: that of the look, less the one in the light."""
     return {
         more: look.gloss * float(np.interp(look.rougher, rougher, own))
         - look.color * float(np.interp(0.0, rougher, own))
@@ -235,7 +235,7 @@ def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
-    """What is no part and lies over the table, within the bin's outline."""
+    """Return a mask of what is no part and is above the table, within the bin's outline."""
     point_cam = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
     point = transform_points(scene.T_world_cam, point_cam)
     box = bin_of(scene)

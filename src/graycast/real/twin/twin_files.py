@@ -183,5 +183,5 @@ def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
 
 
 def _scaled(reflectance: float, factor: float) -> float:
-    """So many times the reflectance, up to what a surface can reflect."""
+    """Return a reflectance scaled by a factor, up to the highest that a surface can have."""
     return round(min(reflectance * factor, _BRIGHTEST), 4)

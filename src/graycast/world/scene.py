@@ -213,7 +213,7 @@ def bin_of(scene: Scene) -> Bin:
     return scene.bin
 
 
-TABLE_HALF_M = 4.0  # The table's edge is so far off that the table looks endless.
+TABLE_HALF_M = 4.0  # The table's edge is far enough away that the table looks endless.
 
 EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))
 

@@ -215,11 +215,7 @@ def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
 
 @final
 class _Training:
-    """The training loop.
-
-    Every random number follows from seed, epoch, picture and step, so a training that is
-    resumed draws the same numbers as one that was never stopped.
-    """
+    """The training loop; resumed, it draws the same random numbers (by epoch, picture, step)."""
 
     def __init__(
         self,

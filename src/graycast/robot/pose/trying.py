@@ -14,7 +14,7 @@ from .model import PoseModel
 
 TOLERANCE = 0.02  # A measurement may be off the part by this share of the diameter.
 TOLERANCE_SIGMAS = 3.5  # It may be off by this many times the noise, if that is more.
-# A pixel's depth pulls at the pose within so many tolerances, step by step. The first gate reaches
+# A pixel's depth counts within this many tolerances, step by step. The first gate reaches
 # as far as ICP may have left the pose. The last is one and a half times what counts as visible.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
 EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.

@@ -21,7 +21,7 @@ from .view import MeasuredView, Points
 
 WRONG_M = 2e-3  # A depth farther off the truth counts as wrong.
 WRONG = 252  # It stands beside a dataset's reasons: there is a depth, and it is wrong.
-# A model may be so far off the truth in its pixel: surfaces curve and parts press into others.
+# A model may be this far off the truth in its pixel: surfaces curve and parts press into others.
 _SLACK_M = 0.5e-3
 _SLOPE = 0.2  # The same slack grows with a pixel's size on the surface.
 

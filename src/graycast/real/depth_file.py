@@ -175,7 +175,7 @@ def _without_far(
 
 
 def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
-    """K of the pinhole camera that sees each point in its own pixel, by least squares.
+    """Return K of the pinhole camera that sees each point in its own pixel, by least squares.
 
     Raises:
         ValueError: too few points, or none such within half a pixel: a lens with distortion, or
@@ -285,7 +285,7 @@ def load_npy(path: Path) -> np.ndarray:
 
 
 def load_json(path: Path, remedy: str) -> dict[str, Any]:
-    """The keys of a JSON file.
+    """Return the keys of a JSON file.
 
     Raises:
         DatasetError: there is no such file, or it has none; the text ends with the remedy.

@@ -1,4 +1,4 @@
-"""Whether depth can be what it is given for: its unit, filled holes, and lengths of rays for z."""
+"""Checks of depth: its unit, filled holes, and ray lengths in place of z."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from ..rig.optics import Optics, picture_rays
 
 BEYOND = 1.5  # No place of the camera explains a median beyond far times this or near over this.
 FILLED = 0.05  # A larger share of the known pixels at exactly the farthest depth may be a fill.
-_APART = 1.2  # No surface ends at one exact depth that is so many times the next one.
-_PIXELS, _PLANES = 3000, 300  # So many pixels and triples of them show the largest plane.
+_APART = 1.2  # No surface ends at one exact depth that is this many times the next one.
+_PIXELS, _PLANES = 3000, 300  # This many pixels and triples of them show the largest plane.
 _LEAST_PX = 300
 _OFF = 3e-3  # A pixel on a plane is off by less of its depth.
 _PLANE_SHARE, _TIMES = 0.1, 2.0  # A plane has at least so much of a picture; it wins by a factor.
-_FEWER = 5  # Far measured depth thins out; a fill has so many times the pixels of depths below.
+_FEWER = 5  # Far measured depth thins out; a fill has this many times the pixels of depths below.
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
 
 
 def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, whose: str) -> None:
-    """Refuse depth that lies far outside a known range, as with another unit.
+    """Refuse depth that is far outside a known range, for example because of another unit.
 
     Args:
         depth_m: z [m]; NaN where there is none. A map without depth is not refused.
@@ -72,7 +72,7 @@ def _percent(share: float) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneShares:
-    """The shares of depth pictures that lie on one plane each, by what the depth is taken for."""
+    """Shares of depth pictures that are on one plane each, for both meanings of depth."""
 
     as_z: float
     as_length: float
@@ -88,7 +88,7 @@ class PlaneShares:
 
 
 def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
-    """Return how much of depth pictures lies on planes if they hold z, and if they hold lengths.
+    """Return the share of depth pictures on planes, if depth is z and if it is a ray length.
 
     A floor or a table is the largest plane of most pictures. Taken for the wrong kind of depth it
     is a bowl: at 30 degrees from the axis, the length of a ray is 15 % more than its z. A plane is

@@ -1,4 +1,7 @@
-"""A depth map as a solid: its surface as the top, and sides that run down along the camera's rays.
+"""Solid from a depth map: its surface on top, and sides that follow the camera's rays down.
+
+The camera does not see the sides, and no light passes below the surface. The solid has no bottom,
+because it is never seen from below.
 
 The camera does not see the sides, and no light passes below the surface. The solid has no bottom:
 nobody looks at it from below.
@@ -19,7 +22,7 @@ STEP_M = 5e-3  # Neighbours of a scan whose surfaces are farther apart are not j
 _UNDER_M = 2e-3  # The sides go so deep into the ground.
 _FLAT_M = 5e-5  # A square of pixels whose surface is off a plane by less is two triangles.
 _LARGEST_PX = 16  # With distortion, the side of a larger square is bent in the picture.
-_WIDTHS = 1.7  # A window's radius is so many standard deviations of its weight.
+_WIDTHS = 1.7  # A window's radius is this many standard deviations of its weight.
 _RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
 _TERMS = 6
 
@@ -32,7 +35,7 @@ Rounds = tuple[tuple[int, int, float], ...]
 def surfaces(
     depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], rounds: Rounds
 ) -> Planes:
-    """The surface at each pixel of the solid without the noise; NaN elsewhere.
+    """Return the surface at each pixel of the solid without the noise; NaN elsewhere.
 
     The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
     paraboloid of inverse depth that lies nearest to the pixels about it. These count the less the
@@ -174,7 +177,7 @@ _CORNER_PX = np.array([-0.45, -0.48])  # It is x and y from the centre of pixel 
 def _corners(
     planes: Planes, step_m: float
 ) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
-    """The vertex of each pixel about each corner, -1 where none is; each one's inverse depth."""
+    """Return the vertex of each pixel at each corner (-1 for none), and the inverse depths."""
     height, width = planes.shape[:2]
     value = np.full((height + 1, width + 1, 4), np.nan)
     for k, (down, right) in enumerate(_ABOUT):
@@ -261,7 +264,7 @@ def _rim(
 def _blocks(
     corners: Int[np.ndarray, "h w 4"], planes: Planes, beside_rim: Bool[np.ndarray, "h w"]
 ) -> Int[np.ndarray, "n 4"]:
-    """The vertices of rectangles that make up the surface: pixels, and blocks where it is flat.
+    """Return the vertices of the rectangles of the surface: pixels, and blocks where it is flat.
 
     Squares of 2, 4, ... pixels become one if the four in it are alike: their mean planes lie within
     `_FLAT_M` of the plane of the square. Where a large square meets small ones, these have vertices
@@ -303,7 +306,7 @@ def _joined(
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
-    """The ground's depth at places of the picture; where it is not known, the nearest one's."""
+    """Return the ground's depth at places of the picture; where it is unknown, the nearest."""
     unknown = ~np.isfinite(ground_m)
     if unknown.all():
         return np.zeros(len(pixel))

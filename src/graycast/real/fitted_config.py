@@ -43,7 +43,7 @@ def fitted_text(
     comments: Mapping[str, str],
     dropped: Collection[str] = (),
 ) -> str:
-    """The text of a configuration in which some keys at the top are replaced or added.
+    """Return a configuration's text in which some keys at the top are replaced or added.
 
     All other text of the user stays, including comments.
 

@@ -31,7 +31,7 @@ _NEAREST_M = 0.01  # No scanner measures from nearer.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RealPicture:
-    """The files of one picture; what is not there is None."""
+    """Files of one picture; None for each that does not exist."""
 
     stem: str
     rgb: Path | None
@@ -162,7 +162,7 @@ def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file has whole numbers, which need a scale."""
+    """Return whether a file has whole numbers, which need a scale."""
     if path.suffix.lower() == ".ply":
         return False
     value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
@@ -225,10 +225,10 @@ def refuse_damaged(path: Path) -> None:
             read_png(path)
             return
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what matters is raised
+            warnings.simplefilter("ignore")  # Everything that matters is raised.
             with Image.open(path) as image:
                 image.load()
     except UnidentifiedImageError:
-        return  # a kind of TIFF that Pillow does not know: OpenCV tells what is wrong with it
+        return  # For TIFFs that Pillow does not know, OpenCV reports errors.
     except (Unreadable, OSError, ValueError, SyntaxError) as error:
         raise DatasetError(f"{path}: is cut off or damaged ({error}): copy it again") from error

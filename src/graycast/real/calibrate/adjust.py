@@ -21,9 +21,9 @@ NO_FIT = (
     "no camera and projector fit these views: decode each stack with graycast rig decode to see "
     "whether its code is right, and show the board in more different directions"
 )
-OUTLIER = 6.0  # A residual above so many medians means a wrong corner, not an inexact one.
+OUTLIER = 6.0  # A residual above this many medians means a wrong corner, not an inexact one.
 RADIAL = ("k1", "k2", "k3")
-DETERMINED = 5.0  # A device's last radial term must differ from 0 by so many standard deviations.
+DETERMINED = 5.0  # A device's last radial term must differ from 0 by this many standard deviations.
 OUTLIER_FLOOR_PX = 0.05  # The median counts as at least this, so the worst good corner stays.
 LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of their board.
 
@@ -371,7 +371,7 @@ def _middle(T: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _alone(obs: Observations, position_px, size_px):
-    """One device by OpenCV, with two radial terms, the boards' poses before it, and the RMS."""
+    """Calibrate one device with OpenCV, by two radial terms; return also the poses and the RMS."""
     views = range(int(obs.view.max()) + 1)
     point = [obs.point_m[obs.view == v].astype(np.float32) for v in views]
     position = [position_px[obs.view == v].astype(np.float32) for v in views]

@@ -23,12 +23,12 @@ from .observing import MIN_VIEWS, MINORITY, Observed
 
 SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of the others.
 MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
-OUTLYING = 2.5  # A view fits badly if its residual is more than so many times the median view's.
+OUTLYING = 2.5  # A view fits badly if its residual is more than this many times the median view's.
 OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is good, whatever the others are.
-# One pose is too few if its residual is above both: so many times that of a pose for each view (of
-# 50 simulated good calibrations, with bent boards, none is above 1.2), and so many pixels.
+# One pose is too few if its residual is above both: this factor of that of a pose per view (of
+# 50 simulated good calibrations, with bent boards, none is above 1.2), and this many pixels.
 APART, APART_PX = 2.0, 0.05
-EXPLAINED = 1.5  # Groups explain the residual if theirs is at most so many times that of the views.
+EXPLAINED = 1.5  # Groups explain the residual if theirs is at most this factor of the views'.
 MOST_GROUPS = 6
 Fit = TypeVar("Fit", Stands, Adjustment)
 CHANCE = 1e-3  # Poses that scatter so, or more, are not explained by the noise of the corners.

@@ -10,7 +10,7 @@ from scipy.special import erf
 from ...base.robust import robust_sigma
 from .board import Board, CalibrationError
 
-MIN_CORNERS = 8  # So many fix a view's pose and a homography, and some are left over to judge them.
+MIN_CORNERS = 8  # This many determine a view's pose and a homography, with some to spare.
 REFINE_REACH = 0.45  # It is a share of a square; beyond it the next edges come in.
 REFINE_REACH_PX = 15.0  # A longer reach costs time and lets distortion bend the edges.
 REFINE_ITERATIONS = 20
@@ -22,7 +22,7 @@ CODE_REACH = 0.9  # It is in squares: every inner corner has a whole square arou
 MIN_SHARE = 0.3  # This share of the pixels around a corner must be decoded and agree.
 MIN_PIXELS = 20
 CODE_ROUNDS = 12
-CODE_OUTLIER = 3.0  # A value is an outlier beyond so many robust standard deviations.
+CODE_OUTLIER = 3.0  # A value is an outlier beyond this many robust standard deviations.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Corners:
 
 
 def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
-    """The board's inner corners in a picture of it, evenly lit.
+    """Find the board's inner corners in a picture of it, evenly lit.
 
     OpenCV finds the board; then each corner is fitted anew as the product of two blurred edges,
     since OpenCV's own sub-pixel positions are off by 0.05 to 0.1 px in sharp pictures.
@@ -259,7 +259,7 @@ def projector_corners(
     sigma_column: Float[np.ndarray, "h w"] | None = None,
     sigma_row: Float[np.ndarray, "h w"] | None = None,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-    """The projector's column and row at each corner of the board.
+    """Return the projector's column and row at each corner of the board.
 
     The board is flat, so near a corner the code is a smooth function of the camera pixel, light and
     dark squares alike: a quadratic is fitted to each axis over the disc of 0.9 squares around the

@@ -20,8 +20,8 @@ SAME_POSE = 0.005  # In a picture, corners of one pose are nearer, as a share of
 GROSS, GROSS_PX = 6.0, 2.0  # A corner above both, in its view's medians and in pixels, is wrong.
 MOST_RMS = 0.005  # A device's residual is at most this, in widths of its picture.
 GOOD_RMS_PX, SPOILING = 0.5, 3.0  # A device alone is good below it; one view may worsen it so far.
-MINORITY = 1 / 3  # A larger share of the views is not left out: nobody knows which are right.
-# A view puts the projector elsewhere if it is off by so many times the usual and at least so much:
+MINORITY = 1 / 3  # A larger share is not left out, because then it is unknown which are right.
+# A view puts the projector elsewhere if it is off by this factor of the usual and at least this:
 # noise turns a view by up to 1.3 degrees. `fit_agreeing`, which knows the noise, finds the rest.
 ELSEWHERE, TURN_DEG, SHIFT = 4.0, 2.0, 0.15  # The shift is a share of the baseline.
 
@@ -44,7 +44,7 @@ class BoardView:
 
 
 def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
-    """One pose of the board from the stack that a YAML file describes; and the projector's size.
+    """Read one pose of the board from the stack of a YAML file; return also the projector's size.
 
     The board is looked for in the white frame, or in the brighter of a bit and its inverse.
 
@@ -138,7 +138,7 @@ def observe(
     camera_size_px: tuple[int, int],
     projector_size_px: tuple[int, int],
 ) -> Observed:
-    """Every corner that both devices see in the views that can belong to one rig.
+    """Return every corner that both devices see, in views that can belong to one rig.
 
     Raises:
         CalibrationError: too few such views.
@@ -160,7 +160,7 @@ def observe(
 def agreeing(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> Observed:
-    """The views that agree on both lenses and on where the devices stand.
+    """Return the views that agree on both lenses and on the places of the devices.
 
     Each device is calibrated alone: views of a faulty one fit one lens badly. Then every view says
     where the projector stands before the camera, and must say what most of the others do.
@@ -174,7 +174,7 @@ def agreeing(
 
 
 def grouped(sentences: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Each sentence once, after the views it is true of; numbers may differ from view to view."""
+    """Yield each sentence once, after the views to which it applies; numbers may differ."""
     views: dict[str, list[str]] = {}
     for name, sentence in sentences.items():
         views.setdefault(re.sub(r"\d+", "", sentence), []).append(name)

@@ -1,4 +1,4 @@
-"""A bin's mesh bent until its visible surface lies where a scan measured it.
+"""Bending of a bin's mesh until its visible surface is where a scan measured it.
 
 A real bin is not as its drawing: walls bulge, floors sag. Each vertex is moved along its camera ray
 by the ratio of measured depth to the mesh's depth. The ratio is one smooth function of the ray, so
@@ -34,11 +34,11 @@ from .bin_views import BinView
 
 EDGE_M = 8e-3  # Shorter edges are not split; it is also the standard deviation of the smoothing.
 _LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is looked at in a few points.
-_CURVED_M = 1e-4  # A face may be so far from the smooth shape, as this is the noise of one pixel.
+_CURVED_M = 1e-4  # A face may be this far from the smooth shape, as this is the noise of one pixel.
 # Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
 REACH_M = 15e-3
 _STEP_M = 5e-3  # A step in depth is larger than its neighbours' steps by this.
-_MARGIN_PX = 3  # So many pixels beside a step or a part mix two surfaces.
+_MARGIN_PX = 3  # This many pixels beside a step or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
 _LEAST_SHARE = 0.05  # If fewer of the mesh's pixels are measured near it, the pose is wrong.
 _COARSER = 0.01  # The next coarser level has this weight, which counts where little is measured.
@@ -51,7 +51,7 @@ def bend_bin(
     camera: Optics,
     depth_m: Float[np.ndarray, "h w"],
 ) -> Mesh:
-    """The mesh of a bin with its visible surface where it was measured.
+    """Return the mesh of a bin with its visible surface where it was measured.
 
     Faces are split where they bend, down to edges of `EDGE_M`, and shared edges alike, so that a
     watertight mesh stays watertight. Pixels count whose measurement is within `REACH_M` of the mesh
@@ -173,7 +173,7 @@ def _spread(
 def _cast(
     mesh: Mesh, T_world_cam: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "h w"]:
-    """z-depth [m] of the mesh, NaN beside it."""
+    """Return the z-depth of the mesh [m]; NaN outside it."""
     return visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
 
 
@@ -215,7 +215,7 @@ def _widened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 def _smooth(
     value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"], sigma_px: float
 ) -> Float[np.ndarray, "h w"]:
-    """Normalised convolution with a Gaussian, continued from coarser levels; 0 far from all.
+    """Smooth by normalised convolution with a Gaussian, continued from coarser levels.
 
     Source: H. Knutsson & C.-F. Westin, "Normalized and differential convolution", 1993. Each level
     has half the pixels of the one before it, so its Gaussian reaches twice as far.
@@ -294,7 +294,7 @@ _PIECES = (
 )
 
 
-_STEPS = 4  # A face and the smooth shape are compared at points, so many steps per edge.
+_STEPS = 4  # A face and the smooth shape are compared at points, this many steps per edge.
 _WITHIN = np.array(
     [(i, j, _STEPS - i - j) for i in range(_STEPS + 1) for j in range(_STEPS + 1 - i)]
 ) / float(_STEPS)
@@ -310,7 +310,7 @@ def _split(mesh: Mesh, bend: _Bend) -> Mesh:
     multigrid techniques", 1984.
     """
     vertices_m, faces, uv = mesh.vertices_m, mesh.faces, mesh.corner_uv
-    new = np.arange(len(faces))  # what was found flat enough is not asked again
+    new = np.arange(len(faces))  # Faces that are flat enough are not checked again.
     while True:
         edge, of_face = _edges(faces)
         length_m = np.linalg.norm(np.diff(vertices_m[edge], axis=1)[:, 0], axis=1)
@@ -347,7 +347,7 @@ def _curved(
 
 
 def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    """All edges once, lower vertex first, and the numbers of each face's edges 01, 12 and 20."""
+    """Return all edges once, lower vertex first, and the indices of a face's edges 01, 12, 20."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edge, of_face = np.unique(ends, axis=0, return_inverse=True)
     return edge, of_face.reshape(-1, 3)

@@ -25,7 +25,7 @@ _NORMALS_ACROSS = 400  # Normals come from pixels a two-hundredth of the picture
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Every n-th pixel of a view: the camera that has no others, and z-depth [m], NaN for none."""
+    """Every n-th pixel of a view: a camera of those pixels, and z-depth [m]; NaN for no depth."""
 
     camera: Optics
     depth_m: Float[np.ndarray, "rows columns"]
@@ -43,7 +43,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinView:
-    """One view of the bin; z-depth [m] is NaN where there is none."""
+    """One view of the bin; z-depth [m] is NaN where it is missing."""
 
     name: str
     camera: Optics
@@ -59,7 +59,7 @@ class BinView:
             )
 
     def grid(self, across: int) -> Grid:
-        """Every n-th pixel, about `across` along the longer side."""
+        """Return every n-th pixel, about `across` along the longer side."""
         step, camera = self.step(across), self.camera
         depth_m = self.depth_m[::step, ::step]
         rows, columns = depth_m.shape
@@ -75,7 +75,7 @@ class BinView:
         return Grid(camera=coarse, depth_m=depth_m)
 
     def cloud(self, count: int = 20_000) -> Float[np.ndarray, "n 6"]:
-        """About so many measured points, evenly over the picture: place [m] and unit normal.
+        """Return about `count` measured points, evenly over the picture: place [m], unit normal.
 
         Camera frame, normals towards the camera. Pixels beside a gap have no normal and are left
         out.
@@ -101,7 +101,7 @@ class BinView:
 def read_views(
     paths: Sequence[Path], *, rgb: Sequence[Path] = (), options: FileOptions, own: Optics
 ) -> tuple[BinView, ...]:
-    """All views, of one camera that stood still.
+    """Read all views, of one camera that did not move.
 
     Args:
         paths: depth files, folders in the form of `import_real`, and scene folders of our datasets,
@@ -201,7 +201,7 @@ def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
 
 
 def empty_view(views: Sequence[BinView]) -> BinView:
-    """One view of the bin as it would be without what lies in it.
+    """Combine views into one of the bin as it would be without its content.
 
     Parts lie before the bin, never behind it. Where at least two of the views see past all parts
     they agree, and what is farther than that, a stray, is in one view alone. Leaves out: parts that

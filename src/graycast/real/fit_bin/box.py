@@ -1,4 +1,4 @@
-"""An open box as flat rectangles: which of them a ray meets, and which lies nearest to a point.
+"""Open box as flat rectangles, for the first hit of a ray and the nearest one to a point.
 
 World frame: origin in the middle of the inner floor, z up, so every rectangle lies across an axis.
 """
@@ -99,7 +99,7 @@ class OpenBox:
         *,
         content: float = 0.0,
     ) -> Float[np.ndarray, " p"]:
-        """`votes` as a mean over camera rays of unit z, none of them without depth.
+        """Return `votes` as a mean over camera rays of unit z, all of which have depth.
 
         Args:
             tolerance_m: of each face or of all.
@@ -205,7 +205,7 @@ def _evidence(T_world_cam, ray, depth_m, corner_m, axis, tolerance_m, inner_m, c
 
 @kernel()
 def _raised_within(T, way, depth_m, inner_m):
-    """Whether a point stands above the floor, no higher than the rim, within or on the walls."""
+    """Return whether a point is above the floor, not above the rim, and within or on the walls."""
     x, y = abs(T[0, 3] + depth_m * way[0]), abs(T[1, 3] + depth_m * way[1])
     z = T[2, 3] + depth_m * way[2]
     inside = x < inner_m[0] / 2 + _AROUND_M and y < inner_m[1] / 2 + _AROUND_M

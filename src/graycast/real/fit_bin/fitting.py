@@ -1,4 +1,4 @@
-"""From real views of an empty bin to a configuration that has its pose, colours and light."""
+"""Fit of a configuration (pose, colours and light) to real views of an empty bin."""
 
 import json
 import math
@@ -117,7 +117,7 @@ def with_bend(fit: BinFit, cell: Cell, views: Sequence[BinView]) -> BinFit:
 
 
 def read_frames(white: Path, black: Path, view: BinView) -> Frames:
-    """Two frames of the measuring camera, as shares of the range of their files' numbers.
+    """Read two frames of the measuring camera, as shares of the range of their files' numbers.
 
     Raises:
         GraycastError: a file cannot be read, or is of another size than the view.
@@ -139,7 +139,7 @@ def write_fit(
     *,
     mesh: Path | None = None,
 ) -> list[Path]:
-    """The configuration, a report and a picture of the residuals, beside each other.
+    """Write the configuration, a report and a picture of the residuals into one folder.
 
     Args:
         fit: what is written.
@@ -169,7 +169,7 @@ def write_fit(
         (aside / out.name).write_text(text, encoding="utf-8")
         if fit.bent is not None and mesh is not None:
             (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
-        refuse_there(*files)  # what came meanwhile
+        refuse_there(*files)  # Another process may have written meanwhile.
     return files
 
 
@@ -183,7 +183,7 @@ def azimuth_of(config: Config) -> float:
 
 
 def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Mapping[str, Any]]:
-    """The keys of a configuration that were fitted, with their new values.
+    """Return the keys of a configuration that were fitted, with their new values.
 
     `mesh` is the file of a bent bin, beside the configuration.
     """
@@ -214,7 +214,7 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
 
 
 def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:
-    """A bin's section with the bent mesh in place of what it was.
+    """Return a bin's section with the bent mesh instead of its former shape.
 
     Its file has no texture. The wood of a box or the texture of a mesh's file gets one colour.
     """
@@ -228,14 +228,14 @@ def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any
 
 
 def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
-    """To 1 nm, and without a minus before 0."""
+    """Return numbers rounded to 1 nm, without a minus before 0."""
     return [round(float(value), 9) + 0.0 for value in T.ravel()]
 
 
 def _words(
     material: Material, color: tuple[float, float, float], section: MaterialSection | None
 ) -> dict[str, Any]:
-    """The material in that colour; what a picture does not tell is the configuration's."""
+    """Return the keys of the material in that colour; others are the configuration's."""
     rounded = [round(band, 4) for band in color]
     return material_words(material, section) | {"base_color": rounded}
 
@@ -271,7 +271,7 @@ def _comments(fit: BinFit, base: Path) -> dict[str, str]:
 
 
 def described(fit: BinFit) -> dict[str, Any]:
-    """The fit as JSON: SI units, None for what is not known."""
+    """Return the fit for JSON, in SI units, with None for unknown values."""
     pose, look = fit.pose, fit.look
     content = {
         "views": fit.views,

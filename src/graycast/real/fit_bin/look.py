@@ -246,7 +246,7 @@ def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:
 def _two_lights(
     rendering: Rendering, rig: Rig
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], float]:
-    """On the measuring camera's sensor: the projector's white, all other light; and the leak."""
+    """Return, on the camera's sensor, the projector's white and all other light; and the leak."""
     radiance = rendering.radiance
     both = [radiance.white, radiance.ambient]
     white, ambient = (veiled(one, rig.veil) for one in both) if rig.veil else both
@@ -261,7 +261,7 @@ def light_scale(
     lit: Bool[np.ndarray, "h w"],
     step: int,
 ) -> float:
-    """The factor on lamps and environment that gives the measured ratio of black to white.
+    """Return the factor on lamps and environment that gives the measured ratio of black to white.
 
     With the projector's light w, its leak b w in black, and the lamps' light a times s, the frames
     have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))`, whatever they

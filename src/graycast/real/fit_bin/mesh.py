@@ -1,4 +1,4 @@
-"""A bin's mesh as flat faces: which of them a pixel shows, and which lies nearest to a point.
+"""Bin's mesh as flat faces, for the face that a pixel shows and the one nearest to a point.
 
 Surfaces are told by where a face looks: the inner floor and what else looks up (rims, ledges), the
 insides of the four walls and their outsides, as if seen from the bin's middle.

@@ -24,15 +24,15 @@ _LEAST_INLIERS = 60  # Fewer points on the faces across an axis do not fix the s
 _FINE_M = 0.005  # The evidence that picks one of the starts falls to 0 over this distance.
 _SEARCH_PX = 64
 _NEARLY_SQUARE = 0.8  # Coarse steps may take a bin of a larger width over length crosswise.
-_STARTS, _FINALISTS = 10, 4  # So many poses begin on each plane, and so many go on to the end.
+_STARTS, _FINALISTS = 10, 4  # Poses that begin on each plane, and poses that are finished.
 _LEAST_AGREEING = 0.35  # This share of what is measured where the bin should be must agree.
 SEARCHED = ("x", "y", "about z")
 _FIRST_M, _LAST_M = 4e-3, 0.05e-3
-_LEVER_M = 0.2  # A turn is as large a step as a shift of a point so far away.
+_LEVER_M = 0.2  # A turn is as large a step as a shift of a point this far away.
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
 _TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must cost as many pixels as the second.
-_AROUND_M = np.array([0.01, 0.01, 0.02])  # A bin's own space reaches so far about it.
+_AROUND_M = np.array([0.01, 0.01, 0.02])  # A bin's own space reaches this far about it.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
@@ -87,7 +87,7 @@ def find_pose(
     seed: int,
     stated: Float[np.ndarray, "4 4"] | None = None,
 ) -> PoseFit:
-    """The pose from all views together.
+    """Find the pose from all views together.
 
     Fits of the shape begin at the rough pose that is `stated`, or else at likely places of the box
     that stands in for the shape. A box looks the same after half a turn, a square one after a
@@ -122,7 +122,7 @@ def _best_settled(
     grids: Sequence[Grid],
     candidates: Sequence[Float[np.ndarray, "4 4"]],
 ) -> PoseFit:
-    """The best of what the candidates settle to; the first's refusal where all are refused."""
+    """Return the best settled pose of the candidates; raise the first refusal if none is left."""
     fits, refusals = [], []
     for T in candidates:
         try:
@@ -138,7 +138,7 @@ def _best_settled(
 def _best_first(
     shape: BinShape, grids: Sequence[Grid], poses: list[Float[np.ndarray, "4 4"]]
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Ordered by evidence times what agrees: beside a bin stands much table, but no wall."""
+    """Sort poses by evidence times agreement, because a table has no walls, unlike a bin."""
     score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
     score *= [_agreeing(shape, _match(shape, T, grids)) for T in poses]
     return [poses[i] for i in np.argsort(-score, kind="stable")]
@@ -147,14 +147,14 @@ def _best_first(
 def settle(
     views: Sequence[BinView], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> PoseFit:
-    """The pose near a first one with what speaks for it: by faces, and by edges where these fail.
+    """Refine a pose: by faces, and by edges where these fail; return it with its evidence.
 
     Raises:
         GraycastError: too little of what is measured agrees with the bin.
     """
     cloud = np.concatenate([view.cloud() for view in views])
     fit = judge(views, shape, register(cloud, T_world_cam, shape, first_m=3 * LAST_M))
-    # What little is measured of a wall in shadow is often wrong.
+    # The few measured points of a shadowed wall are often wrong.
     trust = np.array([face.inliers for face in fit.faces])
     T = register(cloud, fit.T_world_cam, shape, first_m=LAST_M, trust=trust)
     fit = judge(views, shape, T, trust=trust)
@@ -298,7 +298,9 @@ def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grids: Sequen
 
 
 def _agreeing(shape: BinShape, match: _Match) -> float:
-    """The lower share of two, of what is measured where the floor should be, and where the walls.
+    """Return the lower of two agreeing shares: of depth at the floor, and at the walls.
+
+    A table can look like a floor, but has no walls; a box on its side has walls, but no floor.
 
     A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
     """

@@ -19,8 +19,8 @@ from ...base.frames import rigid, transform_points
 from ...base.robust import robust_sigma
 from .shape import BinShape, height_over
 
-FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # A point may be so far from its face, ever less.
-_TUKEY = 4.685  # So many standard deviations give an efficiency of 95 %.
+FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # A point's reach to its face: first, last, factor.
+_TUKEY = 4.685  # This many standard deviations give an efficiency of 95 %.
 _LEAST_SIGMA_M = 1e-4
 
 
@@ -33,7 +33,7 @@ def register(
     iterations: int = 60,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> Float[np.ndarray, "4 4"]:
-    """The pose near a first one in which a cloud lies best on the bin's faces.
+    """Return the pose near a first one in which a cloud fits best to the bin's faces.
 
     Args:
         cloud: places [m] and normals in the camera frame, as in `BinView.cloud`.
@@ -55,7 +55,7 @@ def register(
 
 @dataclass(frozen=True, slots=True)
 class FacePairs:
-    """The face of each point, its height over it, and its weight [1 / m^2], 0 of what is not it."""
+    """Face of each point, its height over it, and its weight [1 / m^2], 0 for outliers."""
 
     point: Float[np.ndarray, "n 3"]  # in the world
     face: Int[np.ndarray, " n"]

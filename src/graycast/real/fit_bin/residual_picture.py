@@ -44,7 +44,7 @@ def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], pat
 def residual_map(
     view: BinView, shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "rows columns"]:
-    """Signed distance [m] of each pixel's point from the face that it should show.
+    """Return the signed distance [m] of each pixel's point from the face that it should show.
 
     NaN where nothing is measured, the bin is missed, or something else stands before it.
     """

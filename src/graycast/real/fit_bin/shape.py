@@ -40,7 +40,7 @@ class BinShape(Protocol):
 
     @property
     def axis(self) -> Int[np.ndarray, " f"]:
-        """The world's axis that each face lies across, or nearly."""
+        """Index of the world's axis to which each face is perpendicular, or nearly."""
         ...
 
     @property
@@ -52,7 +52,7 @@ class BinShape(Protocol):
         normal: Float[np.ndarray, "n 3"],
         eye_m: Float[np.ndarray, "3"],
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """The nearest face to each point and its distance [m].
+        """Return the nearest face to each point, and its distance [m].
 
         Of those that can be seen from `eye_m` and lie within 45 degrees of the point's own normal;
         `NO_FACE` and inf where there is none.
@@ -71,7 +71,7 @@ class BinShape(Protocol):
     def votes(
         self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
     ) -> Float[np.ndarray, " p"]:
-        """Sum over what is measured of what speaks for each pose.
+        """Return the evidence for each pose, summed over the measured pixels.
 
         1 where it agrees (falling to 0 over `tolerance_m`), -1 where it lies behind a face through
         which it would have been seen, 0 where it says nothing.

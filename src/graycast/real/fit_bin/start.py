@@ -19,13 +19,13 @@ from .shape import is_floor
 
 PLANES = 6  # The floor is among the largest planes: the others are the table and the walls.
 _TRIALS = 400
-_PLANE_M = 0.004  # A plane's points lie so far to either side of it, noise included.
+_PLANE_M = 0.004  # A plane's points lie this far to either side of it, noise included.
 _LEAST_SHARE = 0.02  # A plane has at least this share of all points.
 _YAW_STEP_RAD = np.radians(7.5)
-_STEPS = 12  # The box's shorter side is so many steps between places long.
+_STEPS = 12  # The box's shorter side has this many steps between places.
 _CONTENT = 1.0
-_CLIMBERS = 200  # So many of the best places are moved to where they fit best.
-_CENTRES = 2000  # At most about so many places are tried on one plane.
+_CLIMBERS = 200  # This many of the best places are moved to where they fit best.
+_CENTRES = 2000  # At most about this many places are tried on one plane.
 _APART = 0.25  # Poses that are nearer than this share of the box's shorter side are one.
 
 
@@ -75,7 +75,7 @@ def _climbed(
     T_world_cam: Float[np.ndarray, "p 4 4"],
     score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
 ) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
-    """Each pose moved about, in ever smaller steps, while that is better; with its score.
+    """Move each pose in ever smaller steps while that improves it; return also its score.
 
     A grid that is coarse enough to be quick may miss the one place where floor and walls fit.
     """

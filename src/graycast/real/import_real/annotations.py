@@ -25,7 +25,7 @@ from ...dataset.training.foreign import refuse_repeated
 from ..depth_file import load_json
 
 _REMEDY = "give a COCO file or LabelMe files"
-_CUT_PX = 3.0  # Labelling tools place corners up to so far outside; other pictures' lie farther.
+_CUT_PX = 3.0  # Labelling tools place corners up to this far outside; other pictures' lie farther.
 _MARGIN_PX = math.ceil(_CUT_PX)
 
 Runs = Mapping[str, Any]  # compressed run lengths
@@ -33,7 +33,7 @@ Runs = Mapping[str, Any]  # compressed run lengths
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Annotation:
-    """The labels that somebody drew on a picture: a name and compressed run lengths per instance.
+    """Hand-drawn labels of a picture: a name and compressed run lengths per instance.
 
     `beyond_px` is how far the farthest corner lies outside of the picture; 0 if none does.
     """

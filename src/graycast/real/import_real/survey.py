@@ -1,4 +1,4 @@
-"""All pictures of an import read once: what they hold, in which steps, and what looks wrong."""
+"""First reading of all pictures of an import: their content, depth steps, and oddities."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from ..depth_sense import depth_kind_note, filled_holes, plane_shares, refuse_be
 from ..picture_pairs import RealPicture, ShotData, depth_step_mm, is_whole, read_shot
 
 _USUAL = 0.99  # This share of the depth of a picture says in which steps it could be stored.
-_COARSER = 5.0  # Steps that are so many times as coarse because of the rest are worth a note.
-_FOR_KIND = 20  # So many pictures show whether depth is z.
+_COARSER = 5.0  # Steps that are this many times as coarse because of the rest are worth a note.
+_FOR_KIND = 20  # This many pictures show whether depth is z.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +31,7 @@ def survey(
     *,
     range_m: tuple[float, float] | None,
 ) -> Survey:
-    """Read all pictures, so that what cannot be used is told before anything is written.
+    """Read all pictures, so that unusable ones are reported before anything is written.
 
     Args:
         range_m: as of `import_real`.

@@ -96,7 +96,7 @@ def _draw_jumps(ax: Axes, records: Sequence[Realism]) -> None:
 
 
 def _curve(bins: list[BinRecord], factor: float, least: int = 1) -> tuple[list[float], list[float]]:
-    """Middles of the octaves and values; what is below the first octave stands one before it."""
+    """Return middles of the octaves and values; a bin below the first octave is put before it."""
     known = [b for b in bins if b.value is not None and b.count >= least]
     middle = [(b.low * b.high) ** 0.5 if b.low > 0 else b.high / 2 for b in known]
     return middle, [factor * b.value for b in known if b.value is not None]

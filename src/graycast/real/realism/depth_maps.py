@@ -40,7 +40,7 @@ def read_scans(
     reason: Sequence[Path] = (),
     reason_names: Mapping[int, str] | None = None,
 ) -> Iterator[DepthScan]:
-    """Depth maps one after another, each read when it is asked for.
+    """Yield depth maps; each is read only when it is needed.
 
     Args:
         paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
@@ -92,7 +92,7 @@ def _pictures(paths: Sequence[Path]) -> list[Path]:
 
 
 def read_perfect(path: Path) -> Iterator[DepthScan]:
-    """Depth without a sensor, of the scenes of a dataset that has it beside the scanner's.
+    """Yield the perfect depth of the scenes of a dataset that stores it with the scanner's.
 
     Pictures of another camera than the scanner's are left out, and a dataset of real scans has
     none at all.
@@ -122,7 +122,7 @@ def _scenes(path: Path) -> list[Path]:
 
 
 def _read_scene(scene: Path) -> Iterator[DepthScan]:
-    """Yield all images of a scene folder, the scanner's where one is beside the colour camera."""
+    """Yield all images of a scene folder: the scanner's if it has any, else the colour camera's."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
     views = _record(files, f"scene_camera{suffix}", AnyView)
@@ -138,7 +138,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         gray = None if picture is None else read_gray(picture)
         colour = _find(files, "rgb", number)
         if gray is None and colour is not None:
-            beside = read_gray(colour)  # that of a camera beside the scanner says nothing here
+            beside = read_gray(colour)  # Another camera tells nothing here.
             gray = beside if beside.shape == depth_m.shape else None
         why = files.png_path(f"reason{suffix}", number)
         reasons = scanner[number].reasons if number in scanner else {}
@@ -154,7 +154,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
 
 
 def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
-    """Return where a picture of a scene is; None if there is none."""
+    """Return the path of a scene's picture; None if it does not exist."""
     try:
         return files.find_picture(kind, number)
     except Unreadable as error:

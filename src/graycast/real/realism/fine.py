@@ -26,10 +26,10 @@ from .realism_record import BinRecord, Fine, Pairs
 from .scan import DepthScan, tiles
 
 TILE_PX = 8
-LEAST_TILES = 20  # A bin needs so many tiles to be compared with another.
+LEAST_TILES = 20  # A bin needs this many tiles to be compared with another.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), np.nextafter(1.0, 2.0)])
 INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
-_OUTLIER = 6.0  # A difference is an outlier beyond so many sigmas of the tile or square.
+_OUTLIER = 6.0  # A difference is an outlier beyond this many sigmas of the tile or square.
 _MOST_OUTLIERS = 0.05  # A tile with a larger share of outliers is an edge.
 _LEAST_DIFFERENCES = 20  # A tile has 36 differences.
 _FACING_DEG = 45.0  # Noise is compared over brightness up to this angle.
@@ -110,7 +110,7 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
 
 
 def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
-    """The noise between two maps where they show the same surface; None where they hardly do.
+    """Measure the noise between two maps where they show the same surface; else return None.
 
     The difference of both loses what is common to them, shape and the fixed part of the error
     alike; its standard deviation over the root of 2 is that of one map.
@@ -226,7 +226,7 @@ def _median_m(variance: Float[np.ndarray, " n"]) -> float | None:
 
 
 def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """95 % of the median, by order statistics, whatever the law; None of fewer than 6."""
+    """Return the 95 % interval of the median, by order statistics; None for fewer than 6 values."""
     n = len(variance)
     if n < 6:
         return None

@@ -1,4 +1,4 @@
-"""The baseline from the widths of shadows.
+"""Estimate of the baseline from the widths of shadows.
 
 The projector's ray that grazes a near edge N goes on to the far surface at F; what lies between
 them in the picture is seen, but not lit. With the projector at (b, 0, t) in the camera frame the
@@ -25,7 +25,7 @@ from .realism_record import Baseline
 from .scan import DepthScan
 
 _LEAST_GAP_PX = 4
-_RIM_PX = 3  # A gap has so many valid pixels on one surface on either side.
+_RIM_PX = 3  # A gap has this many valid pixels on one surface on either side.
 _SMOOTH = 1 / 3  # Neighbours on a surface differ by at most this share of a jump.
 _AGREE = 0.2  # Estimates agree within this share.
 _ROUNDS = 3
@@ -82,7 +82,7 @@ def find_gaps(scan: DepthScan) -> tuple[Gaps, Gaps]:
 def estimate_baseline(
     along_rows: Sequence[Gaps], along_columns: Sequence[Gaps], known_m: float | None
 ) -> Baseline | None:
-    """The baseline that most gaps agree on, of the two directions; None where few agree.
+    """Estimate the baseline on which most gaps agree, of two directions; None if few agree.
 
     The most frequent estimate of single gaps tells the side; a robust fit of b, t and of what the
     scanner's filters take off the rims is made to the gaps that agree with it. All gaps at one edge
@@ -200,7 +200,7 @@ def _along_rows(
 def _rows_of_edges(
     shape: tuple[int, ...], y: Int[np.ndarray, " n"], x: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " n"]:
-    """In how many rows the edge goes on of which a gap's near rim is part.
+    """Count the rows over which the edge of each gap's near rim continues.
 
     It may step by 3 px from row to row, and be torn over 10 rows: where noise does that, its pieces
     would else count as many edges.
@@ -219,7 +219,7 @@ def _smooth_rims(
     right: Int[np.ndarray, " n"],
     jump_share: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Whether gaps have one surface on each side, and not the border of the image."""
+    """Return whether gaps have one surface on each side, and not the border of the image."""
     last = depth_m.shape[1] - 1
     smooth = (left >= _RIM_PX - 1) & (right <= last - (_RIM_PX - 1))
     for rim, away in ((left, -1), (right, 1)):

@@ -33,7 +33,7 @@ class Measurement:
 
 
 def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
-    """Each map, and its pair with the one before it; one map is held at a time beside its own."""
+    """Yield the measurement of each map and of its pair with the one before it."""
     before: DepthScan | None = None
     for scan in scans:
         yield measure_scan(scan, before=before)
@@ -56,7 +56,7 @@ def measure_scan(scan: DepthScan, *, before: DepthScan | None = None) -> Measure
 
 
 def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
-    """The record of a set: counts are added, samples put together, whatever map they came from.
+    """Combine measurements into the record of a set: add counts, and join samples.
 
     Raises:
         GraycastError: there is no map in the set.

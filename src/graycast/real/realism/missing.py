@@ -53,7 +53,7 @@ def count_missing(scan: DepthScan) -> MissingCounts:
 
 
 def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Labels 1, 2, ... of the groups of at most `ISLAND_PX` pixels of a mask; 0 elsewhere.
+    """Label the groups of at most `ISLAND_PX` pixels of a mask with 1, 2, ...; 0 elsewhere.
 
     Pixels that touch at a side or corner belong together; a group at the image's border goes on
     beyond it and is none.

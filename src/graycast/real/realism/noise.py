@@ -24,7 +24,7 @@ _MOST_OUTLIERS = 0.05  # A patch with a larger share of outliers is an edge.
 _OUTLIER_SIGMAS = 5.0
 _DEGREE = 5
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
-_PLANE = 3  # So many terms of the basis make a plane; the rest of it bends.
+_PLANE = 3  # This many terms of the basis make a plane; the rest of it bends.
 _CERTAINTY = 0.999  # A patch is called bent only if that is so certain.
 _ROUNDS = 4
 _LEAST_PATCHES = 5  # Fewer patches do not determine an autocorrelation.
@@ -36,7 +36,7 @@ LAGS = [(dx, dy) for dy in range(REACH_PX + 1) for dx in range(-REACH_PX, REACH_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchNoise:
-    """The flat patches of one map, and what was counted on the way to them."""
+    """Flat patches of one map, and counts of candidates and outliers."""
 
     candidates: int
     outliers: int

@@ -26,15 +26,15 @@ _SMOOTH_M = 2e-3  # All but `_STRAY` of a smooth square lie so near to a parabol
 _FLOOR_M = 4e-3  # All but `_STRAY` of a square on the floor lie so near to its plane.
 _STRAY = 0.03
 _FLOOR_SHARE = 0.05  # A floor has more than this share of a map's pixels.
-_SAMPLED = 4000  # The valid ones among so many pixels of a map vote for a floor.
+_SAMPLED = 4000  # The valid ones among this many pixels of a map vote for a floor.
 # Three pixels lie on a floor of a fifth of the depth once in 125 draws, and of these planes only
 # some are right to 4 mm everywhere.
 _DRAWS = 6000
-_ELECTORS = 2000  # So many of the pixels judge all draws, and all pixels judge the best of these.
+_ELECTORS = 2000  # This many of the pixels judge all draws, and all pixels judge the best of these.
 _FINALISTS = 20
 _LEAST_TRIANGLE_PX2 = 4000.0  # It is twice the area: a smaller triangle determines no slope.
 _TINY_M = 1e-6
-_LEAST_PAIRS = 30  # A correlation needs so many pairs of values.
+_LEAST_PAIRS = 30  # A correlation needs this many pairs of values.
 
 FEATURES: dict[str, tuple[str, ...]] = {
     "noise": (
@@ -83,7 +83,7 @@ class Squares:
     is_floor: Bool[np.ndarray, " n"]
 
     def at(self, place: str) -> "Squares":
-        """Those at a place: smooth, or floor."""
+        """Return the squares of a kind: smooth, or floor."""
         return self.only({"smooth": self.is_smooth, "floor": self.is_floor}[place])
 
     def of_scans(self, number: Sequence[int]) -> "Squares":
@@ -98,7 +98,7 @@ class Squares:
 
 
 def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
-    """All squares of some maps that are smooth or of the floor.
+    """Cut all squares of some maps that are smooth or of the floor.
 
     Args:
         step_m: depth is rounded to this step first, where it is above 0, so that two sets that are
@@ -114,7 +114,7 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
 
 
 def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
-    """The plane `1/z = g . (x, y, 1)`, x and y in pixels, that most pixels lie on, if one is.
+    """Find the plane `1/z = g . (x, y, 1)`, x and y in pixels, on which most pixels are, if any.
 
     The camera stood still over the maps, so their pixels are taken together: what moves does not
     make a plane. Random samples of three pixels, the best refined by least squares over what lies
@@ -198,7 +198,7 @@ def _some_pixels(
 def _near(
     pixel: Float[np.ndarray, "n 3"], z_m: Float[np.ndarray, " n"], g: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Within `_FLOOR_M` of a plane of inverse depth; what lies behind the camera is not."""
+    """Return which pixels are within `_FLOOR_M` of a plane of inverse depth before the camera."""
     inverse = pixel @ g
     return (inverse > 0) & (np.abs(1.0 / np.maximum(inverse, 1e-9) - z_m) < _FLOOR_M)
 
@@ -243,7 +243,7 @@ def _holds(
     valid: Bool[np.ndarray, "s s"],
     most_m: float,
 ) -> bool:
-    """Whether all but a few strays lie near the model."""
+    """Return whether all pixels except a few strays are near the model."""
     off = np.abs(model_m - z_m)[valid]
     return bool((off <= most_m).mean() >= 1 - _STRAY)
 
@@ -251,7 +251,7 @@ def _holds(
 def _paraboloid(
     z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"]
 ) -> Float[np.ndarray, "s s"]:
-    """Least squares over what lies near, in three rounds."""
+    """Fit a paraboloid by least squares to the pixels near it, in three rounds."""
     used, fit = valid, np.full(z_m.shape, np.nan)
     for _ in range(3):
         if used.sum() < 30:

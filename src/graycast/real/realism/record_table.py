@@ -1,4 +1,4 @@
-"""A record as a table in plain text, alone or beside another."""
+"""A record as a table in plain text, alone or next to another."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -18,7 +18,7 @@ class Figure(NamedTuple):
 
 
 def figures(record: Realism) -> Iterator[Figure]:
-    """Every figure of a record in the order of the table; bins without a sample are left out."""
+    """Yield every figure of a record in the order of the table, without empty bins."""
     noise, jumps, steps, islands = record.noise, record.jumps, record.steps, record.islands
     yield Figure("depth maps", "number", f"{record.scans}")
     yield Figure("depth maps", "pixels", f"{record.pixels}")
@@ -160,7 +160,7 @@ def _bins(
 
 
 def _merged(lists: list[list[tuple[str, str]]]) -> list[tuple[str, str]]:
-    """All keys; one that a later list adds stands behind the one before it there."""
+    """Merge lists of keys; a key that only a later list has comes after its predecessor."""
     merged = list(lists[0])
     for keys in lists[1:]:
         at = 0

@@ -1,4 +1,4 @@
-"""One depth map from anywhere, with what is known about it."""
+"""One depth map of any source, with its camera and known properties."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -68,7 +68,7 @@ class DepthScan:
 
 
 def tiles(image: Float[np.ndarray, "h w"], side_px: int) -> Float[np.ndarray, "n s s"]:
-    """An image cut into squares, row by row, without what is left over at the right and below."""
+    """Cut an image into squares, row by row, without the remainder at the right and below."""
     rows, columns = (length // side_px for length in image.shape)
     cut = image[: rows * side_px, : columns * side_px]
     squares = cut.reshape(rows, side_px, columns, side_px).swapaxes(1, 2)

@@ -29,7 +29,7 @@ _TREES = 200
 _LEAST_IN_LEAF = 3
 _LEAST_SQUARES = 20
 _FOLDS = 5
-_MOST_HALVES = 6  # The first set is divided into two in at most so many ways.
+_MOST_HALVES = 6  # The first set is divided into two in at most this many ways.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +186,7 @@ def _auc(a: Squares, b: Squares, group: str, seed: int) -> Auc:
 
 
 def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
-    """One half of the maps against the other, over several ways to halve them."""
+    """Judge one half of the maps by the other, over several ways to divide them."""
     scans = sorted(set(squares.scan.tolist()))
     ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
@@ -242,7 +242,7 @@ def _folds(squares: Squares) -> np.ndarray:
 
 
 def _telling(a: Squares, b: Squares) -> tuple[Telling, ...]:
-    """Each sensor feature's AUC alone: the share of pairs that it orders right, ties half."""
+    """Return each sensor feature's AUC: the share of pairs that it orders right, ties half."""
     from scipy.stats import rankdata
 
     telling = []

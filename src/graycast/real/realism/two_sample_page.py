@@ -16,7 +16,7 @@ from .scan import DepthScan
 from .two_sample import PLACES, TwoSample
 
 CLASSIFIER = "classifier.md"
-_COLUMNS = 8  # A row of the picture has so many squares of one set.
+_COLUMNS = 8  # A row of the picture has this many squares of one set.
 _RELIEF_MM = 0.8  # It goes from black to white.
 _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
@@ -91,7 +91,7 @@ def _draw(
 
 
 def _best(score: Float[np.ndarray, " n"]) -> list[int]:
-    """Places of the highest scores; NaN is none."""
+    """Return the indices of the highest scores, without NaN."""
     order = np.argsort(np.where(np.isnan(score), -np.inf, score))[::-1]
     return [int(k) for k in order[:_COLUMNS] if not np.isnan(score[k])]
 

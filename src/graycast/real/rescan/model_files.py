@@ -81,7 +81,7 @@ NO_MODELS = Models(parts={}, plain=frozenset())
 
 
 class _ModelInfo(BaseModel):
-    """One model in `models_info.json` of whoever."""
+    """One model in a `models_info.json` of any origin."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -196,7 +196,7 @@ def _unit_notes(converted: Mapping[str, _Units]) -> Iterator[str]:
 
 
 def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
-    """Return the same symmetry of a part whose lengths are so many times as large."""
+    """Return the same symmetry of a part whose lengths are `factor` times as large."""
     scale = np.array([[1, 1, 1, factor]] * 3 + [[1, 1, 1, 1]])
     return Symmetry(
         discrete=tuple(matrix * scale for matrix in symmetry.discrete),
@@ -207,7 +207,7 @@ def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
 
 
 def read_background(materials: Path) -> Material | None:
-    """The material of what is no object, where the file has one under `background`.
+    """Return the material under `background` of the materials file, if it has one.
 
     Raises:
         ConfigError: the file is not what it should be.

@@ -1,4 +1,4 @@
-"""The one place that knows which layouts of datasets there are."""
+"""Choice of the reader for a dataset's layout; no other module knows all layouts."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from .model_files import read_background
 from .sileane_source import IPA, SILEANE, open_ipa, open_sileane
 from .source import Source, SourceOptions
 
-_FOR_KIND = 3  # So many images show of which kind depth is.
+_FOR_KIND = 3  # This many images show whether depth is z or a ray length.
 _Opener = Callable[[Path, SourceOptions], Source]
 _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
     "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm", "unit", "ray_length"}),
@@ -42,7 +42,7 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         ConfigError: the materials file is not what it should be.
     """
     options = options or SourceOptions()
-    folder = Path(os.path.abspath(path))  # models lie beside a link, not beside what it links to
+    folder = Path(os.path.abspath(path))  # Models are next to a link, not to its target.
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "no such folder"
         raise DatasetError(f"{path}: {problem}: give a split such as lm/train_pbr")
@@ -64,7 +64,7 @@ def _depth_notes(source: Source, ray_length: bool) -> list[str]:
     """Return a note if the first images show that depth is of the other kind, z or ray lengths."""
     images = []
     for place in source.images[:_FOR_KIND]:
-        with suppress(DatasetError):  # Whoever makes the image says what is wrong with it.
+        with suppress(DatasetError):  # The error is raised later, when the image is scanned.
             images.append(source.read(*place))
     images = [image for image in images if image.camera == images[0].camera]
     if not images:

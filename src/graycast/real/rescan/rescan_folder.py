@@ -48,12 +48,12 @@ class RescanFolder:
     copies: bool
 
     def finished(self) -> set[tuple[int, int]]:
-        """Scene and image numbers of what is there."""
+        """Return the scene and image numbers that are finished."""
         records = (self.out / self.source.split).glob(f"*/{RECORDS}/*.json")
         return {(int(path.parents[1].name), int(path.stem)) for path in records}
 
     def write(self, place: tuple[int, int], files: Iterable[tuple[str, bytes]]) -> None:
-        """One image: its pictures, and at last its record, as `record_file` makes it."""
+        """Write one image: its pictures, and then its record, as `record_file` makes it."""
         scene = self._scene(place[0])
         for name, content in files:
             path = scene / name
@@ -211,7 +211,7 @@ def record_file(
 
 
 def plain_files(image: SourceImage, number: int) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
-    """An image of another layout in BOP's form: pictures, and its entries of JSON files."""
+    """Return an image of another layout in BOP's form: pictures, and entries of JSON files."""
     scale_mm = depth_scale_mm(float(np.nanmax(image.depth_m)))
     steps = depth_steps(image.depth_m, scale_mm, needed=np.isfinite(image.depth_m))
     files = [(picture_name("depth", number), png(steps))]

@@ -91,7 +91,7 @@ class ImageScanner:
         self._renderer = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
-        """One image, by its place among the images of the source.
+        """Scan one image, which is given by its index among the images of the source.
 
         Raises:
             DatasetError, DecodeError, ValueError: this image cannot be scanned; the next may be.
@@ -118,7 +118,7 @@ class ImageScanner:
         seeds = rescan_seeds(task.seed, scene, scanner=name, image=number)
         sample, facts = self._scanned(staged, scanner, seeds, number)
         files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
-        for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` is nobody else's.
+        for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` exists only in this run.
             del entries["scene_camera_sl"][key]
         step_mm = image.step_m * MM_PER_M
         if not task.source.scenes:

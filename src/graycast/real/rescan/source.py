@@ -61,7 +61,7 @@ class SourceOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceImage:
-    """One image: what its camera saw, and which objects lie where.
+    """One image: depth and colours, and the objects with their poses.
 
     `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
     picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth
@@ -110,7 +110,7 @@ class Source:
     options: SourceOptions = SourceOptions()
 
     def read(self, scene_id: int, image_id: int) -> SourceImage:
-        """One image.
+        """Read one image.
 
         Raises:
             DatasetError: a file is missing, damaged or contradicts another; the text names it.

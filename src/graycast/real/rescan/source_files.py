@@ -70,7 +70,7 @@ def source_image(
 
 
 def stored_steps(path: Path) -> np.ndarray:
-    """Stored depth of one channel: whole numbers of 16 bits, or floats.
+    """Read stored depth of one channel: whole numbers of 16 bits, or floats.
 
     Raises:
         DatasetError: the file is missing, damaged, or of another kind.
@@ -85,7 +85,7 @@ def stored_steps(path: Path) -> np.ndarray:
 
 
 def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Depth [m], and its step, 0 for floats; stored 0 and what is not finite is NaN.
+    """Read depth [m], and its step, 0 for floats; stored 0 and non-finite become NaN.
 
     Raises:
         DatasetError: as of `stored_steps`, or depth is negative or too far.

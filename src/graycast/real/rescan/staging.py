@@ -1,4 +1,4 @@
-"""A scene from perfect depth: the objects by their meshes, and all else as one solid behind them.
+"""Scene from perfect depth: meshes of the objects, and one solid for everything else.
 
 The world is the frame of the image's camera, which is taken to look down at the scene: a lamp
 stands beside it as over a cell of ours. What no object covers becomes the top of a solid whose
@@ -35,9 +35,9 @@ _NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth is an object's own if it is off by le
 _MOST_BEHIND = 0.2  # If depth lies behind more of the objects' pixels, the poses are wrong.
 _LEAST_PX = 50  # Fewer pixels of objects say nothing of poses.
 _FINE_M = 2e-4  # Depth in finer steps needs little smoothing.
-_SLOPE = 6.0  # Neighbours that are so many times their distance apart in depth are not joined.
-_AROUND_PX = 5  # Sides run as deep as the surface is within a square of so many pixels.
-_COARSE = 4  # The membrane is found on blocks of so many pixels.
+_SLOPE = 6.0  # Neighbours that are this many times their distance apart in depth are not joined.
+_AROUND_PX = 5  # Sides run as deep as the surface is within a square of this many pixels.
+_COARSE = 4  # The membrane is found on blocks of this many pixels.
 _BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of a picture is darker than this reflectance.
 _DARKEST, _MOST = 0.03, 0.9
 _GREY = Material(base_color=(0.4, 0.4, 0.4))
@@ -85,7 +85,7 @@ def stage(
     unknown_look: Collection[int] = (),
     background: Material | None = None,
 ) -> Staged:
-    """The scene of an image, before the scanner.
+    """Build the scene of an image, before the scanner.
 
     Args:
         parts: by the ids of objects; of an object that is not among them nothing is known but its
@@ -130,7 +130,7 @@ def stage(
 
 
 def _lamps(depth_m: float) -> tuple[Lamp, ...]:
-    """The lamps of a cell whose bin's floor lies at this depth, and whose camera looks down."""
+    """Return the lamps of a cell with its floor at this depth and a camera that looks down."""
     down = np.array([1.0, -1.0, -1.0])
     middle = np.array([0.0, 0.0, depth_m])
 
@@ -174,7 +174,7 @@ def _refuse_contradiction(
     nearest_m: Float[np.ndarray, "h w"],
     own: Bool[np.ndarray, "h w"],
 ) -> None:
-    """Depth may lie before an object, which something then hides, but not behind it.
+    """Refuse depth that is behind an object; depth in front of it only means that it is hidden.
 
     Raises:
         DatasetError: it lies behind in many places.

@@ -1,4 +1,4 @@
-"""From real scans and a cell's configuration to the twin: refuse, stage, light, search, judge."""
+"""The steps from real scans and a cell's configuration to the twin."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -107,7 +107,7 @@ def make_twin(
         seed=seed,
         progress=progress,
     )
-    other = seed + 100_000  # the noise of what is judged is not that of the search
+    other = seed + 100_000  # The judged scans have other noise than the search.
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
     if aside:
         lit += light(rest, (fit.scanner.code,))
@@ -131,7 +131,7 @@ def make_twin(
 
 
 def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> None:
-    """Whether a twin can be made of these scans, so many of which are kept aside.
+    """Check that a twin can be made of these scans, `aside` of which are kept aside.
 
     Raises:
         GraycastError: it cannot; the text says why, and what to give.
@@ -163,7 +163,7 @@ def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> Non
 
 
 def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
-    """See that depth has a shadow side, as one camera and one projector make it.
+    """Refuse scans without a shadow side, which one camera and one projector always cause.
 
     Where a near surface hides a far one from the projector the far one has no depth, so between
     valid neighbours depth never falls off on the side away from the projector. Two cameras that
@@ -196,7 +196,7 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
 
 
 def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
-    """All that are declared; the bin's colour, gloss and roughness only where they can be changed.
+    """Return the declared parameters, without looks of the bin that cannot be changed.
 
     A texture has no one colour, and the gloss of a metal is its colour.
     """

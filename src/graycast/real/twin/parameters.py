@@ -22,13 +22,13 @@ BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS = OF_BIN = (
     "bin.material.specular",
     "bin.material.roughness",
 )
-ROUGHER = 0.15  # The roughness may differ so far to either side from the configured one.
+ROUGHER = 0.15  # The roughness may differ this far to either side from the configured one.
 FULL_WELL = "sensor.full_well_e"  # The gain follows, so that a full well keeps its digital number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One number of a scanner, and where it may lie.
+    """One fitted number of a scanner, and its bounds.
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
     the value under which a filter or fault is switched off, and `off_above` the one over which a
@@ -86,7 +86,7 @@ PARAMETERS: tuple[Parameter, ...] = (
 
 
 def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
-    """The code that is configured, and finer ones: which one a scanner shows, no depth map says."""
+    """Return the configured code and finer ones, because depth maps do not reveal the code."""
     if code.codec != "gray_phase":
         return (code,)
     own = code.period_px or math.inf

@@ -1,4 +1,4 @@
-"""The scene of a real scan, staged again: a solid in the bin's mesh, with the picture on its top.
+"""Staging of a real scan's scene: a solid in the bin's mesh, with the picture on its top.
 
 What a scan measured nearer than the bin becomes one solid. Its top is the measured surface without
 its noise, and its sides run along the camera's rays down to the bin, where the camera does not see
@@ -28,7 +28,7 @@ from ..realism import DepthScan
 _THIN_M = 1.5e-3  # A thing stands higher above the bin, whose mesh and noise are off by less.
 _LEAST_BIN = 0.05  # If less of all depth is near the bin, the pose is wrong.
 _LEAST_PX = 30  # A mirror image in a glossy wall has fewer pixels than a thing.
-_MOST_GAP_PX = 60  # A gap of at most so many pixels is crossed by the surface about it.
+_MOST_GAP_PX = 60  # A gap of at most this many pixels is crossed by the surface about it.
 _BENT_M = 4e-3  # The surface about a gap may be this far from a plane, or the gap stays.
 _LEAST_AROUND = 0.8  # This share of what is about a gap must have a surface.
 _MOST_COVERED = 0.95  # A pixel beside a thing is covered by it to this share at most.
@@ -45,7 +45,7 @@ def restage(
     scene: Scene,
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
 ) -> tuple[Scene, ...]:
-    """The scene of each scan: `scene` with its bin, camera and light, and one solid part in it.
+    """Stage the scene of each scan: `scene` with its bin, camera and light, and one solid part.
 
     The part is in the world frame: it lies at the identity. A scan of an empty bin has none.
 
@@ -86,7 +86,7 @@ def layout_of(staged: Scene) -> Layout:
 
 
 def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"]) -> None:
-    """With a wrong pose, all that the scans show would stand before the bin, and be a thing.
+    """Refuse scans that hardly show the bin: with a wrong pose, all would look like a part.
 
     Raises:
         GraycastError: hardly any depth of the scans is the bin's.
@@ -108,7 +108,7 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
 def standing_before(
     depth_m: Float[np.ndarray, "h w"], bin_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels at which a thing is nearer than the bin, or at which there is no bin.
+    """Return a mask of pixels at which a thing is nearer than the bin, or no bin is.
 
     Args:
         depth_m: as measured, NaN where nothing is.
@@ -130,7 +130,7 @@ def standing_before(
 
 
 def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
-    """Small gaps of the scan get the plane of what is about them, if that is one surface."""
+    """Fill small gaps of the scan with the plane around them, if that is one surface."""
     filled = planes.copy()
     label, _ = ndimage.label(~known)
     reach = 2
@@ -195,7 +195,7 @@ def _shifted(image: np.ndarray, axis: int, step: int) -> np.ndarray:
 def _brightness(
     texture: UInt8[np.ndarray, "_ _ 3"] | None, scene: Scene, shape: tuple[int, int]
 ) -> Float[np.ndarray, "h w"]:
-    """Reflectance in the projector's light at each pixel; all alike without a picture."""
+    """Return the reflectance in the projector's light at each pixel; uniform without a picture."""
     if texture is None:
         return np.ones(shape)
     return linear(_at_depth(texture, shape)) @ np.array(scene.rig.band_weights)
@@ -209,7 +209,7 @@ def _textures(
     solid: Sequence[Bool[np.ndarray, "h w"]],
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]],
 ) -> tuple[UInt8[np.ndarray, "_ _ 3"] | None, ...]:
-    """The pictures as reflectances in sRGB: one factor for all makes their brightest things white.
+    """Return the pictures as reflectances in sRGB, scaled so that their brightest areas are white.
 
     Raises:
         GraycastError: they are not as many as the scans, or of another shape.

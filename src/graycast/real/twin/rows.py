@@ -24,19 +24,19 @@ from ..realism.patches import (
 from ..realism.scan import tiles
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # Missing depth is counted there, by `PLACES`.
-_SIGMAS = 2.0  # A row is met within so many standard deviations of the real scans' mean.
+_SIGMAS = 2.0  # A row is met within this many standard deviations of the real scans' mean.
 _LEAST_SPREAD = 0.05  # It is a share of the mean, as three scans do not determine a spread well.
 _LEAST_KNOWN = 0.7  # This share of a square's differences must be known.
 _LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # With fewer, scans differ by chance.
 _SMOOTH_M = 5e-4  # A square whose differences scatter more is no smooth surface.
 PLACES = ("visible", "left", "right", "upper", "lower", "blind")
-_UNKNOWN_Z = 5.0  # A row that is missing in the twin's scans counts as so far off.
+_UNKNOWN_Z = 5.0  # A row that is missing in the twin's scans counts as this far off.
 _FAR_Z = 3.0  # What is farther off counts by its logarithm.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One statistic of the real scans and of a twin's."""
+    """One statistic of the real scans and of the twin's."""
 
     name: str
     unit: str
@@ -75,7 +75,7 @@ def figures_of(
     floor: Float[np.ndarray, "3"] | None,
     places: Places | None = None,
 ) -> Figures:
-    """All rows of each scan; if scans are made one by one, while the next one is made.
+    """Return all rows of each scan, computed while the next scan is made.
 
     Args:
         floor: the plane of `find_floor`, None where none was found.
@@ -88,7 +88,7 @@ def figures_of(
 
 
 def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
-    """Row by row; what neither tells is left out."""
+    """Compare row by row; leave out rows that the real scans do not have."""
     rows = []
     for name, (unit, least) in ROWS.items():
         known, own = (f.value[name][~np.isnan(f.value[name])] for f in (real, twin))

@@ -38,7 +38,7 @@ from .stage import BinLook, LitScene, scan_lit
 
 _DARK_LOSS = 1e3  # It is the loss of a scanner that sees nothing.
 _LEVER = 0.1  # Slopes are taken over this share of a range, as over less they are mostly noise.
-_STARTS = 16  # So many places of the first look are spread over the ranges.
+_STARTS = 16  # This many places of the first look are spread over the ranges.
 # Steps have a first damping [spreads^2 per range^2], a number that may fail before slopes are taken
 # anew, and a shortest way.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
@@ -68,7 +68,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Each parameter's value, by its key."""
+        """Value of each parameter, by its key."""
         return {one.parameter.key: one.value for one in self.estimates}
 
     @property
@@ -88,7 +88,7 @@ def search(
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> Fit:
-    """The best of about so many trials.
+    """Search for the best scanner, with about `trials` trials.
 
     The places of the first look are the start, the one laser scanner of `PARAMETERS`, and those of
     a Sobol sequence over all ranges.
@@ -168,7 +168,7 @@ class _Trials:
     progress: ProgressMeter
 
     def __post_init__(self) -> None:
-        # Of the noise that all share: a place that is asked for again costs no trial.
+        # All trials share their noise, so a repeated place costs no trial.
         self.tried: dict[CodeSpec, dict[bytes, tuple[float, tuple[Row, ...]]]] = {}
         self.floor = find_floor([one.truth.depth_m for one in self.lit])
 
@@ -225,7 +225,7 @@ class _Trials:
         return np.stack(columns, axis=1)
 
     def descend(self, code: CodeSpec, x: Float[np.ndarray, " n"], trials: int) -> None:
-        """Steps from a place, until so many trials are spent or no step leads on.
+        """Take steps from a place, until `trials` are spent or no step improves.
 
         Slopes cost a trial for each parameter, so what a step finds corrects them. Where some steps
         after one another lead nowhere, slopes are taken anew.

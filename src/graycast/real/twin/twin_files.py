@@ -27,7 +27,7 @@ _BRIGHTEST = 0.9
 
 
 def files_of(out: Path) -> tuple[Path, Path, Path]:
-    """The rig file, the report and the picture beside a twin's configuration."""
+    """Return the paths of the rig file, report and picture of a twin's configuration."""
     return tuple(out.with_name(out.stem + end) for end in (".rig.yaml", ".twin.md", ".twin.png"))  # type: ignore[return-value]
 
 
@@ -52,12 +52,12 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         (aside / report.name).write_text(report_text(twin), encoding="utf-8")
         save_scanner(replace(twin.fit.scanner, rig=named), aside / rig.name)
         (aside / out.name).write_text(text, encoding="utf-8")
-        refuse_there(rig, report, picture, out)  # what came meanwhile
+        refuse_there(rig, report, picture, out)  # Another process may have written meanwhile.
     return [out, rig, report, picture]
 
 
 def report_text(twin: Twin) -> str:
-    """Tables in Markdown: statistics, parameters, codes, and what the classifier says."""
+    """Return tables in Markdown: statistics, parameters, codes, and the classifier's judgement."""
     fit = twin.fit
     lines = [
         "# The twin's report",
@@ -174,7 +174,7 @@ def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
         if material is not None:
             own = section.setdefault(key, {})
             own["base_color"] = [_scaled(band, color) for band in material.base_color]
-            if material.projector_reflectance is not None:  # it is what the camera sees
+            if material.projector_reflectance is not None:  # The camera sees this reflectance.
                 own["projector_reflectance"] = _scaled(material.projector_reflectance, color)
             if gloss is not None:
                 own["specular"] = round(min(material.specular * gloss, 1.0), 4)

@@ -14,6 +14,8 @@ from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
+from graycast.base.settings import setting_description
+from graycast.camera.decode import Reason
 from graycast.camera.rig_file.own import RigModel
 from graycast.camera.scanner import Scanner
 from graycast.camera.stack.description import StackDescription
@@ -70,6 +72,24 @@ our choice.
 | name | base color | metallic | roughness | anisotropy | density kg/m³ | source of the colour |
 |---|---|---|---|---|---|---|
 """
+_GLOSSARY = """\
+# Glossary
+
+The words of pictures and pages. `graycast report` and `graycast live` show these lines as tooltips.
+
+## Why a pixel has no depth
+
+| reason | meaning |
+|---|---|
+"""
+_SETTINGS = """
+## Settings of a scanner
+
+Rig files and configurations have them.
+
+| setting | key | meaning |
+|---|---|---|
+"""
 # It stands below the title, because MkDocs takes the title from the first line.
 _REMARK = "\n\n<!-- `make reference` writes this page from the program. Do not edit it. -->"
 _TABLE = "| key | value | default | meaning |\n|---|---|---|---|\n"
@@ -90,6 +110,7 @@ def pages() -> dict[str, str]:
                 del schema["properties"][key]
         texts[page] = f"{texts.get(page, '')}{head}\n\n{keys.text(page, schema, prefix)}"
     texts["materials"] = _MATERIALS + "".join(_material(*item) for item in MATERIALS.items())
+    texts["glossary"] = "".join(_glossary())
     return {
         f"reference/{name}.md": f"{text.replace(chr(10), _REMARK + chr(10), 1).rstrip()}\n"
         for name, text in texts.items()
@@ -122,6 +143,26 @@ def _material(name: str, preset: MaterialPreset) -> str:
     numbers = f"{material.metallic:g} | {rough} | {grooves}"
     density = f"{preset.density_kg_m3:g}"
     return f"| {_anchor(name)}`{name}` | {color} | {numbers} | {density} | {preset.source} |\n"
+
+
+def _glossary() -> Iterator[str]:
+    """A line for each reason and for each setting of a scanner, in alphabetical order each."""
+    yield _GLOSSARY
+    for reason in sorted(Reason, key=lambda reason: reason.words):
+        place = _anchor(reason.label.replace("_", "-"))
+        yield f"| {place}{reason.words} | {_escaped(reason.meaning)} |\n"
+    yield _SETTINGS
+    paths = [
+        f"{section.name}.{field.name}"
+        for section in fields(Scanner)
+        if callable(section.default_factory)
+        for field in fields(section.default_factory())
+    ]
+    for path in sorted(paths, key=lambda path: path.partition(".")[2]):
+        section, _, name = path.partition(".")
+        words, place = name.replace("_", " "), _anchor(f"{section}-{name.replace('_', '-')}")
+        about = _escaped(setting_description(RigModel, path))
+        yield f"| {place}{words} | [`{path}`](rig.md#{path}) | {about} |\n"
 
 
 def _state_defaults(schema: Schema) -> None:

@@ -1,13 +1,20 @@
 """The pages of the reference that come from the models and from the parser."""
 
+import html
 import importlib.util
 import json
 import re
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
+from graycast.camera.decode import DecodeSpec, FilterSpec, Reason
+from graycast.camera.faults import FaultSpec
+from graycast.camera.scanner import ExposureSpec
+from graycast.camera.sensor import SensorSpec
 from graycast.cli.command import _parser
+from graycast.rig.pattern import CodeSpec
 from graycast.world.parts import MATERIALS
 
 SCRIPT = Path(__file__).resolve().parents[1] / "docs/reference_pages.py"
@@ -83,6 +90,24 @@ def test_every_material_has_a_row_with_its_numbers(reference):
         turned = material.grain is not None and material.grain.turned
         assert grooves.endswith("turned") == turned
         assert (float(density), source) == (preset.density_kg_m3, preset.source)
+
+
+def test_every_reason_and_every_setting_of_a_scanner_has_its_line_in_the_glossary(reference):
+    """Oracle: the annotations of the values themselves, which the page does not read."""
+    page = html.unescape(reference.pages()["reference/glossary.md"])
+    rows = dict(re.findall(r"^\| <a id=\S+></a>(.+?) \| (.+) \|$", page, re.MULTILINE))
+    expected = {reason.name.lower().replace("_", " "): reason.meaning for reason in Reason}
+    sections = {"decode": DecodeSpec, "filters": FilterSpec, "faults": FaultSpec, "code": CodeSpec}
+    sections |= {"exposure": ExposureSpec, "sensor": SensorSpec}
+    for section, spec in sections.items():
+        for name, hint in get_type_hints(spec, include_extras=True).items():
+            texts = [getattr(each, "description", None) for each in hint.__metadata__]
+            about = next(text for text in texts if text)
+            link = f"[`{section}.{name}`](rig.md#{section}.{name})"
+            expected[name.replace("_", " ")] = f"{link} | {' '.join(about.split())}"
+    assert len(expected) > 50
+    assert rows == expected
+    assert {"settling votes", "fine bits", "hidden sigmas", "raster px", "doubt"} < set(rows)
 
 
 def test_no_anchor_of_a_page_is_given_twice(reference):

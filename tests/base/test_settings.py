@@ -6,7 +6,7 @@ import time
 import tracemalloc
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from pydantic import Field, ValidationError
@@ -20,6 +20,7 @@ from graycast.base.settings import (
     parse_yaml,
     read_settings,
     section_of,
+    setting_description,
 )
 from graycast.camera.decode import DecodeSpec, FilterSpec
 from graycast.camera.faults import FaultSpec
@@ -181,3 +182,27 @@ def test_honest_aliases_and_long_files_are_read():
     texts = [100_000 * letter for letter in "abcdefghijkl"]
     content = parse_yaml("t: [" + ", ".join(texts) + "]", Path("t.yaml"))
     assert content["t"] == texts  # without aliases there is no limit
+
+
+def test_the_description_of_a_key_is_that_of_its_annotation_also_behind_lists_and_choices():
+    class Box(Settings):
+        kind: Literal["box"]
+        side_m: float = Field(description="Side of the box.")
+
+    class Ball(Settings):
+        kind: Literal["ball"]
+        radius_m: float = Field(description="Radius of the ball.")
+
+    class Shop(Settings):
+        goods: list[Annotated[Box | Ball, Field(discriminator="kind")]]
+        lens: changes_of(Lens, "LensChanges", module=__name__, about="A lens.") | None = None
+
+    texts = {
+        "goods.0.side_m": "Side of the box.",
+        "goods.3.radius_m": "Radius of the ball.",
+        "lens.width_px": "Image width.",
+        "lens.depth_px": "",
+        "lens.width_px.0": "Image width.",
+        "power": "",
+    }
+    assert {key: setting_description(Shop, key) for key in texts} == texts

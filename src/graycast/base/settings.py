@@ -316,6 +316,24 @@ def _schema(model: type[Settings]) -> Mapping[str, Any]:
     return model.model_json_schema()
 
 
+def setting_description(model: type[Settings], key: str) -> str:
+    """Return the description of a key such as `decode.doubt`; empty if the model has no such key.
+
+    A number in the key counts an entry of a list.
+    """
+    schema, text = _schema(model), ""
+    options = [schema]
+    for word in key.split("."):
+        if word.isdigit():
+            nodes = [inner for option in options if (inner := option.get("items"))]
+        else:
+            known = (option.get("properties", {}) for option in options)
+            nodes = [keys[word] for keys in known if word in keys]
+            text = next((node["description"] for node in nodes if "description" in node), "")
+        options = [section for node in nodes for section in _sections(node, schema)]
+    return text
+
+
 def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
     """Return the keys that lead to a problem, and the keys that are allowed there (JSON Schema).
 

@@ -1,6 +1,7 @@
 """What is set becomes a configuration, and a rig file where no key says it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from PIL import Image
 
 from graycast.base.errors import ConfigError
 from graycast.camera import scanner
+from graycast.camera.decode import DecodeSpec
 from graycast.camera.rig_file import load_scanner
 from graycast.cell.config import Config
 from graycast.cell.resolve import resolve_cell
@@ -124,3 +126,14 @@ def test_a_slider_of_a_surface_leaves_its_roughness_map_alone(tmp_path):
         for key in keys:
             assert values[key]["roughness_map"] == "worn.png"
             assert values[key]["roughness"] == 0.4
+
+
+def test_each_control_of_a_setting_has_the_description_that_the_setting_has():
+    """Only what the page itself scales has none: the light around, and changes of the rig."""
+    config = Config.model_validate({"parts": [{"builtin": "toothpaste"}], "rig": "like-phoxi-m"})
+    controls = described_controls(config, resolve_cell(config, Path()).scanner)["controls"]
+    texts = {control["key"]: control["about"] for control in controls}
+    (field,) = DecodeSpec.__annotations__["doubt"].__metadata__
+    assert texts["decode.doubt"] == field.description
+    own = {"ambient", "rig.power", "rig.toe_in_deg", "rig.baseline"}
+    assert {key for key, text in texts.items() if not text} <= own

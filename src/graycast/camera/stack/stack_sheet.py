@@ -72,4 +72,6 @@ def _draw_reasons(ax, result: StackResult, step: int) -> None:
         if share:
             words = f"{kind.words} {share:.1f} %"
             ax.plot([], [], "s", color=kind.color, mec="0.4", ms=8, label=words)
-    ax.legend(loc="upper left", bbox_to_anchor=(0, -0.01), ncols=3, fontsize=9, frameon=False)
+    ax.legend(title="meanings: docs/reference/glossary.md", title_fontsize=9, alignment="left",
+              loc="upper left", bbox_to_anchor=(0, -0.01), ncols=3, fontsize=9,
+              frameon=False)  # fmt: skip

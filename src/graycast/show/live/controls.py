@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from ...base.settings import setting_description
 from ...camera.scanner import Scanner
 from ...cell.config import Config
 from ...cell.resolve import Cell
@@ -42,7 +43,9 @@ class Control:
 
 
 def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
-    """All controls of a configuration as JSON, and the values that it says or leaves as they are.
+    """Return all controls of a configuration as JSON, and the values that it states or leaves.
+
+    Each control has the description of its key, which the page shows as a tooltip.
 
     No file of a part or a bin is read, so the page has its controls before any picture, and also
     where a value lets no picture be made.
@@ -72,7 +75,7 @@ def _described(control: Control) -> dict[str, Any]:
         name: value
         for name, value in asdict(control).items()
         if name in ("key", "label", "group", "cost") or value != getattr(plain, name)
-    }
+    } | {"about": setting_description(Config, control.key)}
 
 
 def _controls(config: Config) -> Iterator[Control]:

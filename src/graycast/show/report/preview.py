@@ -315,7 +315,8 @@ def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
         of_parts = f"{100 * (on_part == r).mean():.1f} | " if on_part.size else ""
         words = f"{r.words} {of_parts}{100 * (reason == r).mean():.1f} %"
         ax.plot([], [], "s", color=r.color, mec="0.4", mew=0.5, ms=9, label=words)
-    ax.legend(title="shares of the parts' pixels | of all pixels", title_fontsize=9,
+    ax.legend(title="shares of the parts' pixels | of all pixels "
+              "(meanings: docs/reference/glossary.md)", title_fontsize=9,
               alignment="left", loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3,
               fontsize=9, frameon=False,
               borderpad=0.3, handletextpad=0.2, columnspacing=1.2,

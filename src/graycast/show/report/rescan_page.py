@@ -172,6 +172,7 @@ def _reasons(records: list[ImageRecord]) -> str:
     lines = ["<tr><th></th><th>all</th><th>objects</th></tr>"]
     for reason in Reason:
         color = f'<i style="background: {reason.color}"></i>{html.escape(reason.label)}'
-        cells = (f"{own.get(reason.label, 0):.1%}" if own else "" for own in (shares, of_parts))
-        lines.append(f"<tr><td>{color}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
+        shares_of = (f"{own.get(reason.label, 0):.1%}" if own else "" for own in (shares, of_parts))
+        cells = "".join(f"<td>{cell}</td>" for cell in (color, *shares_of))
+        lines.append(f'<tr title="{html.escape(reason.meaning)}">{cells}</tr>')
     return "".join(lines)

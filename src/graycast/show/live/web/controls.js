@@ -90,7 +90,7 @@
         class: "control",
         "data-key": control.key,
         "data-cost": control.cost,
-        title: COSTS[control.cost],
+        title: [control.about, COSTS[control.cost]].filter(Boolean).join("\n\n"),
       },
       el("span", { class: "label" }, el("i", { class: `cost ${control.cost}` }), control.label),
       ...inputs,

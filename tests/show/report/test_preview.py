@@ -13,6 +13,7 @@ from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, random_quaternions, rigid, rotation_from_quaternion
 from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.camera.sensor import Capture, SensorSpec, merge_exposures
+from graycast.cell.framing import framing_line
 from graycast.cell.simulate import Shot
 from graycast.dataset.sample import Sample
 from graycast.rendering import GroundTruth, Radiance, Rendering, Silhouette
@@ -20,8 +21,9 @@ from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig
 from graycast.rig.pattern import gray
 from graycast.show.report import preview
+from graycast.show.report.bin_view import bin_crop
 from graycast.world.parts import Material, Mesh, Part
-from graycast.world.scene import EMPTY_LAYOUT, Layout, Scene
+from graycast.world.scene import EMPTY_LAYOUT, Bin, Layout, Scene
 
 WIDTH, HEIGHT = 80, 60
 F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
@@ -238,6 +240,24 @@ def test_the_head_tells_parts_counts_and_physics(tiles):
     for fact in ("desk", "100 mm", "16 samples", "20 ms", "NOT at rest", "try 2", "0.25 mm",
                  "2 outside", "seed 11", "llvm"):  # fmt: skip
         assert fact in words
+
+
+def test_every_tile_but_the_close_up_shows_the_bin_and_the_head_says_how_large_it_is(tiles):
+    shot = make_shot()
+    T_world_cam = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, WALL_M], [0, 0, 0, 1]])
+    box = Bin(inner_m=(0.12, 0.1, 0.1), wall_m=0.01)
+    scene = replace(shot.sample.scene, T_world_cam=T_world_cam, bin=box)
+    shot = replace(shot, sample=replace(shot.sample, scene=scene))
+    figure, by_title = tiles(shot)
+    left, top, width, height = bin_crop(scene, shot.sample.truth)
+    assert width < WIDTH and height < HEIGHT
+    for title, ax in by_title.items():
+        assert ax.get_xlim() == (left - 0.5, left + width - 0.5), title
+        assert ax.get_ylim() == (top + height - 0.5, top - 0.5), title
+    assert framing_line(scene, shot.sample.layout) in figure.texts[0].get_text()
+    # Parts and bin are between 0.4 and 0.5 m from the camera.
+    bar = [ax for ax in figure.axes if ax.texts and "both depths" in ax.texts[0].get_text()]
+    assert bar[0].get_xlim() == pytest.approx((398.0, 502.0), abs=1e-3)
 
 
 def test_frames_span_from_the_dark_level_to_saturation(tiles):

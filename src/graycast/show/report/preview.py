@@ -1,7 +1,7 @@
 """A contact sheet of one scene: captured frames, measured depth and ground truth.
 
-Each tile is a picture of the camera with its top-left pixel at the top left. Pictures taken in
-linear light are shown in sRGB, as an eye would see them; maps of numbers bear a colour bar.
+Each tile shows the bin as the camera does, with the top-left pixel at the top left. Pictures taken
+in linear light are shown in sRGB, as an eye would see them; maps of numbers bear a colour bar.
 """
 
 import math
@@ -28,12 +28,13 @@ from ...base.robust import robust_sigma
 from ...camera.decode import Reason, triangulation_axis
 from ...camera.picture import srgb_frame
 from ...camera.sensor import Capture
+from ...cell.framing import framing_line
 from ...cell.simulate import Shot
 from ...dataset.sample import labelled
-from ...rendering import GroundTruth
 from ...rig.optics import Optics, project
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
+from .bin_view import Crop, bin_crop, depth_limits_mm
 
 DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
 SHEET_WIDTH_PX = 2400
@@ -83,7 +84,7 @@ def _sheet_of(shot: Shot, code: Code) -> Figure:
     if len(shot.capture.frames) != len(code.frames):
         frames = f"{len(shot.capture.frames)} frames, and the code has {len(code.frames)}"
         raise ValueError(f"the capture has {frames}: give the code of the capture")
-    sheet = _Sheet(shot.sample.scene.rig.camera)
+    sheet = _Sheet(bin_crop(shot.sample.scene, shot.sample.truth))
     _write_head(sheet.figure, shot, code)
     sheet.picture("colour picture", shot.sample.rgb)
     _draw_frames(sheet, shot, code)
@@ -108,11 +109,12 @@ def pixel_axes(figure: Figure, left: int, top: int, width: int, height: int) -> 
 
 
 class _Sheet:
-    """A grid of equal tiles, filled row by row."""
+    """A grid of equal tiles that show the same part of the picture, filled row by row."""
 
-    def __init__(self, camera: Optics) -> None:
+    def __init__(self, crop: Crop) -> None:
         width = (SHEET_WIDTH_PX - 2 * _MARGIN_PX - (COLUMNS - 1) * _GAP_PX) // COLUMNS
-        self.tile_px = (width, round(width * camera.height_px / camera.width_px))
+        self.crop = crop
+        self.tile_px = (width, round(width * crop[3] / crop[2]))
         self._tops = []
         height_px = _HEAD_PX
         for below_px in _BELOW_PX:
@@ -122,11 +124,13 @@ class _Sheet:
         self._filled = 0
 
     def picture(self, title: str, image: UInt8[np.ndarray, "h w 3"]) -> Axes:
-        """Show an image in the next tile; the axes' coordinates are its pixels."""
+        """Show the crop of an image in the next tile; the axes' coordinates are image pixels."""
         self._filled += 1
         ax = pixel_axes(self.figure, *self._corner(), *self.tile_px)
         ax.imshow(image, origin="upper", interpolation="antialiased", aspect="auto")
-        ax.set(xticks=[], yticks=[])
+        left, top, crop_width, crop_height = self.crop
+        ax.set(xlim=(left - 0.5, left + crop_width - 0.5), xticks=[], yticks=[])
+        ax.set(ylim=(top + crop_height - 0.5, top - 0.5))
         ax.spines[:].set(color="0.6", lw=0.5)
         ax.set_title(title, loc="left", fontsize=12, weight="bold", pad=6)
         return ax
@@ -176,6 +180,8 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
     height_px = figure.get_size_inches()[1] * DPI
     left = _MARGIN_PX / SHEET_WIDTH_PX
     title = f"scene {manifest['scene_id']}:  {',  '.join(names) or 'no parts'}"
+    if scene.bin is not None:
+        title += f"   ({framing_line(scene, layout)})"
     figure.text(left, 1 - 34 / height_px, title, fontsize=17, weight="bold", va="center")
     figure.text(left, 1 - 70 / height_px, "   |   ".join(words), fontsize=10.5, va="center",
                 color="0.25")  # fmt: skip
@@ -190,19 +196,20 @@ def _exposures_s(capture: Capture) -> Sequence[float]:
 
 
 def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
-    """The white frame, a coarse one, and the finest in a close-up from the frame's middle."""
+    """The white frame, a coarse one, and the finest in a close-up from the middle of the crop."""
     axis = triangulation_axis(shot.sample.scene.rig)
     index = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
     coarse, finest = index[min(_COARSE_RANK, len(index) - 1)], index[-1]
-    camera = shot.sample.scene.rig.camera
+    crop_left, crop_top, crop_width, crop_height = sheet.crop
     width, height = (-(-side // _CLOSE_UP) for side in sheet.tile_px)
-    left, top = (camera.width_px - width) // 2, (camera.height_px - height) // 2
+    left, top = crop_left + (crop_width - width) // 2, crop_top + (crop_height - height) // 2
+    is_smaller = width < crop_width and height < crop_height
     white = sheet.picture("white frame", _frame_picture(shot, code.brightest))
-    if left > 0 and top > 0:
+    if is_smaller:
         white.add_patch(_rectangle(left, top, width, height, color="#ffcc33"))
     sheet.picture(_title(code.frames[coarse]), _frame_picture(shot, coarse))
     ax = sheet.picture(_title(code.frames[finest]), _frame_picture(shot, finest))
-    if left > 0 and top > 0:
+    if is_smaller:
         ax.images[0].set_interpolation("nearest")
         ax.set(xlim=(left - 0.5, left + width - 0.5), ylim=(top + height - 0.5, top - 0.5))
         _note(ax, f"middle, magnified to {_CLOSE_UP} x {_CLOSE_UP} per pixel")
@@ -248,29 +255,16 @@ def painted(
 
 def _draw_depths(sheet: _Sheet, shot: Shot) -> None:
     sample = shot.sample
-    limits = depth_limits_mm(sample.truth)
+    limits = depth_limits_mm(sample.scene, sample.truth)
     sheet.picture("perfect depth", painted(1e3 * sample.truth.depth_m, _DEPTH_MAP, limits))
     sheet.color_bar(_DEPTH_MAP, limits, "mm, both depths")
     scanned = sample.scanner_depth.depth_m
     ax = sheet.picture("scanner's depth", painted(1e3 * scanned, _DEPTH_MAP, limits))
-    _note(ax, f"{100 * np.isfinite(scanned).mean():.1f} % known")
+    known = np.isfinite(scanned)
+    on_part = known[labelled(sample).truth.instance >= 0]
+    of_parts = f"{100 * on_part.mean():.1f} % of the parts' pixels, " if on_part.size else ""
+    _note(ax, f"{of_parts}{100 * known.mean():.1f} % of all pixels")
     sheet.color_bar(_DEPTH_MAP, limits, "mm, dark where unknown")
-
-
-def depth_limits_mm(truth: GroundTruth) -> tuple[float, float]:
-    """Least and greatest depth worth colours: of the parts and of what lies among them.
-
-    Where no part is seen, of the whole picture.
-    """
-    rows, columns = np.nonzero(truth.instance >= 0)
-    around = truth.depth_m
-    if rows.size:
-        around = around[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    known = around[np.isfinite(around)]
-    if known.size == 0:
-        return 0.0, 1.0
-    margin_m = max(0.05 * float(np.ptp(known)), 1e-4)
-    return 1e3 * (float(known.min()) - margin_m), 1e3 * (float(known.max()) + margin_m)
 
 
 def _draw_error(sheet: _Sheet, shot: Shot) -> None:

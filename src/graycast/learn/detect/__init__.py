@@ -4,7 +4,7 @@
     encoding, training_pictures   pictures as a network takes them
     mask_rcnn, yolov3, solov2, yolov7, rf_detr, backbones, suppression   the networks
     run, training                 the folder of a training, and its loop
-    detector, detecting           a trained detector, and its use on pictures
+    detector, detecting, drawing  a trained detector, its use on pictures, and drawings of that
     onnx_file                     a detector for other programs
 
 A public name is imported from its module when it is first asked for, as the command line and the

@@ -9,8 +9,6 @@ from typing import Any, final
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
-from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
@@ -28,11 +26,10 @@ from ...real.depth_file import FileOptions
 from ...real.depth_sense import filled_holes
 from ...real.picture_pairs import RealPicture, find_shots, read_shot
 from .detector import About, Detector
+from .drawing import draw_detections
 from .encoding import Encoding
 
 DRAWINGS = "drawings"
-_INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))
-_LEAST_SCORE = 0.5  # Detections below this score are not drawn.
 LEAST_INSIDE = 0.5  # A note warns of a picture with less of its depth in the range that was learnt.
 
 
@@ -83,6 +80,7 @@ def detect(
     out = Path(out)
     refuse_foreign(out, DETECT_JSON)
     detections, times_ms, notes = [], [], list[str]()
+    names = {number: name for name, number in pictures.class_ids.items()}
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
         for example in pictures.examples:
@@ -96,8 +94,8 @@ def detect(
             notes += _notes(example, detector.about.encoding)
             if len(detections) <= drawings:
                 path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
-                image = _drawing(example, detections[-1])
-                path.write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
+                image = draw_detections(display_image(example), detections[-1], names)
+                path.write_bytes(cv2.imencode(".jpg", image[..., ::-1])[1].tobytes())
             progress.count("pictures", len(detections), len(pictures.scene_ids))
         about = detector.about
         content = {
@@ -161,25 +159,6 @@ def detection_record(folder: Path) -> dict[str, Any]:
         raise GraycastError(
             f"{folder}: has no readable {DETECT_JSON}: remove the folder"
         ) from error
-
-
-def _drawing(example: Example, detections: Detections) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the picture (BGR) with boxes, outlines and scores of detections scored 0.5 or more."""
-    image = np.ascontiguousarray(display_image(example)[..., ::-1])
-    for i in np.flatnonzero(detections.score >= _LEAST_SCORE):
-        ink = _INKS[int(detections.obj_id[i]) % len(_INKS)]
-        x, y, columns, rows = (round(float(edge)) for edge in detections.box_px[i])
-        if detections.mask is None:
-            cv2.rectangle(image, (x, y), (x + columns - 1, y + rows - 1), ink, 1, cv2.LINE_AA)
-        else:
-            mask = coco_mask.decode(dict(detections.mask[i]))
-            lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(image, lines, -1, ink, 1, cv2.LINE_AA)
-        place = (x + 2, max(10, y + 10))
-        text = f"{detections.score[i]:.2f}"
-        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
-        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
-    return image
 
 
 def pictures_of(

@@ -101,11 +101,44 @@ def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
     reason = np.where(known & np.isnan(depth_m), Reason.OUTLIER, codes["reason"])
     colors = np.array([to_rgb(color) for color in REASON_COLOR.values()])
     assert np.array_equal(tile["reasons"], colors[reason])
-    shares = shares_of(tile["depth [m]"], "viridis_r")
+    shares = shares_of(tile["depth"], "viridis_r")
     low_m, high_m = np.nanpercentile(depth_m, (1, 99))
     off_m = np.abs(low_m + shares * (high_m - low_m) - np.clip(depth_m, low_m, high_m))
     assert np.nanmax(off_m) <= (high_m - low_m) / 255
     assert (np.isfinite(shares) == np.isfinite(depth_m)).all()
+
+
+def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_name_their_units(decoded):
+    """Six tiles lie in two rows of three; every bar has a unit, and all lengths are in mm."""
+    figure = decoded[3]
+    figure.draw_without_rendering()
+    boxes = [ax.get_window_extent() for ax in axes_of(figure).values()]
+    assert len(boxes) == 6
+    assert np.ptp([(box.width, box.height) for box in boxes], axis=0) == pytest.approx((0, 0))
+    assert len({round(box.x0) for box in boxes}) == 3 and len({round(box.y0) for box in boxes}) == 2
+    assert boxes[0].width / boxes[0].height == pytest.approx(160 / 120, rel=0.01)
+    bars = [bar for ax in figure.axes for bar in ax.child_axes]
+    labels = [text.get_text() for bar in bars for text in bar.texts]
+    assert sorted(label.split()[-1] for label in labels) == ["[mm]"] * 2 + ["[px]"] * 2
+    words = [
+        text.get_window_extent() for bar in bars for text in (*bar.texts, *bar.get_xticklabels())
+    ]
+    legend = axes_of(figure)["reasons"].get_legend()
+    for box in [*words, legend.get_window_extent()]:
+        assert not any(box.overlaps(tile) for tile in boxes)
+    depth_bar = next(bar for bar in bars if bar.texts[0].get_text() == "depth [mm]")
+    assert 500 < depth_bar.get_xlim()[0] < depth_bar.get_xlim()[1] < 1000  # a wall at 800 mm
+
+
+def test_the_preview_does_not_call_empty_space_shadow(decoded):
+    """The dark of an empty background is no share of what can be decoded."""
+    _, _, out, figure = decoded
+    reason = np.load(out / "code.npz")["reason"]
+    dark = 100 * (reason == Reason.SHADOW).mean()
+    legend = [text.get_text() for text in axes_of(figure)["reasons"].get_legend().get_texts()]
+    assert f"not lit: shadow or empty, {dark:.1f} % of the picture" in legend
+    shares = [float(text.split()[-2]) for text in legend if "not lit" not in text]
+    assert sum(shares) == pytest.approx(100, abs=0.1)
 
 
 @pytest.mark.parametrize("command", ["decode", "certify", "measure"])

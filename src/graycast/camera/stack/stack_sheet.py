@@ -1,77 +1,115 @@
 """The preview of a decoded stack: one sheet of its picture, code maps, reasons and depth."""
 
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ...base.plotting import save_png
 from ..decode import Reason
 from .decoding import StackResult
 
-DPI, TILE_IN = 100, 7.0
+DPI, TILE_PX = 100, 700
+_GAP_PX, _ABOVE_PX, _BELOW_PX = 30, 40, 84  # A bar or a legend is in the space below a tile.
 _UNKNOWN = (0.20, 0.20, 0.22)
+_PERCENTILES = (1, 99)  # The colours of depth reach from the one to the other.
+
+Paint = Callable[[Axes], None]
 
 
 def draw_sheet(result: StackResult, path: Path) -> None:
-    """Picture, code maps, reasons and depth side by side."""
+    """Draw picture, code maps, reasons and depth on equal tiles that fill the sheet."""
     height, width = result.codes.reason.shape
-    step = max(1, round(width / 1000))
-    tiles: list[tuple[str, np.ndarray | None, tuple[float, float] | None]] = [
-        ("picture", None, None)
-    ]
-    for axis in result.code.axes:
-        position = result.codes.column if axis == "column" else result.codes.row
-        tiles.append((f"decoded {axis}", position, (0.0, result.code.size_px(axis) - 1.0)))
-    tiles.append(("reasons", None, None))
-    if result.depth is not None:
-        tiles.append(("depth [m]", result.depth.depth_m, None))
-    rows = -(-len(tiles) // 2)
-    tile_in = (TILE_IN, TILE_IN * height / width + 0.9)
-    layout = ConstrainedLayoutEngine(h_pad=0.15, w_pad=0.1)
-    figure = Figure(figsize=(2 * tile_in[0], rows * tile_in[1]), dpi=DPI, layout=layout)
-    grid = figure.subplots(rows, 2, squeeze=False).ravel()
-    for ax in grid:
+    tiles = dict(_tiles(result, max(1, round(width / 1000))))
+    columns = 2 if len(tiles) == 4 else 3
+    rows = -(-len(tiles) // columns)
+    tile_px = (TILE_PX, round(TILE_PX * height / width))
+    step_px = (tile_px[0] + _GAP_PX, _ABOVE_PX + tile_px[1] + _BELOW_PX)
+    size_px = (_GAP_PX + columns * step_px[0], rows * step_px[1])
+    figure = Figure(figsize=(size_px[0] / DPI, size_px[1] / DPI), dpi=DPI)
+    for k, (title, paint) in enumerate(tiles.items()):
+        row, column = divmod(k, columns)
+        left = _GAP_PX + column * step_px[0]
+        bottom = size_px[1] - row * step_px[1] - _ABOVE_PX - tile_px[1]
+        place = np.array([left, bottom, *tile_px]) / (*size_px, *size_px)
+        ax = figure.add_axes((place[0], place[1], place[2], place[3]))
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
-    for ax, (title, values, limits) in zip(grid, tiles, strict=False):
         ax.set_title(title, loc="left", fontsize=12, weight="bold")
-        if values is not None:
-            _draw_map(figure, ax, values[::step, ::step], limits)
-        elif title == "picture":
-            ax.imshow(result.picture[::step, ::step])
-        else:
-            _draw_reasons(ax, result, step)
+        paint(ax)
     save_png(figure, path, dpi=DPI)
 
 
-def _draw_map(figure: Figure, ax, values, limits) -> None:
-    name = "viridis" if limits is not None else "viridis_r"
-    if limits is None:
-        known = values[np.isfinite(values)]
-        limits = tuple(np.percentile(known, (1, 99))) if known.size else (0.0, 1.0)
+def _tiles(result: StackResult, step: int) -> Iterator[tuple[str, Paint]]:
+    """The titles of the tiles and what paints them: three, four or six, which fill their rows."""
+    yield "picture", lambda ax: _show(ax, result.picture[::step, ::step])
+    for axis in result.code.axes:
+        position = result.codes.column if axis == "column" else result.codes.row
+        limits = (0.0, result.code.size_px(axis) - 1.0)
+        name, label = f"decoded {axis}", f"projector {axis} [px]"
+        yield name, partial(_draw_map, position[::step, ::step], "viridis", limits, label)
+    yield "reasons", lambda ax: _draw_reasons(ax, result, step)
+    if result.depth is None:
+        return
+    depth_mm = 1e3 * result.depth.depth_m[::step, ::step]
+    limits = _limits(depth_mm)
+    yield "depth", partial(_draw_map, depth_mm, "viridis_r", limits, "depth [mm]")
+    if len(result.code.axes) == 2:
+        sigma_mm = 1e3 * result.depth.sigma_m[::step, ::step]
+        limits, label = (0.0, _limits(sigma_mm)[1]), "standard deviation of the depth [mm]"
+        yield "noise of the depth", partial(_draw_map, sigma_mm, "magma", limits, label)
+
+
+def _limits(values: Float[np.ndarray, "h w"]) -> tuple[float, float]:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, _PERCENTILES)
+    return float(low), float(high)
+
+
+def _show(ax: Axes, image: np.ndarray) -> None:
+    ax.imshow(image, aspect="auto")
+
+
+def _draw_map(
+    values: Float[np.ndarray, "h w"], name: str, limits: tuple[float, float], label: str, ax: Axes
+) -> None:
     low, high = limits
     share = np.clip((values - low) / max(high - low, 1e-9), 0, 1)
     image = colormaps[name](np.nan_to_num(share))[..., :3]
     image[np.isnan(values)] = _UNKNOWN
-    ax.imshow(image)
-    bar = ScalarMappable(Normalize(low, high), colormaps[name])
-    figure.colorbar(bar, ax=ax, orientation="horizontal", shrink=0.6, aspect=40, pad=0.02)
+    _show(ax, image)
+    height_px = ax.bbox.height
+    bar = ax.inset_axes((0.0, -20 / height_px, 0.55, 12 / height_px))
+    mappable = ScalarMappable(Normalize(low, high), colormaps[name])
+    ax.figure.colorbar(mappable, cax=bar, orientation="horizontal")
+    bar.tick_params(labelsize=9, length=2, pad=2)
+    bar.annotate(label, (1, 0.5), (14, 0), xycoords="axes fraction",
+                 textcoords="offset pixels", va="center", fontsize=10)  # fmt: skip
 
 
-def _draw_reasons(ax, result: StackResult, step: int) -> None:
+def _draw_reasons(ax: Axes, result: StackResult, step: int) -> None:
+    """The reasons, and their shares of the lit pixels: a background that is far away is not lit."""
     reason = (result.codes if result.depth is None else result.depth).reason
     palette = np.array([to_rgb(kind.color) for kind in Reason])
-    ax.imshow(palette[reason[::step, ::step]])
+    _show(ax, palette[reason[::step, ::step]])
+    lit = reason != Reason.SHADOW
     for kind in Reason:
-        share = 100 * (reason == kind).mean()
-        if share:
-            words = f"{kind.words} {share:.1f} %"
-            ax.plot([], [], "s", color=kind.color, mec="0.4", ms=8, label=words)
-    ax.legend(title="meanings: docs/reference/glossary.md", title_fontsize=9, alignment="left",
-              loc="upper left", bbox_to_anchor=(0, -0.01), ncols=3, fontsize=9,
-              frameon=False)  # fmt: skip
+        if not (reason == kind).any():
+            continue
+        words = f"{kind.words} {100 * (reason[lit] == kind).mean() if lit.any() else 0:.1f} %"
+        if kind is Reason.SHADOW:
+            words = f"not lit: shadow or empty, {100 * (~lit).mean():.1f} % of the picture"
+        ax.plot([], [], "s", color=kind.color, mec="0.4", ms=8, label=words)
+    ax.legend(title="shares of the lit pixels; meanings: docs/reference/glossary.md", title_fontsize=9, alignment="left",
+              loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3, fontsize=9,
+              frameon=False, borderpad=0.3, handletextpad=0.2, columnspacing=1.2,
+              borderaxespad=0.1)  # fmt: skip

@@ -9,11 +9,14 @@ import pytest
 from metered import Metered
 from stage import centred, make_rig, turned
 
+from graycast.camera.faults import FaultSpec
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec
 from graycast.rig.pair import depth_per_line_m
 from graycast.rig.pattern import CodeSpec
 from graycast.score.metrology import Scope, certify, describe, write_certificate
+from graycast.score.metrology.certify import _plane, _Pose
+from graycast.score.metrology.lab import open_lab
 
 LITTLE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
 NOISELESS = SensorSpec(
@@ -169,3 +172,18 @@ def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_
         expected_m = 1.001 * (a.size_m + right.probing_diameter_m) - right.probing_diameter_m
         assert abs(b.size_m - expected_m) < 2e-6 * right.probing_diameter_m
     assert scaled.conditions["calibration_differs"]
+
+
+def test_the_error_of_a_shot_has_what_the_noise_between_shots_has_not(mitsuba_renderer):
+    """A raster whose points lie off the pixels' centres moves the depth on a slope, in every shot
+    alike. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) for each pixel.
+    """
+    raster_px, tilt_deg, z_m = 0.2, 50.0, 0.7
+    scanner = small_scanner(faults=FaultSpec(raster_px=raster_px))
+    lab = open_lab(scanner, scanner.rig, LITTLE, mitsuba_renderer)
+    pose = _Pose(name="steep", z_m=z_m, captures=8, tilt_deg=tilt_deg)
+    steep, _ = _plane(lab, pose, seed=2)
+    raster_m = raster_px * math.tan(math.radians(tilt_deg)) * z_m / 190.0
+    assert math.sqrt(steep.error_m**2 - steep.noise_m**2) == pytest.approx(raster_m, rel=0.05)
+    assert steep.error_m == pytest.approx(steep.sigma_m, rel=0.05)
+    assert steep.noise_m < 0.5 * steep.sigma_m  # Sigma states the error and not this noise.

@@ -5,6 +5,7 @@ import pytest
 
 from graycast.rig.pattern import gray, gray_phase, micro_phase
 from graycast.score.metrology.measures import (
+    depth_error_m,
     fit_plane,
     fit_sphere,
     flatness,
@@ -182,3 +183,11 @@ def test_incomplete_sets_of_phases_have_no_modulation():
     estimate = modulation(code, np.random.default_rng(0).random((len(code.frames), 4, 4)),
                        np.ones((4, 4), dtype=bool))  # fmt: skip
     assert 1 <= len(estimate) < sum(frame.kind == "phase" for frame in code.frames) - 2
+
+
+def test_the_error_of_depth_leaves_out_what_all_pixels_share_and_the_worst():
+    """Oracle: a uniform law of width w has the standard deviation w / sqrt(12)."""
+    error_m = 0.01 + np.linspace(-1e-3, 1e-3, 10_001)
+    assert depth_error_m(error_m) == pytest.approx(2e-3 / np.sqrt(12), rel=5e-3)
+    error_m[:30] = 5.0  # 3 in 1000 are dropped.
+    assert depth_error_m(error_m) == pytest.approx(2e-3 / np.sqrt(12), rel=1e-2)

@@ -53,8 +53,10 @@ class PlaneResult:
 
     `flatness_m` is the range of signed distances from the best-fit plane, `std_m` their standard
     deviation, `offset_m` the median of measured less true depth. Distances are over the whole
-    common field, noise and spacing over its middle. `noise_m` is the temporal standard deviation of
-    depth (NaN where one capture was taken), `sigma_m` what the scanner itself states.
+    common field, noise, error and spacing over its middle. `noise_m` is the temporal standard
+    deviation of depth (NaN where one capture was taken), `error_m` that of measured less true depth
+    from pixel to pixel in one shot, and `sigma_m` what the scanner itself states. `error_m` has
+    what is fixed, too, as the raster of a device is, and is the one to set against `sigma_m`.
     """
 
     name: str
@@ -68,6 +70,7 @@ class PlaneResult:
     dropped: int
     decoded_share: float
     noise_m: float
+    error_m: float
     sigma_m: float
     spacing_m: float
     exposure_s: float

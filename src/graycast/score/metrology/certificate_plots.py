@@ -77,16 +77,18 @@ def _noise(certificate: Certificate) -> Figure:
     )
     for ax, planes, x in rows:
         stated = [1e3 * plane.sigma_m for plane in planes]
-        measured = [1e3 * plane.noise_m for plane in planes]
-        ax.plot(x, stated, "-", color=SOFT, lw=1.5, label="as the scanner states it")
-        ax.plot(x, measured, "o", color=ACCENT, ms=5, label="measured")
+        errors = [1e3 * plane.error_m for plane in planes]
+        noise = [1e3 * plane.noise_m for plane in planes]
+        ax.plot(x, stated, "-", color=SOFT, lw=1.5, label="sigma that the scanner states")
+        ax.plot(x, errors, "s", color=SECOND, ms=4, label="error of one shot")
+        ax.plot(x, noise, "o", color=ACCENT, ms=5, label="noise from shot to shot")
         ax.set_ylim(bottom=0)
         ax.legend(fontsize=8, frameon=False)
-    caption(distance, "Temporal noise against distance", "distance [mm]", "1 sigma of depth [mm]")
+    caption(distance, "Noise and error against distance", "distance [mm]", "1 sigma of depth [mm]")
     middle_mm = 1e3 * certificate.middle.z_m
     caption(
         tilt,
-        f"Temporal noise against tilt at {middle_mm:.0f} mm",
+        f"Noise and error against tilt at {middle_mm:.0f} mm",
         "tilt about the baseline [deg]",
         "1 sigma of depth [mm]",
     )

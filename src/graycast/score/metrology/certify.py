@@ -33,7 +33,14 @@ from .lab import (
     rig_figures,
     shoot,
 )
-from .measures import flatness, modulation, point_spacing_m, probing, temporal_noise_m
+from .measures import (
+    depth_error_m,
+    flatness,
+    modulation,
+    point_spacing_m,
+    probing,
+    temporal_noise_m,
+)
 
 MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's box, each way.
 MIDDLE_DEPTH = 0.05  # A tilted plane's middle is within this share of its distance.
@@ -255,6 +262,7 @@ def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndar
         dropped=off.dropped,
         decoded_share=float(decoded.sum() / shots.where.sum()),
         noise_m=noise_m,
+        error_m=depth_error_m(first_m[measured] - shots.truth_m[measured]),
         sigma_m=float(np.median(shots.sigma_m[measured])),
         spacing_m=point_spacing_m(point, middle),
         exposure_s=shots.exposure_s,

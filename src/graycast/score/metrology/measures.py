@@ -164,6 +164,17 @@ def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray
     return math.sqrt(median_m2 * (n - 1) / float(chi2.median(n - 1)))
 
 
+def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
+    """Return the standard deviation of measured less true depth over the pixels of one shot.
+
+    The pixels that are farthest from the median are dropped as in `flatness`. Unlike temporal
+    noise, it has errors that are the same in every shot; an error that all pixels share is in
+    neither.
+    """
+    keep = without_worst(error_m - np.median(error_m))
+    return float(error_m[keep].astype(np.float64).std())
+
+
 def point_spacing_m(point: Float[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"]) -> float:
     """Median distance between the points of neighbouring pixels, across the camera's axis.
 

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from graycast.camera.decode.bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
+from graycast.camera.decode.bits import BLURRED, FINE_ERROR, SHARP, XOR_DOUBT, XOR_SIGMAS
 from graycast.camera.decode.maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from graycast.camera.decode.phases import (
     APART_SIGMAS,
@@ -184,14 +184,17 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
         variance += probability * square
         if bit.counts:
             # In float32, as the fast decoder says it: a signal may lie on the limit itself.
-            share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)
-            doubtful = np.abs(margins[b]) < np.float32(share) * of.astype(np.float32)
-            if bit.counts > 1:
-                doubtful |= np.abs(margins[b]) < np.float32(XOR_SIGMAS) * noises[b].astype(
-                    np.float32
-                )
+            costly = np.abs(flipped - value) > plan.reach
+            doubt = np.full(high.shape, np.float32(spec.doubt))
+            if bit.xor >= 0:
+                doubt = np.where(costly, np.float32(XOR_DOUBT) * doubt, np.float32(0))
+            limit = doubt * (high - low).astype(np.float32)
+            if bit.xor >= 0 or bit.counts > 1:
+                noise = np.float32(XOR_SIGMAS) * noises[b].astype(np.float32)
+                limit = np.maximum(limit, noise)
+            doubtful = np.abs(margins[b]) < limit
             half = 0 if 2 * sum(c < b for c in counted) < len(counted) else 1
-            grave = 1 + (np.abs(flipped - value) > plan.reach)
+            grave = 1 + costly
             doubts[half] += doubtful * np.maximum(grave, bit.counts)
             rival = np.where(doubtful, plan.cell_px * (flipped - value), rival)
     coarse = plan.first_px + plan.cell_px * (value + 0.5)

@@ -387,11 +387,27 @@ def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
     at, margin_dn, reason
 ):
     """At 110 DN a frame has 0.1 * 110 + 0.17 DN^2: three deviations of a pair are 14.2 DN."""
-    code = xor_gray(64, 48)
+    code, noise_alone = xor_gray(64, 48), replace(USUAL, doubt=0.0)
 
     def weaken(stack):
         for k, frame in enumerate(code.frames):
             if frame.xor_bit >= 0 and frame.bit in (3, 4):
+                stack[k] = 110 + (margin_dn // 2 if stack[k] > 110 else -margin_dn // 2)
+
+    assert one_pixel(code, at=at, change=weaken, spec=noise_alone) is Reason[reason]
+
+
+@pytest.mark.parametrize(("margin_dn", "reason"), [(16, "INTERREFLECTION"), (20, "DECODED")])
+@pytest.mark.parametrize("at", [5, 20, 50])
+def test_a_weak_stripe_combined_by_exclusive_or_is_doubtful_far_from_its_own_edge(
+    at, margin_dn, reason
+):
+    """Two thirds of 0.15 of a contrast of 180 DN are 18 DN; noise alone asks for 14.2 DN."""
+    code = xor_gray(64, 48)
+
+    def weaken(stack):
+        for k, frame in enumerate(code.frames):
+            if frame.xor_bit >= 0 and frame.bit == 5:
                 stack[k] = 110 + (margin_dn // 2 if stack[k] > 110 else -margin_dn // 2)
 
     assert one_pixel(code, at=at, change=weaken) is Reason[reason]

@@ -10,7 +10,12 @@ from jaxtyping import Float32, Int
 from ...base.kernels import kernel
 from .maps import Reason
 
-XOR_SIGMAS = 3.0  # A stripe's edge flips all bits that share it: noise alone decides there.
+# An edge of the base bit flips all bits that are combined with it, so several weak bits are no
+# contradiction there: noise decides. Scattered light leaves little signal, and errors beyond noise
+# then turn bits over anywhere. So a bit whose misreading is costly must also have `XOR_DOUBT` of
+# the signal that other bits must have; it is less than 1 because the base bit decides at an edge.
+XOR_SIGMAS = 3.0
+XOR_DOUBT = 2 / 3
 # A fine bit's signal is off beyond its noise by this share of the contrast. The reasons are light
 # from elsewhere that differs between pattern and inverse, texture under the pixel, and compression.
 # Of a real scan (the sea shell) a bit whose signal is 0.03, 0.08, 0.12 and 0.20 of the contrast is
@@ -183,21 +188,21 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
             continue
         of_half = doubts[0 if 2 * bright < counted else 1]
         bright += bits[b, 3] == 1
-        limit, share, counts = contrast, doubt, np.int32(bits[b, 3])
-        noisy = np.float32(XOR_SIGMAS) / scale
-        if bits[b, 2] >= 0:
-            limit, share = noise, noisy
-        if counts > 1:
-            for x in range(w):
-                of_half[x] += counts if abs(np.float32(of_bit[x])) < noisy * noise[x] else 0
+        counts = np.int32(bits[b, 3])
+        combined = bits[b, 2] >= 0
+        noisy = np.float32(XOR_SIGMAS) / scale if combined or counts > 1 else zero
+        near = zero if combined else doubt
+        far = np.float32(XOR_DOUBT) * doubt if combined else doubt
         for x in range(w):
             size = abs(np.float32(of_bit[x]))
             apart = np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x])
             wrong = max(one - size * (third[x] * scale), zero)
             variance[x] += half * (wrong * wrong * wrong) * ((cell_px * apart) * (cell_px * apart))
-            grave = max(counts, np.int32(1) + np.int32(abs(apart) > reach))
-            of_half[x] += grave if size < share * limit[x] else np.int32(0)
-            rival[x] = cell_px * apart if size < share * limit[x] else rival[x]
+            costly = abs(apart) > reach
+            grave = max(counts, np.int32(1) + np.int32(costly))
+            doubtful = size < max((far if costly else near) * contrast[x], noisy * noise[x])
+            of_half[x] += grave if doubtful else np.int32(0)
+            rival[x] = cell_px * apart if doubtful else rival[x]
     coarse, fine = doubts[0], doubts[1]
     for x in range(w):
         # Light from elsewhere spoils the coarse bits alone.

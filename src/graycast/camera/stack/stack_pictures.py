@@ -43,24 +43,30 @@ def read_pictures(files: Sequence[Path]) -> StackPictures:
     Raises:
         DecodeError: a file is missing, damaged, no picture, or unlike the first in size or depth.
     """
+    first = _read(files[0])
+    frames = np.empty((len(files), *first.grey.shape), dtype=first.grey.dtype)
+    frames[0] = first.grey
+
+    def read(k: int) -> _Read:
+        """Read a picture into its place, so that beside the stack few pictures are in memory."""
+        picture = _read(files[k])
+        _check_alike(frames[0], files[0], picture.grey, files[k])
+        frames[k] = picture.grey
+        return picture._replace(grey=frames[k])
+
     with ThreadPoolExecutor(THREADS) as pool:
-        waiting = [pool.submit(_read, file) for file in files]
+        waiting = [pool.submit(read, k) for k in range(1, len(files))]
         try:
-            read = [job.result() for job in waiting]
-        except DecodeError:
+            pictures = [first, *(job.result() for job in waiting)]
+        except DecodeError:  # the first in the order of the files
             pool.shutdown(cancel_futures=True)
             raise
-    first = read[0].grey
-    frames = np.empty((len(files), *first.shape), dtype=first.dtype)
-    for k, (file, picture) in enumerate(zip(files, read, strict=True)):
-        _check_alike(first, files[0], picture.grey, file)
-        frames[k] = picture.grey
     return StackPictures(
         frames=frames,
         files=tuple(files),
-        digests=tuple(picture.digest for picture in read),
-        lossy=any(picture.jpeg for picture in read),
-        converted=any(picture.color for picture in read),
+        digests=tuple(picture.digest for picture in pictures),
+        lossy=any(picture.jpeg for picture in pictures),
+        converted=any(picture.color for picture in pictures),
     )
 
 

@@ -186,22 +186,32 @@ def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.n
 
 
 def undistort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
-    """The inverse of `distort`, by Newton's method to 1e-9.
+    """Return the inverse of `distort`, by Newton's method to 1e-9.
 
     Raises:
         ValueError: the distortion folds over within the given points, so it has no inverse.
     """
     ideal = np.array(xy, dtype=np.float64)
+    _undistort_rows(ideal.reshape(-1, 2), distortion)
+    return ideal
+
+
+def _undistort_rows(table: Float[np.ndarray, "n columns"], distortion: Distortion) -> None:
+    """Undistort the first two numbers of each row where they are; raises as `undistort` does."""
     if not any(distortion):
-        return ideal
+        return
     from .lens_inverse import undistort_in_place  # numba takes a while to import, --help should not
 
-    if not undistort_in_place(ideal.reshape(-1, 2), *map(float, distortion)):
-        raise ValueError(
-            f"distortion {distortion} has no inverse over this image: give coefficients in the "
-            "order (k1, k2, p1, p2, k3) that were fitted to it"
-        )
-    return ideal
+    if not undistort_in_place(table, *map(float, distortion)):
+        raise ValueError(no_inverse(distortion))
+
+
+def no_inverse(distortion: Distortion) -> str:
+    """Return the error of a distortion that folds over within a picture."""
+    return (
+        f"distortion {distortion} has no inverse over this image: give coefficients in the "
+        "order (k1, k2, p1, p2, k3) that were fitted to it"
+    )
 
 
 def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
@@ -239,15 +249,29 @@ def pixels_of(
 
 
 def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-    """Ideal ray directions of pixels, camera frame, scaled to unit z."""
-    xy = (pixel - [optics.cx_px, optics.cy_px]) / [optics.fx_px, optics.fy_px]
-    xy = undistort(xy, optics.distortion)
-    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+    """Return ideal ray directions of pixels, camera frame, scaled to unit z."""
+    return _rays(optics, pixel[..., 0], pixel[..., 1])
 
 
 def picture_rays(optics: Optics) -> Float[np.ndarray, "h w 3"]:
-    """`rays` of all pixels of a picture."""
-    return rays(optics, pixel_grid(optics.height_px, optics.width_px))
+    """Return `rays` of all pixels of a picture."""
+    y, x = np.ogrid[: optics.height_px, : optics.width_px]
+    return _rays(optics, x, y)
+
+
+def mask_rays(optics: Optics, mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 3"]:
+    """Return `rays` of the pixels of a mask of the whole picture, row by row."""
+    y, x = np.nonzero(mask)
+    return _rays(optics, x, y)
+
+
+def _rays(optics: Optics, x: np.ndarray, y: np.ndarray) -> Float[np.ndarray, "*n 3"]:
+    ray = np.empty((*np.broadcast_shapes(x.shape, y.shape), 3))
+    ray[..., 0] = (x - optics.cx_px) / optics.fx_px
+    ray[..., 1] = (y - optics.cy_px) / optics.fy_px
+    ray[..., 2] = 1.0
+    _undistort_rows(ray.reshape(-1, 3), optics.distortion)
+    return ray
 
 
 def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
@@ -256,7 +280,18 @@ def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarra
     Args:
         depth_m: z of the whole picture, which has the size of the optics.
     """
-    return picture_rays(optics) * depth_m[..., None]
+    point_m = picture_rays(optics)
+    point_m *= depth_m[..., None]
+    return point_m
+
+
+def mask_points(
+    optics: Optics, depth_m: Float[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return `points` of the pixels of a mask, row by row."""
+    point_m = mask_rays(optics, mask)
+    point_m *= depth_m[mask][:, None]
+    return point_m
 
 
 def fold_radius2(distortion: Distortion) -> float:

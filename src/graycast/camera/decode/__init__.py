@@ -7,6 +7,7 @@ positions      all frames into positions: where a pixel is decoded or gets its r
 settling       ambiguous periods, which neighbours resolve
 visibility     pixels that a nearer surface must hide
 separation     direct and global light
+meeting        where rays of the camera meet planes of the projector, compiled
 field          pixels that the projector's picture cannot reach
 triangulation  from positions to depth
 outliers, median, filters   what a device removes from its depth

@@ -3,11 +3,12 @@
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from ...base.frames import transform_points
-from ...rig.optics import Optics, picture_rays, project
+from ...base.kernels import kernel
+from ...rig.optics import Optics, picture_rays
 from ...rig.pair import Rig
+from .meeting import lens_of, place_px, rows_of
 
 
 def beside_projector(rig: Rig) -> Bool[np.ndarray, "h w"]:
@@ -33,21 +34,26 @@ def _beside(
     near_m: float,
     far_m: float,
 ) -> Bool[np.ndarray, "h w"]:
-    ray = picture_rays(camera)
-    near, far = (_sides(projector, np.array(T_proj_cam), ray * z_m) for z_m in (near_m, far_m))
-    beside = (near & far).any(axis=0)
+    ray = picture_rays(camera).reshape(-1, 3)
+    beside = np.empty((camera.height_px, camera.width_px), dtype=np.bool_)
+    T, lens = rows_of(np.array(T_proj_cam), 0), lens_of(projector, 0)
+    _mark_beside(ray, float(near_m), float(far_m), T, lens, beside.reshape(-1))
     beside.flags.writeable = False
     return beside
 
 
-def _sides(
-    projector: Optics, T_proj_cam: Float[np.ndarray, "4 4"], point: Float[np.ndarray, "h w 3"]
-) -> Bool[np.ndarray, "4 h w"]:
-    """Return beyond which sides of the picture points lie: left, right, top, bottom.
+@kernel(error_model="numpy")
+def _mark_beside(ray, near_m, far_m, T, lens, beside):
+    """Write whether both ends of each ray lie beyond the same side of the projector's picture.
 
-    A point behind the lens, or beyond the end of its model, lies beyond none.
+    A point behind the lens, or beyond the end of its model, is NaN and lies beyond none.
     """
-    x, y = np.moveaxis(project(projector, transform_points(T_proj_cam, point)), -1, 0)
-    right, bottom = projector.width_px - 0.5, projector.height_px - 0.5
-    with np.errstate(invalid="ignore"):  # NaN is neither < nor >
-        return np.stack([x < -0.5, x > right, y < -0.5, y > bottom])
+    for n in range(len(ray)):
+        u, v = place_px(ray, n, near_m, T, lens)
+        x, y = place_px(ray, n, far_m, T, lens)
+        beside[n] = (
+            (u < -0.5 and x < -0.5)
+            or (u > lens.end_u and x > lens.end_u)
+            or (v < -0.5 and y < -0.5)
+            or (v > lens.end_v and y > lens.end_v)
+        )

@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from pydantic import Field
 
 from ...base.settings import check_fields
-from ...rig.optics import Optics, points
+from ...rig.optics import Optics, mask_points
 from ..sensor import SensorSpec, stored_saturation_dn
 
 
@@ -343,5 +343,5 @@ class DepthMap:
             map_of_pixels.flags.writeable = False
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """The measured points [m] in the camera frame, row by row of the picture."""
-        return points(self.camera, self.depth_m)[np.isfinite(self.depth_m)]
+        """Return the measured points [m] in the camera frame, row by row of the picture."""
+        return mask_points(self.camera, self.depth_m, np.isfinite(self.depth_m))

@@ -3,14 +3,13 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...base.frames import transform_points
-from ...rig.optics import picture_rays, project, rays, undistort
+from ...rig.optics import mask_rays, no_inverse, rays
 from ...rig.pair import Rig
 from ...rig.pattern import Axis
 from .field import beside_projector
 from .maps import CodeMap, DepthMap, Reason
+from .meeting import lens_of, meet, off_the_line_px, rows_of
 
-DISTORTION_ITERATIONS = 5
 EPIPOLAR_SIGMAS = 3.0
 
 
@@ -21,7 +20,7 @@ def triangulation_axis(rig: Rig) -> Axis:
 
 
 def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> DepthMap:
-    """Depth where each camera ray meets its projector plane.
+    """Return depth where each camera ray meets its projector plane.
 
     The three linear equations of design: two say that the point is on the pixel's ray,
     `X = x Z`, `Y = y Z`; with them the third, the projector's `(P1 - u P3) (X, Y, Z, 1) = 0`, has
@@ -51,7 +50,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     decoded = codes.reason == Reason.DECODED
     if decoded.any() and np.isnan(across[decoded]).all():
         raise ValueError(f"the baseline needs the {axis} code; the stack has none")
-    ray = picture_rays(camera)[decoded]
+    ray = mask_rays(camera, decoded)
     depth_m, slope_m = (np.full(decoded.shape, np.nan) for _ in range(2))
     depth_m[decoded], slope_m[decoded] = _meet(ray, across[decoded], along[decoded], rig, axis)
     reason = codes.reason.copy()
@@ -59,8 +58,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     reason[decoded & ~in_range] = Reason.OUT_OF_RANGE
     if max_epipolar_px and not np.isnan(along).all():
         off_px = np.full(decoded.shape, np.nan)
-        point = ray * depth_m[decoded][:, None]
-        off_px[decoded] = _off_the_line_px(point, along[decoded], rig, axis)
+        off_px[decoded] = _off_the_line_px(ray, depth_m[decoded], along[decoded], rig, axis)
         far = off_the_line(codes, off_px, rig, limit_px=max_epipolar_px)
         reason[(reason == Reason.DECODED) & far] = Reason.OUTLIER
     reason[~decoded & beside_projector(rig)] = Reason.OUTSIDE_PROJECTOR
@@ -79,7 +77,7 @@ def meet_planes(
     row: Float[np.ndarray, " n"],
     rig: Rig,
 ) -> Float[np.ndarray, "n 3"]:
-    """Where the rays of camera pixels (x, y) meet their projector planes, in the camera frame [m].
+    """Return where rays of camera pixels (x, y) meet projector planes, in the camera frame [m].
 
     The equations are those of `triangulate`. NaN where ray and plane do not meet before the camera.
 
@@ -95,18 +93,18 @@ def meet_planes(
 
 
 def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.ndarray, "h w"]:
-    """How far the other coordinate lies from where the depth puts it [px]; NaN where unknown.
+    """Return how far the other coordinate lies from where the depth puts it [px].
 
-    It measures calibration and decoding together, by what depth did not use.
+    It is NaN where it is unknown. It measures calibration and decoding together, by what depth did
+    not use.
     """
     camera = rig.camera
     axis = triangulation_axis(rig)
     along = _by_axis(codes, axis)[1]
     known = np.isfinite(depth.depth_m) & np.isfinite(along)
-    ray = picture_rays(camera)[known]
+    ray = mask_rays(camera, known)
     off_px = np.full(known.shape, np.nan)
-    point = ray * depth.depth_m[known][:, None]
-    off_px[known] = _off_the_line_px(point, along[known], rig, axis)
+    off_px[known] = _off_the_line_px(ray, depth.depth_m[known], along[known], rig, axis)
     return off_px
 
 
@@ -128,53 +126,42 @@ def _by_axis(codes: CodeMap, axis: Axis) -> tuple:
     return across[0], along[0], across[1], along[1]
 
 
-def _off_the_line_px(point, along, rig: Rig, axis: Axis) -> Float[np.ndarray, "*n"]:
-    expected = project(rig.projector, transform_points(rig.T_proj_cam, point))
-    return along - expected[..., 1 if axis == "column" else 0]
+def _off_the_line_px(
+    ray: Float[np.ndarray, "n 3"],
+    depth_m: Float[np.ndarray, " n"],
+    along: Float[np.ndarray, " n"],
+    rig: Rig,
+    axis: Axis,
+) -> Float[np.ndarray, " n"]:
+    """Return how far the position along the planes lies from where rays and depth put it [px]."""
+    coded = 0 if axis == "column" else 1
+    off_px = np.empty(len(ray))
+    T, lens = rows_of(rig.T_proj_cam, coded), lens_of(rig.projector, coded)
+    off_the_line_px(ray, _doubles(depth_m), _doubles(along), T, lens, off_px)
+    return off_px
 
 
 def _meet(
-    ray, across, along, rig: Rig, axis: Axis
-) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """Depth [m], and how it changes with the position across [m/px]."""
-    projector = rig.projector
-    T_proj_cam = rig.T_proj_cam
-    i = 0 if axis == "column" else 1
-    focal = (projector.fx_px, projector.fy_px)
-    centre = (projector.cx_px, projector.cy_px)
-    ideal = (across.astype(np.float64) - centre[i]) / focal[i]
-    if not projector.has_distortion:
-        return _depth(ray, ideal, T_proj_cam, i, focal[i])
-    # The distorted coordinate along the plane: as decoded, else from the last depth.
-    distorted = ideal
-    other = (along.astype(np.float64) - centre[1 - i]) / focal[1 - i]
-    decoded = np.isfinite(other)
-    depth_m, slope_m = _depth(ray, ideal, T_proj_cam, i, focal[i])
-    for _ in range(1 if decoded.all() else DISTORTION_ITERATIONS):
-        point = transform_points(T_proj_cam, ray * depth_m[..., None])
-        guess = project(projector, point)[..., 1 - i]
-        # What is lit lies in the picture; beyond it, where wrong codes lead, a lens may fold over.
-        guess = np.clip(guess, -0.5, (projector.width_px, projector.height_px)[1 - i] - 0.5)
-        guess = (guess - centre[1 - i]) / focal[1 - i]
-        along_now = np.where(decoded, other, guess)
-        pair = (distorted, along_now) if i == 0 else (along_now, distorted)
-        xy = np.stack(pair, axis=-1)
-        known = np.isfinite(xy).all(axis=-1)
-        ideal = np.full(distorted.shape, np.nan)
-        ideal[known] = undistort(xy[known], projector.distortion)[:, i]
-        depth_m, slope_m = _depth(ray, ideal, T_proj_cam, i, focal[i])
-    return depth_m, slope_m
+    ray: Float[np.ndarray, "n 3"],
+    across: Float[np.ndarray, " n"],
+    along: Float[np.ndarray, " n"],
+    rig: Rig,
+    axis: Axis,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return depth [m], and how it changes with the position across [m/px].
 
-
-def _depth(ray, ideal, T_proj_cam, i: int, focal_px: float):
-    """Z of `(R_i - ideal R_3) ray Z + (t_i - ideal t_3) = 0`, and dZ/du; no Z is NaN or not > 0.
-
-    The slope leaves out how distortion scales (u, v) locally, a few per cent.
+    With the rows 1 to 3 of the pose R, t and the ideal position u, Z solves
+    `(R_1 - u R_3) ray Z + (t_1 - u t_3) = 0`; no Z is NaN or not > 0. The slope leaves out how
+    distortion scales (u, v) locally, a few per cent.
     """
-    rotation, translation = T_proj_cam[:3, :3], T_proj_cam[:3, 3]
-    ahead = ray @ rotation[2]
-    facing = ray @ rotation[i] - ideal * ahead
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth_m = (ideal * translation[2] - translation[i]) / facing
-        slope_m = (translation[2] + depth_m * ahead) / facing / focal_px
+    coded = 0 if axis == "column" else 1
+    depth_m, slope_m = np.empty((2, len(ray)))
+    T, lens = rows_of(rig.T_proj_cam, coded), lens_of(rig.projector, coded)
+    if not meet(ray, _doubles(across), _doubles(along), T, lens, depth_m, slope_m):
+        raise ValueError(no_inverse(rig.projector.distortion))
     return depth_m, slope_m
+
+
+def _doubles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return a copy of the one kind of array for which the kernels are compiled."""
+    return np.array(values, dtype=np.float64, order="C")

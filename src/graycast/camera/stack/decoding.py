@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
 from ...base.errors import DecodeError
-from ...rig.optics import points
+from ...rig.optics import mask_points
 from ...rig.pair import Rig
 from ...rig.pattern import Code
 from ..decode import (
@@ -336,7 +336,7 @@ def _rig_symptoms(
 
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:
     known = np.isfinite(depth.depth_m)
-    point_m = points(rig.camera, depth.depth_m)[known]
+    point_m = mask_points(rig.camera, depth.depth_m, known)
     return Cloud(point_m=point_m, color=picture[known], sigma_m=depth.sigma_m[known])
 
 

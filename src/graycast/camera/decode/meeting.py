@@ -1,0 +1,145 @@
+"""Where rays of the camera meet planes of the projector, pixel by pixel, compiled.
+
+`triangulation` has the equations; the plain NumPy of `tests/camera/decode/plain_meeting.py` says
+the same. The kernels run on one thread: a picture of 5 million pixels takes a quarter of a second,
+and loops for several threads take longer than that to compile.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.kernels import kernel
+from ...rig.lens_inverse import undistorted
+from ...rig.optics import Optics, fold_radius2
+
+DISTORTION_ITERATIONS = 5
+
+
+class Lens(NamedTuple):
+    """The numbers of `Optics` that kernels use, in a frame whose first axis is the coded one.
+
+    `u` is along the first axis and `v` along the second. `end_u` and `end_v` are the far borders of
+    the picture; `fold2` is the squared radius where the lens model ends; `swapped` is true where
+    the first axis is that of the rows.
+    """
+
+    focal_u: float
+    focal_v: float
+    centre_u: float
+    centre_v: float
+    end_u: float
+    end_v: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    fold2: float
+    distorted: bool
+    swapped: bool
+
+
+def lens_of(optics: Optics, coded: int) -> Lens:
+    """Return the numbers of a projector whose coded axis is x (0) or y (1)."""
+    u, v = (0, 1) if coded == 0 else (1, 0)
+    focal = float(optics.fx_px), float(optics.fy_px)
+    centre = float(optics.cx_px), float(optics.cy_px)
+    fold2 = fold_radius2(optics.distortion) if optics.has_distortion else math.inf
+    end = optics.width_px - 0.5, optics.height_px - 0.5
+    terms = map(float, optics.distortion)
+    return Lens(
+        *(focal[u], focal[v]),
+        *(centre[u], centre[v]),
+        *(end[u], end[v]),
+        *terms,
+        fold2,
+        optics.has_distortion,
+        coded == 1,
+    )
+
+
+def rows_of(T_proj_cam: Float[np.ndarray, "4 4"], coded: int) -> Float[np.ndarray, "3 4"]:
+    """Return the rows of a pose that give the coded axis, the other axis and z."""
+    return np.ascontiguousarray(T_proj_cam[[coded, 1 - coded, 2]], dtype=np.float64)
+
+
+@kernel(error_model="numpy")
+def meet(ray, across, along, T, lens, depth_m, slope_m):
+    """Write the depth of each ray and its change with the position across [m/px].
+
+    `along` is NaN where it is not decoded: then it follows from the depth, in a few rounds.
+    Returns false if a projector position has no ideal position, so that the lens is no model.
+    """
+    sound = True
+    for n in range(len(ray)):
+        depth_m[n], slope_m[n], good = _meet_ray(ray, n, across[n], along[n], T, lens)
+        sound &= good
+    return sound
+
+
+@kernel(error_model="numpy")
+def off_the_line_px(ray, depth_m, along, T, lens, off_px):
+    """Write how far the position along the planes lies from where the depth puts it [px]."""
+    for n in range(len(ray)):
+        off_px[n] = along[n] - place_px(ray, n, depth_m[n], T, lens)[1]
+
+
+@kernel(error_model="numpy")
+def _meet_ray(ray, n, across, along, T, lens):
+    """Return depth and slope of one ray, and whether its position has an ideal position."""
+    terms = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
+    u = (across - lens.centre_u) / lens.focal_u
+    v = (along - lens.centre_v) / lens.focal_v
+    decoded = math.isfinite(v)
+    ideal, sound, rounds = u, True, 0
+    if lens.distorted:
+        rounds = 1 if decoded else DISTORTION_ITERATIONS
+    facing, ahead = _faces(ray, n, ideal, T)
+    z = (ideal * T[2, 3] - T[0, 3]) / facing
+    for _ in range(rounds):
+        if not decoded:
+            # What is lit lies in the picture; beyond it, where wrong codes lead, a lens may fold
+            # over.
+            guess = place_px(ray, n, z, T, lens)[1]
+            guess = min(max(guess, -0.5), lens.end_v) if guess == guess else guess
+            v = (guess - lens.centre_v) / lens.focal_v
+        ideal = math.nan
+        if math.isfinite(u) and math.isfinite(v):
+            x, y = (v, u) if lens.swapped else (u, v)
+            x, y, good = undistorted(x, y, terms)
+            ideal = y if lens.swapped else x
+            sound &= good
+        facing, ahead = _faces(ray, n, ideal, T)
+        z = (ideal * T[2, 3] - T[0, 3]) / facing
+    return z, (T[2, 3] + z * ahead) / facing / lens.focal_u, sound
+
+
+@kernel(error_model="numpy")
+def _faces(ray, n, ideal, T):
+    """Return how fast a plane and z of the projector change along a ray."""
+    x, y, z = ray[n, 0], ray[n, 1], ray[n, 2]
+    ahead = x * T[2, 0] + y * T[2, 1] + z * T[2, 2]
+    return x * T[0, 0] + y * T[0, 1] + z * T[0, 2] - ideal * ahead, ahead
+
+
+@kernel(error_model="numpy")
+def place_px(ray, n, depth_m, T, lens):
+    """Return the projector's position (u, v) of a point on a ray; NaN where the lens model ends."""
+    x, y, z = ray[n, 0] * depth_m, ray[n, 1] * depth_m, ray[n, 2] * depth_m
+    far = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    if not far > 0:
+        return math.nan, math.nan
+    a = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / far
+    b = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / far
+    r2 = a * a + b * b
+    if not r2 < lens.fold2:
+        return math.nan, math.nan
+    radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    # The tangential terms of y have p1 where those of x have p2.
+    p, q = (lens.p2, lens.p1) if lens.swapped else (lens.p1, lens.p2)
+    u = a * radial + 2 * p * a * b + q * (r2 + 2 * a * a)
+    v = b * radial + p * (r2 + 2 * b * b) + 2 * q * a * b
+    return lens.focal_u * u + lens.centre_u, lens.focal_v * v + lens.centre_v

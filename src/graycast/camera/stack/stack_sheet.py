@@ -109,7 +109,8 @@ def _draw_reasons(ax: Axes, result: StackResult, step: int) -> None:
         if kind is Reason.SHADOW:
             words = f"not lit: shadow or empty, {100 * (~lit).mean():.1f} % of the picture"
         ax.plot([], [], "s", color=kind.color, mec="0.4", ms=8, label=words)
-    ax.legend(title="shares of the lit pixels; meanings: docs/reference/glossary.md", title_fontsize=9, alignment="left",
+    title = "shares of the lit pixels; meanings: docs/reference/glossary.md"
+    ax.legend(title=title, title_fontsize=9, alignment="left",
               loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3, fontsize=9,
               frameon=False, borderpad=0.3, handletextpad=0.2, columnspacing=1.2,
               borderaxespad=0.1)  # fmt: skip

@@ -32,7 +32,7 @@ def header(
     faces: int | None = None,
     notes: Sequence[str] = (),
 ) -> bytes:
-    """The header of a file; `properties` are (type, name), `notes` and `obj_info`."""
+    """Return the header of a file; `properties` are (type, name), `notes` and `obj_info`."""
     element = [f"element face {faces}", "property list uchar int vertex_indices"]
     lines = [
         "ply",
@@ -54,7 +54,7 @@ def cloud_bytes(
     width_px: int | None = None,
     frame: str = CAMERA_FRAME,
 ) -> bytes:
-    """A binary PLY of points; an organised one (`width_px` points a row) says its size.
+    """Return a binary PLY of points; an organised one (`width_px` points a row) says its size.
 
     Args:
         more: what else is known of each point; floats are stored in single precision.

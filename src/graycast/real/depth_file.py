@@ -244,7 +244,7 @@ def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray,
 
 
 def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
-    """A picture as shares of its type's range; floats in NPY are such shares already."""
+    """Return a picture as shares of its type's range; floats in NPY are such shares already."""
     image = load_npy(path) if path.suffix == ".npy" else read_image(path)
     if image.ndim == 3:
         image = image[..., :3].mean(axis=-1, dtype=np.float64).astype(image.dtype)

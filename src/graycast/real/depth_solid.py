@@ -51,7 +51,7 @@ def surfaces(
 
 @kernel(parallel=True)
 def _fitted(value, before, radius, terms, near_m):
-    """A round of `surfaces`: weighted least squares about each pixel that has a value."""
+    """Return a round of `surfaces`: weighted least squares about each pixel that has a value."""
     height, width = value.shape
     fitted = before.copy()
     for i in numba.prange(height):
@@ -116,7 +116,7 @@ def solid_of(
     step_m: float = STEP_M,
     covered: Float[np.ndarray, "h w 4"] | None = None,
 ) -> Mesh:
-    """The solid under the surfaces, in the camera frame; uv are those of the picture.
+    """Return the solid under the surfaces, in the camera frame; uv are those of the picture.
 
     Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
     their surfaces meet there. Where the surface is flat, pixels are joined to larger squares.
@@ -244,7 +244,7 @@ def _pixel_corners(
 def _rim(
     corners: Int[np.ndarray, "h w 4"],
 ) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, "h w"]]:
-    """The sides of pixels that no neighbour shares, and which pixels have such a side.
+    """Return the sides of pixels that no neighbour shares, and which pixels have such a side.
 
     A side has the direction of the pixel's own faces.
     """
@@ -315,6 +315,6 @@ def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> 
 
 
 def from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
-    """The image with the value of the nearest pixel that has one where one is missing."""
+    """Return the image with the value of the nearest pixel that has one where one is missing."""
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     return image[tuple(nearest)]

@@ -170,7 +170,7 @@ def is_whole(path: Path) -> bool:
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """A colour picture of 8-bit sRGB; transparency is left out.
+    """Return a colour picture of 8-bit sRGB; transparency is left out.
 
     Raises:
         DatasetError: the file is missing, damaged, or has no three channels of 8 bits.

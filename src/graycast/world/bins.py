@@ -42,7 +42,7 @@ class MeshBin:
 
 
 def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
-    """A bin from an OBJ, PLY, STL or GLB file.
+    """Return a bin from an OBJ, PLY, STL or GLB file.
 
     The floor is the height at which most of the surface faces up in the vertical cuts through
     the middle. Length and width are the distances between opposite walls in a horizontal cut at
@@ -117,7 +117,7 @@ def _floor_m(mesh: Mesh) -> float:
 
 
 def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
-    """The positions of the lower and the upper wall along x and along y."""
+    """Return the positions of the lower and the upper wall along x and along y."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     segment, normal = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
     sides = np.empty((2, 2))
@@ -150,7 +150,7 @@ def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray
 
 
 def _median(value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], if_none: str) -> float:
-    """The weighted median; where all weights are 0, there is no bin."""
+    """Return the weighted median; where all weights are 0, there is no bin."""
     if not weight.sum() > 0:
         raise _NoBin(if_none)
     order = np.argsort(value, kind="stable")

@@ -232,7 +232,7 @@ def table_quad(scene: Scene) -> Quad | None:
 
 
 def quad_mesh(quad: Quad) -> Mesh:
-    """A quad as two triangles, its texture's row 0 along the edge at `+half_v_m`."""
+    """Return a quad as two triangles, its texture's row 0 along the edge at `+half_v_m`."""
     center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
     corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * quad.texture_repeats
@@ -255,7 +255,7 @@ def lamp_quad(lamp: Lamp) -> Quad:
 
 
 def bin_mesh(box: Bin) -> Mesh:
-    """The bin as a watertight mesh, textured in metres along each face's own two axes."""
+    """Return the bin as a watertight mesh, textured in metres along each face's own two axes."""
     mesh = _box_mesh(box) if box.mesh is None else box.mesh
     if box.own_texture:
         return mesh

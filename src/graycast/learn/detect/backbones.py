@@ -212,7 +212,7 @@ def _resnet(name: str, network: nn.Module, width: int, channels: int) -> Backbon
 
 
 def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
-    """The same first convolution for other channels, drawn as the network draws its own."""
+    """Return the same first convolution for other channels, drawn as the network draws its own."""
     if channels == convolution.in_channels:
         return convolution
     other = nn.Conv2d(

@@ -146,7 +146,7 @@ def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[E
 
 
 def detection_record(folder: Path) -> dict[str, Any]:
-    """The scenes and settings of an earlier `detect`; empty if there was none.
+    """Return the scenes and settings of an earlier `detect`; empty if there was none.
 
     Raises:
         GraycastError: its file is damaged.

@@ -54,7 +54,7 @@ class About:
         return self.names != (ONE_CLASS,)
 
     def classes(self, categories: Mapping[int, str]) -> dict[int, int]:
-        """The class of each object id of a dataset; -1 of parts that it does not know."""
+        """Return the class of each object id of a dataset; -1 of parts that it does not know."""
         if not self.tells_apart:
             return dict.fromkeys(categories, 0)
         place = {name: i for i, name in enumerate(self.names)}
@@ -77,7 +77,7 @@ class About:
         return own
 
     def open_network(self) -> Network:
-        """The network with random weights, from torch's global generator."""
+        """Return the network with random weights, from torch's global generator."""
         return network_class(self.model)(
             channels=self.encoding.channels,
             classes=len(self.names),
@@ -163,7 +163,7 @@ class Detector:
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
     ) -> NetworkOutput:
-        """The answer of the network in pixels of its input, with the device's precision."""
+        """Return the answer of the network in pixels of its input, with the device's precision."""
         with torch.inference_mode(), autocast(self.device), without_denormals():
             return self.network.find(image, most=most, least_score=least_score)[0]
 
@@ -236,7 +236,7 @@ def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -
 
 
 def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
-    """A detector from its file, or from the folder of its run.
+    """Return a detector from its file, or from the folder of its run.
 
     Raises:
         GraycastError: the file is missing, damaged, or no detector of Graycast.

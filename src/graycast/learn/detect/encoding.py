@@ -83,11 +83,11 @@ class Encoding:
         return 3 * self.coloured + deep * self.deep
 
     def scale(self, picture_px: tuple[int, int]) -> float:
-        """Pixels of the input in a pixel of a picture of that height and width."""
+        """Return pixels of the input in a pixel of a picture of that height and width."""
         return min(self.size_px[0] / picture_px[0], self.size_px[1] / picture_px[1])
 
     def encode(self, example: Example, *, seed: int) -> Float32[np.ndarray, "c h w"]:
-        """The input; `seed` draws the noise of `depth_noisy`, and nothing else.
+        """Return the input; `seed` draws the noise of `depth_noisy`, and nothing else.
 
         Raises:
             GraycastError: the example has no such picture.
@@ -102,7 +102,7 @@ class Encoding:
         return np.stack(layers)
 
     def picture_px(self, example: Example) -> tuple[int, int]:
-        """Height and width of the picture that is encoded."""
+        """Return height and width of the picture that is encoded."""
         image = example.rgb if self.coloured else self.depth_m(example)
         return _needed(image, "rgb", example).shape[:2]
 
@@ -162,12 +162,12 @@ class Encoding:
 
 
 def encoding_from(record: Mapping[str, Any]) -> Encoding:
-    """The encoding of which JSON holds the fields."""
+    """Return the encoding of which JSON holds the fields."""
     return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 
 def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int]:
-    """The input's height and width for pictures of that size: multiples of 32."""
+    """Return the input's height and width for pictures of that size: multiples of 32."""
     scale = longest_px / max(picture_px)
     height_px, width_px = (max(32, math.ceil(side * scale / 32 - 1e-9) * 32) for side in picture_px)
     return height_px, width_px

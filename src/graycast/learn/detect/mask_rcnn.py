@@ -144,7 +144,7 @@ def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tenso
 
 
 def _torchvision_target(target: Target) -> dict[str, Tensor]:
-    """Labels in torchvision's convention: 0 is the background, and -1 is ignored."""
+    """Return labels in torchvision's convention: 0 is the background, and -1 is ignored."""
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),

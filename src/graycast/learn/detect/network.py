@@ -26,7 +26,7 @@ class Target:
     ignored: Bool[Tensor, " n"]
 
     def masks(self) -> Bool[Tensor, "n h w"]:
-        """Masks, for a network that asks for them.
+        """Return masks, for a network that asks for them.
 
         Raises:
             ValueError: there are none.
@@ -36,7 +36,7 @@ class Target:
         return self.mask
 
     def to(self, device: torch.device) -> "Target":
-        """The same on a device."""
+        """Return the same on a device."""
         return Target(
             box=self.box.to(device),
             label=self.label.to(device),
@@ -102,7 +102,7 @@ class Network(nn.Module):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Detections of each picture: at most so many, of at least that score.
+        """Return detections of each picture: at most `most`, with at least `least_score`.
 
         The network is in eval mode: the caller has said `network.eval()`. In train mode its norms
         would follow the pictures that it looks at, and some networks answer with losses instead.

@@ -79,7 +79,7 @@ class RfDetr(Network):
             nn.init.zeros_(patches.projection.bias)
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> dict[str, Any]:
-        """The library's answer: logits and boxes of every query, of every layer."""
+        """Return the library's answer: logits and boxes of every query, of every layer."""
         return self.network(image)
 
     def losses(
@@ -110,7 +110,7 @@ class RfDetr(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """The library's choice: the best pairs of query and class."""
+        """Return the library's choice: the best pairs of query and class."""
         size = torch.tensor([list(image.shape[-2:])] * len(image), device=image.device)
         outputs = []
         for best in self._choose(self(image), size):
@@ -127,7 +127,7 @@ class RfDetr(Network):
         labels: list[dict[str, Tensor]],
         hidden: Sequence[Tensor],
     ) -> dict[str, Any]:
-        """The same answer, where queries that may mean an ignored instance claim nothing."""
+        """Return the same answer, where queries that may mean an ignored instance claim nothing."""
         layers = [{**y, **self._quiet_layer(y, labels, hidden)} for y in answer["aux_outputs"]]
         first = answer["enc_outputs"]
         return {
@@ -143,7 +143,7 @@ class RfDetr(Network):
         labels: list[dict[str, Tensor]],
         hidden: Sequence[Tensor],
     ) -> dict[str, Tensor]:
-        """A layer's logits, suppressed except for queries that are matched to an instance.
+        """Return a layer's logits, suppressed except for queries that are matched to an instance.
 
         The matching of the changed answer is that of the answer: only pairs outside it got worse.
         """

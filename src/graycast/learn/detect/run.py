@@ -76,7 +76,7 @@ class RunFolder:
             yield
 
     def _locked(self) -> IO[str]:
-        """The folder's lock, which a process that is killed leaves free."""
+        """Return the folder's lock, which a process that is killed leaves free."""
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
         if not (self.path / RUN).is_file() and self.path.is_dir():

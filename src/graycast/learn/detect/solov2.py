@@ -115,7 +115,7 @@ class Solov2(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Masks that Matrix NMS leaves with enough score."""
+        """Return masks that Matrix NMS leaves with enough score."""
         answers = zip(*self(image), strict=True)
         return [self._find(*answer, most=most, least_score=least_score) for answer in answers]
 
@@ -227,7 +227,7 @@ def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
 
 
 def _centre_of_mass(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n 2"]:
-    """Mean column and row of the pixels; 0, 0 of an empty mask."""
+    """Return the mean column and row of the pixels; 0, 0 of an empty mask."""
     column, row = (torch.arange(n, device=mask.device) for n in (mask.shape[2], mask.shape[1]))
     total = torch.stack([(mask.sum(1) * column).sum(1), (mask.sum(2) * row).sum(1)], dim=1)
     return total / mask.sum(dim=(1, 2)).clamp(min=1)[:, None]
@@ -279,7 +279,7 @@ def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float
 def _output(
     mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
 ) -> NetworkOutput:
-    """Masks at the scale of the input, and the boxes around them."""
+    """Return masks at the scale of the input, and the boxes around them."""
     count, height, width = mask.shape
     if count:
         mask = interpolate(mask[None], scale_factor=MASK_STRIDE, mode="bilinear")[0]

@@ -146,7 +146,7 @@ def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target
 
 
 def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
-    """A new file of encoded pictures, mapped into memory.
+    """Return a new file of encoded pictures, mapped into memory.
 
     Its space is allocated at once, because a full disk would later crash the process.
 
@@ -248,7 +248,7 @@ def _augmented(
 def _toned(
     image: Float32[np.ndarray, "c h w"], encoding: Encoding, gain: np.float32, shift: np.float32
 ) -> Float32[np.ndarray, "c h w"]:
-    """Colour brighter or darker, depth nearer or farther; no hole becomes depth."""
+    """Make colour brighter or darker, and depth nearer or farther; holes stay holes."""
     if encoding.coloured and gain != 1:
         black = BLACK[:, None, None]
         image[:3] = black + (image[:3] - black) * gain
@@ -281,7 +281,7 @@ class _Move:
         return np.stack([self._warped(layer, cv2.INTER_LINEAR) for layer in image])
 
     def labels(self, labels: _Labelled) -> _Labelled:
-        """The labels inside the crop; instances cut to less than a third are ignored."""
+        """Return the labels inside the crop; instances cut to less than a third are ignored."""
         (sx, sy), (ox, oy) = self.scale, self.offset_px
         x = np.sort(labels.box[:, 0::2] * sx + ox, axis=1)
         y = np.sort(labels.box[:, 1::2] * sy + oy, axis=1)

@@ -83,7 +83,7 @@ class Yolov3(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Boxes of all scales, each once."""
+        """Return boxes of all scales, each once."""
         raw = self(image)
         anchor, stride = self._anchors(image)
         height, width = image.shape[-2:]
@@ -238,7 +238,7 @@ def _encode(
 def _decode(
     raw: Float[Tensor, "n values"], anchor: Float[Tensor, "n 4"], stride: Float[Tensor, " n"]
 ) -> Float[Tensor, "n 4"]:
-    """Boxes in pixels: `_encode` backwards."""
+    """Return boxes in pixels: `_encode` backwards."""
     away = (raw[:, :2].sigmoid() - 0.5) * stride[:, None]
     centre = (anchor[:, :2] + anchor[:, 2:]) / 2 + away
     half = (anchor[:, 2:] - anchor[:, :2]) / 2 * raw[:, 2:4].clamp(max=MOST_LOG_GROWTH).exp()

@@ -70,7 +70,7 @@ class Yolov7(Network):
         self._decode = decode_v7_head
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> list[Tensor]:
-        """The library's raw maps, from the finest to the coarsest."""
+        """Return the library's raw maps, from the finest to the coarsest."""
         return self.network(image)
 
     def losses(
@@ -92,7 +92,7 @@ class Yolov7(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Boxes of all scales, each once and with its best class alone."""
+        """Return boxes of all scales, each once and with its best class alone."""
         maps = self(image)
         height, width = image.shape[-2:]
         limit = image.new_tensor([width, height, width, height], dtype=torch.float32)

@@ -55,7 +55,7 @@ class Result:
     figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]]
 
     def of(self, world: str, kind: str, number: int | None = None) -> BootstrapFigure | None:
-        """A world's figure: of its dataset of that number, else the mean over all.
+        """Return a world's figure: of its dataset of that number, else the mean over all.
 
         None where the run or the world has no masks, or the world no such dataset.
         """

@@ -37,7 +37,7 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
 
 
 def _datasets(spec: StudySpec) -> list[str]:
-    """Names of the worlds' datasets by their place, where a world has more than one.
+    """Return names of the worlds' datasets by their place, where a world has more than one.
 
     Datasets of one place in two worlds are of the same parts; the gap's own world names them.
     """
@@ -85,12 +85,12 @@ def _interval_text(row: Row, name: str) -> str:
 
 
 def _ends(name: str) -> tuple[str, str, str]:
-    """The columns of a value and of both ends of its interval."""
+    """Return the columns of a value and of both ends of its interval."""
     return name, f"{name}_low", f"{name}_high"
 
 
 def _keys(rows: Sequence[Row]) -> list[str]:
-    """The keys that differ between rows; the model and the input always."""
+    """Return the keys that differ between rows; the model and the input always."""
     return [
         key
         for key in _KEYS
@@ -108,7 +108,7 @@ def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> st
 
 
 def _table(spec: StudySpec, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """The heads of the columns, and the cells of each row."""
+    """Return the heads of the columns, and the cells of each row."""
     keys, columns = _keys(rows), [*spec.tests, *(["gap"] if spec.gap is not None else [])]
     cells = [
         [*(str(row[key]) for key in keys), *(_interval_text(row, name) for name in columns)]

@@ -43,7 +43,7 @@ class Observations:
 
 
 def joined(parts: Sequence[Observations]) -> Observations:
-    """The observations of all parts, one after another."""
+    """Return the observations of all parts, one after another."""
     names = [f.name for f in fields(Observations)]
     return Observations(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
@@ -242,7 +242,7 @@ def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
 
 
 def _independent(residual, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
-    """Residuals with the camera's share taken out of the projector's."""
+    """Return residuals with the camera's share taken out of the projector's."""
     carried = np.einsum("nij,nj->ni", obs.per_camera_px, residual[:, 0])
     return np.stack([residual[:, 0], residual[:, 1] - carried], axis=1)
 

@@ -77,7 +77,7 @@ class Board:
         return self.square_m * grid
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """The same board as OpenCV draws and detects it."""
+        """Return the same board as OpenCV draws and detects it."""
         if self.marker_m is None or self.dictionary is None:
             raise ValueError("this board is a chessboard: it has no markers")
         board = cv2.aruco.CharucoBoard(
@@ -91,7 +91,7 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """A board from its text, as given to `--board`; a ChArUco's may end in `:legacy`.
+    """Return a board from its text, as given to `--board`; a ChArUco's may end in `:legacy`.
 
     Raises:
         ValueError: the text is no board; the message shows the two forms.
@@ -118,7 +118,7 @@ def parse_board(text: str) -> Board:
 
 
 def dictionaries() -> tuple[str, ...]:
-    """The ArUco dictionaries that the installed OpenCV knows."""
+    """Return the ArUco dictionaries that the installed OpenCV knows."""
     return tuple(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
 
 

@@ -150,7 +150,7 @@ def calibrate_rig(
 
 
 def _range_m(observations: Observations, fit: Adjustment) -> tuple[float, float]:
-    """The depths of the nearest and of the farthest corner, with a margin."""
+    """Return the depths of the nearest and of the farthest corner, with a margin."""
     T = fit.T_cam_board[observations.view]
     depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], observations.point_m) + T[:, 2, 3])[fit.inlier]
     return float(depth_m.min() * (1 - RANGE_MARGIN)), float(depth_m.max() * (1 + RANGE_MARGIN))
@@ -163,7 +163,7 @@ def epipolar_distance_px(
     camera_px: Float[np.ndarray, "n 2"],
     projector_px: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, " n"]:
-    """Signed distance of projector points from their camera points' epipolar lines [px].
+    """Return the signed distance of projector points from their camera points' epipolar lines [px].
 
     Both are undistorted first; the distance is scaled by the mean focal length of the projector.
     """
@@ -258,7 +258,7 @@ def _coverage(position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]) -
 
 
 def _symptoms(views: Sequence[BoardView], observed: Observed):
-    """The warnings of the stacks of the views that are used."""
+    """Return the warnings of the stacks of the views that are used."""
     used = {view.name for view in observed.views}
     most = max((len(view.symptoms) for view in views), default=0)
     for k in range(most):
@@ -308,7 +308,7 @@ def _loose(rig: Rig, deviation: dict[str, float]):
 
 
 def describe_calibration(calibration: Calibration) -> str:
-    """Residuals of each view, then the rig with the standard deviation of each number."""
+    """Return residuals of each view, then the rig with the standard deviation of each number."""
     lines = ["view: corners, left out, undecoded; RMS camera, projector, epipolar [px]; tilt [deg]"]
     for view in calibration.views:
         lines.append(

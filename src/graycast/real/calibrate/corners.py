@@ -296,7 +296,7 @@ def projector_corners(
 def _disc(
     centre: Float[np.ndarray, "2"], px_per_square: Float[np.ndarray, "2 2"], h: int, w: int
 ) -> Int[np.ndarray, "k 2"]:
-    """Pixels (x, y) of the picture within `CODE_REACH` squares of a corner, on the board."""
+    """Return pixels (x, y) of the picture within `CODE_REACH` squares of a corner, on the board."""
     radius = CODE_REACH * np.linalg.norm(px_per_square, axis=1)
     low = np.maximum(np.floor(centre - radius), 0).astype(np.intp)
     high = np.minimum(np.ceil(centre + radius) + 1, [w, h]).astype(np.intp)
@@ -312,7 +312,7 @@ def _read_at(
     code: Float[np.ndarray, "h w"],
     sigma: Float[np.ndarray, "h w"] | None,
 ) -> tuple[float, Float[np.ndarray, "2"]]:
-    """A robust quadratic through the code around `centre`: its value and its slope there."""
+    """Return a robust quadratic through the code around `centre`: its value and its slope there."""
     nothing = (np.nan, np.full(2, np.nan))
     value = code[pixel[:, 1], pixel[:, 0]].astype(np.float64)
     weight = np.ones(len(pixel))

@@ -87,7 +87,7 @@ class Observed:
         return _joined(self.views)
 
     def less(self, faults: Mapping[str, str]) -> "Observed":
-        """The same without more views.
+        """Return the same without more views.
 
         Raises:
             CalibrationError: too few views are left; the text names all that were left out.
@@ -109,7 +109,7 @@ def _joined(views: Sequence[ViewCorners]) -> Observations:
 
 
 def check_views(views: Sequence[BoardView]) -> tuple[int, int]:
-    """The camera's (width, height), after seeing that there are enough views of one size."""
+    """Return the camera's (width, height), after seeing that there are enough views of one size."""
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
             f"{len(views)} views of the board; at least {MIN_VIEWS} in different directions are "
@@ -234,7 +234,7 @@ def _refuse_same_pose(view: ViewCorners, others: Sequence[ViewCorners]) -> None:
 
 
 def _less_gross(corners: Observations) -> Observations:
-    """The corners but for a few wrong ones, of whose views the rest may be good."""
+    """Return the corners but for a few wrong ones, of whose views the rest may be good."""
     keep = np.ones(len(corners.view), dtype=bool)
     for k in np.unique(corners.view):
         mine = corners.view == k

@@ -115,7 +115,7 @@ class BentBin:
 
 
 def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[BinView]) -> BentBin:
-    """A bin bent to the median of all views of one camera; a box becomes a mesh.
+    """Return a bin bent to the median of all views of one camera; a box becomes a mesh.
 
     Raises:
         GraycastError: see `bend_bin`.
@@ -136,7 +136,7 @@ def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[Bi
 
 
 def mesh_bytes(mesh: Mesh) -> bytes:
-    """A binary PLY of a mesh in the world frame [m], with neither uv nor normals."""
+    """Return a binary PLY of a mesh in the world frame [m], with neither uv nor normals."""
     head = header(
         "binary_little_endian",
         [("double", name) for name in "xyz"],
@@ -189,7 +189,7 @@ def _taken(
 
 
 def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels away from where depth jumps or ends.
+    """Return pixels away from where depth jumps or ends.
 
     A steep wall falls evenly from pixel to pixel, so a step is what falls by more than both
     neighbouring pairs do.
@@ -239,7 +239,7 @@ def _smooth(
 
 
 def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
-    """Means of 2 x 2 pixels; beyond the border is 0."""
+    """Return means of 2 x 2 pixels; beyond the border is 0."""
     rows, columns = image.shape
     even = np.pad(image, ((0, rows % 2), (0, columns % 2)))
     return even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3))
@@ -301,7 +301,7 @@ _WITHIN = np.array(
 
 
 def _split(mesh: Mesh, bend: _Bend) -> Mesh:
-    """The same surface with smaller faces where it bends, and without shading normals.
+    """Return the same surface with smaller faces where it bends, and without shading normals.
 
     trimesh's subdivide_to_size splits all edges of a face, also those that its neighbour keeps,
     which opens cracks. Here an edge is split for both of its faces or for none, and only the

@@ -94,7 +94,7 @@ class BinView:
         return both[np.isfinite(both).all(axis=-1)]
 
     def step(self, across: int) -> int:
-        """The n with which every n-th pixel makes about `across` along the longer side."""
+        """Return the n with which every n-th pixel makes about `across` along the longer side."""
         return max(1, round(max(self.depth_m.shape) / max(across, 1)))
 
 
@@ -230,7 +230,7 @@ def empty_view(views: Sequence[BinView]) -> BinView:
 
 
 def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h w"]:
-    """The mean of the farthest two depths that agree; NaN where no two do.
+    """Return the mean of the farthest two depths that agree; NaN where no two do.
 
     In order of depth, two that agree have no third between them.
     """

@@ -115,7 +115,7 @@ class OpenBox:
 
 
 def stand_in(shape: BinShape) -> OpenBox:
-    """The box that is about the same, for a first search."""
+    """Return the box that is about the same, for a first search."""
     return shape if isinstance(shape, OpenBox) else open_box(shape.inner_m)
 
 

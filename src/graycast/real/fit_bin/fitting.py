@@ -47,7 +47,7 @@ class BinFit:
 
 
 def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
-    """The faces of a bin; without its walls' thickness a box has neither rim nor outside."""
+    """Return the faces of a bin; without its walls' thickness a box has neither rim nor outside."""
     if box.mesh is not None:
         return mesh_shape(box)
     return open_box(box.inner_m, box.wall_m if wall_known else None)
@@ -61,7 +61,7 @@ def fit_pose(
     seed: int,
     stated: Float[np.ndarray, "4 4"] | None = None,
 ) -> BinFit:
-    """The pose from all views together, and by itself from each, which tells the spread.
+    """Return the pose from all views together, and by itself from each, which tells the spread.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
@@ -86,7 +86,7 @@ def with_look(
     device: str,
     seed: int,
 ) -> BinFit:
-    """The fit with the colours and the light in which the cell's pictures are the views'.
+    """Return the fit with the colours and the light in which the cell's pictures are the views'.
 
     Raises:
         GraycastError: see `fit_look`; no such device here.
@@ -301,7 +301,7 @@ def described(fit: BinFit) -> dict[str, Any]:
 
 
 def summary(fit: BinFit) -> list[str]:
-    """The fit in a few lines."""
+    """Return the fit in a few lines."""
     pose = fit.pose
     x, y, z = (1e3 * pose.T_world_cam[:3, 3]).tolist()
     lines = [

@@ -81,7 +81,7 @@ def fit_look(
     renderer: Renderer,
     seed: int,
 ) -> BinAppearance:
-    """Colours with which the renderer makes the pictures of the views.
+    """Return colours with which the renderer makes the pictures of the views.
 
     Args:
         cell: the configuration with the fitted bin's size.
@@ -133,7 +133,7 @@ def fit_look(
 
 
 def mean_color(material: Material) -> Color:
-    """A material's mean linear reflectance."""
+    """Return a material's mean linear reflectance."""
     if material.texture is None:
         return material.base_color
     red, green, blue = linear(material.texture).reshape(-1, 3).mean(axis=0)
@@ -150,7 +150,7 @@ def _materials(scene: Scene) -> dict[str, Material]:
 
 
 def _scene_of_view(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
-    """The cell before the view's camera, of which every n-th pixel is left."""
+    """Return the cell before the view's camera, of which every n-th pixel is left."""
     rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
     return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
 
@@ -172,7 +172,7 @@ def _render(
 
 
 def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
-    """The colour picture's light, lamps scaled."""
+    """Return the colour picture's light, lamps scaled."""
     radiance = rendering.radiance
     rgb = scale * radiance.ambient_rgb + idle_share(rig) * radiance.white_rgb
     if not rgb.max() > 0:
@@ -210,7 +210,7 @@ def _masks(
 
 
 def _rgb(view: BinView) -> UInt8[np.ndarray, "h w 3"]:
-    """A view's picture; `fit_look` takes only views that have one."""
+    """Return a view's picture; `fit_look` takes only views that have one."""
     if view.rgb is None:
         raise ValueError(f"{view.name}: has no colour picture")
     return view.rgb

@@ -96,7 +96,7 @@ class MeshShape:
 
 
 def mesh_shape(box: Bin) -> MeshShape:
-    """The faces of a bin that is a mesh.
+    """Return the faces of a bin that is a mesh.
 
     Raises:
         ValueError: the bin is a box.
@@ -149,7 +149,7 @@ def _spread(
 def _surfaces(
     box: Bin, mesh: Mesh, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, " f"]:
-    """Indices into `NAMES`."""
+    """Return indices into `NAMES`."""
     axis = np.abs(normal).argmax(axis=1)
     each = np.arange(len(normal))
     sign = np.sign(normal[each, axis])

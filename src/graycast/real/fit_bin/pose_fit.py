@@ -170,7 +170,7 @@ def hold_by_edges(
     loose: Sequence[str],
     noise_m: float,
 ) -> tuple[Float[np.ndarray, "4 4"], tuple[str, ...]]:
-    """The pose moved along some of `SEARCHED` to the most evidence, and those it is held in.
+    """Return the pose moved along some of `SEARCHED` to the most evidence, and those it is held in.
 
     Walls that are lost, in shadow or hardly seen leave the place along an axis, or the turn about
     z, free. Edges of the rim and the floor hold them still, to a part of a pixel: a pose that is
@@ -328,7 +328,7 @@ def _face_fit(shape: BinShape, k: int, match: _Match, pairs: FacePairs) -> FaceF
 
 
 def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
-    """Square roots of the covariance's diagonal; inf where nothing holds."""
+    """Return square roots of the covariance's diagonal; inf where nothing holds."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-12))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     determined = value > 1e-9
@@ -338,7 +338,7 @@ def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
 
 
 def _loose(shape: BinShape, pairs: FacePairs, sigma: Float[np.ndarray, "6"]) -> tuple[str, ...]:
-    """Places along an axis need a face across it; all six need a deviation that is small."""
+    """Return the freedoms with a large deviation, or with few points on faces across their axis."""
     used = pairs.weight > 0
     along = np.bincount(shape.axis[pairs.face[used]], minlength=3)
     limit = np.array([_LOOSE_M] * 3 + [_LOOSE_RAD] * 3)

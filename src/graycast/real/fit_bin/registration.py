@@ -93,7 +93,7 @@ def pairs_of(
 def equations(
     shape: BinShape, pairs: FacePairs
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
-    """Normal equations of a small motion (shift, turn) of the points in the world.
+    """Return normal equations of a small motion (shift, turn) of the points in the world.
 
     A point moves by `t + w x p`, so its height over a face of normal n by `n . t + (p x n) . w`.
     """
@@ -105,6 +105,6 @@ def equations(
 
 
 def _solved(A: Float[np.ndarray, "6 6"], b: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-    """The motion, damped so little that only what nothing holds stays where it is."""
+    """Return the motion, damped so little that only what nothing holds stays where it is."""
     damping = 1e-6 * max(float(np.diag(A).max()), 1.0)
     return np.linalg.solve(A + damping * np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]), b)

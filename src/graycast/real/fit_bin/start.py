@@ -90,7 +90,7 @@ def _climbed(
 
 
 def _moves(aside_m: float, up_m: float, part: float) -> list[Float[np.ndarray, "4 4"]]:
-    """Steps to and fro along x, y and z, and about z by a part of the grid's step."""
+    """Return steps to and fro along x, y and z, and about z by a part of the grid's step."""
     ways = np.diag([aside_m, aside_m, up_m])
     shifts = [rigid(np.eye(3), sign * way) for way in ways for sign in (1, -1)]
     angles = [sign * part * _YAW_STEP_RAD for sign in (1, -1)]
@@ -133,7 +133,7 @@ def planes(
 def _local_planes(
     point: Float[np.ndarray, "rows columns 3"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 4"]:
-    """Planes through random pixels and two neighbours, a thirtieth of the picture away."""
+    """Return planes through random pixels and two neighbours, a thirtieth of the picture away."""
     rows, columns = point.shape[:2]
     step = max(1, round(max(rows, columns) / 30))
     y = rng.integers(0, max(rows - step, 1), 4 * _TRIALS)
@@ -156,7 +156,7 @@ def _fitted(point: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
 def _poses_on(
     box: OpenBox, point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset_m: float
 ) -> Float[np.ndarray, "p 4 4"]:
-    """The box's floor on a plane, at all places and turns of a grid."""
+    """Return the box's floor on a plane, at all places and turns of a grid."""
     T_plane_cam = _plane_frame(normal, offset_m)
     at = transform_points(T_plane_cam, point)
     on = at[np.abs(at[:, 2]) < _PLANE_M, :2]
@@ -184,7 +184,7 @@ def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.nd
 def _distinct(
     box: OpenBox, T_world_cam: Float[np.ndarray, "p 4 4"], count: int
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """The first poses that are not nearly one of those before."""
+    """Return the first poses that are not nearly one of those before."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
     distinct: list[Float[np.ndarray, "4 4"]] = []

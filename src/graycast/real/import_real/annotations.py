@@ -249,7 +249,7 @@ def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) ->
 
 
 def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
-    """Corners of a polygon from x, y, x, y ...
+    """Return corners of a polygon from x, y, x, y ...
 
     Raises:
         DatasetError: these are not the numbers of three corners or more.

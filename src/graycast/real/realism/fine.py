@@ -59,7 +59,7 @@ class PairNoise:
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
-    """The noise of every tile that is smooth, its incidence and brightness."""
+    """Return the noise of every tile that is smooth, its incidence and brightness."""
     z_m = tiles(scan.depth_m.astype(np.float64), TILE_PX)
     mixed = second_difference(z_m).reshape(len(z_m), (TILE_PX - 2) ** 2)
     known = ~np.isnan(mixed)
@@ -85,7 +85,7 @@ def measure_fine(scan: DepthScan) -> FineNoise:
 
 
 def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
-    """The figures of many maps, tiles put together."""
+    """Return the figures of many maps, tiles put together."""
     variance = np.concatenate([m.variance_m2 for m in maps])
     incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
     brightness = np.concatenate([m.brightness for m in maps])
@@ -136,7 +136,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
 
 
 def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
-    """Means over the pairs, weighted by what they share."""
+    """Return means over the pairs, weighted by what they share."""
     if not pairs:
         return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
     weight = np.array([p.pixels for p in pairs], dtype=np.float64)
@@ -252,7 +252,7 @@ def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h
 
 
 def _lag(rest: Float[np.ndarray, "h w"], lag: int) -> float:
-    """Correlation at a distance along the rows."""
+    """Return the correlation at a distance along the rows."""
     a, b = rest[:, :-lag], rest[:, lag:]
     both = ~np.isnan(a) & ~np.isnan(b)
     power = np.sqrt((a[both] ** 2).mean() * (b[both] ** 2).mean()) if both.any() else 0.0

@@ -75,7 +75,7 @@ def missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]
 
 
 def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:
-    """Shares over all maps together; brightness from those that have a picture."""
+    """Return shares over all maps together; brightness from those that have a picture."""
     pixels = sum(c.pixels for c in counts)
     lit = [c for c in counts if c.total_at is not None]
     by_brightness, drop_out = [], None
@@ -152,7 +152,7 @@ def drop_out_step(
 def _binomial(
     total: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """The greatest log likelihood of a constant share."""
+    """Return the greatest log likelihood of a constant share."""
     share = np.clip(missing / total, 1e-12, 1 - 1e-12)
     return missing * np.log(share) + (total - missing) * np.log1p(-share)
 

@@ -78,7 +78,7 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
 def autocorrelation(
     products: Float[np.ndarray, " lags"], terms: int = _PLANE
 ) -> Float[np.ndarray, " lags"]:
-    """The noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
+    """Return the noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
 
     The residuals of noise n are r = M n with M = 1 - H, so their covariance is M C M: the mean
     products are linear in the lags of C, and as many as these.

@@ -93,7 +93,7 @@ class Squares:
         return Squares(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
     def group(self, name: str) -> Float[np.ndarray, "n some"]:
-        """The columns of one group of features."""
+        """Return the columns of one group of features."""
         return self.feature[:, [_COLUMN[feature] for feature in GROUPS[name]]]
 
 

@@ -55,7 +55,7 @@ def figures(record: Realism) -> Iterator[Figure]:
 
 
 def table(*records: Realism) -> str:
-    """The figures of one record, or of several side by side, a column each."""
+    """Return the figures of one record, or of several side by side, a column each."""
     columns = [{(f.section, f.name): f.text for f in figures(r)} for r in records]
     keys = _merged([list(column) for column in columns])
     sections = list(dict.fromkeys(section for section, _ in keys))
@@ -151,7 +151,7 @@ def _bins(
     unit: str,
     show: Callable[[float | None], str],
 ) -> Iterator[Figure]:
-    """A line per bin that has samples, their number in brackets."""
+    """Yield a line per bin that has samples, their number in brackets."""
     for one in bins:
         if one.count:
             limits = f"{factor * one.low:.3g} to {factor * one.high:.3g} {unit}"

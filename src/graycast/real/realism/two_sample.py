@@ -116,12 +116,12 @@ def two_sample_test(
 
 
 def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
-    """The AUC by the sensor's features alone, of squares at one place."""
+    """Return the AUC by the sensor's features alone, of squares at one place."""
     return _auc(first.at(place), second.at(place), "sensor", seed).mean
 
 
 def depth_step_m(scans: Sequence[DepthScan]) -> float:
-    """The step in which a set's files hold depth [m]; 0 of floats.
+    """Return the step in which a set's files hold depth [m]; 0 of floats.
 
     The least difference between the values of a map, where all differences are multiples of it.
     """
@@ -211,7 +211,7 @@ def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
 def _scores(
     a: Squares, b: Squares, group: str, seed: int
 ) -> tuple[list[float], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
-    """The AUC of each fold, and each square's score; NaN where nothing could be learnt."""
+    """Return the AUC of each fold, and each square's score; NaN where nothing could be learnt."""
     from sklearn.ensemble import ExtraTreesClassifier
     from sklearn.metrics import roc_auc_score
 

@@ -22,7 +22,7 @@ _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 
 def two_sample_table(test: TwoSample) -> str:
-    """The table in Markdown, which reads as plain text, too."""
+    """Return the table in Markdown, which reads as plain text, too."""
     lines = []
     for place in PLACES:
         rows = []

@@ -165,7 +165,7 @@ def _objects(
 
 
 def _sensor(folder: Path, folders: list[Path], request: str) -> str:
-    """The camera that is asked for, or the only one; one without a name is the first."""
+    """Return the camera that is asked for, or the only one; one without a name is the first."""
     stems = {file.stem for path in folders for file in path.glob(CAMERAS)}
     names = {stem.removeprefix("scene_camera").removeprefix("_") for stem in stems}
     sensors = sorted(name for name in names if not f"_{name}".endswith(SCANNER))
@@ -192,7 +192,7 @@ def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
 
 
 def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
-    """The ids of a scene's objects, whose poses are of the right form."""
+    """Return the ids of a scene's objects, whose poses are of the right form."""
     name = f"{of_sensor('scene_gt', scene.sensor)}.json"
     poses = _entries(scene, "scene_gt", Images[list[AnyPose]])
     listed = set(poses)

@@ -134,7 +134,7 @@ def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> Source:
-    """The images of a folder of the IPA dataset; a cycle is a scene.
+    """Return the images of a folder of the IPA dataset; a cycle is a scene.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another, or is orthographic.

@@ -22,7 +22,7 @@ R = TypeVar("R")
 
 
 def record_of(path: Path, form: Form[R]) -> R:
-    """A JSON file as the record that it must be, or a DatasetError."""
+    """Read a JSON file as a record of the required form, or raise a DatasetError."""
     try:
         return read_json(path, form)
     except Unreadable as error:
@@ -98,7 +98,7 @@ def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], 
 
 
 def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """A colour picture, or a grey one with three equal bands; 16 bits become 8."""
+    """Return a colour picture, or a grey one with three equal bands; 16 bits become 8."""
     image = _picture(path)
     image = image[..., None] if image.ndim == 2 else image
     if image.dtype == np.uint16:
@@ -118,7 +118,7 @@ def _picture(path: Path) -> np.ndarray:
 def camera_of(
     K: Any, where: str, size_px: tuple[int, ...], distortion: Sequence[float] = (0.0,) * 5
 ) -> Optics:
-    """The camera of a matrix by rows; `size_px` is height and width.
+    """Return the camera of a matrix by rows; `size_px` is height and width.
 
     Raises:
         DatasetError: the matrix is that of no camera, or has a skew.
@@ -137,7 +137,7 @@ def camera_of(
 
 
 def pose_of(rotation: Any, translation_m: Any, where: str) -> Float[np.ndarray, "4 4"]:
-    """A pose of a file; its rotation is the one nearest to the rounded numbers.
+    """Return a pose of a file; its rotation is the one nearest to the rounded numbers.
 
     Raises:
         DatasetError: the numbers are no rotation, or are not finite.

@@ -53,7 +53,7 @@ class Staged:
 
 
 def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
-    """The scanner with another camera in the same place and the same lens.
+    """Return the scanner with another camera in the same place and the same lens.
 
     The focal length in metres stays, so that the pixels have another pitch.
     """
@@ -232,14 +232,14 @@ def _background(
 
 
 def _rounds(step_m: float) -> Rounds:
-    """Depth in coarse steps is smoothed over more pixels; see `surfaces`."""
+    """Return the rounds of `surfaces`; depth in coarse steps is smoothed over more pixels."""
     near_m = 3e-4 + 2 * step_m
     fine: Rounds = ((1, 3, 2 * near_m), (2, 3, near_m))
     return fine if step_m <= _FINE_M else (*fine, (5, 6, near_m), (5, 6, near_m))
 
 
 def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Depth everywhere: where it is not known, inverse depth is the mean of that around it.
+    """Return depth everywhere: where it is not known, inverse depth is the mean of that around it.
 
     So a plane goes on as a plane. Laplace's equation is solved on blocks of pixels.
     """
@@ -265,7 +265,7 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """Values of the free blocks, each the mean of its neighbours; the border is mirrored.
+    """Return values of the free blocks, each the mean of its neighbours; the border is mirrored.
 
     The Laplacian is that of the differences between neighbours: none crosses the border.
     """
@@ -285,7 +285,7 @@ def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"
 def _mean_colors(
     reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
 ) -> dict[int, tuple[float, float, float]]:
-    """The mean reflectance that the picture has of each object in it."""
+    """Return the mean reflectance that the picture has of each object in it."""
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]

@@ -46,7 +46,7 @@ class Parameter:
     off_above: float | None = None
 
     def value(self, share: float) -> float:
-        """The value at a share, 0 to 1, of the way from low to high."""
+        """Return the value at a share, 0 to 1, of the way from low to high."""
         share = min(max(share, 0.0), 1.0)
         if self.walk == "log":
             value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
@@ -97,7 +97,7 @@ def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
 def with_values(
     scanner: Scanner, parameters: Sequence[Parameter], values: Mapping[str, float]
 ) -> Scanner:
-    """The scanner with those values in the place of its own."""
+    """Return the scanner with those values instead of its own."""
     for parameter in parameters:
         if parameter.key not in OF_BIN:
             value: Any = values[parameter.key]
@@ -136,7 +136,7 @@ def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) 
 
 
 def _path(key: str) -> list[str]:
-    """Keys of a rig file stand at its top where they are the rig's own."""
+    """Return the path of a key; the rig's own keys are at the top of a rig file."""
     path = re.findall(r"\w+", key)
     return path if hasattr(Scanner, path[0]) else ["rig", *path]
 

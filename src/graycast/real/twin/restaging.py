@@ -246,7 +246,7 @@ def _textures(
 
 
 def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The pixel of a finer picture of the same view at each pixel of the depth."""
+    """Return the pixel of a finer picture of the same view at each pixel of the depth."""
     height, width = shape
     rows = np.arange(height) * image.shape[0] // height
     return image[np.ix_(rows, np.arange(width) * image.shape[1] // width)]

@@ -113,7 +113,7 @@ def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
 
 
 def loss_of(rows: Sequence[Row]) -> float:
-    """Mean square of `pulls_of`."""
+    """Return the mean square of `pulls_of`."""
     return float((pulls_of(rows) ** 2).mean())
 
 

@@ -178,7 +178,7 @@ class _Trials:
         return sum(len(places) for places in self.tried.values())
 
     def rows(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[Row, ...]:
-        """The rows of a place; none if nothing is lit."""
+        """Return the rows of a place; none if nothing is lit."""
         values = values_at(x, self.parameters)
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         scans = scans_of(self.lit, scanner, values, seed=self.seed, name="twin")
@@ -197,7 +197,7 @@ class _Trials:
         return tried[x.tobytes()]
 
     def best(self, code: CodeSpec) -> tuple[float, Float[np.ndarray, " n"]]:
-        """The least loss of a code's trials, and where it was."""
+        """Return the least loss of a code's trials, and where it was."""
         tried = self.tried[code]
         at = min(tried, key=lambda place: tried[place][0])
         return tried[at][0], np.frombuffer(at)
@@ -205,7 +205,7 @@ class _Trials:
     def ranked(
         self, code: CodeSpec, starts: Sequence[Float[np.ndarray, " n"]]
     ) -> list[Float[np.ndarray, " n"]]:
-        """The places, the one with the least loss first."""
+        """Return the places, the one with the least loss first."""
         return sorted(starts, key=lambda x: self.judge(code, x)[0])
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:

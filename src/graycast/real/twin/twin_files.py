@@ -98,7 +98,7 @@ def report_text(twin: Twin) -> str:
 
 
 def summary(twin: Twin) -> list[str]:
-    """The twin in a few lines."""
+    """Return the twin in a few lines."""
     fit = twin.fit
     lines = [
         f"statistics met: {_met(fit.before)} of {len(fit.before)} as configured, "
@@ -164,7 +164,7 @@ def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
 
 
 def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
-    """The bin's section with the colours and the coat that were fitted."""
+    """Return the bin's section with the colours and the coat that were fitted."""
     color, gloss = (fit.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
     if color is None:
         return {}

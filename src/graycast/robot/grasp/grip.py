@@ -32,7 +32,7 @@ def best_first(places: Iterable[Grip]) -> list[Grip]:
 
 
 def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:
-    """A tool's pose whose z is the normal; x is across, as far from the normal as can be."""
+    """Return a tool's pose whose z is the normal; x is across, as far from the normal as can be."""
     least = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(least, normal)
     x /= np.linalg.norm(x)
@@ -40,6 +40,6 @@ def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) ->
 
 
 def downs() -> Float[np.ndarray, "5 3"]:
-    """The direction of gravity for a tool that is upright or leans to one of four sides."""
+    """Return the direction of gravity for a tool that is upright or leans to one of four sides."""
     s, c = np.sin(LEAN_RAD), np.cos(LEAN_RAD)
     return np.array([[0, 0, -1], [s, 0, -c], [-s, 0, -c], [0, s, -c], [0, -s, -c]], dtype=float)

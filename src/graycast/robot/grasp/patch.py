@@ -53,7 +53,7 @@ def patch_of_mesh(
     radius_m: float,
     step_m: float,
 ) -> Patch:
-    """The patch of a mesh under a tool: the highest surface along the tool's axis."""
+    """Return the patch of a mesh under a tool: the highest surface along the tool's axis."""
     vertices = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
     height = _nothing(radius_m, step_m)
     _highest_of_mesh(vertices[mesh.faces], step_m, height)
@@ -68,7 +68,7 @@ def patch_of_depth(
     radius_m: float,
     step_m: float,
 ) -> Patch:
-    """The patch of a depth map: triangles between neighbouring pixels.
+    """Return the patch of a depth map: triangles between neighbouring pixels.
 
     Where depth is missing, and where neighbours stand so steeply to the line of sight that they may
     be two surfaces, nothing is known.
@@ -88,7 +88,7 @@ def patch_of_depth(
 def _window(
     shape: tuple[int, ...], camera: Optics, T_cam_tool: Float[np.ndarray, "4 4"], radius_m: float
 ) -> tuple[slice, slice]:
-    """Rows and columns about a ball round the tool's origin."""
+    """Return rows and columns about a ball round the tool's origin."""
     point = T_cam_tool[:3, 3]
     x, y = project(camera, point)
     wide = 2 + radius_m * max(camera.fx_px, camera.fy_px) / max(point[2] - radius_m, 1e-3)
@@ -100,7 +100,7 @@ def _window(
 
 
 def _nothing(radius_m: float, step_m: float) -> Float[np.ndarray, "n n"]:
-    """Heights of a grid on which nothing was met yet."""
+    """Return heights of a grid on which nothing was met yet."""
     n = int(np.ceil(radius_m / step_m)) + 1
     return np.full((2 * n + 1, 2 * n + 1), -np.inf)
 

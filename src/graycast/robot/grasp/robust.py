@@ -67,5 +67,5 @@ def robustness(
 
 
 def patch_radius_m(cup: Cup, doubt: Doubt) -> float:
-    """The radius of the patch that `robustness` needs."""
+    """Return the radius of the patch that `robustness` needs."""
     return cup.radius_m + 3 * doubt.position_m

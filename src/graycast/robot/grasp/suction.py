@@ -95,7 +95,7 @@ def seals(
     aside_m: Float[np.ndarray, "k 2"],
     lean: Float[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """The two numbers of `Seal` for a cup that deviates from the tool's axis.
+    """Return the two numbers of `Seal` for a cup that deviates from the tool's axis.
 
     Args:
         patch: the surface about the tool's axis.
@@ -152,7 +152,7 @@ def _between(height_m, place):
 
 @kernel()
 def _open_share(height_m, radius, about):
-    """The share of missing nodes within a radius about a place; both in steps."""
+    """Return the share of missing nodes within a radius about a place; both in steps."""
     missing, inside, n = 0, 0, len(height_m) // 2
     for y in range(math.ceil(about[1] - radius - 1), math.floor(about[1] + radius + 1) + 1):
         for x in range(math.ceil(about[0] - radius - 1), math.floor(about[0] + radius + 1) + 1):

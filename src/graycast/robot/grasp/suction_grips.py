@@ -146,7 +146,7 @@ class SuctionSearch:
     def _grip(
         self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], seed: int
     ) -> GripEstimate | None:
-        """A grip on a point, along the normal there; None where the cup cannot stand."""
+        """Return a grip on a point, along the normal there; None where the cup cannot stand."""
         view, down = self.view, self.view.down
         normal = _normal(point, view, self.cup.radius_m)
         if normal is None or -normal @ down < np.cos(self.most_lean_rad):

@@ -124,7 +124,7 @@ def _tidy(out: Path) -> None:
 
 
 def scene_json(labels: Sequence[GraspLabel], heap: ScenePoses, obj_ids: Sequence[int]) -> bytes:
-    """The labels of one scene as their file has them."""
+    """Return the labels of one scene as their file has them."""
     entries: list[dict[str, Any]] = [{"obj_id": obj_id, "grasps": []} for obj_id in obj_ids]
     for label in labels:
         T_part_tool = label.grip.T_part_tool

@@ -16,7 +16,7 @@ class _ToolFile(Settings):
 
 
 def tool_schema() -> dict[str, Any]:
-    """The JSON Schema of a file of a tool, for editors."""
+    """Return the JSON Schema of a file of a tool, for editors."""
     return _ToolFile.model_json_schema()
 
 

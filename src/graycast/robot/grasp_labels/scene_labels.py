@@ -79,7 +79,7 @@ def label_scene(
 def _selection(
     world: GraspWorld, heap: ScenePoses, labelling: Labelling, number: int, rng: np.random.Generator
 ) -> list[Grip]:
-    """Places of one instance whose axis does not lean too much."""
+    """Return places of one instance whose axis does not lean too much."""
     up = heap.T_world_part[number, 2, :3]
     least = np.cos(np.radians(labelling.most_lean_deg))
     upright = [
@@ -151,7 +151,7 @@ def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
 def straight_up(
     T_world_tool: Float[np.ndarray, "4 4"], rise_m: float
 ) -> Float[np.ndarray, "t 4 4"]:
-    """A pose for each step: even acceleration, even speed, the same backwards, and still."""
+    """Return a pose for each step: even acceleration, even speed, the same backwards, and still."""
     gain_s = LIFT_M_S / CARRIED_M_S2
     whole_s = rise_m / LIFT_M_S + gain_s
     time_s = np.arange(0, whole_s + STILL_S, STEP_S)

@@ -76,7 +76,7 @@ class KnownPart:
 def ranked(
     targets: Sequence[Candidate], view: DepthView, failed: Sequence[Float[np.ndarray, "3"]] = ()
 ) -> list[list[Candidate]]:
-    """Detections that are seen well, in the order in which a bin is emptied.
+    """Return detections that are seen well, in the order in which a bin is emptied.
 
     First those that lie free, then those that another part covers, then those on which a grip has
     failed, because what held the part may hold it still; in each group the highest first.
@@ -126,7 +126,7 @@ def _holds_any(
 
 
 def whole_bin(view: DepthView, box: Bin) -> Bool[np.ndarray, "h w"]:
-    """Pixels that were measured inside the bin, above its floor: all that may be parts."""
+    """Return pixels that were measured inside the bin, above its floor: all that may be parts."""
     depth_m = np.nan_to_num(view.depth_m)
     point = transform_points(view.T_world_cam, points(view.camera, depth_m))
     half = np.array(box.inner_m[:2]) / 2 - WALL_M

@@ -121,7 +121,7 @@ ARMS = {arm.name: arm for arm in (_UR5E, _DIANA7)}
 
 
 def urdf(arm: Arm) -> str:
-    """The arm as a URDF file's text; its last link is `flange`."""
+    """Return the arm as a URDF file's text; its last link is `flange`."""
     robot = xml.Element("robot", name=arm.name)
     _add_link(robot, "base", arm.base)
     parent = "base"

@@ -88,7 +88,7 @@ def _acted_on(
 def _picture(
     cell: PickCell, renderer: Renderer, rendering: Rendering, seed: int
 ) -> UInt8[np.ndarray, "h w 3"] | None:
-    """The colour picture, which only a detector looks at."""
+    """Return the colour picture, which only a detector looks at."""
     if cell.detector is None:
         return None
     return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
@@ -97,7 +97,7 @@ def _picture(
 def targets(
     cell: PickCell, shot: BinScan, layout: Layout, detector: Any | None
 ) -> tuple[Candidate, ...]:
-    """The candidate parts in a scan.
+    """Return the candidate parts in a scan.
 
     Args:
         layout: the parts as they lie, for truth alone.
@@ -149,7 +149,7 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
 
 
 def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
-    """The pose of the part that most of a detection's pixels are of."""
+    """Return the pose of the part that most of a detection's pixels are of."""
     inside = shot.instance[target.inside(shot.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):

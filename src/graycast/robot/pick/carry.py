@@ -145,7 +145,7 @@ def _path(
 def _settled(
     ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], keep: np.ndarray
 ) -> BinState:
-    """The remaining parts, at rest again, without those that fell out of the bin."""
+    """Return the remaining parts, at rest again, without those that fell out of the bin."""
     box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[keep], world.layout.part_index[keep], T_world_part[keep]
     if not len(numbers):
@@ -159,7 +159,7 @@ def _settled(
 
 
 def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
-    """The error of the pose of a grip, compared with the nearest part of its kind."""
+    """Return the error of the pose of a grip, compared with the nearest part of its kind."""
     if aim.T_cam_part is None or aim.target.kind is None:
         return None
     scene, kind = ready.cell.cell.scene, aim.target.kind

@@ -31,7 +31,7 @@ class PartGrip:
         law: LoadLaw,
         stiffness_n_m: float,
     ) -> "PartGrip":
-        """A part in a tool with the law that gives the safety factor of a load.
+        """Return a part in a tool with the law that gives the safety factor of a load.
 
         Args:
             law: safety factors of forces [N] and moments [Nm] in the tool's frame, each (k, 3).

@@ -117,7 +117,7 @@ def empty_bin(
 
 
 def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-    """The calibration error: the transform from planned to true poses of the tip."""
+    """Return the calibration error: the transform from planned to true poses of the tip."""
     turn = Rotation.from_rotvec(picking.hand_eye_rad * rng.normal(size=3)).as_matrix()
     return rigid(turn, picking.hand_eye_m * rng.normal(size=3))
 
@@ -176,7 +176,7 @@ def _attempt(
 
 
 def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
-    """The whole motion, a pose every `POSE_STEP_S`."""
+    """Return the whole motion, a pose every `POSE_STEP_S`."""
     times, angles, before = [], [], 0.0
     for way in ways.all:
         for t in np.arange(0.0, way.seconds, POSE_STEP_S):
@@ -187,7 +187,7 @@ def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 
 
 
 def _picture(bin_scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
-    """The white frame with the part's outline, the tool's axis and the outcome (RGB)."""
+    """Return the white frame with the part's outline, the tool's axis and the outcome (RGB)."""
     image = np.ascontiguousarray(np.repeat(srgb_of_bytes(bin_scan.gray)[..., None], 3, axis=-1))
     ink = _GOOD if attempt.outcome in TAKEN else _BAD
     if attempt.part is not None:

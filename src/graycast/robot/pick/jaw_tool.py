@@ -50,7 +50,7 @@ class JawTool(Settings):
     def pieces(
         self, opening_m: float | None = None, *, closed: bool = False
     ) -> tuple[Mounted, ...]:
-        """The palm and both fingers."""
+        """Return the palm and both fingers."""
         import coal
 
         thick, wide, long = self.jaws.finger_m
@@ -84,7 +84,7 @@ class JawTool(Settings):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """The jaws close until both pads touch."""
+        """Close the jaws until both pads touch."""
         jaws, open_m = self.jaws, self._open_m(opening_m)
         met = []
         for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):

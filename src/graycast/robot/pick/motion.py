@@ -133,7 +133,7 @@ def _state(space: Any, q: Joints) -> Any:
 def drive(
     robot: Robot, corners: Float[np.ndarray, "k joints"], *, step_s: float = 0.004
 ) -> Trajectory:
-    """The fastest motion along a path that the joints' speeds and accelerations allow.
+    """Return the fastest motion along a path that the joints' speeds and accelerations allow.
 
     A spline through points `SPACED_RAD` apart follows the way, so that corners are rounded by less
     than that. It starts and ends at rest. Accelerations rise and fall within `RISE_S`, as robots'
@@ -179,7 +179,7 @@ def straight(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> Float[np.ndarray, "k joints"] | None:
-    """A straight motion of the flange with even rotation, for the approach and the retreat.
+    """Return a straight motion of the flange with even rotation, for the approach and the retreat.
 
     It is None if a pose on the line is out of reach, collides, or makes a joint jump.
     """

@@ -36,7 +36,7 @@ RIG_M = 0.06  # The box around camera, projector and what joins them is twice as
 
 
 def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obstacle, ...]:
-    """The table, which carries the robot, the bin, and a box about the rig."""
+    """Return the table, which carries the robot, the bin, and a box about the rig."""
     import coal
 
     box = bin_of(scene)
@@ -78,7 +78,7 @@ def triangles(mesh: Mesh) -> Any:
 
 
 def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
-    """The convex hull of points."""
+    """Return the convex hull of points."""
     import coal
 
     points = coal.StdVec_Vec3s()
@@ -131,7 +131,7 @@ def measured_points(
 def measured_heap(
     points: MeasuredPoints, *, without: Bool[np.ndarray, "h w"] | None = None
 ) -> MeasuredHeap:
-    """Heights over the bin's inside.
+    """Return heights over the bin's inside.
 
     Args:
         without: pixels that are left out: the part that fingers are to close round.
@@ -181,7 +181,7 @@ def _of_wall(
 
 
 def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of which `NEIGHBOURS` of the eight around them are about as deep."""
+    """Return pixels of which `NEIGHBOURS` of the eight around them are about as deep."""
     padded = np.pad(depth_m, 1, constant_values=np.nan)
     h, w = depth_m.shape
     count = np.zeros(depth_m.shape, np.int64)

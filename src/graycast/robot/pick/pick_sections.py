@@ -150,7 +150,7 @@ class PickConfig(Config):
 
 
 def robot_schema() -> dict[str, Any]:
-    """The JSON Schema of a robot's cell, for editors."""
+    """Return the JSON Schema of a robot's cell, for editors."""
     return PickConfig.model_json_schema()
 
 

@@ -147,7 +147,7 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
 
 
 def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None, ...]:
-    """The motion of each attempt of a bin; None where the arm did not move.
+    """Return the motion of each attempt of a bin; None where the arm did not move.
 
     Raises:
         GraycastError: the file is damaged, or its motions are not the attempts'.
@@ -195,7 +195,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], record: Mapping[str, Any
 def _held_until(
     attempt: Mapping[str, Any], time_s: Float[np.ndarray, " t"], grip: int
 ) -> float | None:
-    """The time until which the tool carried the part; None if it did not, or if unknown."""
+    """Return the time until which the tool carried the part; None if it did not, or if unknown."""
     if attempt["part"] is None:
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:
@@ -205,7 +205,7 @@ def _held_until(
 
 
 def _arm_limbs(robot: Robot) -> list[Mesh]:
-    """A mesh for each place of the arm; a point where a joint has no shape."""
+    """Return a mesh for each place of the arm; a point where a joint has no shape."""
     all_limbs = robot.limbs()
     limbs = []
     for number in range(len(robot.home) + 1):

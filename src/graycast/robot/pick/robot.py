@@ -54,7 +54,7 @@ class Mounted:
 
     @staticmethod
     def at(name: str, shape: Any, place_m: tuple[float, float, float]) -> "Mounted":
-        """A piece that is not turned."""
+        """Return a piece that is not turned."""
         return Mounted(name=name, shape=shape, T_flange_shape=rigid(np.eye(3), np.array(place_m)))
 
 
@@ -72,7 +72,7 @@ class Robot:
         self._placed = geometry.createData()  # after the pairs, of which it holds the results
 
     def mount(self, pieces: Sequence[Mounted]) -> "Robot":
-        """The same arm with a tool at its flange."""
+        """Return the same arm with a tool at its flange."""
         import pinocchio as pin
 
         geometry = self._geometry.copy()
@@ -197,7 +197,7 @@ def tool_touches(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> str | None:
-    """The obstacle with which the tool alone collides; None if there is none."""
+    """Return the obstacle with which the tool alone collides; None if there is none."""
     placed = ((piece.shape, T_base_flange @ piece.T_flange_shape, False) for piece in pieces)
     return _first_met(placed, obstacles)
 
@@ -234,7 +234,7 @@ def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
 
 
 def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = None) -> Robot:
-    """A built-in arm by its name, or a URDF file relative to a folder.
+    """Return a built-in arm by its name, or a URDF file relative to a folder.
 
     Raises:
         ConfigError: no such robot, a file that is not read, a joint without end or without speed,

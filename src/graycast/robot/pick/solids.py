@@ -14,7 +14,7 @@ ROUND = 24  # The mesh of a round shape has this many sides.
 
 
 def shape_mesh(shape: Any) -> Mesh:
-    """The surface of a shape that a robot or a tool is made of, in the shape's frame.
+    """Return the surface of a shape that a robot or a tool is made of, in the shape's frame.
 
     Raises:
         ConfigError: a kind of shape that no URDF file makes.

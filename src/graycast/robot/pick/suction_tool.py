@@ -78,7 +78,7 @@ class SuctionTool(Settings):
     def pieces(
         self, opening_m: float | None = None, *, closed: bool = False
     ) -> tuple[Mounted, ...]:
-        """The tube, from the flange to where the bellows begin."""
+        """Return the tube, from the flange to where the bellows begin."""
         import coal
 
         long_m = max(self.length_m - self.cup.height_m - self.stroke_m, 1e-3)
@@ -103,7 +103,7 @@ class SuctionTool(Settings):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """The cup is laid along its axis on the part that is under its middle."""
+        """Lay the cup along its axis on the part that is under its middle."""
         height_m, number = self._under(T_world_tool, parts, T_world_part, part_index)
         middle = len(height_m) // 2
         part, at_m = int(number[middle, middle]), float(height_m[middle, middle])

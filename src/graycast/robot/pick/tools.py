@@ -72,7 +72,7 @@ class Tool(Protocol):
     def pieces(
         self, opening_m: float | None = None, *, closed: bool = False
     ) -> tuple[Mounted, ...]:
-        """The rigid shapes at the flange.
+        """Return the rigid shapes at the flange.
 
         Args:
             opening_m: that of a grip; left out: the tool is as open as it can be.
@@ -103,5 +103,5 @@ class Tool(Protocol):
 
 
 def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
-    """The tip hangs straight below the flange; both axes z look at each other."""
+    """Return the pose of the tip, which is straight below the flange; their z axes are opposed."""
     return rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, tool.length_m]))

@@ -54,7 +54,7 @@ class Load:
     aside_m: float
 
     def piece(self, T_flange_tip: Float[np.ndarray, "4 4"]) -> Mounted:
-        """A cylinder that holds all of it."""
+        """Return a cylinder that holds all of it."""
         import coal
 
         below = T_flange_tip @ rigid(np.eye(3), np.array([0.0, 0.0, -self.below_m / 2]))
@@ -213,20 +213,20 @@ class WaySearch:
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The pose with the tool's axis vertical, by the smallest rotation."""
+    """Return the pose with the tool's axis vertical, by the smallest rotation."""
     x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
 
 
 def _slowly(way: Trajectory, least_s: float) -> Trajectory:
-    """The same path in at least the given number of seconds."""
+    """Return the same path in at least the given number of seconds."""
     stretch = max(1.0, least_s / max(way.seconds, 1e-9))
     return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
 
 
 def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Trajectory:
-    """The same way, so slowly that a carried part is accelerated as grips are judged by.
+    """Return the same way, so slowly that a carried part is accelerated as grips are judged by.
 
     At the tip, and as far below it as the part reaches.
     """

@@ -28,7 +28,7 @@ OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share 
 
 @kernel(nogil=True, error_model="numpy")
 def count(depth, z, inside, tolerance_m):
-    """The number of pixels of each kind, and the first and last visible column and row."""
+    """Return the number of pixels of each kind, and the first and last visible column and row."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
@@ -55,7 +55,7 @@ def count(depth, z, inside, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def misfits(depth, z, inside, tolerance_m):
-    """Pixels within an outline that are measured off the part, before or behind."""
+    """Return pixels within an outline that are measured off the part, before or behind."""
     number = 0
     for i in range(z.shape[0]):
         for j in range(z.shape[1]):
@@ -112,7 +112,7 @@ def going_on(depth, z, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def score(T, part, window, box, tolerance_m, canvas):
-    """A pose's score, 0 to 1, with the counts it is from."""
+    """Return a pose's score, 0 to 1, with the counts it is from."""
     draw(T, part, window, canvas)
     depth, z, inside = canvas.depth, window.z, window.inside
     number, edge = count(depth, z, inside, tolerance_m)

@@ -114,7 +114,7 @@ def _outwards(depth, i, j):
 
 @kernel(nogil=True, error_model="numpy")
 def _end(depth, i, j, nx, ny):
-    """The position along the normal at which the drawn part ends."""
+    """Return the position along the normal at which the drawn part ends."""
     s = 0.0
     while s < 3:
         r, c = round(i + s * ny), round(j + s * nx)

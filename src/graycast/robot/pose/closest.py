@@ -39,7 +39,7 @@ class Closest(NamedTuple):
 
 
 def closest(points: OrientedPoints, diameter_m: float) -> Closest:
-    """The grid of a surface that is given by dense points."""
+    """Return the grid of a surface that is given by dense points."""
     cell_m = diameter_m / CELLS
     low = points.point.min(axis=0) - BEYOND * diameter_m
     size = np.ceil((points.point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
@@ -51,7 +51,7 @@ def closest(points: OrientedPoints, diameter_m: float) -> Closest:
 
 @kernel(nogil=True, error_model="numpy")
 def settle(T, scene, surface, gates_m, rounds):
-    """Poses moved so that the scene's points lie on the part: ICP, point to plane.
+    """Return poses moved so that the scene's points lie on the part: ICP, point to plane.
 
     The gate, beyond which a point is taken for another thing's, narrows from round to round.
     Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992.

@@ -110,7 +110,7 @@ def find_poses(
     *,
     threads: int = 1,
 ) -> list[PoseMatch]:
-    """The poses of several instances of a part in one picture, each found by itself.
+    """Return the poses of several instances of a part in one picture, each found by itself.
 
     The slow steps are compiled and run in parallel threads; the result does not depend on their
     number.
@@ -154,7 +154,7 @@ def _match(
 
 
 def _scene_points(patch: Crop) -> OrientedPoints:
-    """Places of the detection with normals, spread evenly over its pixels."""
+    """Return places of the detection with normals, spread evenly over its pixels."""
     usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
     index = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
@@ -168,7 +168,7 @@ def _scene_points(patch: Crop) -> OrientedPoints:
 
 
 def _guesses(model: PoseModel, patch: Crop, scene: OrientedPoints) -> np.ndarray:
-    """Poses by votes, the best of each bundle of like ones, best bundle first."""
+    """Return poses by votes, the best of each bundle of like ones, best bundle first."""
     point, references = scene.point, np.arange(len(scene.point))
     if not patch.tight:
         i, j = np.nonzero(patch.inside)

@@ -68,7 +68,7 @@ def feature_of(p, n, q, m, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def frame_of(n):
-    """The rotation that turns a normal onto the x axis, by the shortest way."""
+    """Return the rotation that turns a normal onto the x axis, by the shortest way."""
     R = np.empty((3, 3))
     x, y, z = n[0], n[1], n[2]
     if x < -0.999999:
@@ -117,7 +117,7 @@ def _filled(point, normal, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def votes(scene, references, model, pairs, peaks):
-    """The best poses of each reference point, and how many votes each has.
+    """Return the best poses of each reference point, and how many votes each has.
 
     Args:
         references: places of the reference points among the scene's.

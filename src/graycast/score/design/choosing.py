@@ -42,13 +42,13 @@ class SettingFigures:
         return mean_interval(self.measured_by_heap)
 
     def missing(self) -> list[tuple[Fate, float]]:
-        """The unmeasured shares by reason, largest first."""
+        """Return the unmeasured shares by reason, largest first."""
         lost = [(fate, self.share[fate]) for fate in FATES if fate is not Fate.MEASURED]
         return sorted((pair for pair in lost if pair[1] > 0), key=lambda pair: -pair[1])
 
 
 def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
-    """A mean with its 95 % interval by Student's t; values that are NaN are left out."""
+    """Return a mean with its 95 % interval by Student's t; values that are NaN are left out."""
     value = value[np.isfinite(value)]
     if not len(value):
         return Interval(value=math.nan, low=math.nan, high=math.nan)
@@ -61,7 +61,7 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
 
 
 def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
-    """A setting's row from its figures by heap; None where a heap could not be made."""
+    """Return a setting's row from its figures by heap; None where a heap could not be made."""
     finished = [heap for heap in heaps if heap is not None]
     return SettingFigures(
         name=placed.setting.name,
@@ -99,7 +99,7 @@ def cost(row: SettingFigures) -> tuple[float, float, float]:
 
 
 def choose(spec: DesignSpec, rows: Sequence[SettingFigures]) -> SettingFigures | None:
-    """The setting that measures most among those that meet the study's needs."""
+    """Return the setting that measures most among those that meet the study's needs."""
     fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
     return max(fit, key=lambda row: row.measured.value, default=None)
 
@@ -110,7 +110,7 @@ def meets(spec: DesignSpec, row: SettingFigures) -> bool:
 
 
 def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str, Interval]:
-    """The difference of the measured share between the best row and each other row."""
+    """Return the difference of the measured share between the best row and each other row."""
     return {
         row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
         for row in rows
@@ -119,7 +119,7 @@ def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str,
 
 
 def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
-    """The recommendation in sentences."""
+    """Return the recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
         return (
@@ -207,7 +207,7 @@ def _wanted(spec: DesignSpec) -> str:
 
 
 def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
-    """The smallest value that any setting has of a required quantity."""
+    """Return the smallest value that any setting has of a required quantity."""
     least = []
     for name in spec.needs.model_dump(exclude_none=True):
         candidates = [row for row in rows if math.isfinite(row.figure[name])]

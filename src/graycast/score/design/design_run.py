@@ -40,7 +40,7 @@ class Heap:
 
 
 def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMeter) -> Heap:
-    """The heap of that number, as a dataset of the same seed has it in its scene.
+    """Return the heap of that number, as a dataset of the same seed has it in its scene.
 
     Raises:
         DropError, ValueError: the parts found no rest, or do not fit the bin.
@@ -106,7 +106,7 @@ class Comparer:
         )
 
     def _heap(self, placed: Placed, number: int) -> Heap:
-        """The heap of a bin, dropped once for all settings that have this bin."""
+        """Return the heap of a bin, dropped once for all settings that have this bin."""
         key = placed.setting.bin, number
         if key not in self._heaps:
             self._heaps = {other: heap for other, heap in self._heaps.items() if other[1] == number}
@@ -157,12 +157,12 @@ class DesignTask(Job):
         return self.lights[0][0].cell.scene.parts
 
     def group(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
-        """The settings of a scene, which share their light, and the number of its heap."""
+        """Return the settings of a scene, which share their light, and the number of its heap."""
         layout, light = divmod(scene_id, len(self.lights))
         return self.lights[light], layout
 
     def name(self, scene_id: int) -> tuple[str, int]:
-        """The name of a scene's rendering, and the number of its heap."""
+        """Return the name of a scene's rendering, and the number of its heap."""
         group, layout = self.group(scene_id)
         setting = group[0].setting
         return setting.name if len(group) == 1 else setting.lit.name, layout

@@ -50,7 +50,7 @@ def write_design(spec: DesignSpec, out: Path) -> str:
 
 
 def rows_of(spec: DesignSpec, out: Path) -> list[SettingFigures]:
-    """The settings' rows, the one that measures most first."""
+    """Return the settings' rows, the one that measures most first."""
     placed = place_settings(spec, settings_of(spec))
     rows = [row_of(one, read_heaps(out, one.setting.name, spec)) for one in placed]
     front = on_front(np.array([cost(row) for row in rows]))
@@ -72,7 +72,7 @@ def _record(row: SettingFigures) -> dict[str, str | float | bool]:
 
 
 def describe_design(spec: DesignSpec, out: Path) -> str:
-    """The table in columns of plain text, and the recommendation."""
+    """Return the table in columns of plain text, and the recommendation."""
     rows = rows_of(spec, out)
     lines = [_heads(), *([row.name, *_cells(row)] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -144,7 +144,7 @@ def _on_plane(
 
 
 def _enlarged(optics: Optics) -> Optics:
-    """The same view in a picture of at least `LEAST_PX`."""
+    """Return the same view in a picture of at least `LEAST_PX`."""
     times = -(-LEAST_PX // max(optics.width_px, optics.height_px))
     return replace(
         optics,

@@ -226,7 +226,7 @@ def picture_png(
 
 
 def _legend(height_px: int, fate: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    """The fates that occur, with their colours."""
+    """Return the fates that occur, with their colours."""
     image = np.full((height_px, _LEGEND_PX, 3), 255, dtype=np.uint8)
     row = 20
     for number in np.unique(fate).tolist():

@@ -89,7 +89,7 @@ def open_design(out: Path) -> Iterator[None]:
 
 
 def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | None]:
-    """A setting's figures by heap; None for heaps that could not be made.
+    """Return a setting's figures by heap; None for heaps that could not be made.
 
     Raises:
         GraycastError: a file is damaged.

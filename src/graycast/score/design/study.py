@@ -171,7 +171,7 @@ def _from(base: Path, path: Path) -> Path:
 
 
 def _bin_from(base: Path, section: BinSection) -> BinSection:
-    """A bin's section whose files are named by absolute paths."""
+    """Return a bin's section whose files are named by absolute paths."""
     changes: dict[str, Any] = {}
     if section.mesh is not None:
         changes["mesh"] = _from(base, section.mesh)

@@ -59,7 +59,7 @@ Tables = Mapping[str, Sequence[DepthRow]]
 def evaluate_depth(
     dataset: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> dict[str, list[DepthRow]]:
-    """Rows over all pixels (`all`) and over the parts (`parts`) of all images of a dataset.
+    """Return rows over all pixels (`all`) and over the parts (`parts`) of all images of a dataset.
 
     Raises:
         DatasetError: the dataset cannot be read.
@@ -98,7 +98,7 @@ def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
 
 
 def rows_of_pixels(scene: SceneContent) -> Int[np.ndarray, "h w"]:
-    """The row that counts each pixel; -1 where there is no perfect depth."""
+    """Return the row that counts each pixel; -1 where there is no perfect depth."""
     assert scene.depth is not None
     angle = incidence_rad(
         np.where(scene.depth > 0, scene.depth * (scene.depth_scale_mm / 1000), np.nan),
@@ -157,7 +157,7 @@ def _smooth(
 
 
 def _with_border(image: Float[np.ndarray, "h w *n"]) -> Float[np.ndarray, "h2 w2 *n"]:
-    """The image with a border of NaN, one pixel wide."""
+    """Return the image with a border of NaN, one pixel wide."""
     return np.pad(image, ((1, 1), (1, 1), *[(0, 0)] * (image.ndim - 2)), constant_values=np.nan)
 
 
@@ -227,7 +227,7 @@ def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> N
 
 
 def depth_markdown(tables: Tables) -> str:
-    """A table for all pixels and one for the parts; rows without pixels are left out."""
+    """Return a table for all pixels and one for the parts; rows without pixels are left out."""
     texts = ["# The scanner's depth against perfect depth, by angle of incidence"]
     heads = ["angle", "pixels", "decoded", "bias", "sigma", "> 1 mm", "> 5 mm", "holes"]
     for name, rows in tables.items():
@@ -258,7 +258,7 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
-    """The reasons that occur, in the given order; others come last."""
+    """Return the reasons that occur, in the given order; others come last."""
     reasons_there = {name for rows in tables.values() for row in rows for name in row.reason}
     first = [name for name in order if name in reasons_there and name != "decoded"]
     return first + sorted(reasons_there - {"decoded", *first})

@@ -44,7 +44,7 @@ class Interval:
     high: float
 
     def text(self, form: str = ".3f", *, unit: str = "", none: str = "none") -> str:
-        """The figure in a format and, in brackets, its limits; `none` where it is NaN."""
+        """Return the figure in a format and, in brackets, its limits; `none` where it is NaN."""
         if math.isnan(self.value):
             return none
         text = f"{self.value:{form}}{unit}"
@@ -53,7 +53,7 @@ class Interval:
         return f"{text} ({self.low:{form}} to {self.high:{form}})"
 
     def cells(self) -> list[str]:
-        """Value and limits for a spreadsheet, empty where they are not known."""
+        """Return value and limits for a spreadsheet, empty where they are not known."""
         numbers = (self.value, self.low, self.high)
         return ["" if math.isnan(x) else f"{x:.6f}" for x in numbers]
 
@@ -61,7 +61,7 @@ class Interval:
 def draw_scenes(
     scene_of: Sequence[int], *, seed: int, draws: int = DRAWS
 ) -> Int[np.ndarray, "draws pictures"]:
-    """The weight of each picture in each draw: that of its scene.
+    """Return the weight of each picture in each draw: that of its scene.
 
     Equal for results of equally many scenes. `scene_of` is the scene of each picture.
     """
@@ -135,7 +135,7 @@ def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
 
 
 def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
-    """The mean of figures of different sets of scenes."""
+    """Return the mean of figures of different sets of scenes."""
     return BootstrapFigure(
         value=float(np.mean([each.value for each in figures])),
         draws=np.mean([each.draws for each in figures], axis=0),
@@ -144,7 +144,7 @@ def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
 
 
 def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -> Interval:
-    """The interval of a figure from its draws of so many scenes; it contains the figure.
+    """Return the interval of a figure from its draws; it always contains the figure.
 
     Draws that have nothing to find are NaN; they tell nothing and are left out.
     """

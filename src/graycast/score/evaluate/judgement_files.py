@@ -96,7 +96,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def summary(evaluation: Evaluation) -> str:
-    """The figures of all instances, for the terminal."""
+    """Return the figures of all instances, for the terminal."""
     lines = [_what(evaluation)]
     for one in evaluation.judgements:
         lines.append(f"{one.kind:5} {_sentence(one.rows[0].figures)}")
@@ -108,7 +108,7 @@ def summary(evaluation: Evaluation) -> str:
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
-    """A table of every figure with its interval, and the sentences around it."""
+    """Yield a table of every figure with its interval, and the sentences around it."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes

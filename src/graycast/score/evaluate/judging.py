@@ -158,7 +158,7 @@ def _group_scores(
 
 
 def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
-    """The groups that the labels allow; an unknown share makes no groups."""
+    """Yield the groups that the labels allow; an unknown share makes no groups."""
     if all(one.visib_fract is not None for one in labels):
         above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
         for low, high in pairwise([min_visibility, *above]):

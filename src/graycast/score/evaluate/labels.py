@@ -81,7 +81,7 @@ def labels_of(example: Example, *, min_visibility: float, scene: int | None = No
 
 
 def run_lengths_of(mask: Bool[np.ndarray, "n h w"]) -> tuple[dict[str, Any], ...]:
-    """Masks as COCO's compressed run lengths."""
+    """Return masks as COCO's compressed run lengths."""
     if not len(mask):
         return ()
     columns = np.asfortranarray(mask.transpose(1, 2, 0).astype(np.uint8))

@@ -240,7 +240,7 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
 
 @kernel()
 def _take(overlap, ignored, shared, thresholds):
-    """Place of the instance that each detection takes, for each threshold; -1 for none.
+    """Return the place of the instance that each detection takes, for each threshold; -1 for none.
 
     Among equal overlaps the later instance is taken, as by pycocotools.
     """

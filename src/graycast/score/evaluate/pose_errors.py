@@ -22,7 +22,7 @@ def rotation_translation(
     *,
     middle_m: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[float, float]:
-    """Angle [rad] and distance [m] between poses, modulo the part's symmetry.
+    """Return the angle [rad] and distance [m] between poses, modulo the part's symmetry.
 
     Of the motions that leave the part as it is, the one with the least angle is taken.
 
@@ -109,7 +109,7 @@ def _visible(surface_m: np.ndarray, measured_m: np.ndarray) -> np.ndarray:
 
 @kernel(nogil=True, error_model="numpy")
 def _least_greatest(apart, vertex):
-    """A motion is given up once a vertex is farther than the best motion's farthest."""
+    """Give up a motion once a vertex is farther than the best motion's farthest."""
     least = np.inf
     for s in range(len(apart)):
         A, greatest = apart[s], 0.0

@@ -154,7 +154,7 @@ def _pose_row(
 def _median(
     of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
 ) -> Interval:
-    """The median of all found, each picture's as often as its scene is drawn."""
+    """Return the median of all found, each picture's as often as its scene is drawn."""
     values = np.array([x for errors in of_picture for x in errors])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
@@ -270,7 +270,7 @@ def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
 
 
 def poses_markdown(evaluation: PoseEvaluation) -> str:
-    """A sentence and a table."""
+    """Return a sentence and a table."""
     time = (
         "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
     )

@@ -76,7 +76,7 @@ class Counts:
 
 
 def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
-    """A part's shape, with BOP's steps of continuous symmetries."""
+    """Return a part's shape, with BOP's steps of continuous symmetries."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices_m[used].astype(np.float64)
     return Solid(
@@ -91,7 +91,7 @@ def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
 def count_picture(
     truth: PictureTruth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
 ) -> list[Counts]:
-    """The counts of each object that the picture has to find."""
+    """Return the counts of each object that the picture has to find."""
     candidates = []
     for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
         there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)

@@ -67,7 +67,7 @@ def open_run(path: Path) -> DetectionRun:
 def read_detections(
     run: DetectionRun, scene_ids: Sequence[int], categories: Mapping[int, str]
 ) -> list[Detections]:
-    """The run's detections of some of its scenes.
+    """Return the run's detections of some of its scenes.
 
     Raises:
         GraycastError: the results are damaged, or of other scenes or objects.

@@ -78,7 +78,7 @@ def score(
 
 
 def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
-    """The figures of matched detections."""
+    """Return the figures of matched detections."""
     once = np.ones((1, len(known.labels)), dtype=np.int64)
     figures = {name: float(value[0]) for name, value in figures_of_draws(matches, once).items()}
     return Scores(

@@ -10,7 +10,7 @@ from .intervals import Interval, draw_scenes, interval_of
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
-    """The 95 % interval of a share.
+    """Return the 95 % interval of a share.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
     JASA 22, 1927.
@@ -25,7 +25,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The two-sided p-value of McNemar's exact test.
+    """Return the two-sided p-value of McNemar's exact test.
 
     Args:
         only_first: pairs of which the first alone is a success.
@@ -40,7 +40,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
-    """The area under the ROC curve, which states how well a score predicts success.
+    """Return the area under the ROC curve, which states how well a score predicts success.
 
     It is the probability that a success has a higher score than a failure; ties count half.
     NaN where nothing succeeds, or everything. It is Mann and Whitney's U, as a share of all pairs:
@@ -61,7 +61,7 @@ def roc_auc_of_scenes(
     *,
     seed: int,
 ) -> Interval:
-    """The same with its interval by resampling of scenes."""
+    """Return the same with its interval by resampling of scenes."""
     ids, place = np.unique(scene, return_inverse=True)
     draws = []
     for times in draw_scenes(ids.tolist(), seed=seed) if len(ids) > 1 else ():

@@ -100,7 +100,7 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
 
 
 def _sets(task: Task, run: DetectionRun) -> list[Examples]:
-    """The set that is judged; all sets of an export where the results are of all."""
+    """Return the set that is judged; all sets of an export where the results are of all."""
     split = task.split or run.split
     if not (task.dataset / RECORD).is_file():
         division = task.division or run.division
@@ -141,7 +141,7 @@ def _labels(
 
 
 def as_one_class(one: _Either) -> _Either:
-    """Labels or detections in which all parts are one."""
+    """Return labels or detections in which all parts are one."""
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 

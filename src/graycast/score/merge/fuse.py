@@ -155,7 +155,7 @@ def _piece(
     votes: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]],
     keep: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
-    """The fields of `FusedCloud` for the points that stand at a view's pixels."""
+    """Return the fields of `FusedCloud` for the points that stand at a view's pixels."""
     weight = 1 / own.variance_along(own.normal)
     moved = np.zeros_like(weight)
     for answer in answers.values():

@@ -103,7 +103,7 @@ def described(surface: Mapping[str, Any]) -> Iterator[str]:
 
 
 def merged_ply(cloud: FusedCloud) -> bytes:
-    """A binary PLY in the world frame, with all that is known of each point."""
+    """Return a binary PLY in the world frame, with all that is known of each point."""
     more = {
         "nx": cloud.normal[:, 0],
         "ny": cloud.normal[:, 1],
@@ -118,7 +118,7 @@ def merged_ply(cloud: FusedCloud) -> bytes:
 
 
 def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
-    """The dataset, and the pictures of each of its scenes, or of the one that is meant."""
+    """Return the dataset, and the pictures of each of its scenes, or of the one that is meant."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
     shots = [

@@ -84,7 +84,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
 
 
 def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> SurfacePoints:
-    """The surface of a scene's parts where they lie, from any of its pictures.
+    """Return the surface of a scene's parts where they lie, from any of its pictures.
 
     Raises:
         DatasetError: a file is missing or damaged.

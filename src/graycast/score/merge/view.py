@@ -124,7 +124,7 @@ def points_of(view: MeasuredView) -> Points:
 def planes_of(
     depth_m: Float[np.ndarray, "h w"], camera: Optics
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """Normals in the camera's frame, and z of the plane through each pixel's neighbours [m].
+    """Return normals in the camera's frame, and z of the plane through each pixel's neighbours [m].
 
     NaN where too few neighbours lie on one plane with the pixel.
     """

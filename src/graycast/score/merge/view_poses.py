@@ -158,7 +158,7 @@ _MISTAKES: Mapping[str, Callable[[Float[np.ndarray, "4 4"]], Float[np.ndarray, "
 
 
 def _some(points: Points) -> Points:
-    """Points on planes, spread evenly over the picture."""
+    """Return points on planes, spread evenly over the picture."""
     pixel = np.argwhere(points.known & points.plane)
     index = np.linspace(0, len(pixel) - 1, min(POINTS, len(pixel))).astype(np.int64)
     return points.at(pixel[index])

@@ -101,7 +101,7 @@ def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"
 
 
 def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material) -> Quad:
-    """A plane through (0, 0, z), its front to the camera.
+    """Return a plane through (0, 0, z), its front to the camera.
 
     At tilt 0 it faces the camera's axis. It is tilted about the axis in its own plane at
     `azimuth_rad` from x to y: azimuth 0 tilts about x, half a turn more tilts the other way.
@@ -257,7 +257,7 @@ def spheres(
 
 
 def _grid_px(rig: Rig) -> Float[np.ndarray, "h w 2"]:
-    """Places all over the camera's picture, its borders included."""
+    """Return places all over the camera's picture, its borders included."""
     rows, columns = FIELD_GRID_PX
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     share = pixel_grid(rows, columns) / [columns - 1, rows - 1]

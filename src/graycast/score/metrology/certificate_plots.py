@@ -151,7 +151,7 @@ def _focus(certificate: Certificate) -> Figure:
 
 
 def _short(name: str) -> str:
-    """A frame's name as the axis has room for; columns are the rule and need no word."""
+    """Return a frame's name as the axis has room for; columns are the rule and need no word."""
     for long, short in (
         ("column_", ""),
         ("row_", "row "),

@@ -284,7 +284,7 @@ def _middle(shots: Shots, z_m: float) -> Bool[np.ndarray, "h w"]:
 
 
 def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
-    """Means over square blocks that are whole and at least half known; NaN elsewhere."""
+    """Return means over square blocks that are whole and at least half known; NaN elsewhere."""
     size = max(1, math.ceil(image.shape[1] / MAP_WIDTH))
     h, w = (length // size for length in image.shape)
     whole = image[: h * size, : w * size].reshape(h, size, w, size)

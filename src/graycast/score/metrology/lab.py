@@ -142,7 +142,7 @@ def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:
 def _metered(
     lab: Lab, rendering: Rendering, where: Bool[np.ndarray, "h w"]
 ) -> tuple[Scanner, float]:
-    """The scanner with the exposure that suits the artefact, as its operator would set it.
+    """Return the scanner with the exposure that suits the artefact, as its operator would set it.
 
     Its own automatic looks at the whole picture, which a small sphere does not fill.
     """
@@ -166,7 +166,7 @@ def _metered(
 
 
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
-    """Angle of incidence of the camera's ray or of the projector's, the steeper one."""
+    """Return the angle of incidence of the camera's ray or of the projector's, the steeper one."""
     point = lab.ray * shots.truth_m[..., None]
     to_projector = transform_points(lab.rig.T_proj_cam, point)
     normal_proj = shots.normal @ lab.rig.T_cam_proj[:3, :3]
@@ -178,7 +178,7 @@ def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
 
 
 def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """The scanner's points, camera frame; NaN where it has no depth."""
+    """Return the scanner's points, camera frame; NaN where it has no depth."""
     return lab.scanner_ray * depth_m[..., None].astype(np.float64)
 
 

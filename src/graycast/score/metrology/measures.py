@@ -53,7 +53,7 @@ class SphereFit:
 
 
 def fit_plane(point: Float[np.ndarray, "n 3"]) -> PlaneFit:
-    """The plane with the least sum of squared distances (orthogonal regression).
+    """Return the plane with the least sum of squared distances (orthogonal regression).
 
     Raises:
         ValueError: fewer than three points.
@@ -72,7 +72,7 @@ def fit_plane(point: Float[np.ndarray, "n 3"]) -> PlaneFit:
 
 
 def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
-    """The sphere with the least sum of squared radial distances; its radius is free.
+    """Return the sphere with the least sum of squared radial distances; its radius is free.
 
     Gauss-Newton on `|p - c| - r`, from the algebraic fit `|p|^2 = 2 c . p + r^2 - |c|^2`.
 

@@ -34,7 +34,7 @@ def write_certificate(certificate: Certificate, out: Path) -> Path:
 
 
 def describe(certificate: Certificate) -> str:
-    """The datasheet's figures as text, one per line; lengths in mm."""
+    """Return the datasheet's figures as text, one per line; lengths in mm."""
     lines = [f"{name:34} {value:>18}" for name, value, _ in _figures(certificate)]
     lines.append(f"{certificate.scenes} scenes in {certificate.seconds:.0f} s")
     return "\n".join(lines)
@@ -111,7 +111,7 @@ def _mm(length_m: float, *, sign: bool = False) -> str:
 
 
 def _number(length_m: float, *, sign: bool = False) -> str:
-    """A length in mm with three digits, as a datasheet has them."""
+    """Return a length in mm with three digits, as a datasheet has them."""
     if not math.isfinite(length_m):
         return "n/a"
     value = 1e3 * length_m

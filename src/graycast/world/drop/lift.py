@@ -176,7 +176,7 @@ def _cross(a: Vector3, b: Vector3) -> Vector3:
 
 
 def _turn(R: Float[np.ndarray, "3 3"]) -> Vector3:
-    """The rotation vector of a rotation."""
+    """Return the rotation vector of a rotation."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
     twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the angle's sine
     sine, cosine = math.hypot(zy - yz, xz - zx, yx - xy) / 2, (xx + yy + zz - 1) / 2

@@ -283,7 +283,7 @@ def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nda
 
 
 def overlap_m(a: Float[np.ndarray, "v 3"], b: Float[np.ndarray, "w 3"]) -> float:
-    """The shortest move that parts the convex hulls of two point sets; 0 if they are apart.
+    """Return the shortest move that parts the convex hulls of two point sets; 0 if they are apart.
 
     The hulls overlap where their Minkowski difference `{p - q}` holds the origin, and the depth
     is the origin's distance to the nearest face of it.

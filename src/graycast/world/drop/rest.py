@@ -101,7 +101,7 @@ def _fall(
 def _rest(
     heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
-    """Poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
+    """Return poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 
     The motion is that of the last 0.6 s, or of the last 0.2 s if these showed that all parts rest.
     A part is damped from when it has left its place until it has come to another.
@@ -134,5 +134,5 @@ def _looks(seconds: float) -> int:
 def _damping(
     time_s: Float[np.ndarray, " n"] | float, from_s: float, doubles_s: float
 ) -> np.ndarray | np.floating:
-    """The factor of damping after some time [s], 1 to `MOST_DAMPING`."""
+    """Return the factor of damping after some time [s], 1 to `MOST_DAMPING`."""
     return np.clip(2.0 ** ((time_s - from_s) / doubles_s), 1.0, MOST_DAMPING)

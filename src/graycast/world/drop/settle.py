@@ -79,7 +79,7 @@ class DropLimits:
 
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
-    """The defects of a layout in words with numbers; empty if it is acceptable."""
+    """Return the defects of a layout in words with numbers; empty if it is acceptable."""
     defects = []
     if layout.outside:
         defects.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
@@ -166,7 +166,7 @@ def make_bodies(
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
-    """Notes on parts whose collision hulls exceed their tolerance."""
+    """Return notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
         f"{part.name}: its collision hulls are too coarse: they are up to "
         f"{1e3 * hulls.worst_m:.2f} mm from its surface, and the bound is "
@@ -178,7 +178,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
-    """A text on all failed attempts, with remedies for the defects of the best one."""
+    """Return a text on all failed attempts, with remedies for the defects of the best one."""
     best = min(tried, key=lambda one: (one.outside, not one.at_rest, one.deepest_penetration_m))
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
@@ -283,7 +283,7 @@ def start_poses(
 def _orientation(
     points: Float[np.ndarray, "k 3"], width_m: Float[np.ndarray, "2"], rng: np.random.Generator
 ) -> Float[np.ndarray, "3 3"]:
-    """A uniformly random rotation that keeps the points inside a cell of this width."""
+    """Return a uniformly random rotation that keeps the points inside a cell of this width."""
     for _ in range(ORIENTATION_TRIES):
         rotation = rotation_from_quaternion(random_quaternions(1, rng)[0])
         if (np.abs(points @ rotation[:2].T).max(axis=0) * 2 <= width_m).all():

@@ -94,7 +94,7 @@ def _u_profile_mm() -> list[tuple[float, float]]:
 
 
 def _extruded_along_y(profile_mm: list[tuple[float, float]], length_mm: float) -> Manifold:
-    """A profile in x and z, extruded symmetrically about y = 0."""
+    """Return a profile in x and z, extruded symmetrically about y = 0."""
     block = CrossSection([profile_mm]).extrude(length_mm)
     return block.rotate((90, 0, 0)).translate((0, length_mm / 2, 0))
 
@@ -114,7 +114,7 @@ def _carton(
     density_kg_m3: float,
     roughness: float,
 ) -> Part:
-    """A printed box with slightly rounded edges. The print tells all its sides apart."""
+    """Return a printed box with slightly rounded edges. The print tells all its sides apart."""
     vertices, faces, panel = rounded_box(size_mm, edge_mm, steps=3)
     corner_uv = np.empty((len(faces), 3, 2))
     for side, (_, right, up) in PANELS.items():
@@ -134,13 +134,13 @@ def _carton(
 def _into_region(
     share: Float[np.ndarray, "*n 2"], region: tuple[float, float, float, float]
 ) -> Float[np.ndarray, "*n 2"]:
-    """Positions in a panel (0 to 1 to the right and up) as uv of the atlas."""
+    """Return positions in a panel (0 to 1 to the right and up) as uv of the atlas."""
     low, high = np.array(region[:2]), np.array(region[2:])
     return low + share * (high - low)
 
 
 def _salt_box() -> Part:
-    """A salt box of the size of KIT's `yellowsaltcube`, which is no cube: 61 x 70 x 146 mm.
+    """Return a salt box of the size of KIT's `yellowsaltcube`, which is no cube: 61 x 70 x 146 mm.
 
     Density: 650 g of salt (1.2 kg per litre as poured, the box nine tenths full) and 20 g of
     carton in 0.607 litres.
@@ -172,7 +172,7 @@ _SPRAY_BODY_MM = (58.0, 46.0, 128.0)
 
 
 def _spray() -> Part:
-    """A trigger spray bottle, its nozzle along +x and the front of its label towards -y.
+    """Return a trigger spray bottle, its nozzle along +x and the front of its label towards -y.
 
     Density: 250 g of liquid and 45 g of plastic in the 0.31 litres that the shape encloses.
     """
@@ -235,7 +235,7 @@ def _spray_head() -> Manifold:
 
 
 def _chain(path_mm: list[tuple[float, float]], *, radius_mm: float, width_mm: float) -> Manifold:
-    """A round-edged strip along a path in x and z, `width_mm` wide in y."""
+    """Return a round-edged strip along a path in x and z, `width_mm` wide in y."""
     rod = Manifold.cylinder(width_mm, radius_mm, radius_mm, 24, True).rotate((90, 0, 0))
     rods = [rod.translate((x, 0, z)) for x, z in path_mm]
     links = [Manifold.batch_hull(list(pair)) for pair in pairwise(rods)]
@@ -243,7 +243,7 @@ def _chain(path_mm: list[tuple[float, float]], *, radius_mm: float, width_mm: fl
 
 
 def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
-    """Position on the wrapped label, 0 to 1: arc length from the seam at +y, and height.
+    """Return the position on the wrapped label, 0 to 1: arc length from the seam at +y, and height.
 
     The arc length is that of the widest section at the same polar angle. Seen from above it runs
     counter-clockwise, which a reader in front sees as left to right.
@@ -277,7 +277,7 @@ BUILTIN: tuple[str, ...] = tuple(_MAKERS)
 
 
 def builtin_part(name: str) -> Part:
-    """A part known by name.
+    """Return a part known by name.
 
     Raises:
         ValueError: the name is not in `BUILTIN`.

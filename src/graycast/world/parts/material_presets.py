@@ -121,7 +121,7 @@ MATERIALS: Mapping[str, MaterialPreset] = {
 
 
 def material_preset(name: str) -> MaterialPreset:
-    """A material known by name.
+    """Return a material known by name.
 
     Raises:
         ValueError: the name is not in `MATERIALS`.

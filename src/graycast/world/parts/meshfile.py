@@ -240,7 +240,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
-    """The reader's meshes as one; uv and texture are kept where one texture covers all."""
+    """Return the reader's meshes as one; uv and texture are kept where one texture covers all."""
     start = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
     faces = [
         np.asarray(piece.faces, dtype=np.int64) + s
@@ -290,7 +290,7 @@ def _uv(piece) -> Float[np.ndarray, "v 2"] | None:
 
 
 def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
-    """A piece's base-colour picture as 8-bit RGB, if it has one."""
+    """Return a piece's base-colour picture as 8-bit RGB, if it has one."""
     material = getattr(piece.visual, "material", None)
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is None:
@@ -307,7 +307,7 @@ def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
 
 
 def _face_color(pieces: Sequence) -> UInt8[np.ndarray, "f 3"] | None:
-    """The sRGB of each face, where every piece has colours of its vertices or faces."""
+    """Return the sRGB of each face, where every piece has colours of its vertices or faces."""
     if any(piece.visual.kind not in ("vertex", "face") for piece in pieces):
         return None
     return np.concatenate([np.asarray(p.visual.face_colors)[:, :3] for p in pieces])

@@ -34,7 +34,7 @@ def crease_normals(
 def _smooth_groups(
     faces: Int[np.ndarray, "f 3"], face_normal: Float[np.ndarray, "f 3"], crease_rad: float
 ) -> Int[np.ndarray, " c"]:
-    """A label per corner (face major): equal where corners share one normal."""
+    """Return a label per corner (face major): equal where corners share one normal."""
     n = len(faces)
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()  # edge i leaves corner i
     low, high = np.minimum(start, end), np.maximum(start, end)

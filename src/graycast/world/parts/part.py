@@ -223,7 +223,7 @@ _END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain has 
 
 
 def corner_grain(mesh: Mesh, grain: Grain) -> Float[np.ndarray, "f 3 3"]:
-    """The direction of grooves at each face corner, of any length, not yet in the surface.
+    """Return the direction of grooves at each face corner, of any length, not yet in the surface.
 
     Directions of a turned part are `axis x (corner - point)`: linear, so between the corners of a
     face they are right, too. Faces nearly across the grain have another direction: ends of a
@@ -283,7 +283,7 @@ class Part:
             )
 
     def scaled(self, factor: float) -> "Part":
-        """The same part `factor` times as large, of the same material."""
+        """Return the same part `factor` times as large, of the same material."""
         vertices_m = self.mesh.vertices_m * factor
         discrete = tuple(np.array(motion) for motion in self.symmetry.discrete)
         for motion in discrete:

@@ -33,7 +33,7 @@ PresetName = Annotated[
 
 
 def _named_axis(axis: Any) -> Any:
-    """The direction of x, y or z of the mesh; all else is checked as a vector."""
+    """Return the direction of x, y or z of the mesh; all else is checked as a vector."""
     names = ("x", "y", "z")
     return tuple(float(name == axis) for name in names) if axis in names else axis
 
@@ -333,7 +333,7 @@ def _symmetry(section: SymmetrySection | None, mesh: Mesh) -> Symmetry:
 def resolve_material(
     section: MaterialSection, folder: Path, *, own: Material | None = None
 ) -> Material:
-    """A material, its pictures read.
+    """Return a material, its pictures read.
 
     Args:
         own: what a key that is left out keeps, unless the section names a preset; None is the

@@ -124,7 +124,7 @@ class _Panel:
 
 
 def _font(face: str, size: float) -> ImageFont.FreeTypeFont:
-    """A face of the DejaVu family, which Matplotlib ships."""
+    """Return a face of the DejaVu family, which Matplotlib ships."""
     from matplotlib import get_data_path
 
     file = Path(get_data_path(), "fonts", "ttf", f"DejaVu{face}.ttf")
@@ -132,7 +132,7 @@ def _font(face: str, size: float) -> ImageFont.FreeTypeFont:
 
 
 def salt_box_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """The six panels of the yellow salt box."""
+    """Return the six panels of the yellow salt box."""
     yellow, blue, white, red = (250, 205, 20), (20, 60, 140), (250, 248, 240), (205, 35, 40)
     x_mm, y_mm, z_mm = SALT_BOX_MM
 

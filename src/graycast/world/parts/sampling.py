@@ -15,7 +15,7 @@ _PLASTIC = 1.32471795724474602596
 def surface_points(
     mesh: Mesh, step_m: float, *, most: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Points on the surface about `step_m` apart, and the faces' outward normals there.
+    """Return points on the surface about `step_m` apart, and the faces' outward normals there.
 
     Each new point is the candidate farthest from all before it, until none is farther than the
     step or there are `most`: the spacing is then wider, and as even. No chance is involved.

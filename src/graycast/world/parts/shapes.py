@@ -122,7 +122,7 @@ def _cube_grid(
 
 
 def solid(surface: Surface) -> Manifold:
-    """A closed surface as a solid for boolean operations."""
+    """Return a closed surface as a solid for boolean operations."""
     manifold = manifold_of(*surface)
     if manifold.is_empty():
         raise ValueError(f"not a closed surface: {manifold.status()}")
@@ -132,7 +132,7 @@ def solid(surface: Surface) -> Manifold:
 def union(
     pieces: Mapping[str, Manifold],
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], tuple[str, ...]]:
-    """The union of named solids, and the name of the piece that each face came from."""
+    """Return the union of named solids, and the name of the piece that each face came from."""
     whole = Manifold()
     name_of_id = {}
     for name, piece in pieces.items():

@@ -13,7 +13,7 @@ PACKING = 0.5  # This share of a full bin lies within the convex hulls of its pa
 
 
 def mass_kg(part: Part) -> float:
-    """Mass of the part as a solid: density times the volume that its mesh encloses.
+    """Return the mass of the part as a solid: density times the volume that its mesh encloses.
 
     Source: divergence theorem; the signed volumes of tetrahedra from the origin to each face.
     """

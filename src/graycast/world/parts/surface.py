@@ -60,7 +60,7 @@ def too_many(faces: int) -> str:
 
 
 def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
-    """The same surface with one vertex per position; uv stays with the face corners."""
+    """Return the same surface with one vertex per position; uv stays with the face corners."""
     used = surface.used
     first, of_used = _distinct(surface.vertices[used])
     position = surface.vertices[used][first]
@@ -147,7 +147,7 @@ def judge(surface: RawMesh, findings: list[str]) -> None:
 
 
 def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
-    """The surface of one solid: of bodies that overlap, that of their union."""
+    """Return the surface of one solid: of bodies that overlap, that of their union."""
     outward, inward = shells_of(surface.vertices, surface.faces)
     joined = union_if_overlapping(outward, inward)
     if len(outward) > 1:
@@ -173,7 +173,7 @@ def manifold_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"
 
 
 def surface_of(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices and faces."""
+    """Return vertices and faces."""
     mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts).astype(np.int64)
 
@@ -181,7 +181,7 @@ def surface_of(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarra
 def shells_of(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[tuple[Manifold, ...], tuple[Manifold, ...]]:
-    """A closed mesh's shells that face outwards, and those that face inwards.
+    """Return a closed mesh's shells that face outwards, and those that face inwards.
 
     Bodies that share no more than a vertex or an edge are shells of their own.
 
@@ -200,7 +200,7 @@ def shells_of(
 
 
 def separate(whole: Manifold) -> tuple[Manifold, ...]:
-    """The shells of a solid. (The library's own way takes the square of their number.)"""
+    """Return the shells of a solid. (The library's own way takes the square of their number.)"""
     vertices, faces = surface_of(whole)
     links = (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()))
     count, label = connected_components(
@@ -261,7 +261,7 @@ def union_if_overlapping(
 
 
 def _hollow(body: Manifold, holes: list[Manifold]) -> Manifold:
-    """A body and its cavities, whose faces look into them, as one solid."""
+    """Return a body and its cavities, whose faces look into them, as one solid."""
     vertices, faces = zip(*map(surface_of, (body, *holes)), strict=True)
     starts = np.cumsum([0] + [len(corners) for corners in vertices])[:-1]
     moved = [own + start for own, start in zip(faces, starts, strict=True)]

@@ -77,7 +77,7 @@ def _best_turn(
     flip: Float[np.ndarray, "4 4"],
     M: Float[np.ndarray, "3 3"],
 ) -> float:
-    """The angle t of the turn about the axis that makes `trace(M turn(t) flip)` greatest.
+    """Return the angle t of the turn about the axis that makes `trace(M turn(t) flip)` greatest.
 
     With N = flip M and the unit vector a, Rodrigues' formula gives the trace as a constant and
     `cos t (tr N - a N a) + sin t tr([a]x N)`.
@@ -88,7 +88,7 @@ def _best_turn(
 
 
 def shape_symmetry(mesh: Mesh) -> Symmetry:
-    """The proper rotations that leave a shape as it is, its print and colour aside.
+    """Return the proper rotations that leave a shape as it is, its print and colour aside.
 
     Axes through the middle of the bounding box are tried: those of the box, and those that
     halve the angles between them. What else a shape may have (an axis that is neither) is not
@@ -176,7 +176,7 @@ def _candidates(middle: Float[np.ndarray, "3"]):
 
 
 def axis_rotations() -> Float[np.ndarray, "24 3 3"]:
-    """The rotations that map the coordinate axes to each other, the identity first."""
+    """Return the rotations that map the coordinate axes to each other, the identity first."""
     rotations = []
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
@@ -190,14 +190,14 @@ def axis_rotations() -> Float[np.ndarray, "24 3 3"]:
 def _turn(
     axis: Float[np.ndarray, "3"], offset: Float[np.ndarray, "3"], angle_rad: float
 ) -> Float[np.ndarray, "4 4"]:
-    """A turn about an axis through a point, by Rodrigues' formula."""
+    """Return a turn about an axis through a point, by Rodrigues' formula."""
     K = _cross(axis / np.linalg.norm(axis))
     R = np.eye(3) + np.sin(angle_rad) * K + (1 - np.cos(angle_rad)) * K @ K
     return _about(R, offset)
 
 
 def _cross(a: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of the vector product with a."""
+    """Return the matrix of the vector product with a."""
     return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
 
 

@@ -14,7 +14,7 @@ _SEED = 7
 
 @cache
 def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
-    """An sRGB picture with the grain along its rows; it repeats without a seam."""
+    """Return an sRGB picture with the grain along its rows; it repeats without a seam."""
     rng = np.random.default_rng(_SEED)
 
     def noise(along_px: float, across_px: float) -> np.ndarray:

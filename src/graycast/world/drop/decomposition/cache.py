@@ -11,7 +11,7 @@ from .error import Decomposition
 
 
 def read_decomposition(file: Path) -> Decomposition | None:
-    """The content of a cache file; None if the file is missing or damaged."""
+    """Return the content of a cache file; None if the file is missing or damaged."""
     try:
         # NumPy leaves a file open that it opened itself and then could not read.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:

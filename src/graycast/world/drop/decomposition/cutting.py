@@ -81,7 +81,7 @@ class Cutter:
                 yield piece
 
     def _deepest(self, piece: Manifold) -> Float[np.ndarray, "3"]:
-        """The point of the piece's hull that is about the farthest out of the body."""
+        """Return the point of the piece's hull that is about the farthest out of the body."""
         point = spread(piece.hull() - self._body, LID_SAMPLES)[0]
         return point[self._surface.tree.query(point)[0].argmax()]
 
@@ -104,12 +104,12 @@ class Cutter:
 
 
 def _filling(piece: Manifold) -> float:
-    """The volume of the hull minus the volume of the piece [m^3]."""
+    """Return the volume of the hull minus the volume of the piece [m^3]."""
     return piece.hull().volume() - piece.volume()
 
 
 def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
-    """The parts on both sides of a plane.
+    """Return the parts on both sides of a plane.
 
     A plane that a face lies in leaves it as a sheet without thickness on the part beyond, whose
     hull would hold it. So each side is cut a hair off the plane.
@@ -122,7 +122,7 @@ def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
 
 
 def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """The parts of a cut, without those whose mean thickness is below the limit."""
+    """Return the parts of a cut, without those whose mean thickness is below the limit."""
     return [part for part in piece.decompose() if 2 * part.volume() > thin_m * part.surface_area()]
 
 
@@ -145,7 +145,7 @@ def _cut_anywhere(
 def _best_cut(
     piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float, thin_m: float
 ) -> tuple[list[Manifold], float]:
-    """The parts with the least left to fill, and that volume.
+    """Return the parts with the least left to fill, and that volume.
 
     Of planes that leave about as much: one that makes few parts, of even size, by a small cut. So
     a plate is not split into two thinner ones with the same holes.

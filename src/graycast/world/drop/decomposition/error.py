@@ -50,7 +50,7 @@ class MeshSamples:
     tree: cKDTree
 
     def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """The largest distance to the surface; 0 of no points.
+        """Return the largest distance to the surface; 0 of no points.
 
         It is that to the triangles of the `NEAR` nearest samples: exact, or a little too large.
         """
@@ -70,7 +70,7 @@ class MeshSamples:
     def _farthest_m(
         self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, " m"]
     ) -> float:
-        """The nearest sample's distance is an upper bound, so few exact ones are needed."""
+        """Return the exact largest distance; the bounds `most_m` save most computations."""
         order = np.argsort(-most_m)
         farthest, done = 0.0, 0
         while done < len(point) and farthest < most_m[order[done]]:
@@ -83,7 +83,7 @@ class MeshSamples:
 
 
 def surface_samples(solid: Manifold) -> MeshSamples:
-    """A surface with samples to find its triangles by."""
+    """Return a surface with samples to find its triangles by."""
     point, face, corner = spread(solid, SAMPLES)
     cross = _cross(corner)
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(float).tiny)

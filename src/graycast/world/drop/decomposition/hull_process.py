@@ -93,7 +93,7 @@ class _Child:
 
 @contextmanager
 def _started(part: Part) -> Iterator[_Child]:
-    """A child that decomposes the part's mesh, and ends with this context however it ends."""
+    """Yield a child that decomposes the part's mesh, and ends with this context however it ends."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="graycast-hulls-")))
         mesh_file, hull_file = folder / "mesh.npz", folder / "hulls.npz"

@@ -89,7 +89,7 @@ def prepare(
 
 
 def _key(mesh: Mesh) -> str:
-    """A name for the result: everything it depends on."""
+    """Return a name for the result: everything it depends on."""
     digest = hashlib.sha256(repr((CACHE_VERSION, version("manifold3d"), _SETTINGS)).encode())
     for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
         digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())

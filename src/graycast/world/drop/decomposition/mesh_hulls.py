@@ -27,7 +27,7 @@ _PROGRESS_EACH = 25  # Progress is reported after each group of this many pieces
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
-    """The hulls of `prepare`, not measured, made in this process.
+    """Return the hulls of `prepare`, not measured, made in this process.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.

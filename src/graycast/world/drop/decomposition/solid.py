@@ -54,7 +54,7 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
 
 
 def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:
-    """The convex hull of points, faces turned outward."""
+    """Return the convex hull of points, faces turned outward."""
     hull = ConvexHull(vertices)
     number = np.full(len(vertices), -1)
     number[hull.vertices] = np.arange(len(hull.vertices))
@@ -68,7 +68,7 @@ def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:
 def height_m(
     point: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Largest signed distance to the planes of the vertices' hull; negative inside."""
+    """Return the largest signed distance to the planes of the vertices' hull; negative inside."""
     plane = _planes(vertices)
     return (point @ plane[:, :3].T + plane[:, 3]).max(axis=1)
 
@@ -78,7 +78,7 @@ def _planes(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "p 4"]:
 
 
 def thinned(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarray, "k 3"]:
-    """A subset of vertices whose hull leaves no other vertex farther outside than the limit.
+    """Return a subset of vertices whose hull leaves no other vertex farther outside than the limit.
 
     The engine's cost grows with each vertex. The farthest one outside of each face is added until
     none is outside.

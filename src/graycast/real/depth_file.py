@@ -201,7 +201,7 @@ def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
 def _size(
     path: Path, header: list[str], count: int, size_px: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Width and height: those given, or those of the header."""
+    """Return width and height: the given ones, or those of the header."""
     size_of = {}
     for line in header:
         words = line.split()

@@ -228,7 +228,7 @@ def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
 
 
 def _darknet(name: str, channels: int) -> Backbone:
-    """Redmon & Farhadi, "YOLOv3: An Incremental Improvement", 2018, Table 1."""
+    """Return the backbone of YOLOv3 (Redmon & Farhadi, 2018, Table 1)."""
     parts: dict[str, nn.Module] = {"conv1": Convolution(channels, 32, 3)}
     widths = (64, 128, 256, 512, 1024)
     for index, (width, count) in enumerate(zip(widths, (1, 2, 8, 8, 4), strict=True), 1):

@@ -133,7 +133,7 @@ def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
 
 
 def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[Example]:
-    """Pictures as `import_real` reads them, without labels; numbered in the order of their names.
+    """Yield pictures as `import_real` reads them, without labels, numbered by their names' order.
 
     Raises:
         DatasetError: one is damaged.

@@ -154,7 +154,7 @@ class Detector:
         most: int = 300,
         least_score: float = 0.05,
     ) -> Detections:
-        """The same for a picture that is encoded already; it was `picture_px` high and wide."""
+        """Do the same as `detect` for an encoded picture, which was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
         output = self.answer(image, most=most, least_score=least_score)
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
@@ -277,7 +277,7 @@ def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
 
 
 def choose_device(name: str) -> torch.device:
-    """`auto` is the GPU where torch has one, else the processor.
+    """Return the device of a name; `auto` is the GPU if torch has one, else the processor.
 
     Raises:
         GraycastError: a GPU is asked for, and torch finds none.

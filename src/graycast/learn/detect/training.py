@@ -358,7 +358,7 @@ class _Validation:
         return _Validation(encoded=encoded, labels=tuple(labels))
 
     def figures(self, detector: Detector, meter: ProgressMeter) -> Row:
-        """Average precision of boxes, and of masks where the network has them."""
+        """Return the average precision of boxes, and of masks if the network has them."""
         detector.network.eval()
         ids = {name: i for i, name in enumerate(detector.about.names)}
         detections = []
@@ -378,7 +378,7 @@ class _Validation:
 def _optimizer(
     network: torch.nn.Module, learning_rate: float, weight_decay: float
 ) -> torch.optim.Optimizer:
-    """Matrices and kernels decay, biases and norms do not."""
+    """Return AdamW with decay of matrices and kernels, but not of biases and norms."""
     weights = [p for p in network.parameters() if p.requires_grad]
     groups = [
         {"params": [p for p in weights if p.ndim > 1], "weight_decay": weight_decay},

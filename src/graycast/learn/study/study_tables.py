@@ -141,7 +141,7 @@ def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
 
 
 def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
-    """A bar for each world in each row, with its interval."""
+    """Draw a bar for each world in each row, with its interval."""
     figure, (ax,) = plain_figure(9.0, 0.9 + 0.34 * len(rows), (1,), grid="x")
     height = 0.8 / len(spec.tests)
     for number, (world, ink) in enumerate(

@@ -341,7 +341,7 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
 def poses_between(
     obs: Observations, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> Float[np.ndarray, "views 4 4"]:
-    """`T_proj_cam` as each view has it, by a calibration of each device alone."""
+    """Return `T_proj_cam` of each view, from separate calibrations of the devices."""
     T_cam_board = _alone(obs, obs.camera_px, camera_size_px)[1]
     return _alone(obs, obs.projector_px, projector_size_px)[1] @ inverse(T_cam_board)
 

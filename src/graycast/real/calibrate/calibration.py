@@ -79,7 +79,7 @@ def calibrate_rig(
     radial_terms: int = 3,
     tangential: bool = True,
 ) -> Calibration:
-    """Camera, projector and the pose between them from a board in three or more directions.
+    """Calibrate camera, projector and the pose between them from three or more board poses.
 
     The projector is an inverse camera: the decoded code says where it "sees" each corner.
 
@@ -248,7 +248,7 @@ def _view_residual(
 
 
 def _rms(residual: Float[np.ndarray, "n d"]) -> float:
-    """Root mean square length; NaN of nothing."""
+    """Return the root mean square length; NaN without any vector."""
     return float(np.sqrt(np.square(residual).sum(axis=1).mean())) if len(residual) else math.nan
 
 

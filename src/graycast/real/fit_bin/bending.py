@@ -258,7 +258,7 @@ class _Bend:
     log_ratio: Float[np.ndarray, "h w"]
 
     def shift_m(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points outside of the picture take its nearest pixel, those behind the camera stay."""
+        """Return the shift of points; 0 behind the camera, the nearest pixel's beyond the edge."""
         pixel = self._pixel(point_m)
         front = np.isfinite(pixel).all(axis=1)
         growth = np.zeros(len(pixel))

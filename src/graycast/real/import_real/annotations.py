@@ -175,7 +175,7 @@ def _run_lengths(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> 
 
 
 def _labelme(path: Path, content: Mapping[str, Any]) -> Annotation:
-    """Shapes with the same label and the same `group_id` are one instance."""
+    """Read a LabelMe file; shapes with the same label and `group_id` are one instance."""
     beyond_px = 0.0
     try:
         size = (int(content["imageHeight"]), int(content["imageWidth"]))

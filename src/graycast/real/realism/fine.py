@@ -179,7 +179,7 @@ def median_over_mean() -> float:
 def _incidence_rad(
     scan: DepthScan, z_m: Float[np.ndarray, "n t t"], number: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Between each tile's plane and the camera's ray in its middle; tiles count row by row.
+    """Return the angle between each tile's plane and the camera's ray; tiles count row by row.
 
     With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
     is K^-1 (x, y, 1).
@@ -240,7 +240,7 @@ def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None
 
 
 def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Less the median of blocks of 32 pixels: what warms up or moves by a little is not noise."""
+    """Subtract the median of blocks of 32 pixels, because slow drift is not noise."""
     rest = np.full(difference.shape, np.nan)
     for y in range(0, difference.shape[0], 32):
         for x in range(0, difference.shape[1], 32):

@@ -145,7 +145,7 @@ def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) 
 
 
 def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
-    """b, t [m], the pixels that a gap is wider than its shadow, and the length's error [m]."""
+    """Solve for b and t [m], the excess width of gaps [px], and the length's error [m]."""
     side, share = np.sign(start_m), np.sqrt(gaps.weight) / _EDGE_PX
     middle_m = float(np.median((gaps.near_m + gaps.far_m) / 2))
     usual_m = start_m**2 / (2 * middle_m)

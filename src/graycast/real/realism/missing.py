@@ -160,7 +160,7 @@ def _binomial(
 def _crossing(
     level: Float[np.ndarray, " n"], falling: Float[np.ndarray, " n"], value: float
 ) -> float:
-    """Half way between the last level above the value and the first below."""
+    """Return the middle between the last level above the value and the first below."""
     after = int(np.argmax(falling <= value))
     return float((level[max(after - 1, 0)] + level[after]) / 2)
 

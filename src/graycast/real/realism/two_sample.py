@@ -135,7 +135,7 @@ def depth_step_m(scans: Sequence[DepthScan]) -> float:
 
 
 def require_sklearn() -> None:
-    """Raises GraycastError where scikit-learn is not installed."""
+    """Raise GraycastError if scikit-learn is not installed."""
     if importlib.util.find_spec("sklearn") is None:
         raise GraycastError(
             "the two-sample test needs scikit-learn, which is not installed: run pip install "

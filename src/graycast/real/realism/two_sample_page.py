@@ -52,7 +52,7 @@ def two_sample_table(test: TwoSample) -> str:
 def write_two_sample(
     test: TwoSample, first: Sequence[DepthScan], second: Sequence[DepthScan], folder: Path
 ) -> None:
-    """`classifier.md`, `classifier.json` and a picture of each place that has squares.
+    """Write `classifier.md`, `classifier.json` and a picture of each place that has squares.
 
     Raises:
         GraycastError: a file cannot be written.

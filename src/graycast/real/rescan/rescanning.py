@@ -304,7 +304,7 @@ def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
 
 
 def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: Scanner) -> None:
-    """Before any work: the rig must be able to measure one of the first images.
+    """Refuse a rig that cannot measure any of the first images, before any work is done.
 
     Raises:
         ConfigError: it measures none, and will not measure others of the same camera.

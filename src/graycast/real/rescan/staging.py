@@ -147,7 +147,7 @@ def _lamps(depth_m: float) -> tuple[Lamp, ...]:
 def _nearest(
     image: SourceImage, parts: Mapping[int, Part], modelled: Collection[int]
 ) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
-    """Depth of the nearest object at each pixel, NaN for none, and which instance it is, or -1."""
+    """Return the depth of the nearest object at each pixel, and its instance; NaN, -1 for none."""
     nearest_m = np.full(image.depth_m.shape, np.inf)
     which = np.full(image.depth_m.shape, -1)
     for i in modelled:

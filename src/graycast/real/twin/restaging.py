@@ -158,7 +158,7 @@ def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
 def _mean(
     value: Float[np.ndarray, "h w"], counts: Bool[np.ndarray, "h w"], size_px: int
 ) -> Float[np.ndarray, "h w"]:
-    """Over a square, of the pixels that count; 0 where none does."""
+    """Return the mean over a square of the pixels that count; 0 where none does."""
     share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
     total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
     return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)

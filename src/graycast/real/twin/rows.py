@@ -173,7 +173,7 @@ def _one(
 
 
 def _percentile(sigma_mm: Float[np.ndarray, " n"], share: int) -> float:
-    """NaN of a few tiles."""
+    """Return a percentile; NaN if there are too few tiles."""
     return float(np.percentile(sigma_mm, share)) if len(sigma_mm) >= _LEAST_TILES else np.nan
 
 

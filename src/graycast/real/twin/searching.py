@@ -129,7 +129,7 @@ def search(
 def scans_of(
     lit: Sequence[LitScene], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
 ) -> Iterator[DepthScan]:
-    """The twin's scans of the scenes, made one by one; one in which nothing is lit is left out."""
+    """Yield the twin's scans of the scenes; one in which nothing is lit is left out."""
     look = BinLook(
         color=values.get(BIN_COLOR, 1.0),
         gloss=values.get(BIN_GLOSS, 1.0),

@@ -115,7 +115,7 @@ def summary(twin: Twin) -> list[str]:
 
 
 def draw_twin(twin: Twin, path: Path) -> None:
-    """Real, as configured and twin side by side; the misfit of each statistic below."""
+    """Draw real, configured and twin scans side by side, and the misfit of each statistic below."""
     figure = Figure(figsize=(15, 11), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
     known = np.concatenate([s.depth_m[s.valid] for s in twin.examples])

@@ -118,7 +118,7 @@ def _highest_of_mesh(corner, step_m, height):
 
 @kernel()
 def _highest_of_depth(points, here, least_facing, step_m, height):
-    """The two triangles of each four neighbouring pixels, where they are one surface.
+    """Raise `height` by both triangles of each four neighbouring pixels that are one surface.
 
     `points` are in the camera's frame, `here` the same in the tool's.
     """

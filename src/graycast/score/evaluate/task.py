@@ -157,7 +157,7 @@ def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
 
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
-    """Sentences about one file of results."""
+    """Yield sentences about one file of results."""
     if doubled := sum(map(_doubled, judgements[0].known.detections)):
         yield (
             f"{doubled} detections repeat another one (same picture, class and outline), and each "

@@ -112,7 +112,7 @@ def _on_one_surface(
     offset_m: Float[np.ndarray, " n"],
     aside_m: Float[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """False where either is unknown."""
+    """Return whether both points are on one surface; False if either is unknown."""
     spread_m = np.sqrt(own.variance_along(across) + there.variance_along(across))
     both = own.plane & there.plane
     slope = np.where(both, _SLOPE, _UNKNOWN_SLOPE)

@@ -48,7 +48,7 @@ class SphereFit:
     radius_m: float
 
     def distance_m(self, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-        """Outwards from the surface."""
+        """Return the signed distance of points from the surface, positive outwards."""
         return np.linalg.norm(point - self.centre_m, axis=-1) - self.radius_m
 
 

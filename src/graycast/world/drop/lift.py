@@ -134,7 +134,7 @@ class _Spring:
 
     @staticmethod
     def of(hold: Hold, body: Body) -> "_Spring":
-        """Damped critically; no stiffer than a step can follow.
+        """Return a spring with critical damping that is no stiffer than a step can follow.
 
         A force beside the centre of mass turns the part, too: what it moves there is less than
         the part's mass.
@@ -156,7 +156,7 @@ class _Spring:
     def pull(
         self, part: _Motion, target: _Motion
     ) -> tuple[Vector3, Vector3, tuple[Vector3, Vector3]]:
-        """Force on the part's origin, moment about it, and the load on the tool in its frame."""
+        """Return the force on the part's origin, the moment about it, and the load on the tool."""
         T, velocity, turning = part
         goal, goal_velocity, goal_turning = target
         tool = T @ self.T_part_tool

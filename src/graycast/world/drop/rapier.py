@@ -97,7 +97,7 @@ class RapierHeap:
             self.world.step()
 
     def motion(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A part's pose, its origin's velocity [m/s], and how it turns [rad/s], in the world."""
+        """Return a part's pose, its origin's velocity [m/s] and turn rate [rad/s], in the world."""
         body = self.world.rigid_bodies[self.parts[number]]
         at_origin = body.velocity_at_point(body.position.translation.to_tuple())
         return _poses([body])[0], _three(at_origin) / SCALE, _three(body.angvel)
@@ -105,7 +105,7 @@ class RapierHeap:
     def push(
         self, number: int, force_n: Float[np.ndarray, "3"], moment_nm: Float[np.ndarray, "3"]
     ) -> None:
-        """Until the next push, a force on a part's origin and a moment about it."""
+        """Apply a force on a part's origin, and a moment about it, until the next call."""
         body = self.world.rigid_bodies[self.parts[number]]
         body.reset_forces(True)
         body.reset_torques(True)
@@ -163,7 +163,7 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
 def _add_bin(
     world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float | None, *, friction: float
 ) -> list[Pieces]:
-    """Floor, walls, table, and invisible walls without friction from the rim to the ceiling."""
+    """Add floor, walls, table, and frictionless invisible walls from the rim to the ceiling."""
     half_x, half_y, rim_m = box.inner_m[0] / 2, box.inner_m[1] / 2, box.inner_m[2]
     out_x, out_y, below = half_x + WALL_M, half_y + WALL_M, -max(WALL_M, box.wall_m)
     sides = [((-out_x, -half_x), (-out_y, out_y)), ((half_x, out_x), (-out_y, out_y))]
@@ -260,7 +260,9 @@ def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
 
 
 def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
-    """`solids`: by collider label, its convex pieces as vertices [m] in the world.
+    """Return the deepest overlap of any two solids [m].
+
+    `solids` has, by collider label, the convex pieces as vertices [m] in the world.
 
     The engine's own figure is not reliable: in a heap of 255 concave parts it reports a depth of
     metres for one or two pairs, and such a false alarm would reject every full bin.

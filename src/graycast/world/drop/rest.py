@@ -54,7 +54,7 @@ def simulate(
     *,
     simulated_s: float,
 ) -> Layout:
-    """Lets parts fall from their start poses until they rest, or for `simulated_s`.
+    """Let parts fall from their start poses until they rest, or for `simulated_s`.
 
     At rest means: without guiding walls, without damping and with nine tenths of the friction, no
     point of a part moved by more than 0.5 mm in 0.6 s, or none by more than 10 um in 0.2 s. So what
@@ -87,7 +87,7 @@ def simulate(
 def _fall(
     heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float]:
-    """Poses where no part moves far any more, or patience ends, and the simulated time [s]."""
+    """Return poses when no part moves far any more, or time is out, and the simulated time [s]."""
     poses = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
     for look in range(1, 1 + _looks(patience_s)):
         heap.damp(np.full(len(box_m), _damping(look * LOOK_S, *FALL_DAMPING_S)))

@@ -47,7 +47,7 @@ def _mesh(
 
 
 def _ring() -> Part:
-    """A turned steel ring. Its two ends differ, so only turns about its axis leave it unchanged."""
+    """Return a turned steel ring. Its ends differ, so only turns about its axis are symmetries."""
     return Part(
         name="metal_workpiece_2",
         mesh=_mesh(*revolve(np.array(RING_PROFILE_MM), RING_SEGMENTS)),
@@ -59,7 +59,7 @@ def _ring() -> Part:
 
 
 def _bracket() -> Part:
-    """A milled steel U bracket, 60 x 40 x 30 mm, unchanged by half a turn about its z axis."""
+    """Return a milled steel U bracket, 60 x 40 x 30 mm, unchanged by half a turn about z."""
     body = _extruded_along_y(_u_profile_mm(), 40.0) ^ _chamfered_footprint()
     cuts = Manifold()
     for x in (-12.0, 12.0):  # screw holes in the base, countersunk from above
@@ -86,7 +86,7 @@ def _bracket() -> Part:
 
 
 def _u_profile_mm() -> list[tuple[float, float]]:
-    """Half of it written down, (x, z) counter-clockwise; 1.5 mm chamfers, 3 mm inner fillets."""
+    """Return the profile (x, z), counter-clockwise: 1.5 mm chamfers, 3 mm inner fillets."""
     fillet = [(19 + 3 * np.sin(a), 10 - 3 * np.cos(a)) for a in np.pi / 2 * np.arange(7) / 6]
     right = [(28.5, 0.0), (30.0, 1.5), (30.0, 28.5), (28.5, 30.0), (23.5, 30.0), (22.0, 28.5)]
     right += fillet[::-1]

@@ -84,7 +84,7 @@ def load_part(
 def load_mesh(
     path: Path, *, unit: str | None = None, material: Material | None = None
 ) -> tuple[Mesh, Material, tuple[str, ...]]:
-    """A mesh in metres, in the file's own frame, and its surface, from OBJ, PLY, STL, GLB or STEP.
+    """Load a mesh in metres, and its surface, from OBJ, PLY, STL, GLB or STEP.
 
     Args:
         path: the mesh file; a texture is looked for where the file says.
@@ -136,7 +136,7 @@ def _load_reader() -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps a dependency's log lines and warnings off the user's terminal."""
+    """Keep a dependency's log lines and warnings off the user's terminal."""
     from trimesh.util import log as logger
 
     was_disabled, logger.disabled = logger.disabled, True

@@ -65,7 +65,7 @@ def _corner_angles(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3
 
 
 def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Scaled to length 1; a null vector becomes (0, 0, 1)."""
+    """Scale vectors to length 1; a null vector becomes (0, 0, 1)."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     unit = vector / np.where(length > 0, length, 1.0)
     return np.where(length > 0, unit, np.array([0.0, 0.0, 1.0]))

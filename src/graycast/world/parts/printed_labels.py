@@ -75,7 +75,7 @@ class _Panel:
         self.draw.rectangle(self._px(box), fill=colour)
 
     def round(self, box: Box, colour: Colour, radius: float) -> None:
-        """A rectangle whose corners have a radius given as a fraction of the panel's height."""
+        """Draw a rectangle whose corners have a radius in units of the panel's height."""
         self.draw.rounded_rectangle(self._px(box), radius * self.image.size[1], fill=colour)
 
     def ellipse(self, box: Box, colour: Colour) -> None:
@@ -86,7 +86,7 @@ class _Panel:
         self.draw.polygon([(x * w, y * h) for x, y in points], fill=colour)
 
     def text(self, box: Box, text: str, colour: Colour, face: str = "Sans-Bold") -> None:
-        """Text centred in a box and as large as fits it."""
+        """Draw text that is centred in a box and as large as fits."""
         left, top, right, bottom = self._px(box)
         probe = _font(face, 100.0).getbbox(text)
         wide, high = probe[2] - probe[0], probe[3] - probe[1]
@@ -97,7 +97,7 @@ class _Panel:
         self.draw.text(at, text, fill=colour, font=font)
 
     def lines(self, box: Box, lines: Sequence[str], colour: Colour, face: str = "Sans") -> None:
-        """Small print: lines of one size, flush left, that fill a box from the top."""
+        """Draw small print: lines of one size, flush left, that fill a box from the top."""
         left, top, right, bottom = self._px(box)
         probe = _font(face, 100.0)
         widest = max(probe.getlength(line) for line in lines)
@@ -107,7 +107,7 @@ class _Panel:
             self.draw.text(at, line, fill=colour, font=_font(face, size))
 
     def barcode(self, box: Box, seed: int) -> None:
-        """Black bars of random width on white, and digits that mean nothing."""
+        """Draw black bars of random width on white, and digits that mean nothing."""
         rng = np.random.default_rng(seed)
         x0, y0, x1, y1 = box
         self.fill(box, (255, 255, 255))

@@ -63,7 +63,7 @@ class Cutter:
         return filled_m(hull, self._body, self._surface) <= self.limit_m
 
     def pieces(self) -> Iterator[Manifold]:
-        """Pieces of the body whose hulls fit, one after another."""
+        """Yield pieces of the body whose hulls fit, one after another."""
         waiting = [(self._body, 0)]
         while waiting:
             piece, cuts = waiting.pop()
@@ -86,7 +86,7 @@ class Cutter:
         return point[self._surface.tree.query(point)[0].argmax()]
 
     def _wedges(self, piece: Manifold) -> list[Manifold]:
-        """A piece that is round about an axis in as few wedges as fit; none if it is not round."""
+        """Cut a round piece into the fewest wedges that fit; none if it is not round."""
         center, axes, moments = _principal(piece)  # moments rise
         lower, upper = moments[1] - moments[0], moments[2] - moments[1]
         if min(lower, upper) > ROUND * moments[2]:
@@ -127,7 +127,7 @@ def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
 
 
 def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """The parts by the flat face that leaves the least to fill; none if too little is won."""
+    """Return the parts by the flat face that leaves the least to fill; none if it gains little."""
     filling = _filling(piece)
     parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []
@@ -231,7 +231,7 @@ def _fan(
     count: int,
     thin_m: float,
 ) -> Iterator[Manifold]:
-    """Wedges of one angle about an axis; the first cut goes through the farthest vertex."""
+    """Yield wedges of one angle about an axis; the first cut goes through the farthest vertex."""
     vertices, _ = surface_of(piece)
     across = vertices - point
     across = across - np.outer(across @ axis, axis)

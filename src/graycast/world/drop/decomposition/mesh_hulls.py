@@ -46,7 +46,7 @@ def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull,
 
 
 def _pieces(cutter: Cutter, body: Manifold, of: str, progress: ProgressMeter) -> list[Manifold]:
-    """Hulls of the pieces; none if there are too many, or it takes too long."""
+    """Return hulls of the pieces; none if there are too many, or it takes too long."""
     pieces: list[Manifold] = []
     for piece in cutter.pieces():
         if len(pieces) == MOST_PIECES or cutter.worked > MOST_FACES_CUT:
@@ -87,7 +87,7 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMete
 
 
 def _joined(hulls: list[Points], cutter: Cutter) -> list[Points]:
-    """Replaces pairs by their common hull, the least harmful first, while that follows the surface.
+    """Replace pairs of hulls by their common hull, the least harmful first, within the tolerance.
 
     The time of a drop grows with the number of hulls, and cuts leave more of them than are needed.
     """

@@ -40,7 +40,9 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
 
 
 def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
-    """The body with fewer faces, a subset of its vertices; how far its surface may have moved [m].
+    """Return the body with fewer faces, and how far its surface may have moved [m].
+
+    The new vertices are a subset of the old ones.
 
     That is 0.1 of the tolerance, up to 0.3 where more than `ENOUGH_FACES` would be left.
     """

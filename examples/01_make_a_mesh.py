@@ -1,6 +1,6 @@
 """Makes the mesh of configs/own_part.yaml: an aluminium plate with two bores and a slot.
 
-Run: .venv/bin/python examples/01_make_a_mesh.py examples/data/plate.stl
+Run: .venv/bin/python examples/01_make_a_mesh.py out/plate.stl
 """
 
 import sys
@@ -25,7 +25,7 @@ def plate() -> trimesh.Trimesh:
 
 
 if __name__ == "__main__":
-    path = Path(sys.argv[1] if len(sys.argv) > 1 else "plate.stl")
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else "out/plate.stl")
     path.parent.mkdir(parents=True, exist_ok=True)
     shape = plate()
     shape.export(path)

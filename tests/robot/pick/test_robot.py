@@ -132,6 +132,18 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
             "joint1 has no speed limit: give its limit a velocity greater than 0",
         ),
         (
+            re.sub(' velocity="[^"]*"', "", urdf(ARMS["ur5e"]), count=1),
+            "the limit of joint joint1 has no velocity: write it as an attribute of <limit>, in ra",
+        ),
+        (
+            re.sub(' effort="[^"]*"', "", urdf(ARMS["ur5e"]), count=1),
+            "the limit of joint joint1 has no effort: write it",
+        ),
+        (
+            re.sub("<limit [^>]*>", "", urdf(ARMS["ur5e"]), count=1),
+            "joint1 has no lower, no upper, no velocity, no effort: write it as",
+        ),
+        (
             re.sub("<sphere [^>]*>", '<mesh filename="gone.stl" />', urdf(ARMS["ur5e"]), count=1),
             "gone.stl could not be found",
         ),

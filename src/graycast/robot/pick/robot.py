@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
+from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
@@ -254,6 +255,7 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
                 f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
                 f"name a URDF file in {folder}"
             )
+        _check_limits(path)
         try:
             model = pin.buildModelFromUrdf(str(path))
             geometry = pin.buildGeomFromUrdf(
@@ -278,6 +280,32 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
             f"{low[i]:.3f} to {high[i]:.3f}"
         )
     return Robot(text, model, geometry, rest)
+
+
+def _check_limits(path: Path) -> None:
+    """Refuse a joint whose limit lacks an attribute; Pinocchio's error would name neither.
+
+    Raises:
+        ConfigError: a joint that turns or slides has no limit, or one without speed or effort.
+    """
+    try:
+        joints = ElementTree.parse(path).getroot().findall("joint")
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"robot {path}: it is no XML: {error}") from error
+    for joint in joints:
+        kind, limit = joint.get("type"), joint.find("limit")
+        if kind not in ("revolute", "prismatic"):
+            continue
+        attributes = {} if limit is None else limit.attrib
+        missing = [name for name in ("velocity", "effort") if name not in attributes]
+        if limit is None:
+            missing = ["lower", "upper", *missing]
+        if missing:
+            units = "rad and rad/s" if kind == "revolute" else "m and m/s"
+            raise ConfigError(
+                f"robot {path}: the limit of joint {joint.get('name')} has no "
+                f"{', no '.join(missing)}: write it as an attribute of <limit>, in {units}"
+            )
 
 
 def _check_joints(text: str, model: Any) -> None:

@@ -130,6 +130,10 @@ def test_a_file_has_a_name_in_place_of_a_section(tmp_path, material):
     ("material", "line"),
     [
         ("brss", "parts.0.material.preset is 'brss': no material has the name 'brss'; did you"),
+        ("aluminium", "did you mean aluminium-cast or aluminium-machined or aluminium-turned?"),
+        ("aluminum", "did you mean aluminium-cast or aluminium-turned or aluminium-machined?"),
+        ("Steel turned", "did you mean steel-turned?"),
+        ("iron", "did you mean cast-iron?"),
         ("unobtainium", "choose steel, steel-polished,"),
         ({"preset": "bras"}, "did you mean brass?"),
         ({"preset": "brass", "rougness": 0.2}, "did you mean roughness?"),

@@ -128,6 +128,12 @@ def material_preset(name: str) -> MaterialPreset:
     """
     if name in MATERIALS:
         return MATERIALS[name]
-    near = difflib.get_close_matches(name, MATERIALS, n=2)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"choose {', '.join(MATERIALS)}"
-    raise ValueError(f"no material has the name {name!r}; {hint}")
+    plain = name.strip().lower().replace(" ", "-").replace("_", "-")
+    near = [known for known in MATERIALS if plain in known] if plain else []
+    if not near:
+        near = difflib.get_close_matches(plain, MATERIALS, n=4)
+        stem = next((known.partition("-")[0] for known in near), "")
+        near += [known for known in MATERIALS if known.startswith(f"{stem}-") and known not in near]
+    if not near:
+        raise ValueError(f"no material has the name {name!r}; choose {', '.join(MATERIALS)}")
+    raise ValueError(f"no material has the name {name!r}; did you mean {' or '.join(near)}?")

@@ -20,6 +20,7 @@ from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
 
 from graycast import __version__
+from graycast.base.errors import ConfigError
 from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.camera.stack import stack_schema
@@ -266,6 +267,14 @@ def test_each_example_is_a_command_that_is_understood():
         command._parser().parse_args(line.strip().split("  ")[0].split()[1:])
 
 
+def test_the_help_names_the_page_that_lists_all_pages(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = "".join(capsys.readouterr().out.partition("documentation:")[2].split())
+    page = Path(text.partition("index.md")[0] + "index.md")
+    assert page.is_file() and page.read_text(encoding="utf-8").startswith("# Graycast")
+
+
 def test_help_is_whole_sentences():
     """So that each is understood alone; argparse's own words on --help are not ours."""
     for name, parser in commands(command._parser()).items():
@@ -360,7 +369,7 @@ def cell_and_dataset(tmp_path_factory):
     ("workers", "text"),
     [(1, "about 0:00:30 and 0.02 GB"), (4, "about 0:00:08 and"), (0, "0.02 GB")],
 )
-def test_generate_estimates_the_other_scenes_by_the_first(tmp_path, workers, text):
+def test_generate_estimates_the_other_scenes_by_one(tmp_path, workers, text):
     """Ten scenes of 3 s and 2 MB each; the workers share the time, and not the disk."""
     first = TaskResult(
         scene_id=0, files=(("a", bytes(1_500_000)), ("b", bytes(500_000))), seconds=3.0,
@@ -370,6 +379,38 @@ def test_generate_estimates_the_other_scenes_by_the_first(tmp_path, workers, tex
     assert line.startswith(f"the other 10 scenes take {text}")
     huge = replace(first, files=(("a", bytes(1_000_000)),) * 100)
     assert "choose a larger disk" in scene_commands._ahead(huge, 10**9, workers, tmp_path)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_time_of_the_other_scenes_is_without_the_first_of_each_worker(
+    tmp_path, monkeypatch, capsys, workers
+):
+    """A worker's first scene takes a minute, because it compiles; the others take 3 s each."""
+
+    def generate(cell, out, *, on_result, **_):
+        seconds = [60.0] * workers + [3.0] * (10 - workers)
+        for k, duration in enumerate(seconds):
+            (out / "train" / f"{k:06d}").mkdir(parents=True)
+            on_result(
+                TaskResult(
+                    scene_id=k,
+                    files=(("a", bytes(1000)),),
+                    seconds=duration,
+                    reasons={"decoded": 0.5},
+                    rss_bytes=0,
+                )
+            )
+        raise ConfigError("the test ends here")
+
+    monkeypatch.setattr("graycast.cell.generate.generate", generate)
+    path = write_cell(tmp_path)
+    words = ["--out", str(tmp_path / "out"), "--scenes", "10", "--workers", str(workers)]
+    assert main(["generate", str(path), *words, "--device", "cpu"]) == 1
+    text = capsys.readouterr().out
+    assert re.findall(r"the other (\d+) scenes take (?:about (\S+) and )?", text) == [
+        ("9", ""),
+        (str(9 - workers), f"0:00:{round((9 - workers) * 3 / workers):02d}"),
+    ]
 
 
 def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(

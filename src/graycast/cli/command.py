@@ -161,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="graycast",
         description="Graycast simulates a structured-light camera and makes bin-picking "
         "datasets with it.",
-        epilog=EXAMPLES,
+        epilog=f"{EXAMPLES}\n{_documentation()}",
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     parser.add_argument("--print-completion", choices=("bash", "zsh"), help=COMPLETION)
@@ -177,6 +177,14 @@ def _parser() -> argparse.ArgumentParser:
     real_commands.add_commands(commands)
     start_commands.add_last(commands)
     return parser
+
+
+def _documentation() -> str:
+    """Return where the pages are: in the clone that this program comes from, if it does."""
+    pages = Path(__file__).parents[3] / "docs" / "index.md"
+    if pages.is_file():
+        return f"documentation:\n  {pages}; `make docs` makes a site of it"
+    return "documentation:\n  docs/index.md of Graycast's repository, which a wheel lacks"
 
 
 def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

@@ -210,10 +210,12 @@ def _generate(options: argparse.Namespace) -> int:
                 decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
             busy = "" if gpu.share is None else f", GPU busy {gpu.share:.0%} of the time"
             bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
-            if reports == 1:
+            # The first scene of each worker takes longer, because it compiles or loads kernels.
+            if reports == 1 or (workers.count and reports == workers.count + 1):
                 there = (options.out / "train" / f"{k:06d}" for k in range(scenes))
                 if left := sum(not folder.exists() for folder in there):
-                    bars.line(_ahead(scene, left, workers.count, options.out))
+                    timed = workers.count if reports > 1 else 0
+                    bars.line(_ahead(scene, left, timed, options.out))
 
         def failed(scene) -> None:
             then = "set aside" if scene.final else "will be made again"
@@ -238,13 +240,16 @@ def _generate(options: argparse.Namespace) -> int:
     return 1 if summary.set_aside else 0
 
 
-def _ahead(first, left: int, workers: int, out: Path) -> str:
-    """What the other scenes take, if they are like the first one."""
-    size_gb = 1e-9 * left * sum(len(data) for _, data in first.files)
+def _ahead(scene, left: int, workers: int, out: Path) -> str:
+    """Return what the other scenes take if they are like this one.
+
+    The time is stated for a number of workers that is not 0.
+    """
+    size_gb = 1e-9 * left * sum(len(data) for _, data in scene.files)
     free_gb = 1e-9 * shutil.disk_usage(out).free
     time = ""
-    if workers:  # A cluster finds its own number of workers.
-        seconds = round(left * first.seconds / min(workers, left))
+    if workers:
+        seconds = round(left * scene.seconds / min(workers, left))
         time = f"about {timedelta(seconds=seconds)} and "
     text = f"the other {left} scenes take {time}{size_gb:.2g} GB; {free_gb:.3g} GB are free"
     return text if size_gb < free_gb else f"{text}: stop with Ctrl-C and choose a larger disk"

@@ -31,7 +31,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
     (tmp_path / "block.stl").rename(tmp_path / name)
     assert main(["new", "a cell", "--part", name, "--unit", "m"]) == 0
-    _, *commands, _ = capsys.readouterr().out.splitlines()
+    _, _, *commands, _ = capsys.readouterr().out.splitlines()
     assert [shlex.split(line)[2] for line in commands] == 3 * ["a cell/cell.yaml"]
     cell = resolve_cell(load_config(tmp_path / "a cell/cell.yaml"), tmp_path / "a cell")
     assert cell.scene.parts[0].source == name
@@ -123,3 +123,24 @@ def test_the_demonstration_ends_with_a_picture_and_continues(tmp_path, monkeypat
     assert "Open graycast-demo/preview.png" in capsys.readouterr().out
     assert len(list((tmp_path / "graycast-demo/dataset/train").iterdir())) == 3
     assert main(["demo", "--device", "cpu"]) == 0  # what is made stays
+
+
+@pytest.mark.parametrize(
+    ("sides", "unit", "size", "mass", "note"),
+    [
+        ((40, 20, 10), "mm", "40.0 x 20.0 x 10.0 mm", "62.8 g", ""),
+        ((40, 20, 10), "inch", "1016.0 x 508.0 x 254.0 mm", "1029 kg", "is 1016 mm long, and most"),
+        ((4, 2, 1), "mm", "4.0 x 2.0 x 1.0 mm", "0.0628 g", ""),
+        ((3, 2, 1), "mm", "3.0 x 2.0 x 1.0 mm", "0.0471 g", "is 3 mm long, and most parts"),
+    ],
+)
+def test_new_says_size_and_mass_and_remarks_on_a_unit_that_makes_no_sense(
+    tmp_path, monkeypatch, capsys, sides, unit, size, mass, note
+):
+    """Oracle: 8 cm^3 of steel weigh 62.8 g, and 25.4^3 times that in inches."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box(sides).export("block.stl")
+    assert main(["new", "cell", "--part", "block.stl", "--unit", unit, "--surface", "steel"]) == 0
+    text = capsys.readouterr().out
+    assert f"block: {size}, {mass}\n" in text
+    assert (note in text) if note else ("note:" not in text)

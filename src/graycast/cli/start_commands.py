@@ -4,10 +4,15 @@ import argparse
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..base.errors import GraycastError
 from .arguments import CONTINUE, add_command, add_device, add_option, add_shared
+
+if TYPE_CHECKING:
+    from ..world.parts import Part
 
 DEMO_PART = "metal_workpiece_1"
 DEMO = """\
@@ -77,7 +82,9 @@ def _demo(options: argparse.Namespace, parsers: Mapping[str, argparse.ArgumentPa
 
 
 def _new(options: argparse.Namespace) -> None:
-    _write_cell(
+    from ..world.parts import mass_text, size_text, unusual_size_note
+
+    part = _write_cell(
         options.folder,
         builtin=options.builtin,
         mesh=options.part,
@@ -85,6 +92,9 @@ def _new(options: argparse.Namespace) -> None:
         surface=options.surface,
     )
     path = options.folder / "cell.yaml"
+    print(f"{part.name}: {size_text(part)} mm, {mass_text(part)}")
+    if note := unusual_size_note(part):
+        print(f"note: {note}")
     print(path)
     for line in path.read_text(encoding="utf-8").splitlines()[1:5]:
         print(line.removeprefix("#"))
@@ -98,8 +108,8 @@ def _write_cell(
     unit: str | None = None,
     surface: str | None = None,
     scenes: int = 10,
-) -> None:
-    """Write the folder of a cell, whole or not at all.
+) -> "Part":
+    """Write the folder of a cell, whole or not at all, and return its part.
 
     Raises:
         GraycastError: the folder is in use, or the part cannot be read.
@@ -131,6 +141,9 @@ def _write_cell(
                 copy = out / file.relative_to(mesh.parent)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
+    if own is None:
+        return part
+    return replace(part, density_kg_m3=material_preset(own).density_kg_m3)
 
 
 def _doctor(options: argparse.Namespace) -> None:

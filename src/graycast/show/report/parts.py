@@ -13,7 +13,7 @@ from ...rendering import Quality, Renderer
 from ...rendering.denoise import denoise
 from ...rig.optics import pinhole
 from ...rig.pair import Rig
-from ...world.parts import Material, Mesh, Part, Symmetry, mass_kg
+from ...world.parts import Material, Mesh, Part, Symmetry, mass_text, size_text
 from ...world.scene import Environment, Lamp, Layout, Quad, Scene
 from .preview import DPI, pixel_axes
 
@@ -32,8 +32,8 @@ def describe_parts(parts: tuple[Part, ...]) -> str:
     rows = [head] + [
         (
             part.name,
-            _size_words(part.mesh),
-            _mass_words(part),
+            size_text(part),
+            mass_text(part),
             f"{len(part.mesh.faces)}",
             _material_words(part.material),
             _symmetry_words(part.symmetry),
@@ -86,8 +86,7 @@ def draw_parts(
         ax.set_axis_off()
         text = "\n".join(
             [
-                f"{_size_words(part.mesh)} mm    {_mass_words(part)}    "
-                f"{len(part.mesh.faces)} faces",
+                f"{size_text(part)} mm    {mass_text(part)}    {len(part.mesh.faces)} faces",
                 _material_words(part.material),
                 f"symmetries: {_symmetry_words(part.symmetry)}",
             ]
@@ -184,15 +183,6 @@ def _rig() -> Rig:
 
 
 # --- words -------------------------------------------------------------------------------------
-
-
-def _size_words(mesh: Mesh) -> str:
-    return " x ".join(f"{1e3 * size:.1f}" for size in mesh.extent_m)
-
-
-def _mass_words(part: Part) -> str:
-    mass = mass_kg(part)
-    return f"{mass:.3g} kg" if mass >= 1 else f"{1e3 * mass:.3g} g"
 
 
 def _material_words(material: Material) -> str:

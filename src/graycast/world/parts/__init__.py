@@ -5,7 +5,7 @@ from .material_presets import MATERIALS, material_preset
 from .mesh_formats import files_of_mesh
 from .meshfile import load_mesh, load_part
 from .part import Grain, Material, Mesh, Part, Symmetry, glass_notes
-from .size import full_count, mass_kg, size_notes
+from .size import full_count, mass_kg, mass_text, size_notes, size_text, unusual_size_note
 
 __all__ = [
     "BUILTIN",
@@ -22,6 +22,9 @@ __all__ = [
     "load_mesh",
     "load_part",
     "mass_kg",
+    "mass_text",
     "material_preset",
     "size_notes",
+    "size_text",
+    "unusual_size_note",
 ]

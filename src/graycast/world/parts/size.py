@@ -9,6 +9,7 @@ from .part import Part
 
 # A gripper for bin picking lifts less; steel of this weight is a cube of 15 cm.
 HEAVIEST_KG = 30.0
+USUAL_M = (0.004, 0.5)  # Most parts that a robot picks from a bin are so long.
 PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
 
 
@@ -21,6 +22,31 @@ def mass_kg(part: Part) -> float:
     a, b, c = np.moveaxis(corner, 1, 0)
     volume_m3 = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
     return float(part.density_kg_m3 * volume_m3)
+
+
+def size_text(part: Part) -> str:
+    """Return the sizes of the part along its axes in millimetres."""
+    return " x ".join(f"{1e3 * size:.1f}" for size in part.mesh.extent_m)
+
+
+def mass_text(part: Part) -> str:
+    """Return the mass of the part in grams or kilograms."""
+    mass = mass_kg(part)
+    if mass >= 100:
+        return f"{mass:.0f} kg"
+    return f"{mass:.3g} kg" if mass >= 1 else f"{1e3 * mass:.3g} g"
+
+
+def unusual_size_note(part: Part) -> str:
+    """Return a remark on a part that is shorter or longer than parts in bins are; else nothing."""
+    low_m, high_m = USUAL_M
+    longest_m = float(part.mesh.extent_m.max())
+    if low_m <= longest_m <= high_m:
+        return ""
+    return (
+        f"the part {part.name} is {1e3 * longest_m:.4g} mm long, and most parts in bins are "
+        f"{1e3 * low_m:g} to {1e3 * high_m:g} mm long: is this the unit of its mesh?"
+    )
 
 
 def full_count(part: Part, inner_m: tuple[float, float, float]) -> float:

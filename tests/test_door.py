@@ -75,7 +75,8 @@ def test_the_door_lists_only_what_stands_in_it():
 
 def test_a_shot_is_one_line(cell_and_shot):
     assert re.fullmatch(
-        r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% decoded\)", str(cell_and_shot[1])
+        r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% of the parts' pixels decoded\)",
+        str(cell_and_shot[1]),
     )
 
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from ..base.errors import ConfigError, DatasetError
 from ..base.progress import UNWATCHED, ProgressMeter
-from ..camera.decode import mean_shares
+from ..camera.decode import pooled_shares
 from ..camera.scanner import Scanner
 from ..dataset.bop import scene_files
 from ..dataset.claim import BESIDE_CONFIG, Taker, described_values, make_claim, refuse_other
@@ -79,16 +79,16 @@ def generate(
     out = Path(out)
     start = time.perf_counter()
     task = _task(cell, seed, workers.device(cell.config.render.backend, device))
-    reasons: list[dict[str, float]] = []
-    part_reasons: list[dict[str, float]] = []
+    reason_px: list[dict[str, int]] = []
+    part_reason_px: list[dict[str, int]] = []
     with open_store(out, **_claimed(task)) as store:
         there, aside = store.finished(), SetAsideFile(out)
         todo = [scene_id for scene_id in range(scenes) if scene_id not in there]
 
         def keep(result: TaskResult) -> None:
             store.write_files(result.scene_id, result.files)
-            reasons.append(result.reasons)
-            part_reasons.append(result.part_reasons)
+            reason_px.append(result.reason_px)
+            part_reason_px.append(result.part_reason_px)
             on_result(result)
 
         def give_up(failed: Failed) -> None:
@@ -113,12 +113,12 @@ def generate(
             store.tidy()
             raise
     return Summary(
-        written=len(reasons),
+        written=len(reason_px),
         found=scenes - len(todo),
         set_aside=tuple(scene.set_aside() for scene in lost),
         seconds=time.perf_counter() - start,
-        reasons=mean_shares(reasons),
-        part_reasons=mean_shares(part_reasons),
+        reasons=pooled_shares(reason_px),
+        part_reasons=pooled_shares(part_reason_px),
     )
 
 

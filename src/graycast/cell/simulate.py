@@ -46,9 +46,11 @@ class Shot:
     def __repr__(self) -> str:
         """One line, since the arrays inside fill screens."""
         manifest, (height_px, width_px) = self.sample.manifest, self.codes.reason.shape
+        of_parts = manifest["part_reasons"]
+        decoded = f", {of_parts['decoded']:.0%} of the parts' pixels decoded" if of_parts else ""
         return (
             f"Shot(scene {manifest['scene_id']}, {len(self.sample.layout.part_index)} parts, "
-            f"{width_px} x {height_px} px, {manifest['reasons']['decoded']:.0%} decoded)"
+            f"{width_px} x {height_px} px{decoded})"
         )
 
 

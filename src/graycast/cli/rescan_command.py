@@ -133,6 +133,8 @@ def _rescan(options: argparse.Namespace) -> int:
 
         def report(result) -> None:
             decoded = f"{result.reasons['decoded']:.1%} of all pixels decoded"
+            if result.part_reasons:
+                decoded = f"{result.part_reasons['decoded']:.1%} of the objects' pixels, {decoded}"
             bars.line(f"{name_of(result.scene_id)}  {result.seconds:6.1f} s  {decoded}")
 
         def failed(one) -> None:

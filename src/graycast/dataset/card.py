@@ -243,10 +243,8 @@ def _figures(s: Statistics, objects: Objects, stored: StoredDataset) -> str:
         depth = s.depth_quantiles_mm
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
     if "decoded" in s.reason:
-        shares = (
-            f"{s.part_reason['decoded']:.1%} of the parts' pixels, {s.reason['decoded']:.1%} of all"
-        )
-        rows.append(("with a scanner depth", shares))
+        of_parts = f"{s.part_reason['decoded']:.1%} of the parts' pixels, " if s.part_reason else ""
+        rows.append(("with a scanner depth", f"{of_parts}{s.reason['decoded']:.1%} of all"))
     missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}
     if missing:
         shares_text = ", ".join(

@@ -66,6 +66,19 @@ class ImageRecord(Record):
     source: dict[str, str] = Field(default_factory=dict)
 
     @property
+    def reason_px(self) -> dict[str, int]:
+        """How many of all pixels have each reason."""
+        (image,) = self.entries["scene_gt_coco_sl"]["images"]
+        pixels = image["width"] * image["height"]
+        return {name: round(share * pixels) for name, share in self.reasons.items()}
+
+    @property
+    def part_reason_px(self) -> dict[str, int]:
+        """How many of the objects' visible pixels have each reason; empty where there is none."""
+        pixels = sum(info["px_count_visib"] for info in self.entries["scene_gt_info_sl"])
+        return {name: round(share * pixels) for name, share in self.part_reasons.items()}
+
+    @property
     def has_original(self) -> bool:
         """Whether the original files lie beside the scan; those of other layouts than BOP's do not.
 

@@ -120,7 +120,7 @@ def test_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
     assert max(shares) == pytest.approx(
         100 * max(*statistics.reason.values(), *statistics.part_reason.values())
     )
-    assert sum(heights_of(axes["Decoded share per scene"])) == 2
+    assert sum(heights_of(axes["Decoded share of parts"])) == 2
     for _, percent in ((line.get_xdata(), line.get_ydata()) for line in axes["Brightness"].lines):
         assert np.sum(percent) == pytest.approx(100)
     assert statistics_table(statistics).row_count > 8

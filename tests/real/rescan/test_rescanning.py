@@ -97,7 +97,7 @@ def test_a_scan_measures_what_was_there(dataset):
 def test_shares_of_the_parts_pixels_are_those_of_the_masks(dataset):
     """Oracle: the pictures that were written, counted."""
     root, _, summary = dataset
-    shares = []
+    own_pixels = []
     for scene, image in ((0, 0), (0, 4), (2, 1)):
         folder = root / f"out/train_pbr/{scene:06d}"
         record = image_records(folder)[image]
@@ -111,8 +111,9 @@ def test_shares_of_the_parts_pixels_are_those_of_the_masks(dataset):
         ):
             counted = {one.label: np.mean(pixels == one) for one in Reason}
             assert written == pytest.approx(counted)
-        shares.append(record.part_reasons["decoded"])
-    assert summary.part_reasons["decoded"] == pytest.approx(np.mean(shares))
+        own_pixels.append(reason[mask == 255])
+    pooled = np.concatenate(own_pixels) == Reason.DECODED
+    assert summary.part_reasons["decoded"] == pytest.approx(pooled.mean())
 
 
 def test_pixels_that_the_projector_cannot_light_are_called_so(tmp_path):

@@ -24,7 +24,8 @@ from .maps import (
     Mark,
     Reason,
     levels_of,
-    mean_shares,
+    pooled_shares,
+    reason_counts,
     reason_shares,
 )
 from .positions import decode
@@ -50,9 +51,10 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
-    "mean_shares",
     "meet_planes",
     "off_the_line",
+    "pooled_shares",
+    "reason_counts",
     "reason_shares",
     "separate",
     "triangulate",

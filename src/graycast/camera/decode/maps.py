@@ -1,6 +1,7 @@
 """Inputs and results of decoding: sensor levels, settings, maps and reasons."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Annotated
@@ -75,20 +76,31 @@ _APPEARANCE = {
 REASON_COLOR = {reason.label: reason.color for reason in Reason}
 
 
+def reason_counts(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, int]:
+    """Return how many of the pixels have each reason."""
+    return {known.label: int((reason == known).sum()) for known in Reason}
+
+
 def reason_shares(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, float]:
-    """The share of the pixels that has each reason; empty without pixels."""
-    if not reason.size:
-        return {}
-    return {known.label: float((reason == known).mean()) for known in Reason}
+    """Return the share of the pixels that has each reason; empty without pixels."""
+    return pooled_shares([reason_counts(reason)])
 
 
-def mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The mean of each share over pictures; those whose shares are empty do not count."""
-    counted = [each for each in shares if each]
-    return {
-        name: float(np.mean([each[name] for each in counted]))
-        for name in (counted[0] if counted else ())
-    }
+def pooled_shares(counts: Iterable[Mapping[str, int]]) -> dict[str, float]:
+    """Return the share of each reason in the pixels of all pictures; empty without pixels.
+
+    How much of the parts is seen is the share `decoded` of the parts' visible pixels, in every
+    summary, table and page. A picture counts by its pixels, so that this is not the mean of the
+    pictures' shares.
+
+    Args:
+        counts: the pixels of each picture that have each reason, as `reason_counts` gives them.
+    """
+    total: Counter[str] = Counter()
+    for each in counts:
+        total.update(each)
+    pixels = total.total()
+    return {name: count / pixels for name, count in total.items()} if pixels else {}
 
 
 class Mark(IntFlag):

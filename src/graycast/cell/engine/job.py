@@ -10,6 +10,7 @@ import numba
 from ...base.errors import DeviceError, GraycastError, WorkerDied
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.version import __version__
+from ...camera.decode import pooled_shares
 from ...rendering import Renderer
 from ...world.parts import Part
 from ..config import RenderSection
@@ -21,9 +22,10 @@ from ..simulate import Shot
 class TaskResult:
     """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
 
-    `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
-    a robot emptied `reasons` are attempts per outcome. `rss_bytes` is the memory of the process
-    that made it, afterwards. `shots` are there instead of files where the job keeps them.
+    `reason_px` and `part_reason_px` are the numbers of pixels per reason, among all and among those
+    that see parts, over all images. Of a bin that a robot emptied `reasons` are attempts per
+    outcome. `rss_bytes` is the memory of the process that made it, afterwards. `shots` are there
+    instead of files where the job keeps them.
     """
 
     scene_id: int
@@ -31,8 +33,14 @@ class TaskResult:
     seconds: float
     reasons: dict[str, float]
     rss_bytes: int
-    part_reasons: dict[str, float] = field(default_factory=dict)
+    reason_px: dict[str, int] = field(default_factory=dict)
+    part_reason_px: dict[str, int] = field(default_factory=dict)
     shots: tuple[Shot, ...] = ()
+
+    @property
+    def part_reasons(self) -> dict[str, float]:
+        """The shares of the pixels that see parts; empty where none does."""
+        return pooled_shares([self.part_reason_px])
 
 
 def keep_to_threads(threads: int | None) -> None:

@@ -1,19 +1,19 @@
 """The work of a worker: scenes of one task, from their seeds to the bytes of their files."""
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from ...base.errors import DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...camera.decode import mean_shares
+from ...camera.decode import pooled_shares, reason_counts
 from ...dataset.bop import scene_files
 from ...dataset.sample import LEAST_DECODED, Sample
 from ...world.parts import Part
 from ..resolve import Cell
-from ..simulate import Shot, compile_kernels, make_images
+from ..simulate import Shot, compile_kernels, make_images, on_part
 from .job import Job, TaskResult, WorkerRenderer
 
 GPU_DEVICES = ("cuda", "optix")
@@ -42,7 +42,7 @@ class SceneMaker:
         """
         start = time.perf_counter()
         task = self.task
-        manifests: list[Mapping[str, Any]] = []
+        counts: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
         images: tuple[Shot, ...] = ()
         files: tuple[tuple[str, bytes], ...] = ()
         with self._renderer.of(task.cell.config.render) as renderer:
@@ -51,15 +51,17 @@ class SceneMaker:
             )
             if task.keep_shots:
                 images = tuple(shots)
-                manifests = [shot.sample.manifest for shot in images]
+                for shot in images:
+                    _count(shot.sample, *counts)
             else:
-                files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
+                files = tuple(scene_files(_decoded(shots, *counts), task.depth_scale_mm))
         return TaskResult(
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,
-            reasons=mean_shares([manifest["reasons"] for manifest in manifests]),
-            part_reasons=mean_shares([manifest["part_reasons"] for manifest in manifests]),
+            reasons=pooled_shares(counts[:1]),
+            reason_px=dict(counts[0]),
+            part_reason_px=dict(counts[1]),
             rss_bytes=rss_bytes(),
             shots=images,
         )
@@ -89,8 +91,18 @@ class SceneTask(Job):
         compile_kernels(self.cell)
 
 
-def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:
-    """The sample of each image, its manifest put into `manifests`.
+def _count(sample: Sample, reason_px: Counter[str], part_reason_px: Counter[str]) -> None:
+    """Add the pixels of an image that have each reason to those of all and of the parts' pixels."""
+    reason = sample.scanner_depth.reason
+    reason_px.update(reason_counts(reason))
+    of_parts = on_part(sample.scene, sample.layout, sample.truth)
+    part_reason_px.update(reason_counts(reason[of_parts]))
+
+
+def _decoded(
+    shots: Iterable[Shot], reason_px: Counter[str], part_reason_px: Counter[str]
+) -> Iterator[Sample]:
+    """Yield the sample of each image, after its pixels were added to the counts.
 
     Raises:
         DecodeError: hardly a pixel of an image has a scanner depth, which `validate` would report;
@@ -107,7 +119,7 @@ def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Itera
                 f"so in none: {reasons[most]:.0%} are {most}: "
                 f"{_REMEDIES.get(most, 'see graycast preview')}"
             )
-        manifests.append(sample.manifest)
+        _count(sample, reason_px, part_reason_px)
         yield sample
 
 

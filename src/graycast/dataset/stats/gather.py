@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.spawn import SPAWN
+from ...camera.decode import pooled_shares
 from ..coco import IGNORED_BELOW
 from ..scene_content import scene_content
 from ..stored import StoredScene, open_dataset
@@ -62,7 +63,7 @@ class PictureFigures:
 
     pictures: int
     decoded: float
-    part_decoded: float
+    part_decoded: float | None  # None where no part is visible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +82,8 @@ class Statistics:
     instances: dict[int, int]  # instances in a scene to scenes
     depth_bin: dict[int, int]
     reason: dict[str, float]  # share of all pixels
-    part_reason: dict[str, float]  # share of the parts' visible pixels
-    decoded_share: Int[np.ndarray, " scenes_per_bin"]  # scenes per share of decoded pixels
+    part_reason: dict[str, float]  # share of the parts' visible pixels; empty without any
+    decoded_share: Int[np.ndarray, " bins"]  # pictures per share of the parts' decoded pixels
     error_step: dict[int, int]
     part_error_step: dict[int, int]
     error: ErrorFigures
@@ -103,7 +104,9 @@ class _Sums:
     """What is added up, by the names of `Statistics`; lives inside one call of `tally`."""
 
     counts: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
-    of_picture: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
+    of_picture: defaultdict[str, defaultdict[str, Counter]] = field(
+        default_factory=lambda: defaultdict(lambda: defaultdict(Counter))
+    )
     of_class: dict[int, dict[str, Any]] = field(default_factory=dict)
     decoded_share: np.ndarray = field(default_factory=lambda: np.zeros(50, dtype=np.int64))
     pictures: int = 0
@@ -156,8 +159,8 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
             for obj_id, of_class in sorted(sums.of_class.items())
         ),
         areas={name: counts["areas"][name] for name in ("small", "medium", "large")},
-        reason={name: count / max(sums.pixels, 1) for name, count in counts["reason"].items()},
-        part_reason={n: count / max(part_pixels, 1) for n, count in counts["part_reason"].items()},
+        reason=pooled_shares([counts["reason"]]),
+        part_reason=pooled_shares([counts["part_reason"]]),
         decoded_share=sums.decoded_share,
         error=error_figures(counts["error_step"], sums.scale_mm),
         part_error=error_figures(counts["part_error_step"], sums.scale_mm),
@@ -223,13 +226,10 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
     sums.last = here
     sums.pictures += 1
     sums.pixels += figures.pixels
-    sums.of_picture[figures.picture].update(
-        pictures=1,
-        pixels=figures.pixels,
-        decoded=figures.reason_px.get("decoded", 0),
-        part_pixels=sum(figures.part_reason_px.values()),
-        part_decoded=figures.part_reason_px.get("decoded", 0),
-    )
+    of_picture = sums.of_picture[figures.picture]
+    of_picture["pictures"].update(all=1)
+    of_picture["reason"].update(figures.reason_px)
+    of_picture["part_reason"].update(figures.part_reason_px)
     counts["sizes_px"][figures.width_px, figures.height_px] += 1
     counts["instances"][len(figures.obj_id)] += 1
     counts["depth_bin"].update(figures.depth_bin)
@@ -237,7 +237,8 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
     counts["part_reason"].update(figures.part_reason_px)
     counts["gray"].update(figures.gray)
     counts["luma"].update(figures.luma)
-    sums.decoded_share[min(int(figures.decoded_share * 50), 49)] += 1
+    if (decoded := figures.part_reasons.get("decoded")) is not None:
+        sums.decoded_share[min(int(decoded * 50), 49)] += 1
     sums.scale_mm = sums.scale_mm or figures.depth_scale_mm
     for name in ("error_step", "part_error_step"):
         own = getattr(figures, name)
@@ -250,11 +251,11 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
     _add_instances(sums, figures)
 
 
-def _shares(counts: Counter) -> PictureFigures:
+def _shares(counts: Mapping[str, Counter]) -> PictureFigures:
     return PictureFigures(
-        pictures=counts["pictures"],
-        decoded=counts["decoded"] / max(counts["pixels"], 1),
-        part_decoded=counts["part_decoded"] / max(counts["part_pixels"], 1),
+        pictures=counts["pictures"].total(),
+        decoded=pooled_shares([counts["reason"]]).get("decoded", 0.0),
+        part_decoded=pooled_shares([counts["part_reason"]]).get("decoded"),
     )
 
 

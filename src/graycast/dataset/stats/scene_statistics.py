@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool
 from pydantic import BaseModel, ConfigDict
 
+from ...camera.decode import pooled_shares
 from ..scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
@@ -49,8 +50,14 @@ class SceneFigures(BaseModel):
         return self.width_px * self.height_px
 
     @property
-    def decoded_share(self) -> float:
-        return self.reason_px.get("decoded", 0) / self.pixels
+    def reasons(self) -> dict[str, float]:
+        """The share of all pixels that has each reason."""
+        return pooled_shares([self.reason_px])
+
+    @property
+    def part_reasons(self) -> dict[str, float]:
+        """The share of the parts' visible pixels that has each reason; empty without any."""
+        return pooled_shares([self.part_reason_px])
 
 
 def scene_figures(scene: SceneContent) -> SceneFigures:

@@ -115,7 +115,7 @@ def _errors(ax: Axes, s: Statistics) -> None:
 def _decoded(ax: Axes, s: Statistics) -> None:
     edges = np.linspace(0, 100, len(s.decoded_share) + 1)
     ax.bar(edges[:-1], s.decoded_share, np.diff(edges), align="edge", color=ACCENT)
-    caption(ax, "Decoded share per scene", "decoded pixels [%]", "scenes")
+    caption(ax, "Decoded share of parts", "decoded pixels of the parts [%]", "scenes")
 
 
 def _brightness(ax: Axes, s: Statistics) -> None:

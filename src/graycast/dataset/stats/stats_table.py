@@ -71,10 +71,12 @@ def statistics_table(statistics: Statistics) -> Table:
     if s.pictures > sum(s.scenes.values()):
         table.add_row("pictures", f"{s.pictures}, all figures below are of these")
         for name, entry in s.of_picture.items():
-            cell = (
-                f"{entry.part_decoded:.2%} of the parts' pixels decoded, {entry.decoded:.2%} of all"
-            )
-            table.add_row(f"  {name}", cell)
+            of_all = f"{entry.decoded:.2%} of all"
+            if entry.part_decoded is None:
+                table.add_row(f"  {name}", f"{of_all} pixels decoded")
+            else:
+                seen = f"{entry.part_decoded:.2%} of the parts' pixels decoded, {of_all}"
+                table.add_row(f"  {name}", seen)
     what = "scenes" if s.pictures == sum(s.scenes.values()) else "pictures"
     for one in s.classes:
         visible = f"{one.visible} visible by 10 % or more, in {one.scenes} {what}"

@@ -17,7 +17,7 @@ from ...base.settings import check_fields
 from ...base.streams import rescan_seeds
 from ...base.usage import rss_bytes
 from ...base.version import __version__
-from ...camera.decode import mean_shares, reason_shares
+from ...camera.decode import pooled_shares, reason_counts, reason_shares
 from ...camera.picture import gray_picture
 from ...camera.scanner import Scanner, measure, take
 from ...cell.config import RenderSection, quality_of
@@ -73,7 +73,10 @@ class RescanSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSummary:
-    """Summary of a run: images made, already there and given up, and mean shares."""
+    """Summary of a run: images made, already there and given up.
+
+    The shares are of the pixels of all images that it made, and of those that see objects.
+    """
 
     written: int
     there: int
@@ -125,6 +128,7 @@ class ImageScanner:
             own_files, own_entries = plain_files(image, number)
             files, entries = files + own_files, entries | own_entries
             step_mm = own_entries["scene_camera"]["depth_scale"]
+        own = on_part(staged.scene, staged.layout, sample.truth)
         seconds = time.perf_counter() - start
         record = facts | {
             "seconds": seconds,
@@ -137,7 +141,8 @@ class ImageScanner:
             files=(*files, record_file(number, record, files)),
             seconds=seconds,
             reasons=facts["reasons"],
-            part_reasons=facts["part_reasons"],
+            reason_px=reason_counts(sample.scanner_depth.reason),
+            part_reason_px=reason_counts(sample.scanner_depth.reason[own]),
             rss_bytes=rss_bytes(),
         )
 
@@ -234,8 +239,8 @@ def rescan(
         depth_scale_mm=depth_scale_mm(scanner.rig.far_m),
     )
     wanted = source.images[: spec.images]
-    reasons: list[dict[str, float]] = []
-    part_reasons: list[dict[str, float]] = []
+    reason_px: list[dict[str, int]] = []
+    part_reason_px: list[dict[str, int]] = []
     scene_ids = sorted({scene_id for scene_id, _ in wanted})
     opened = open_rescan(Path(out), source, _claim(task), scene_ids=scene_ids, copies=spec.copies)
     with opened as folder:
@@ -248,8 +253,8 @@ def rescan(
 
         def keep(result: TaskResult) -> None:
             folder.write(wanted[result.scene_id], result.files)
-            reasons.append(result.reasons)
-            part_reasons.extend([result.part_reasons] if result.part_reasons else [])
+            reason_px.append(result.reason_px)
+            part_reason_px.append(result.part_reason_px)
             on_result(result)
 
         def give_up(failed: Failed) -> None:
@@ -271,12 +276,12 @@ def rescan(
         finally:
             folder.finish()
     return RescanSummary(
-        written=len(reasons),
+        written=len(reason_px),
         there=len(there),
         set_aside={wanted[image.scene_id]: image.set_aside().reason for image in lost},
         seconds=time.perf_counter() - start,
-        reasons=mean_shares(reasons),
-        part_reasons=mean_shares(part_reasons),
+        reasons=pooled_shares(reason_px),
+        part_reasons=pooled_shares(part_reason_px),
     )
 
 

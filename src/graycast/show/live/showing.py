@@ -11,11 +11,12 @@ from jaxtyping import Float, Num, UInt8, UInt16
 
 from ...base.frames import transform_points
 from ...base.robust import robust_sigma
-from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
+from ...camera.decode import CodeMap, DepthMap, reason_shares, triangulation_axis
 from ...camera.picture import srgb_frame
 from ...camera.sensor import Capture
 from ...cell.generate import depth_step_mm
 from ...cell.resolve import Cell
+from ...cell.simulate import on_part
 from ...rendering import Rendering
 from ...rig.optics import Optics
 from ...rig.pair import Rig
@@ -164,12 +165,14 @@ def _rig(rig: Rig) -> dict[str, Any]:
 def _figures(page: PageContent) -> dict[str, Any]:
     """What stands beside the picture, in numbers."""
     depth, truth = page.depth, page.rendering.truth
-    on_part = truth.instance >= 0
+    of_parts = on_part(page.scene, page.layout, truth)
+    part_reasons = reason_shares(depth.reason[of_parts])
     error_mm = MM_PER_M * (depth.depth_m - truth.depth_m)
-    known = error_mm[on_part & np.isfinite(error_mm)]
+    known = error_mm[of_parts & np.isfinite(error_mm)]
     return {
-        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
-        "part_decoded": _mean(depth.reason[on_part] == Reason.DECODED),
+        "reasons": reason_shares(depth.reason),
+        "part_reasons": part_reasons or None,
+        "part_decoded": part_reasons.get("decoded"),
         "bias_mm": float(np.median(known)) if known.size else None,
         "sigma_mm": float(robust_sigma(known - np.median(known))) if known.size else None,
         "exposure_ms": 1e3 * page.capture.reference_s,

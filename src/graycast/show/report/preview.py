@@ -25,7 +25,7 @@ from ...base.frames import inverse, transform_points
 from ...base.mask_box import mask_box
 from ...base.plotting import save_png
 from ...base.robust import robust_sigma
-from ...camera.decode import Reason, triangulation_axis
+from ...camera.decode import Reason, reason_shares, triangulation_axis
 from ...camera.picture import srgb_frame
 from ...camera.sensor import Capture
 from ...cell.framing import framing_line
@@ -260,10 +260,10 @@ def _draw_depths(sheet: _Sheet, shot: Shot) -> None:
     sheet.color_bar(_DEPTH_MAP, limits, "mm, both depths")
     scanned = sample.scanner_depth.depth_m
     ax = sheet.picture("scanner's depth", painted(1e3 * scanned, _DEPTH_MAP, limits))
-    known = np.isfinite(scanned)
-    on_part = known[labelled(sample).truth.instance >= 0]
-    of_parts = f"{100 * on_part.mean():.1f} % of the parts' pixels, " if on_part.size else ""
-    _note(ax, f"{of_parts}{100 * known.mean():.1f} % of all pixels")
+    reason = sample.scanner_depth.reason
+    own = reason_shares(reason[labelled(sample).truth.instance >= 0])
+    of_parts = f"{100 * own['decoded']:.1f} % of the parts' pixels, " if own else ""
+    _note(ax, f"{of_parts}{100 * reason_shares(reason)['decoded']:.1f} % of all pixels")
     sheet.color_bar(_DEPTH_MAP, limits, "mm, dark where unknown")
 
 
@@ -302,12 +302,13 @@ def error_limit_mm(error_mm: Float[np.ndarray, "h w"]) -> float:
 
 def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
     reason = shot.sample.scanner_depth.reason
-    on_part = reason[labelled(shot.sample).truth.instance >= 0]
+    own = reason_shares(reason[labelled(shot.sample).truth.instance >= 0])
+    everywhere = reason_shares(reason)
     palette = np.array([to_rgb(r.color) for r in Reason])
     ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))
     for r in Reason:
-        of_parts = f"{100 * (on_part == r).mean():.1f} | " if on_part.size else ""
-        words = f"{r.words} {of_parts}{100 * (reason == r).mean():.1f} %"
+        of_parts = f"{100 * own[r.label]:.1f} | " if own else ""
+        words = f"{r.words} {of_parts}{100 * everywhere[r.label]:.1f} %"
         ax.plot([], [], "s", color=r.color, mec="0.4", mew=0.5, ms=9, label=words)
     ax.legend(title="shares of the parts' pixels | of all pixels "
               "(meanings: docs/reference/glossary.md)", title_fontsize=9,

@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from ...base.color import srgb_of_bytes
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...camera.decode import Reason, mean_shares
+from ...camera.decode import Reason, pooled_shares
 from ...dataset.rescanned import RECORDS, ImageRecord, RescanClaim, image_records, read_rescan
 from ...dataset.scene_folder import SceneFolder, scene_folders
 from .page import WIDTH_PX
@@ -84,7 +84,9 @@ def write_rescan_page(
                 file = f"images/{scene.name}-{number:06d}-{_HEADS.index(name)}.jpg"
                 (aside / file).write_bytes(jpeg(shrunk(picture, width_px), _QUALITY))
                 cells.append(f'<td><a href="{file}"><img src="{file}" alt="{name}"></a></td>')
-            share = f"{record.reasons['decoded']:.1%} decoded"
+            share = f"{record.reasons['decoded']:.1%} of all pixels decoded"
+            if record.part_reasons:
+                share = f"{record.part_reasons['decoded']:.1%} of the objects' pixels, {share}"
             rows.append(f'<tr><td colspan="6">{scene.name}/{number:06d}: {share}</td></tr>')
             rows.append(f"<tr>{''.join(cells)}</tr>")
             progress.count("images", done, len(index))
@@ -167,12 +169,12 @@ def _rows(facts: Mapping[str, str]) -> str:
 
 def _reasons(records: list[ImageRecord]) -> str:
     """A line for each reason with its colour, and the share of pixels that have it."""
-    shares = mean_shares([record.reasons for record in records])
-    of_parts = mean_shares([record.part_reasons for record in records if record.part_reasons])
-    lines = ["<tr><th></th><th>all</th><th>objects</th></tr>"]
+    of_all = pooled_shares(record.reason_px for record in records)
+    of_parts = pooled_shares(record.part_reason_px for record in records)
+    lines = ["<tr><th></th><th>objects</th><th>all</th></tr>"]
     for reason in Reason:
         color = f'<i style="background: {reason.color}"></i>{html.escape(reason.label)}'
-        shares_of = (f"{own.get(reason.label, 0):.1%}" if own else "" for own in (shares, of_parts))
-        cells = "".join(f"<td>{cell}</td>" for cell in (color, *shares_of))
+        shares = (f"{own.get(reason.label, 0):.1%}" if own else "" for own in (of_parts, of_all))
+        cells = "".join(f"<td>{cell}</td>" for cell in (color, *shares))
         lines.append(f'<tr title="{html.escape(reason.meaning)}">{cells}</tr>')
     return "".join(lines)

@@ -484,7 +484,10 @@
         .map(([name, value]) => [el("dt", {}, name), el("dd", { "data-name": name }, value)])
         .flat(),
     );
+    const own = Graycast.ownReasons(figures),
+      earlier = before && Graycast.ownReasons(before);
     at("reasons").replaceChildren(
+      el("p", {}, figures.part_reasons ? "of the parts' pixels" : "of all pixels"),
       ...Graycast.report.reasons
         .filter((r) => figures.reasons[r.name] || before?.reasons[r.name])
         .map((r) =>
@@ -496,8 +499,8 @@
             el(
               "em",
               {},
-              percent(figures.reasons[r.name]),
-              before ? ` | ${percent(before.reasons[r.name])}` : "",
+              percent(own[r.name] ?? 0),
+              earlier ? ` | ${percent(earlier[r.name] ?? 0)}` : "",
             ),
           ),
         ),

@@ -56,14 +56,13 @@ def index_script(
 
 _COLUMNS = (
     "split", "id", "picture", "objects", "instances", "visibility", "decoded", "part_decoded",
-    "reasons", "depth_mm", "sigma_mm", "bias_mm", "brightness",
+    "reasons", "part_reasons", "depth_mm", "sigma_mm", "bias_mm", "brightness",
 )  # fmt: skip
 
 
 def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
-    parts = max(sum(one.part_reason_px.values()), 1)
     visible = [share for share in one.visib_fract if share is not None]
     return [
         one.split,
@@ -72,9 +71,10 @@ def _scene_row(one: SceneFigures) -> list[Any]:
         Counter(one.obj_id),
         len(one.obj_id),
         _short(sum(visible) / len(visible) if visible else None),
-        _short(one.decoded_share),
-        _short(one.part_reason_px.get("decoded", 0) / parts),
-        {name: _short(px / one.pixels) for name, px in one.reason_px.items() if px},
+        _short(one.reasons.get("decoded")),
+        _short(one.part_reasons.get("decoded")),
+        {name: _short(share) for name, share in one.reasons.items() if share},
+        {name: _short(share) for name, share in one.part_reasons.items() if share} or None,
         _short(_median_depth_mm(one), 1),
         _short(error.sigma_mm),
         _short(error.median_mm),

@@ -70,6 +70,9 @@ Graycast.rows = () => {
   return Graycast.allRows;
 };
 
+/** The shares of the parts' visible pixels per reason; of all pixels where no part is visible. */
+Graycast.ownReasons = (row) => row.part_reasons ?? row.reasons;
+
 /** All pictures of a picture's scene, itself too. */
 Graycast.siblings = (row) => Graycast.rows().filter((other) => other.scene === row.scene);
 

@@ -5,8 +5,8 @@
   const { el, words } = Graycast;
   const SORTS = [
     ["id", "number"],
+    ["part_decoded", "depth on parts, worst first"],
     ["decoded", "decoded, all pixels"],
-    ["part_decoded", "decoded, on parts"],
     ["visibility", "mean visibility"],
     ["instances", "parts in the scene"],
     ["depth_mm", "median depth"],
@@ -55,8 +55,8 @@
         Graycast.found.fits(row, filter.found) &&
         asked.every((word) => found(row, word)) &&
         within(row.visibility, filter.visibility) &&
-        within(row.decoded, filter.decoded) &&
-        within(row.reasons[filter.reason] ?? 0, filter.share),
+        within(row.part_decoded ?? row.decoded, filter.decoded) &&
+        within(Graycast.ownReasons(row)[filter.reason] ?? 0, filter.share),
     );
     const sign = filter.down ? -1 : 1,
       at = filter.sort,
@@ -328,8 +328,8 @@
         "div",
         { class: "panel" },
         range("visibility", el("span", {}, "mean visibility of the parts")),
-        range("decoded", el("span", {}, "decoded pixels")),
-        range("share", select("reason", "pixels lost for this reason", reasons)),
+        range("decoded", el("span", {}, "decoded pixels of the parts")),
+        range("share", select("reason", "pixels of the parts lost for this reason", reasons)),
       ),
     );
   }

@@ -127,7 +127,7 @@
       Graycast.report.reasons.map((r) => ({
         name: Graycast.words(r.name),
         color: r.color,
-        share: row.reasons[r.name] ?? 0,
+        share: Graycast.ownReasons(row)[r.name] ?? 0,
       })),
       "card-bar",
     ),
@@ -138,7 +138,13 @@
         "div",
         { class: "card-head" },
         el("b", {}, title(row)),
-        el("span", { title: "decoded share of all pixels" }, `${percent(row.decoded)} decoded`),
+        row.part_decoded === null
+          ? el("span", { title: "decoded share of all pixels" }, `${percent(row.decoded)} of all`)
+          : el(
+              "span",
+              { title: "share of the parts' visible pixels that have depth" },
+              `${percent(row.part_decoded)} of parts`,
+            ),
       ),
       partLines(row).map((line) => el("div", { class: "part" }, line)),
       Graycast.found.line(row),

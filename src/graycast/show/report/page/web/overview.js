@@ -130,7 +130,7 @@
     }
     list.push([
       "decoded",
-      `${percent(s.reasons.decoded)} of all, ${percent(s.part_reasons.decoded)} of parts' pixels`,
+      `${percent(s.part_reasons.decoded)} of parts' pixels, ${percent(s.reasons.decoded)} of all`,
     ]);
     if (s.part_error.pixels)
       list.push([
@@ -336,8 +336,8 @@
 
   const decodedPlot = (s) =>
     histogram({
-      title: "Decoded share per scene",
-      unit: "% of pixels",
+      title: "Decoded share of parts",
+      unit: "% of the parts' pixels",
       y: "scenes",
       bins: s.decoded_share_counts.map((_, k) => ({ from: 2 * k, to: 2 * k + 2 })),
       series: [{ color: ACCENT, values: s.decoded_share_counts }],

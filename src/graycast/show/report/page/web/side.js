@@ -114,6 +114,7 @@
     return el(
       "div",
       { id: "reasons" },
+      el("p", { class: "note" }, row.part_reasons ? "parts · all pixels" : "all pixels"),
       Graycast.report.reasons
         .filter((r) => row.reasons[r.name])
         .map((r) =>
@@ -127,7 +128,12 @@
             },
             el("i", { style: `background:${r.color}` }),
             el("span", {}, words(r.name)),
-            el("em", {}, percent(row.reasons[r.name])),
+            el(
+              "em",
+              {},
+              row.part_reasons ? `${percent(row.part_reasons[r.name] ?? 0)} · ` : "",
+              percent(row.reasons[r.name]),
+            ),
           ),
         ),
     );

@@ -135,10 +135,11 @@ def test_numbers_of_other_libraries_and_lists_for_tuples_are_taken():
             Values(*values)
 
 
-def test_what_is_missing_or_unknown_is_said_by_the_call_itself(unchecked):
-    for arguments in ({}, {"cell": None, "counts": 1}):
-        with pytest.raises(TypeError, match=r"scenes\(\) (missing|got an unexpected)"):
-            gc.scenes(**arguments)
+def test_what_is_missing_is_said_by_the_call_itself_and_what_is_unknown_by_its_nearest(unchecked):
+    with pytest.raises(TypeError, match=r"scenes\(\) missing"):
+        gc.scenes()
+    with pytest.raises(gc.GraycastError, match=r"^scenes: unknown argument sed: did you mean seed"):
+        gc.scenes(None, 1, sed=1)
 
 
 def test_a_function_of_the_door_is_one_object_that_processes_can_hand_on():

@@ -1,5 +1,6 @@
 """One declaration of a setting serves the value and the file."""
 
+import json
 import math
 import pickle
 import time
@@ -9,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from graycast.base.errors import ConfigError
+from graycast.base.errors import ArgumentError, ConfigError, GraycastError
 from graycast.base.settings import (
     Positive,
     Settings,
@@ -29,7 +30,7 @@ from graycast.camera.rig_file.scanner_sections import ScannerSections
 from graycast.camera.scanner import ExposureSpec
 from graycast.camera.sensor import SensorSpec
 from graycast.camera.stack.description import DecodeSection as StackSection
-from graycast.cell.config import load_config
+from graycast.cell.config import Config, StoreSection, load_config
 from graycast.rig.pattern import CodeSpec
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -83,10 +84,10 @@ def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
     assert section(width_px=4).model_dump() == {
         "width_px": 4, "pupil_m": 0.0, "focus_m": None, "zones_m": (1.0,)
     }  # fmt: skip
-    with pytest.raises(ValidationError, match="width_px"):
+    with pytest.raises(ArgumentError, match="width_px"):
         section()
     for wrong in ({"width_px": 0}, {"pupil_m": 1.0}, {"focus_m": math.inf}, {"name": "x"}):
-        with pytest.raises(ValidationError, match=next(iter(wrong))):
+        with pytest.raises(ArgumentError, match=next(iter(wrong))):
             section(**{"width_px": 4} | wrong)
     assert section.model_json_schema()["properties"]["width_px"]["description"] == "Image width."
 
@@ -95,7 +96,7 @@ def test_in_a_section_of_changes_nothing_must_be_said():
     section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
     assert set(section().model_dump().values()) == {None}
     assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}
-    with pytest.raises(ValidationError, match="less than 1"):
+    with pytest.raises(ArgumentError, match="less than 1"):
         section(pupil_m=1.0)
 
 
@@ -206,3 +207,37 @@ def test_the_description_of_a_key_is_that_of_its_annotation_also_behind_lists_an
         "power": "",
     }
     assert {key: setting_description(Shop, key) for key in texts} == texts
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cont": 3}, "unknown key cont: did you mean count?"),
+        ({"bin": {"inr_m": 3}}, "unknown key bin.inr_m: did you mean inner_m?"),
+        ({"parts": ({"bultin": "nut"},)}, "unknown key parts.0.bultin: did you mean builtin?"),
+        (
+            {"sensor": {"read_noise": 1}},
+            "unknown key sensor.read_noise: did you mean read_noise_e?",
+        ),
+        ({"count": 3, "fill": 0.5}, "the arguments: count and fill both say how many parts lie "),
+        ({"seed": -1}, "seed is -1: it should be greater than or equal to 0"),
+    ],
+)
+def test_a_wrong_keyword_in_python_is_said_as_in_a_file(settings, message, tmp_path):
+    """One complaint for both: only the name in front differs, and whose keys it is about."""
+    settings = {"parts": ({"builtin": "toothpaste"},)} | settings
+    with pytest.raises(GraycastError) as script:
+        Config(**settings)
+    assert str(script.value).startswith(f"Config: {message}")
+    assert "pydantic" not in str(script.value) and isinstance(script.value, ValueError)
+    path = tmp_path / "cell.yaml"
+    path.write_text(json.dumps(settings), encoding="utf-8")
+    with pytest.raises(ConfigError) as file:
+        load_config(path)
+    same = str(file.value).replace(f"{path}: ", "Config: ").replace("the file", "the arguments")
+    assert same == str(script.value)
+
+
+def test_a_section_cannot_be_changed_later():
+    with pytest.raises(GraycastError, match=r"^StoreSection: frames cannot be set later: make a"):
+        StoreSection().frames = True

@@ -6,6 +6,7 @@ Each imports only from those above it:
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
     argument_check   wrong kinds of arguments, refused with their names
+    public_value     what a public value says of itself: text, help, unknown keywords
     file_limits      JSON and pictures of users, refused before they fill the memory
     folder           files and folders that are written completely or not at all
     plotting         the style of plots, and how they are written

@@ -5,14 +5,17 @@ names what the caller wrote. What scripts call checks its arguments by its own a
 may be anything that NumPy takes for one: its axes and its kind of numbers are checked by tests.
 """
 
+import difflib
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+from .errors import ArgumentError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -45,8 +48,9 @@ _MAKERS = {  # These functions make the values that a script does not build itse
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function of the door that refuses arguments of a kind that it does not declare.
 
-    It raises a ValueError that names the argument, its value and the remedy, also for negative
-    seeds and counts. The same function gives the same result, which pickle finds at the door.
+    It raises an ArgumentError that names the argument, its value and the remedy, also for negative
+    seeds and counts and for an argument that it does not have. The same function gives the same
+    result, which pickle finds at the door.
     """
     plain = inspect.unwrap(function)
     check = _checker(plain.__name__, plain, inspect.signature(plain))
@@ -70,16 +74,37 @@ def _checker(
     def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
         try:
             values = signature.bind(*args, **kwargs).arguments
-        except TypeError:  # An argument is missing or unknown: the call itself says so.
-            return
+        except TypeError:
+            refuse_unknown(name, kwargs, signature)
+            return  # An argument is missing or given twice: the call itself says so.
         for argument, value in values.items():
             hint = hints()[argument]
             if not fits(value, hint):
-                raise ValueError(f"{name}: {argument} is {value_text(value)}: give {words(hint)}")
+                raise ArgumentError(
+                    f"{name}: {argument} is {value_text(value)}: give {words(hint)}"
+                )
             if argument in _NOT_NEGATIVE and value is not None and value < 0:
-                raise ValueError(f"{name}: {argument} is {value}: give a whole number from 0 on")
+                raise ArgumentError(f"{name}: {argument} is {value}: give a whole number from 0 on")
 
     return check
+
+
+def refuse_unknown(name: str, keywords: Collection[str], signature: inspect.Signature) -> None:
+    """Refuse keywords that a function or a class does not have, and name the nearest that it has.
+
+    Raises:
+        ArgumentError: one of the keywords is unknown.
+    """
+    known = [key for key in signature.parameters if key != "self"]
+    for key in keywords:
+        if key not in known:
+            raise ArgumentError(f"{name}: unknown argument {key}: {nearest(key, known)}")
+
+
+def nearest(word: str, known: Collection[str]) -> str:
+    """Return the question whether a similar word was meant, or the list of all known words."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
 
 
 def fits(value: Any, hint: Any) -> bool:

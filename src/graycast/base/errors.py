@@ -9,6 +9,10 @@ class ConfigError(GraycastError):
     """A configuration, rig or calibration file says something that Graycast cannot use."""
 
 
+class ArgumentError(ConfigError, ValueError):
+    """A script gives a setting or an argument of a wrong name, kind or value."""
+
+
 class MeshError(GraycastError):
     """A mesh file cannot be a part: it is empty, open, inside out or of impossible size."""
 

@@ -5,7 +5,6 @@ What a number may be is said once, in the annotation of the value's own dataclas
 a file that sets its fields is made of them (`section_of`, `changes_of`) or is the dataclass itself.
 """
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
@@ -26,8 +25,9 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from .argument_check import fits, value_text, words
-from .errors import ConfigError
+from .argument_check import fits, nearest, value_text, words
+from .errors import ArgumentError, ConfigError
+from .public_value import one_line
 
 Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -53,6 +53,31 @@ class Settings(BaseModel):
     """Base of all models of user files: frozen; refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def __init__(self, **settings: Any) -> None:
+        """Make a section of keywords.
+
+        Raises:
+            ArgumentError: an unknown, missing or wrong keyword.
+        """
+        try:
+            super().__init__(**settings)
+        except ValidationError as error:
+            kind = type(self)
+            problem = _first_problem(error, kind, whole="the arguments")
+            raise ArgumentError(f"{kind.__name__}: {problem}") from None
+
+    # Pydantic otherwise calls this method for each section that it reads from a file.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        try:
+            super().__setattr__(name, value)
+        except (ValidationError, ValueError):
+            kind = type(self).__name__
+            raise ArgumentError(f"{kind}: {name} cannot be set later: make a new {kind}") from None
+
+    __repr__ = __str__ = one_line
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -221,7 +246,7 @@ def check_settings(content: Mapping[str, Any], model: type[Model], path: Path) -
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise ConfigError(f"{path}: {_first_problem(error, model)}") from error
+        raise ConfigError(f"{path}: {_first_problem(error, model, whole='the file')}") from error
 
 
 def read_text(path: Path) -> str:
@@ -259,15 +284,19 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
     return content
 
 
-def _first_problem(error: ValidationError, model: type[Settings]) -> str:
-    """Describe the first of pydantic's complaints in one line: key, value and what is allowed."""
+def _first_problem(error: ValidationError, model: type[Settings], *, whole: str) -> str:
+    """Return the first of pydantic's complaints in one line: key, value and what is allowed.
+
+    Args:
+        whole: names all of the keys, where the complaint is not about one of them.
+    """
     problems = error.errors(include_url=False)
     # pydantic counts only valid items, so a list with an invalid item may also be "too short".
     inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
     problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
     # A misspelt key goes first, because it explains the one that is missing.
     first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
-    key = ".".join(_place(model, first["loc"])[0]) or "the file"
+    key = ".".join(_place(model, first["loc"])[0]) or whole
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] in _UNKNOWN:
         return f"unknown key {key}: {_hint(model, first['loc'])}{more}"
@@ -288,8 +317,7 @@ def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
     for section in _place(model, tuple(above[:-1]))[1] if above else ():
         if key in _place(model, (*above[:-1], section))[1]:
             return f"it belongs to the section {section}, so move it there"
-    near = difflib.get_close_matches(str(key), known, n=1)
-    return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
+    return nearest(str(key), known)
 
 
 # Pydantic names these kinds in words of Python, which a file does not have.

@@ -25,6 +25,7 @@ from jaxtyping import Float
 from pydantic import Field
 from scipy import ndimage
 
+from ..base.public_value import public_value
 from ..base.settings import check_fields
 from .decode import DepthMap
 from .sigma import with_depth_term
@@ -34,6 +35,7 @@ _SEED = 15  # Any number would do. A device with the seed 0 has the numbers of t
 _SMOOTHED = (4 * math.pi) ** -0.25  # A Gaussian of one pixel leaves this of white noise's sigma.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultSpec:
     """The faults of a device; None or 0 switches a fault off, and all are off by default."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from ..base.public_value import public_value
 from ..base.settings import Positive, check_fields
 from ..rendering import PathNoise, Radiance
 from ..rig.former_names import current_name
@@ -56,6 +57,7 @@ from .speckle import (
 APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureSpec:
     """A fixed exposure time, or the one that brings the white frame to a target."""
@@ -87,6 +89,7 @@ class ExposureSpec:
         check_fields(self)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scanner:
     """Everything about a virtual camera: what `certify` measures and `generate` uses."""

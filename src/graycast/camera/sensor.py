@@ -23,6 +23,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from pydantic import Field
 
 from ..base.kernels import kernel
+from ..base.public_value import public_value
 from ..base.settings import Level, Positive, check_fields
 from ..base.streams import CaptureStream
 
@@ -33,6 +34,7 @@ EXACT_POISSON_BELOW_E = 64.0  # Above, a normal law leaves out a skewness of und
 SATURATION_SIGMAS = 4.0
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSpec:
     """A linear sensor and the stop of the lens before it; the default is a 5-megapixel CMOS chip.
@@ -154,6 +156,7 @@ class SensorSpec:
         return self.gain_dn_per_e * np.maximum(stored_dn - self.offset_dn, 0.0) + floor_dn2
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
     """A stack of pictures as the sensor stored them [DN].

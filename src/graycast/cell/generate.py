@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from ..base.errors import ConfigError, DatasetError
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.public_value import public_value
 from ..camera.decode import pooled_shares
 from ..camera.scanner import Scanner
 from ..dataset.bop import scene_files
@@ -34,6 +35,7 @@ from .resolve import Cell, reach_m
 from .simulate import Shot
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """What a run did: scenes that it made, found, and gave up; share of pixels per reason."""

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from ..base.errors import ConfigError
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.public_value import public_value
 from ..base.streams import station_stream
 from ..camera.scanner import Scanner
 from ..rendering import OnPass, Renderer, open_renderer
@@ -64,6 +65,7 @@ class Eye:
     T_first_cam: Pose | None = None
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
     """A configuration with all its files read. All scenes of a dataset share it.

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.public_value import public_value
 from ..base.streams import image_seeds, scene_seeds
 from ..base.version import __version__
 from ..camera.decode import CodeMap, reason_shares
@@ -34,7 +35,8 @@ from .views import refuse_inside
 _PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@public_value
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Shot:
     """One finished image with what lies between radiance and sample, for pictures of it."""
 

@@ -10,6 +10,7 @@ import trimesh
 from ..base.file_limits import parse_json
 from ..base.frames import is_rigid
 from ..base.ply import split
+from ..base.public_value import public_value
 from . import records
 from .bop import camera_json
 from .claim import fingerprint, rig_of
@@ -29,6 +30,7 @@ _Finding = tuple[int | None, str]  # The scene, None for the whole dataset, and 
 _MODEL_MM = 1e-3  # A PLY has nine digits, which are read back in single precision.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
     """A problem and its scene; a `scene` of None means the whole dataset."""

@@ -13,11 +13,13 @@ from pycocotools import mask as coco_mask
 
 from ..base.errors import GraycastError
 from ..base.file_limits import check_runs, parse_json
+from ..base.public_value import public_value
 
 RESULTS, DETECT_JSON = "results.json", "detect.json"
 WEIGHTS = "detector.pt"  # The command `graycast detector train` leaves it in a folder.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:
     """The detections in one picture, best first.

@@ -9,12 +9,14 @@ from pycocotools import mask as coco_mask
 from ..base.array_types import Bool, Float, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from ..base.frames import rigid
+from ..base.public_value import public_value
 from .records import MM_PER_M
 
 if TYPE_CHECKING:  # A dataset is read where little is installed; a camera needs more.
     from ..rig.optics import Optics
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
     """One picture and its labels, for the instances of which something is visible.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ..base.public_value import public_value
 from ..camera.decode import CodeMap, DepthMap
 from ..camera.scanner import Scanner
 from ..camera.sensor import Capture
@@ -16,6 +17,7 @@ from ..world.scene import Layout, Scene
 LEAST_DECODED = 1e-3  # In a smaller share of a picture wrong codes give depths by chance.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raw:
     """What lies between light and depth, as far as it is kept; `scanner` took and read it."""
@@ -39,6 +41,7 @@ class Raw:
         return tuple(n for axis in self.scanner.code.axes for n in (axis, f"sigma_{axis}"))
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
     """Everything about one image of a scene that reaches the disk.

@@ -11,12 +11,14 @@ from typing import Any, final
 
 from ..base.errors import DatasetError, GraycastError
 from ..base.folder import write_whole
+from ..base.public_value import public_value
 from .json_text import json_bytes
 from .safe_reading import Unreadable, read_json
 
 SETASIDE = "set_aside.json"
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
     """A scene that could not be made after so many tries: why, and where if nobody foresaw it."""

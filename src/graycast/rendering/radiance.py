@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from pydantic import Field
 
 from ..base.mask_box import overlap
+from ..base.public_value import public_value
 from ..base.settings import check_fields
 from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
@@ -31,6 +32,7 @@ OnFrame = Callable[[int, int], None]  # It gets the numbers of finished and all 
 OnPass = Callable[[int, int], None]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
     """The effort of a renderer: paths per pixel, and vertices per path.
@@ -52,6 +54,7 @@ class Quality:
             raise ValueError(f"denoise is {self.denoise!r}; choose 'none', 'oidn' or 'optix'")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathNoise:
     """The error that a finite number of light paths leaves in all patterns of a stack alike.
@@ -70,6 +73,7 @@ class PathNoise:
             array.flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
@@ -105,6 +109,7 @@ class Radiance:
             self.place_px.flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silhouette:
     """All pixels whose ray meets one instance, hidden or not, cropped to their box.
@@ -136,6 +141,7 @@ class Silhouette:
         return image
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundTruth:
     """Geometry at pixel centres, from the scene itself.
@@ -155,6 +161,7 @@ class GroundTruth:
             array.flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendering:
     """The complete result of rendering a scene."""

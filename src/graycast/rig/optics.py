@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import AfterValidator, Field
 
 from ..base.frames import pixel_grid
+from ..base.public_value import public_value
 from ..base.settings import Finite, Level, Positive, check_fields
 
 MAX_SIDE_PX = 32_768  # It is twice the longest sensors; beyond it a number is no size in pixels.
@@ -36,6 +37,7 @@ Side = Annotated[int, Field(ge=1), AfterValidator(_side)]
 Distortion = tuple[Finite, Finite, Finite, Finite, Finite]  # (k1, k2, p1, p2, k3)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
     """Intrinsics of a camera or projector, in pixels; pixel (0, 0) is a centre.

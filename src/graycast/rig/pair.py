@@ -19,6 +19,7 @@ from ..base.frames import (
     rigid,
     transform_points,
 )
+from ..base.public_value import public_value
 from ..base.settings import Level, Positive, Share, Vector, check_fields
 from .former_names import current_name
 from .optics import Optics, in_picture, project, rays
@@ -37,6 +38,7 @@ def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
     return response
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
     """One camera and one projector.

@@ -11,6 +11,7 @@ from PIL import Image, ImageShow
 
 from ..base.errors import GraycastError
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.public_value import public_value
 from ..camera.decode import CodeMap, DepthMap
 from ..camera.sensor import Capture
 from ..cell.engine import ALONE, Failed, Pool, SceneTask, TaskResult, Workers, open_pool
@@ -23,7 +24,8 @@ from ..world.scene import Layout
 from .report.preview import preview
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@public_value
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SceneResult:
     """A finished scene. `shots` are its images; the properties are those of the first image."""
 

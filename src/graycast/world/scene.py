@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from ..base.frames import is_rigid
+from ..base.public_value import public_value
 from ..base.settings import Level, Positive, Vector, check_fields
 from ..rig.pair import Rig
 from .parts import Material, Mesh, Part
@@ -22,6 +23,7 @@ Inner = Annotated[float, Field(ge=0.01, le=5)]
 Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
     """An open box, or a mesh in its place. The material's texture repeats every `texture_size_m`.
@@ -57,6 +59,7 @@ class Bin:
         return -float(self.bounds_m[0, 2])
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quad:
     """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
@@ -92,6 +95,7 @@ class Quad:
         return u / self.texture_size_m, v / self.texture_size_m
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere:
     center_m: tuple[float, float, float]
@@ -104,6 +108,7 @@ class Sphere:
             raise ValueError(f"{words}; a sphere has no grain: set it to 0, or give a part")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:
     """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
@@ -123,6 +128,7 @@ class Environment:
         check_fields(self)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
     """A square area lamp, which shines in all directions in front of it; its back is black."""
@@ -146,6 +152,7 @@ class Lamp:
             )
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """Everything that light meets but the poses of the dropped parts.
@@ -178,6 +185,7 @@ class Scene:
             raise ValueError(f"labelled parts are {labelled}: parts without a label must come last")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """Result of a drop: where the parts lie, and the figures by which a layout is accepted.

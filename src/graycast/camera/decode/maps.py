@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pydantic import Field
 
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...rig.optics import Optics, mask_points
 from ..sensor import SensorSpec, stored_saturation_dn
@@ -110,6 +111,7 @@ class Mark(IntFlag):
     SETTLED = 2  # its own phases allow several places; its neighbours chose among them
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
     """The offset, the saturation and the noise of a sensor's digital numbers.
@@ -147,6 +149,7 @@ def levels_of(sensor: SensorSpec) -> Levels:
     )
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodeSpec:
     """The conditions under which a pixel is decoded.
@@ -233,6 +236,7 @@ class DecodeSpec:
         check_fields(self)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSpec:
     """The settings of the filters; None or 0 switches a filter off, and all are off by default.
@@ -314,6 +318,7 @@ class FilterSpec:
         check_fields(self)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeMap:
     """Which projector pixel each camera pixel sees.
@@ -338,6 +343,7 @@ class CodeMap:
                 getattr(self, name).flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMap:
     """What the scanner measured: z of the camera frame and its standard deviation [m].

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
 from ...base.errors import DecodeError
+from ...base.public_value import public_value
 from ...rig.optics import mask_points
 from ...rig.pair import Rig
 from ...rig.pattern import Code
@@ -43,6 +44,7 @@ OUT_OF_RANGE = 0.3  # The rig is doubtful if more than this share of what decode
 DECODED_AT_LEAST = 0.01  # A stack is refused if no more than this share of its lit pixels decodes.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
     """Points in the camera frame [m], with the colours that the camera stored, 8 bits each.
@@ -62,6 +64,7 @@ class Cloud:
                 getattr(self, name).flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackResult:
     """The result of a stack. Without a rig there is no depth and no cloud.

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Num, UInt8, UInt16
 from scipy.ndimage import convolve, uniform_filter
 
 from ...base.errors import DecodeError
+from ...base.public_value import public_value
 from ...rig.pattern import Code
 from ..decode import Levels
 from .computed import computed_pairs
@@ -39,6 +40,7 @@ QUANTISATION_DN2 = 1 / 12
 ONE_MEAN = "texture of a period's mean"
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredLevels:
     """The levels taken, and in words where each comes from."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
+from ...base.public_value import public_value
 from ...rig.pattern import Code
 from ..decode import CodeMap, Mark, Reason, reason_shares
 from .frame_groups import inverse_pairs
@@ -13,6 +14,7 @@ WELL = 0.4  # Well lit is this share of the contrast that two of a hundred lit p
 MAX_SAMPLES = 150_000  # Medians are taken of at most so many pixels.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackFigures:
     """Shares of pixels, and medians over the better lit half of the decoded ones.

@@ -6,6 +6,7 @@ from pathlib import Path
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
 from ...base.folder import visible_entries
+from ...base.public_value import public_value
 from ...world.parts import Part, builtin_part
 from ...world.parts.part_sections import resolve_part
 from ...world.scene import Scene, bin_of
@@ -16,6 +17,7 @@ METAL_PARTS = ("metal_workpiece_1", "metal_workpiece_2")
 SMALL = 0.5  # Distractors longer than this share of the bin's shorter side are not put in unasked.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Domain:
     """A domain's settings and what they name. Files are in the order of their names."""

@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...rendering import choose_device
 from ...world.drop import hull_notes, prepare
@@ -15,6 +16,7 @@ HOPELESS = 3  # If so many scenes are given up before any comes out, the rest wo
 MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the process.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
     """Who makes the scenes.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 
 NAMES = ("train", "val", "test")
@@ -13,6 +14,7 @@ _STEP = 0x9E3779B97F4A7C15  # It is 2^64 over the golden ratio, and odd.
 _TURN = 2**64
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Split:
     """Shares of the scenes that go to train, val and test.

@@ -11,6 +11,7 @@ from typing import final, overload
 
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
+from ...base.public_value import public_value
 from ..example import Example
 from ..export.options import FORMATS
 from ..export.record import RECORD, read_record
@@ -24,6 +25,7 @@ ReadOne = Callable[[int], Example]
 
 
 @final
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examples(Sequence[Example]):
     """The examples of one set, each read from its files when it is asked for.

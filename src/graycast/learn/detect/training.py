@@ -13,6 +13,7 @@ import torch
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...dataset.claim import claimed_options
 from ...dataset.detections import WEIGHTS
@@ -45,15 +46,14 @@ _RANGE_MARGIN = 0.05  # This share of the depth's span is added at both ends.
 
 
 @final
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainSpec:
     """Options of a training; None leaves the choice to the model.
 
     Attributes:
-        model: one of `networks.MODELS`.
-        input: what the network sees.
-        backbone: of the model.
-        longest_px: the longer side of the network's input.
+        model, backbone: one of `networks.MODELS`, and its backbone.
+        input, longest_px: what the network sees, and the longer side of that picture.
         holes, relief, range_m: of the encoding; the range is measured where it is None.
         epochs: how often each picture is seen.
         batch, learning_rate: of a step.

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...base.errors import ConfigError, DatasetError, DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...base.streams import rescan_seeds
 from ...base.usage import rss_bytes
@@ -51,6 +52,7 @@ _NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim has the seed 
 _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim has what these files hold.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSpec:
     """Options of a scan of images: the camera, the rendering of light, and the seed.
@@ -71,6 +73,7 @@ class RescanSpec:
         check_fields(self)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSummary:
     """Summary of a run: images made, already there and given up.

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ...base.errors import DatasetError
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...dataset.claim import described_values
 from ...dataset.json_text import json_bytes
@@ -24,6 +25,7 @@ from ...rig.optics import Optics
 from ...world.parts import Material, Part
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceOptions:
     """Facts that the files of a dataset do not state, and the choice of what to read.
@@ -59,6 +61,7 @@ class SourceOptions:
             )
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceImage:
     """One image: depth and colours, and the objects with their poses.
@@ -77,6 +80,7 @@ class SourceImage:
 
 
 @final
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
     """A dataset of others, or one of its splits; images are read when they are asked for.

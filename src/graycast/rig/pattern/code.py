@@ -13,12 +13,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from .frame import AXES, Axis, Frame, Kind, level_share
 
 GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Code:
     """The frames of a stack in the order in which they are shown.

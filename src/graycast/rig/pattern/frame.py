@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 
 Axis = Literal["column", "row"]
@@ -16,6 +17,7 @@ AXES: tuple[Axis, Axis] = ("column", "row")
 Kind = Literal["white", "black", "gray", "complementary", "phase", "line"]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
     """One picture. Along its axis, at projector pixel `u`, it is

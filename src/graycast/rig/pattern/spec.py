@@ -7,6 +7,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from .code import Code, gray, gray_line_shift, gray_phase, micro_phase, multi_frequency, xor_gray
 from .frame import Axis
@@ -25,6 +26,7 @@ _MAKERS: dict[Codec, Callable[..., Code]] = {
 }
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeSpec:
     """Which code a scanner shows. What is None is the codec's own default.

@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import rigid
+from ...base.public_value import public_value
 
 LEAN_RAD = np.radians(30)  # A bin's walls and neighbours make a tool lean by about as much.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grip:
     """The pose of a tool in the part's frame, and the score of the grip (0 to 1).

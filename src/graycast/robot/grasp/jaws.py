@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ...base.frames import inverse, rigid, transform_points
 from ...base.kernels import kernel
+from ...base.public_value import public_value
 from ...base.streams import stream
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
@@ -23,6 +24,7 @@ PAD_GIVES_M = 0.5e-3  # The jaws press a rubber pad in by this depth.
 PROBES = 3000  # No finger may have any of these points of the part's surface within itself.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jaws:
     """Two parallel fingers that close along the tool's x; z points from the tips to the palm.

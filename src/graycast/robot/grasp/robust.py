@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ...base.public_value import public_value
 from ...base.streams import stream
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
@@ -14,6 +15,7 @@ CARRIED_M_S2 = 0.5 * 9.81  # A tool accelerates a part in it by no more than thi
 SHAKE = 1.5  # At that acceleration, a part pulls with at most this many times its weight.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Doubt:
     """The uncertainties of a grip as standard deviations of normal distributions.

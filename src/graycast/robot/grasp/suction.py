@@ -16,12 +16,14 @@ from jaxtyping import Float
 from pydantic import Field
 
 from ...base.kernels import kernel
+from ...base.public_value import public_value
 from .patch import Patch
 
 LIP_POINTS = 32  # This many springs form the lip: a groove of half their length opens the seal.
 MOST_STRAIN = 0.10  # A cup seals if no spring has more strain. Source: Dex-Net 3.0, section IV.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cup:
     """A round suction cup."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...base.public_value import public_value
 from ...rig.optics import Optics, rays
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
@@ -57,6 +58,7 @@ def suction_places(
     return places
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthView:
     """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
@@ -71,6 +73,7 @@ class DepthView:
         return self.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripEstimate:
     """Pose of a tool in the camera's frame, and the score (0 to 1) of its grip there."""
@@ -82,6 +85,7 @@ class GripEstimate:
         self.T_cam_tool.flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuctionSearch:
     """A search on the measured surface, without a model of the part.

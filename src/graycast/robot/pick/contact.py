@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
+from ...base.public_value import public_value
 from ...world.drop import Hold
 from ...world.parts import Part
 from .outcome import Outcome
@@ -14,6 +15,7 @@ from .outcome import Outcome
 LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # It is `grasp.load_factor` of one tool.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartGrip:
     """A tool that holds a part: which, how, and where its tip came to rest."""
@@ -49,6 +51,7 @@ class PartGrip:
         return PartGrip(part=part, hold=hold, T_world_tool=T_world_tool)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoGrip:
     """A tool that holds nothing: why, and the part that it met, if any."""

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ...base.errors import ConfigError
 from ...base.frames import rigid
+from ...base.public_value import public_value
 from .arms import ARMS, urdf
 
 Joints = Float[np.ndarray, "q"]
@@ -45,6 +46,7 @@ class Obstacle:
 
 
 @final
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounted:
     """A piece of a tool: something convex, as Coal knows it, in the flange's frame."""

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from ...base.errors import ConfigError
 from ...base.frames import axis_rotation, rigid
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...cell.resolve import Cell, refuse_several, resolve_cell
 from ...dataset.detections import WEIGHTS
 from ...world.scene import Bin, bin_of
@@ -17,6 +18,7 @@ from .arms import ARMS
 from .pick_sections import PickConfig
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickCell:
     """The part of a cell that drops and scans, and what the robot's sections say of the rest.

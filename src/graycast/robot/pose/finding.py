@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from ...base.public_value import public_value
 from ...camera.crop import Crop, crop
 from ...rig.optics import Optics
 from ...world.parts.symmetry import nearest_member
@@ -32,6 +33,7 @@ SURE = 0.9  # After a pose with a higher score, no other way to put the part is 
 TRIES = 3  # The best pose is turned in all other ways at most this many times.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseMatch:
     """A part's pose and its evidence: counts of pixels of the drawn part, except `missed`.

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import rigid
+from ...base.public_value import public_value
 from ...world.parts import Mesh, Symmetry
 from ...world.parts.sampling import dense_points, surface_points
 from ...world.parts.symmetry import axis_rotations, motions
@@ -19,6 +20,7 @@ DENSE_STEP = 0.008  # The points that depth is laid on lie this share of the dia
 MOST_DENSE = 40_000
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
     """The data of a part for the search, in the part's frame.

@@ -28,6 +28,7 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from .scores import Scores, figures_of_draws
 
 LEVEL = 0.95
@@ -35,6 +36,7 @@ DRAWS = 1000
 _EQUAL = 1e-12  # Draws nearer than this to the estimate are equal to it but for rounding.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
     """A figure with its 95 % confidence interval; NaN if the interval is not known."""

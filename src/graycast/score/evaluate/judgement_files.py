@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...base.public_value import public_value
 from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import plain
 from .intervals import Interval
@@ -29,6 +30,7 @@ EVALUATION = "evaluation.json"
 _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
     """An evaluation: its subject, its settings and its results."""

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...dataset.detections import Detections
 from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
@@ -30,6 +31,7 @@ MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 KINDS: tuple[Kind, ...] = ("box", "mask")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
     """The choices of a judgement."""
@@ -51,6 +53,7 @@ class Protocol:
             )
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroupRow:
     """Figures of all instances, of a class or of a group.
@@ -68,6 +71,7 @@ class GroupRow:
     figures: Mapping[str, Interval]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
     """Everything about one kind of outline.

@@ -9,12 +9,14 @@ from jaxtyping import Bool, Float, Float32, Int
 from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from ...dataset.coco import IGNORED_BELOW
 from ...dataset.example import Example
 
 MIN_VISIBILITY = IGNORED_BELOW
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
     """The instances of one picture of which something is visible.

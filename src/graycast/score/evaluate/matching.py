@@ -17,6 +17,7 @@ from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
 from ...base.kernels import kernel
+from ...base.public_value import public_value
 from ...dataset.detections import Detections
 from .labels import Labels
 
@@ -25,6 +26,7 @@ THRESHOLDS = np.linspace(0.5, 0.95, 10)  # They are of intersection over union.
 THRESHOLDS.flags.writeable = False
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
     """A scene's instances and detections of one class, and how they overlap.
@@ -42,6 +44,7 @@ class Pair:
     overlap: Float[np.ndarray, "d g"]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlaps:
     """The overlaps of all detections and instances before the matching.
@@ -60,6 +63,7 @@ class Overlaps:
     pairs: Mapping[int, tuple[Pair, ...]]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassMatches:
     """Detections of a class over all scenes, best first, and what they found.

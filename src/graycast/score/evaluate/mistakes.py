@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pycocotools import mask as coco_mask
 
+from ...base.public_value import public_value
 from .matching import ClassMatches, Overlaps, shapes
 
 AT_HALF = 0  # It is the place of 0.5 among THRESHOLDS.
@@ -21,6 +22,7 @@ NEAR = 0.1  # A detection that overlaps less is of nothing.
 Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingPoint:
     """Precision and recall of detections above a score, at an overlap of 0.5."""
@@ -30,6 +32,7 @@ class WorkingPoint:
     recall: float
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Miss:
     """An instance that should have been found and was not.
@@ -44,6 +47,7 @@ class Miss:
     score: float
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FalseAlarm:
     """A detection of nothing that was to be found; `overlap` is with what is nearest."""

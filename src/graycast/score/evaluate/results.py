@@ -9,10 +9,12 @@ import numpy as np
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
+from ...base.public_value import public_value
 from ...dataset.detections import DETECT_JSON, RESULTS, Detections, read_results
 from ...dataset.export.split import Split
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionRun:
     """The content of `detect.json`; fields are None for a single file of results.

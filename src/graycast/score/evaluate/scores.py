@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...base.kernels import kernel
+from ...base.public_value import public_value
 from ...dataset.detections import Detections
 from .labels import Labels
 from .matching import ClassMatches, Kind, Overlaps, match, overlaps
@@ -27,6 +28,7 @@ RECALLS.flags.writeable = False
 FIGURES = ("ap", "ap50", "ap75", "ar")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
     """The scores of detections; NaN if there is nothing to find.

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...dataset.detections import Detections
 from ...dataset.example import display_image
@@ -31,6 +32,7 @@ TELLING = 0.005  # A note is worth it if the order of equal scores moves AP by t
 _ONE_CLASS = 1  # Everything has this object id where classes do not matter.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """The results and the labels to compare; a `split` or `division` of None is the results' own.

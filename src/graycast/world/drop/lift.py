@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ...base.public_value import public_value
 from ..scene import Bin
 from .body import Body, Kinds, Poses
 from .rapier import RapierPart, Terms, open_heap
@@ -30,6 +31,7 @@ SPEED_M_S = 10.0
 STEP_S = 0.002
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
     """Grip of a tool on a part: its pose on the part, its strength and its stiffness.

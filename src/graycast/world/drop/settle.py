@@ -17,6 +17,7 @@ from pydantic import Field
 from ...base.errors import DropError
 from ...base.frames import random_quaternions, rotation_from_quaternion
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...base.streams import stream
 from ..parts import Part
@@ -33,6 +34,7 @@ ORIENTATION_TRIES = 1000
 HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
     """Area where parts start to fall, and the limits of an accepted layout.

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from pydantic import Field
 
+from ...base.public_value import public_value
 from ...base.settings import Positive, Share, Vector, check_fields
 
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
@@ -17,6 +18,7 @@ Roughness = Annotated[float, Field(ge=SMOOTHEST, le=1)]
 Transparent = Literal["solid", "thin"]
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grain:
     """Direction of the grooves of a metal surface, in the frame of the mesh.
@@ -34,6 +36,7 @@ class Grain:
             raise ValueError(f"the axis of a grain is {self.axis}; it must have a direction")
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
     """A surface in a few physical words.
@@ -165,6 +168,7 @@ class Material:
         return (1 + root) / (1 - root)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
     """A triangle mesh [m], counter-clockwise seen from outside.
@@ -242,6 +246,7 @@ def corner_grain(mesh: Mesh, grain: Grain) -> Float[np.ndarray, "f 3 3"]:
     return np.where(is_end[:, None, None], other, along)
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Symmetry:
     """The rigid motions that leave a part looking the same, in its own frame.
@@ -254,6 +259,7 @@ class Symmetry:
     continuous: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
     """One kind of part. `source` says where it came from, for datasets and error messages.

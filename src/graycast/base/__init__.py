@@ -5,6 +5,7 @@ Each imports only from those above it:
     version          the version of Graycast, which the files that it writes state
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
+    progress         what a long task tells whoever waits for it
     argument_check   wrong kinds of arguments, refused with their names
     public_value     what a public value says of itself: text, help, unknown keywords
     file_limits      JSON and pictures of users, refused before they fill the memory
@@ -22,5 +23,4 @@ Each imports only from those above it:
     ply              point clouds and meshes as PLY files
     tables           tables as CSV and as Markdown
     kernels          functions that Numba compiles
-    progress         what a long task tells whoever waits for it
 """

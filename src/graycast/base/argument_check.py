@@ -7,15 +7,18 @@ may be anything that NumPy takes for one: its axes and its kind of numbers are c
 
 import difflib
 import inspect
+import sys
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
 from .errors import ArgumentError
+from .progress import StatusLine, is_watched
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -50,18 +53,42 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     It raises an ArgumentError that names the argument, its value and the remedy, also for negative
     seeds and counts and for an argument that it does not have. The same function gives the same
-    result, which pickle finds at the door.
+    result, which pickle finds at the door. In a terminal and in a notebook, a function that takes
+    a `ProgressMeter` and gets none keeps a line there until it returns.
     """
     plain = inspect.unwrap(function)
-    check = _checker(plain.__name__, plain, inspect.signature(plain))
+    signature = inspect.signature(plain)
+    check = _checker(plain.__name__, plain, signature)
+    tells = "progress" in signature.parameters
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         check(args, kwargs)
-        return function(*args, **kwargs)
+        if not tells or "progress" in kwargs or not is_watched(sys.stderr):
+            return function(*args, **kwargs)
+        return _with_line(function, args, kwargs, StatusLine(sys.stderr))
 
     call.__module__ = __name__.partition(".")[0]
     return call
+
+
+def _with_line(function: Any, args: Any, kwargs: Any, line: StatusLine) -> Any:
+    """Call a function whose progress stands in a line; yielded values find the line cleared."""
+
+    def each(values: Generator[Any, Any, Any]) -> Iterator[Any]:
+        with closing(values):
+            try:
+                for value in values:
+                    line.clear()
+                    yield value
+            finally:
+                line.clear()
+
+    try:
+        result = function(*args, **kwargs, progress=line)
+    finally:
+        line.clear()
+    return each(result) if isinstance(result, Generator) else result
 
 
 def _checker(

@@ -1,11 +1,14 @@
 """Messages of a long task to its caller, by way of an object that is handed down to it.
 
 After the progress meters of diffrax: a task takes a `ProgressMeter`, and the caller chooses what is
-done with it. The command line draws bars. What a meter raises ends the task.
+done with it. The command line draws bars, and scripts get a line. What a meter raises ends the
+task.
 """
 
 from collections.abc import Callable
-from typing import Protocol, final, runtime_checkable
+from typing import Protocol, TextIO, final, runtime_checkable
+
+MOST_COLUMNS = 78  # A longer line would be wrapped, and only its last row could be cleared.
 
 
 @runtime_checkable
@@ -35,6 +38,48 @@ class Stages:
     def count(self, what: str, done: int, total: int) -> None: ...
 
     def note(self, text: str) -> None: ...
+
+
+@final
+class StatusLine:
+    """A `ProgressMeter` that keeps one line of a terminal or notebook, which it clears again."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._counted = ""
+        self._columns = 0
+
+    def stage(self, text: str) -> None:
+        self._show(f"graycast: {self._counted}{text} ...")
+
+    def count(self, what: str, done: int, total: int) -> None:
+        self._counted = f"{done} of {total} {what}; "
+        self._show(f"graycast: {self._counted.removesuffix('; ')}")
+
+    def note(self, text: str) -> None:
+        self.clear()
+        self._stream.write(f"graycast: note: {text}\n")
+
+    def clear(self) -> None:
+        """Leave an empty line to whoever prints next."""
+        if self._columns:
+            self._stream.write(f"\r{' ' * self._columns}\r")
+            self._stream.flush()
+        self._columns = 0
+
+    def _show(self, text: str) -> None:
+        self.clear()
+        text = " ".join(text.split())[:MOST_COLUMNS]
+        self._columns = len(text)
+        self._stream.write(text)
+        self._stream.flush()
+
+
+def is_watched(stream: TextIO | None) -> bool:
+    """Return whether somebody reads a stream while it is written: in a terminal or a notebook."""
+    if stream is None:
+        return False
+    return stream.isatty() or type(stream).__module__.startswith("ipykernel")
 
 
 UNWATCHED = Stages(lambda text: None)

@@ -121,6 +121,7 @@ def scenes(
     )
     prepare(task.parts, progress=progress)
     with closing(open_pool(task, workers, scenes=max(count, 1), progress=progress)) as pool:
+        progress.stage("the first scene takes up to a minute longer, since programs are compiled")
         for done, shots in enumerate(_in_order(pool, count)):
             progress.count("scenes", done + 1, count)
             yield SceneResult(cell=cell, shots=shots)

@@ -191,7 +191,7 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
         scanners[BARE] = replace(
             scanner,
             rig=replace(scanner.rig, line_noise=0.0),
-            code=replace(scanner.code, axes=("column",), fine_period_px=None),
+            code=replace(scanner.named_code(), axes=("column",), fine_period_px=None),
             decode=replace(scanner.decode, min_visibility=0.0),
             filters=replace(scanner.filters, edge_px=None),
         )

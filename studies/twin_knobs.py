@@ -66,7 +66,7 @@ def open_bench(cell: Cell) -> Bench:
     files = [REAL / f"depth_{i}.npy" for i in (*FITTED, *ASIDE)]
     scans = list(read_scans(files, options=FileOptions(K=cell.scanner.rig.camera.K)))
     pictures = [read_rgb(REAL / f"color_{i}.png") for i in (*FITTED, *ASIDE)]
-    code = candidate_codes(cell.scanner.code)[-1]
+    code = candidate_codes(cell.scanner.named_code())[-1]
     with open_cell_renderer(cell) as renderer:
         lit = light_scenes(
             cell,
@@ -87,7 +87,7 @@ def bench_of(cell: Cell, scans: list[DepthScan], lit: tuple[LitScene, ...]) -> B
     places = missing_places(lit[: len(FITTED)], own)
     step_m = depth_step_m(own)
     return Bench(
-        start=replace(cell.scanner, code=candidate_codes(cell.scanner.code)[-1]),
+        start=replace(cell.scanner, code=candidate_codes(cell.scanner.named_code())[-1]),
         parameters=fitted_parameters(cell),
         lit=lit,
         real=figures_of(own, find_floor([scan.depth_m for scan in own]), places),
@@ -107,7 +107,7 @@ def search_without(
     fit = search(
         with_values(bench.start, gone, dict.fromkeys(off, OFF)),
         bench.lit[: len(FITTED)],
-        (bench.start.code,),
+        (bench.start.named_code(),),
         [p for p in bench.parameters if p.key not in off],
         bench.real,
         trials=trials,

@@ -109,7 +109,7 @@ def light(scanner: Scanner, rng: np.random.Generator) -> LitScene:
     for _ in range(2):
         lean_x, lean_y = rng.uniform(-0.8, 0.8, 2).tolist()
         things.append(board(place(0.43, 0.45), 0.03, lean_x, lean_y, grey(0.1, 0.7)))
-    rig, codes = scanner.rig, candidate_codes(scanner.code)
+    rig, codes = scanner.rig, candidate_codes(scanner.named_code())
     scene = Scene(
         rig=rig,
         T_world_cam=np.eye(4),

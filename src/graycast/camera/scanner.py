@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from ..base.errors import ConfigError
 from ..base.public_value import public_value
 from ..base.settings import Positive, check_fields
 from ..rendering import PathNoise, Radiance
@@ -92,10 +93,13 @@ class ExposureSpec:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scanner:
-    """Everything about a virtual camera: what `certify` measures and `generate` uses."""
+    """Everything about a virtual camera: what `certify` measures and `generate` uses.
+
+    `code` is one that has a name, or a list of frames of the user's own for this projector.
+    """
 
     rig: Rig
-    code: CodeSpec = field(default_factory=CodeSpec)
+    code: CodeSpec | Code = field(default_factory=CodeSpec)
     sensor: SensorSpec = field(default_factory=SensorSpec)
     exposure: ExposureSpec = field(default_factory=ExposureSpec)
     decode: DecodeSpec = field(default_factory=DecodeSpec)
@@ -117,6 +121,16 @@ class Scanner:
     def light_code(self) -> Code:
         """The code for this rig's projector."""
         return self.code.code(self.rig.projector.width_px, self.rig.projector.height_px)
+
+    def named_code(self) -> CodeSpec:
+        """Return the code where it has a name, which files and the twin's fit need.
+
+        Raises:
+            ConfigError: the code is a list of frames.
+        """
+        if isinstance(self.code, Code):
+            raise ConfigError("the code is a list of frames: give a code that has a name")
+        return self.code
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

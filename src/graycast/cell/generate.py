@@ -32,7 +32,7 @@ from ..rig.pair import PRESETS
 from .config import Config
 from .engine import ALONE, Failed, SceneMaker, SceneTask, TaskResult, Workers, make_missing
 from .resolve import Cell, reach_m
-from .simulate import Shot
+from .simulate import Shot, own_record
 
 
 @public_value
@@ -146,7 +146,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
     manifest = samples[0].manifest
     scene_id = manifest["scene_id"]
-    if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
+    config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    if manifest["config"] != config or manifest.get("own", {}) != own_record(cell):
         raise ValueError(
             f"scene {scene_id} was made from another configuration than this cell's: give the "
             "cell with which make_scene made it"

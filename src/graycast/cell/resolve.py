@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,7 +15,9 @@ from ..base.errors import ConfigError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.public_value import public_value
 from ..base.streams import station_stream
+from ..camera.decode import triangulation_axis
 from ..camera.scanner import Scanner
+from ..camera.sensor import SensorSpec
 from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
@@ -81,6 +84,7 @@ class Cell:
     notes: tuple[str, ...]
     file_digests: dict[str, str]
     domain: Domain | None = None
+    own: tuple[str, ...] = ()  # what of the scanner is not the configuration's; see `with_own`
     named: tuple[tuple[str, Scanner], ...] = ()
 
     @property
@@ -92,6 +96,34 @@ class Cell:
     def code(self) -> Code:
         """The code that the scanner shows."""
         return self.scanner.light_code()
+
+    def with_own(self, *, code: Code | None = None, sensor: SensorSpec | None = None) -> "Cell":
+        """Return the cell with a code or a sensor that its configuration does not name.
+
+        Every function takes such a cell. A dataset of it holds the code and the sensor in its
+        `graycast.json`, and under `own` in the manifest of each scene.
+
+        Args:
+            code: frames for the projector of the rig; None keeps the present code.
+            sensor: its noise and its converter; None keeps the present sensor.
+
+        Raises:
+            ConfigError: the cell has several scanners, or the code lacks the axis that is
+                parallel to the baseline.
+            ValueError: the code is made for a projector of another size.
+        """
+        if self.named:
+            raise ConfigError("the cell has several scanners: give one of a single scanner")
+        changes: dict[str, Any] = {
+            k: v for k, v in (("code", code), ("sensor", sensor)) if v is not None
+        }
+        scanner: Scanner = replace(self.scanner, **changes)
+        scanner.light_code()
+        axis = triangulation_axis(scanner.rig)
+        if axis not in scanner.code.axes:
+            raise ConfigError(f"code has no {axis} frames: rig {scanner.rig.name} needs them")
+        own = tuple(sorted({*self.own, *changes}))
+        return replace(self, scanner=scanner, own=own)
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
         """The grey levels for the projector, with its response inverted."""

@@ -22,6 +22,8 @@ from ..camera.decode import CodeMap, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
+from ..dataset.claim import described_values
+from ..dataset.json_text import plain
 from ..dataset.sample import Raw, Sample
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..world.drop import PARTS_MAX, drop
@@ -141,6 +143,8 @@ def _taken(
 ) -> Shot:
     """One image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
     config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
+    if cell.own:
+        manifest = manifest | {"own": own_record(cell)}
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
@@ -192,6 +196,11 @@ def _taken(
         image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def own_record(cell: Cell) -> dict[str, Any]:
+    """Return what a cell's scanner has of the user's own, for manifests; see `Cell.with_own`."""
+    return {name: plain(described_values(getattr(cell.scanner, name))) for name in cell.own}
 
 
 def on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:

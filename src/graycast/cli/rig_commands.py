@@ -246,7 +246,7 @@ def _patterns(options: argparse.Namespace) -> None:
     from ..rig.pattern import CodeSpec, write_pngs
 
     scanner = resolve_rig_option(options)
-    spec = scanner.code
+    spec = scanner.named_code()
     # the settings of the rig's own code apply only to that code
     if options.codec not in (None, spec.codec):
         spec = CodeSpec(codec=options.codec, axes=spec.axes)

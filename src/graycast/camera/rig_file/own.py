@@ -75,6 +75,7 @@ def save_scanner(scanner: Scanner, path: Path | str) -> None:
 def scanner_text(scanner: Scanner) -> str:
     """What a scanner's rig file holds."""
     rig = scanner.rig
+    scanner.named_code()
     content = {
         "name": rig.name,
         "camera": _plain(asdict(rig.camera)),

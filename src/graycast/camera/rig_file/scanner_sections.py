@@ -10,7 +10,7 @@ from ...base.errors import ConfigError
 from ...base.settings import ReadAs, Settings, changes_of
 from ...base.streams import device_seed
 from ...rig.pair import Rig
-from ...rig.pattern import CodeSpec
+from ...rig.pattern import Code, CodeSpec
 from ..decode import DecodeSpec, FilterSpec
 from ..faults import FaultSpec
 from ..scanner import ExposureSpec, Scanner
@@ -101,7 +101,7 @@ def _scanner(rig: Rig, parts: dict[str, Any], sections: ScannerSections) -> Scan
     return scanner
 
 
-Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec
+Spec = CodeSpec | Code | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec
 
 
 def _changed(value: Spec, section: Settings, name: str) -> Spec:

@@ -75,7 +75,7 @@ def make_twin(
     require_sklearn()
     check_scans(real, cell, aside=aside)
     fitted = len(real) - aside
-    codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
+    codes, parameters = candidate_codes(cell.scanner.named_code()), fitted_parameters(cell)
     progress.stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
 
@@ -110,7 +110,7 @@ def make_twin(
     other = seed + 100_000  # The judged scans have other noise than the search.
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
     if aside:
-        lit += light(rest, (fit.scanner.code,))
+        lit += light(rest, (fit.scanner.named_code(),))
     after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     sets = {"before": (own, before, ()), "after": (own, after, perfect[own])}

@@ -95,7 +95,7 @@ def search(
     """
     run = _Trials(start, lit, parameters, real, seed, trials, progress)
     x0 = shares_of(start, parameters)
-    _, before = run.judge(start.code, x0)
+    _, before = run.judge(start.named_code(), x0)
     laser = np.array([p.share(p.laser) for p in parameters])
     spread = qmc.Sobol(len(x0), seed=np.random.default_rng(seed)).random(_STARTS)
     each = trials // (len(codes) + 1)  # of the trials

@@ -179,9 +179,9 @@ def scan_lit(
     rendered, the light is taken to change evenly with the roughness. The projector's falloff dims a
     pixel by what it is at the pixel's own point, also in the light that came by other surfaces.
     """
-    radiance = lit.radiance[scanner.code]
+    radiance = lit.radiance[scanner.named_code()]
     if look != BinLook():
-        coats = {more: coat[scanner.code] for more, coat in lit.coats.items()}
+        coats = {more: coat[scanner.named_code()] for more, coat in lit.coats.items()}
         light: dict[str, Any] = {
             name: _with_look(
                 getattr(radiance, name),

@@ -49,6 +49,24 @@ class Code:
         if min(self.stride_px) <= 0:
             raise ValueError(f"stride_px is {self.stride_px}; projector pixels per code, above 0")
 
+    def code(self, width_px: int, height_px: int) -> "Code":
+        """Return this code for a projector of its size, as `CodeSpec` makes one for any size.
+
+        Raises:
+            ValueError: the projector has another size.
+        """
+        if (width_px, height_px) != (self.width_px, self.height_px):
+            raise ValueError(
+                f"code is made for {self.width_px} x {self.height_px} px, and the projector has "
+                f"{width_px} x {height_px}: make it for the projector's size"
+            )
+        return self
+
+    @property
+    def codec(self) -> str:
+        """The word for a code that is a list of frames and has no name."""
+        return "own"
+
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes that are coded."""

@@ -1,11 +1,14 @@
 """Pictures of figures: the same bytes each time, and whole or not there."""
 
+import itertools
+
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
 from graycast.base.errors import GraycastError
-from graycast.base.plotting import plain_figure, save_png
+from graycast.base.plotting import caption, legend_below, plain_figure, save_png, write_names
 
 
 class Broken(Figure):
@@ -44,3 +47,34 @@ def test_columns_share_the_width_as_asked():
     figure, (left, right) = plain_figure(8.0, 2.0, (1, 3))
     figure.set_layout_engine("none")
     assert right.get_position().width == pytest.approx(3 * left.get_position().width)
+
+
+def test_a_legend_below_lies_outside_the_axes_and_under_their_label():
+    figure, (ax,) = plain_figure(4.0, 3.0, (1,))
+    for name in ("one", "two", "three"):
+        ax.plot([0, 1], [0, 1], label=name)
+    caption(ax, "Title", "epoch", "loss")
+    legend_below(ax, columns=2)
+    figure.draw_without_rendering()
+    box = ax.get_legend().get_window_extent()
+    assert not box.overlaps(ax.get_window_extent())
+    assert not box.overlaps(ax.xaxis.label.get_window_extent())
+    assert box.y0 >= 0 and box.x1 <= figure.bbox.x1
+
+
+def test_names_of_near_points_do_not_overlap_and_the_first_ones_are_written():
+    """Thirty points in a small heap: boxes of the names are compared as they are drawn."""
+    figure, (ax,) = plain_figure(5.0, 4.0, (1,))
+    points = np.random.default_rng(1).uniform(0.4, 0.6, (30, 2))
+    ax.set(xlim=(0, 1), ylim=(0, 1))
+    write_names(ax, [f"setting {i}" for i in range(30)], points, ["black"] * 30)
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert ax.texts[0].get_text() == "setting 0" and len(boxes) > 5
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_a_point_that_is_not_a_number_gets_no_name():
+    _, (ax,) = plain_figure(5.0, 4.0, (1,))
+    write_names(ax, ["there", "nowhere"], np.array([[0.5, 0.5], [np.nan, 0.5]]), ["black"] * 2)
+    assert [text.get_text() for text in ax.texts] == ["there"]

@@ -4,13 +4,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox, ScaledTranslation
 
 from .folder import fill_whole
 
 INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
 
+
+# Where a name may stand beside its point [pt], the best place first.
+_SIDES = tuple(
+    ((x, y), side)
+    for y in (-10, 6, -20, 16, -30, 26)
+    for x, side in ((6, "left"), (-6, "right"), (0, "center"))
+)
+_BELOW_IN = 0.48  # Ticks and the label of an axis lie within this distance below it.
 
 Grid = Literal["both", "x", "y"]
 
@@ -45,6 +56,52 @@ def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
     ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
     ax.set_xlabel(x, fontsize=8, color=INK)
     ax.set_ylabel(y, fontsize=8, color=INK)
+
+
+def legend_below(ax: Axes, *, columns: int, title: str = "") -> None:
+    """Explain the colours below the axes and their label, where no line can lie under the words."""
+    place = ScaledTranslation(0, -_BELOW_IN, ax.get_figure(root=True).dpi_scale_trans)
+    ax.legend(
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=ax.transAxes + place,
+        borderaxespad=0.0,
+        ncols=columns,
+        fontsize=7,
+        title=title or None,
+        title_fontsize=7,
+        alignment="left",
+        frameon=False,
+    )
+
+
+def write_names(
+    ax: Axes,
+    names: Sequence[str],
+    points: Float[np.ndarray, "n 2"],
+    colors: Sequence[str],
+) -> None:
+    """Write names beside points of the data, those first that come first; no two overlap.
+
+    A name for which no side of its point has room is left out, and so is one of a point that is
+    not a number. The limits of the axes must be final.
+    """
+    taken: list[Bbox] = []
+    ax.get_figure(root=True).draw_without_rendering()
+    dots = ax.transData.transform(points)
+    for name, point, dot, color in zip(names, points, dots, colors, strict=True):
+        for shift, side in _SIDES if np.isfinite(point).all() else ():
+            text = ax.annotate(
+                name, point, shift, textcoords="offset points", ha=side, fontsize=7, color=color
+            )
+            box = text.get_window_extent()
+            inside = ax.bbox.x0 <= box.x0 and box.x1 <= ax.bbox.x1 and box.y0 >= ax.bbox.y0
+            others = (other for other in dots if other is not dot)
+            if inside and not any(box.overlaps(one) for one in taken):
+                if not any(box.contains(*other) for other in others):
+                    taken.append(box)
+                    break
+            text.remove()
 
 
 def save_png(figure: Figure, path: Path, *, dpi: int) -> None:

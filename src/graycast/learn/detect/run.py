@@ -12,7 +12,16 @@ import torch
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
-from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.plotting import (
+    ACCENT,
+    INK,
+    SECOND,
+    SOFT,
+    caption,
+    legend_below,
+    plain_figure,
+    save_png,
+)
 from ...base.tables import records_csv
 from ...dataset.claim import difference
 from ...dataset.json_text import json_bytes
@@ -24,6 +33,21 @@ _LOCK = ".lock"
 _HISTORY, _CURVES = "history.csv", "curves.png"
 
 Row = dict[str, float | int]
+
+# Names of curves for readers; those of terms that are not here are words already.
+_TERMS = {
+    "loss": "sum",
+    "loss_classifier": "class",
+    "loss_box_reg": "box",
+    "loss_rpn_box_reg": "box of a proposal",
+    "loss_objectness": "part or background",
+}
+_PRECISIONS = {
+    "box_ap": ("boxes, overlaps 0.50 to 0.95", ACCENT, "o-"),
+    "box_ap50": ("boxes, overlap 0.50", ACCENT, "o:"),
+    "mask_ap": ("masks, overlaps 0.50 to 0.95", SECOND, "o-"),
+    "mask_ap50": ("masks, overlap 0.50", SECOND, "o:"),
+}
 
 
 @final
@@ -154,21 +178,21 @@ class RunFolder:
 
 
 def _draw(rows: Sequence[Row], path: Path) -> None:
-    figure, (left, right) = plain_figure(9.0, 3.2, (1, 1))
+    figure, (left, right) = plain_figure(9.0, 3.8, (1, 1))
     epoch = [row["epoch"] for row in rows]
     losses = [name for name in rows[0] if name.startswith("loss")]
     for name, ink in zip(losses, (INK, ACCENT, SECOND, SOFT, "#7a5195", "#2f9e44"), strict=False):
-        left.plot(epoch, [row[name] for row in rows], color=ink, lw=1.2, label=name)
+        label = _TERMS.get(name, name.removeprefix("loss_").replace("_", " "))
+        left.plot(epoch, [row[name] for row in rows], color=ink, lw=1.2, label=label)
     left.set_yscale("log")
-    caption(left, "Loss on the training set", "epoch")
-    left.legend(fontsize=7, frameon=False)
-    inks = {"box_ap": ACCENT, "box_ap50": INK, "mask_ap": SECOND, "mask_ap50": SOFT}
-    for name, ink in inks.items():
+    caption(left, "Loss on the training set", "epoch", "loss")
+    legend_below(left, columns=3)
+    for name, (label, ink, line) in _PRECISIONS.items():
         points = [(row["epoch"], row[name]) for row in rows if name in row]
         if points:
-            right.plot(*zip(*points, strict=True), "o-", color=ink, lw=1.2, ms=3, label=name)
-    right.set_ylim(0, 1)
-    caption(right, "Average precision on the validation set", "epoch")
+            right.plot(*zip(*points, strict=True), line, color=ink, lw=1.2, ms=3, label=label)
+    right.set_ylim(0, 1.02)
+    caption(right, "Average precision on the validation set", "epoch", "average precision (AP)")
     if right.get_lines():
-        right.legend(fontsize=7, frameon=False)
+        legend_below(right, columns=2)
     save_png(figure, path, dpi=110)

@@ -5,7 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...base.folder import write_whole
-from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.plotting import (
+    ACCENT,
+    INK,
+    SECOND,
+    SOFT,
+    caption,
+    legend_below,
+    plain_figure,
+    save_png,
+)
 from ...base.tables import markdown_table, records_csv
 from ...dataset.json_text import json_bytes
 from ..study_file import StudySpec
@@ -142,7 +151,7 @@ def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
 
 def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
     """Draw a bar for each world in each row, with its interval."""
-    figure, (ax,) = plain_figure(9.0, 0.9 + 0.34 * len(rows), (1,), grid="x")
+    figure, (ax,) = plain_figure(9.0, 1.3 + 0.34 * len(rows), (1,), grid="x")
     height = 0.8 / len(spec.tests)
     for number, (world, ink) in enumerate(
         zip(spec.tests, (ACCENT, SECOND, SOFT, INK), strict=False)
@@ -160,6 +169,6 @@ def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
     ax.set_yticks(range(len(rows)), names, fontsize=7)
     ax.invert_yaxis()
     ax.set_xlim(0, 1)
-    ax.legend(fontsize=7, frameon=False)
+    legend_below(ax, columns=4)
     caption(ax, spec.title, "AP50, with 95 % intervals over scenes")
     save_png(figure, path, dpi=110)

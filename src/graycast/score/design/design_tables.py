@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ...base.folder import write_whole
-from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png, write_names
 from ...base.tables import markdown_table, records_csv
 from ...dataset.json_text import json_bytes
 from ..evaluate.intervals import Interval
@@ -136,40 +136,53 @@ def _share(interval: Interval) -> str:
 def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
     """Measured share over sigma, and over seconds; who is beaten in these two is pale."""
     best = choose(spec, rows)
-    figure, axes = plain_figure(11.0, 4.6, (1, 1))
+    figure, axes = plain_figure(12.0, 5.2, (1, 1))
     for ax, column, words in zip(axes, (1, 2), ("sigma [mm]", "seconds of a scan"), strict=True):
-        _draw_front(ax, rows, best, column)
-        caption(ax, spec.title, words, "measured share of the open surface [%]")
+        count = _draw_front(ax, rows, best, column)
+        title = f"{spec.title}: {count} of {len(rows)} settings are on the front"
+        caption(ax, title, words, "measured share of the open surface [%]")
+    for ax, column in zip(axes, (1, 2), strict=True):  # All else has its place by now.
+        _write_settings(ax, rows, best, column)
     save_png(figure, path, dpi=110)
 
 
 def _draw_front(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
-) -> None:
-    """Measured share over one of the costs, the front as a line; of close names one is written."""
+) -> int:
+    """Measured share with its interval over one of the costs; return how many are on the front.
+
+    Both axes begin at 0, so that two settings that are nearly equal look so.
+    """
     costs = np.array([cost(row) for row in rows])
     front = np.array(on_front(costs[:, [0, column]]))
     x, y = costs[:, column], 100 * (1 - costs[:, 0])
+    for row, here, at_x, at_y in zip(rows, front.tolist(), x.tolist(), y.tolist(), strict=True):
+        limits = 100 * row.measured.low, 100 * row.measured.high
+        ax.plot([at_x, at_x], limits, color=ACCENT if here else SOFT, lw=0.8, alpha=0.7)
+        if row is best:
+            ax.scatter([at_x], [at_y], s=90, facecolors="none", edgecolors=SECOND, lw=1.6)
     ax.scatter(x[~front], y[~front], s=18, color=SOFT)
     order = np.argsort(x[front], kind="stable")
     ax.plot(x[front][order], y[front][order], "o-", ms=5, lw=0.8, color=ACCENT)
-    apart = 0.04 * np.ptp(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0
-    written: list[float] = []
-    for row, here, at_x, at_y in zip(rows, front.tolist(), x.tolist(), y.tolist(), strict=True):
-        if row is best:
-            ax.scatter([at_x], [at_y], s=90, facecolors="none", edgecolors=SECOND, lw=1.6)
-        if (here or row is best) and all(abs(at_y - other) > apart for other in written):
-            written.append(at_y)
-            right = at_x > np.nanmean(x)
-            ax.annotate(
-                row.name.replace("_", " "),
-                (at_x, at_y),
-                xytext=(-6 if right else 6, -9),
-                ha="right" if right else "left",
-                textcoords="offset points",
-                fontsize=6,
-                color=SECOND if row is best else INK,
-            )
+    known = x[np.isfinite(x)]
+    ax.set_xlim(0, 1.15 * known.max() if known.size and known.max() > 0 else 1)
+    ax.set_ylim(bottom=0)
+    return int(front.sum())
+
+
+def _write_settings(
+    ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
+) -> None:
+    """The names of all settings for which there is room, those of the best and the front first."""
+    costs = np.array([cost(row) for row in rows])
+    front = on_front(costs[:, [0, column]])
+    first = sorted(range(len(rows)), key=lambda i: (rows[i] is not best, not front[i]))
+    write_names(
+        ax,
+        [rows[i].name.replace("_", " ") for i in first],
+        np.column_stack([costs[:, column], 100 * (1 - costs[:, 0])])[first],
+        [SECOND if rows[i] is best else INK if front[i] else SOFT for i in first],
+    )
 
 
 def _draw_missing(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:

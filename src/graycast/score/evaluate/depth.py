@@ -19,7 +19,16 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 
 from ...base.errors import GraycastError
-from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.plotting import (
+    ACCENT,
+    INK,
+    SECOND,
+    SOFT,
+    caption,
+    legend_below,
+    plain_figure,
+    save_png,
+)
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.tables import csv_text, markdown_table
 from ...dataset.json_text import plain
@@ -265,7 +274,7 @@ def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
 
 
 def _draw(tables: Tables, colors: Mapping[str, str], path: Path) -> None:
-    figure, axes = plain_figure(13.2, 3.8, (1, 1, 1, 1))
+    figure, axes = plain_figure(13.2, 4.5, (1, 1, 1, 1))
     for (name, rows), color in zip(tables.items(), (ACCENT, SECOND), strict=True):
         known = [k for k in range(EDGE) if rows[k].error.pixels]
         angle = [sum(ANGLE_EDGES_DEG[k : k + 2]) / 2 for k in known]
@@ -279,7 +288,7 @@ def _draw(tables: Tables, colors: Mapping[str, str], path: Path) -> None:
     caption(axes[0], "Scanner less perfect depth", "angle of incidence [deg]", "[mm]")
     caption(axes[1], "Spikes beyond 5 mm", "angle of incidence [deg]", "of the decoded pixels [%]")
     for ax in axes[:2]:
-        ax.legend(fontsize=7, frameon=False)
+        legend_below(ax, columns=2)
     for ax, (name, rows) in zip(axes[2:], tables.items(), strict=True):
         _holes(ax, rows, colors)
         caption(ax, f"Holes, {name}", "angle of incidence [deg]", "of the pixels [%]")
@@ -296,4 +305,4 @@ def _holes(ax: Axes, rows: Sequence[DepthRow], colors: Mapping[str, str]) -> Non
     names = [row.name.removesuffix(" deg").replace(" to ", "-") for row in rows]
     ax.set_xticks(at, names, fontsize=6, rotation=45, color=INK)
     ax.set_ylim(0, 100)
-    ax.legend(fontsize=6, frameon=False)
+    legend_below(ax, columns=2)

@@ -11,7 +11,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from pycocotools import mask as coco_mask
 
-from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.plotting import (
+    ACCENT,
+    INK,
+    SECOND,
+    SOFT,
+    caption,
+    legend_below,
+    plain_figure,
+    save_png,
+)
 from .judging import GroupRow, Judgement
 from .matching import THRESHOLDS
 from .mistakes import NEAR, FalseAlarm, Miss
@@ -35,7 +44,7 @@ def draw_precision_recall(
     several = len(judgements[0].scores.matches) > 1
     panels = 2 if several else 1
     count = panels * len(judgements)
-    figure, axes = plain_figure(4.6 * count, 4.0, (1,) * count)
+    figure, axes = plain_figure(4.6 * count, 4.5, (1,) * count)
     for judgement, at in zip(judgements, range(0, len(axes), panels), strict=True):
         curves = _curves(judgement)
         _thresholds(axes[at], judgement, curves)
@@ -98,7 +107,7 @@ def _plural(judgement: Judgement) -> str:
 def _finish(ax: Axes, title: str) -> None:
     ax.set_xlim(0, 1)
     ax.set_ylim(0, 1.02)
-    ax.legend(fontsize=7, title=title, title_fontsize=7, frameon=False, loc="lower left")
+    legend_below(ax, columns=3, title=title)
 
 
 def _bars(ax: Axes, by: str, judgements: Sequence[Judgement]) -> None:
@@ -115,8 +124,8 @@ def _bars(ax: Axes, by: str, judgements: Sequence[Judgement]) -> None:
             _whisker(ax, float(x), row)
     ax.set_xticks(range(len(names)), names, fontsize=7)
     ax.set_ylim(0, 1.02)
-    ax.legend(fontsize=7, frameon=False)
-    caption(ax, f"By {by}", "(instances to find)", "AP, 95 % interval")
+    ax.legend(fontsize=7, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    caption(ax, f"By {by.replace('_', ' ')}", "(instances to find)", "AP, 95 % interval")
 
 
 def _whisker(ax: Axes, x: float, row: GroupRow) -> None:

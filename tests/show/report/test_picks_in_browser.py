@@ -202,3 +202,9 @@ def test_what_is_not_there_is_said(page, address):
     for key, text in (("bin-000007", "no bin-000007"), ("bin-000000/9", "3 attempts")):
         opened(page, address, key)
         assert text in page.locator(".sorry").inner_text()
+
+
+def test_no_two_rows_of_the_table_of_seconds_have_one_name(page):
+    """The scanner's own seconds and those of computing a scan are two things."""
+    names = page.locator("#stages th").all_inner_texts()
+    assert len(names) >= 3 and len(names) == len(set(names))

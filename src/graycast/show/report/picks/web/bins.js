@@ -105,10 +105,10 @@
       "table",
       { id: "stages" },
       el("caption", {}, "seconds of an attempt"),
-      row("scan", seconds(s.seconds.scan / attempts), "simulated, mean"),
-      row("motion", seconds(s.seconds.motion / attempts), "simulated, mean"),
+      row("scanner", seconds(s.seconds.scan / attempts), "simulated, mean"),
+      row("robot", seconds(s.seconds.motion / attempts), "simulated, mean"),
       Object.entries(s.work_s).map(([stage, value]) =>
-        row(stage, seconds(value), "on the machine that made it, median"),
+        row(`computing: ${stage}`, seconds(value), "on the machine that made it, median"),
       ),
     );
   }

@@ -334,10 +334,10 @@ def test_two_views_stand_side_by_side_and_move_together(page, report):
     assert readout(page, "pixel") == f"{column}, {row}"
 
 
-def test_the_3d_view_begins_with_the_parts_colours(page, report):
+def test_the_3d_view_begins_with_the_parts_colours_and_other_ones_for_the_scan(page, report):
     opened(page, report, 0, "cloud")
-    for name in ("surfacePaint", "pointPaint"):
-        assert page.locator(f"#choose-{name}").input_value() == "instance"
+    for name, paint in (("surfacePaint", "instance"), ("pointPaint", "difference")):
+        assert page.locator(f"#choose-{name}").input_value() == paint
     page.wait_for_timeout(400)
     data = page.locator("#cloud").screenshot()
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3)

@@ -20,7 +20,7 @@
     surface: true,
     points: true,
     surfacePaint: "instance",
-    pointPaint: "instance",
+    pointPaint: "difference", // other colours than those of the surface
     pointSize: 1,
     fused: false,
     fusedPaint: "colour",

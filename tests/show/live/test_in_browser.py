@@ -210,8 +210,19 @@ def test_errors_are_told_in_the_command_line_s_words(page, server):
     assert "no built-in part 'nothing': choose " in page.locator("#error").inner_text()
     failed, now = (page.get_attribute("#main", f"data-{name}") for name in ("failed", "asked"))
     assert failed == now  # so that nobody waits for its picture
+    dimmed = "parseFloat(getComputedStyle(document.querySelector('#picture-side .stage')).opacity)"
+    assert page.evaluate(dimmed) < 0.5  # The picture is of other settings than the page has now.
     act_and_wait(page, lambda: page.click("#undo"))
     assert page.locator("#error").is_hidden()
+    assert page.evaluate(dimmed) == 1
+
+
+def test_all_figures_are_in_sight_in_a_window_of_1500_by_950(page):
+    page.set_viewport_size({"width": 1500, "height": 950})
+    beside = page.locator("#beside").bounding_box()
+    last = page.locator("#figures > :last-child").bounding_box()
+    assert last["y"] + last["height"] <= beside["y"] + beside["height"] <= 950
+    assert page.get_attribute('[data-toggle="parts"]', "aria-pressed") == "true"
 
 
 def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, server):

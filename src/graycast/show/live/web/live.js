@@ -16,7 +16,7 @@
     limit: 0,
     gain: 1,
     points: true,
-    parts: false,
+    parts: true,
     bin: true,
     camera: true,
     projector: true,
@@ -115,6 +115,7 @@
         if (message.number && message.number !== state?.number) break; // something else is set now
         at("doing").textContent = "";
         main.dataset.failed = message.number ?? "";
+        main.classList.add("stale"); // what is shown is of other settings
         tell(message.error);
         wait("There is no picture of these settings: the message above says why.");
         break;
@@ -259,6 +260,7 @@
       }
     live.latencies = live.latencies.filter((one) => one.number >= number || one.ms !== null);
     main.dataset.shown = number;
+    if (number > Number(main.dataset.failed || -1)) main.classList.remove("stale");
     main.dataset.exact = String(header.exact);
     main.dataset.ready = "live";
   }

@@ -25,7 +25,7 @@
     const { yaw, distance } = space.views.camera;
     const halfway = Graycast.toWorld(scene, 0, 0, 0).map((v, k) => (v - space.middle[k]) / 2);
     space.views.all = { yaw: yaw + 0.9, pitch: 0.35, distance: 3.1 * distance, pan: halfway };
-    space.start = space.views.all;
+    space.start = { ...space.views.all, distance: 2.2 * distance }; // rig and bin fill the view
     let world = null, // meshes as they came
       fresh = true,
       things = null,

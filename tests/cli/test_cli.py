@@ -550,7 +550,27 @@ def test_the_shelf_is_searched_by_field_distance_and_noise(capsys):
     assert "add --at" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["rig", "list", "--field", "600", "--at", "1"])
-    assert "'600' is not two lengths such as 0.6x0.4" in capsys.readouterr().err
+    assert "'600' is not two lengths in metres such as 0.6x0.4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value", "remedy"),
+    [
+        ("rig list", "--field", "600x400", "give 0.6x0.4"),
+        ("rig list", "--at", "1000", "give 1"),
+        ("rig list", "--noise", "0.2", "give 0.0002"),
+        ("rig import", "--near", "450", "give 0.45"),
+        ("rig import", "--far", "900.5", "give 0.9005"),
+        ("real fit-bin", "--wall", "3", "give 0.003"),
+        ("real fit-bin", "--inner", "600,400,200", "give 0.6,0.4,0.2"),
+    ],
+)
+def test_a_length_in_millimetres_is_noticed(command, option, value, remedy, capsys):
+    with pytest.raises(SystemExit) as ending:
+        main([*command.split(), option, value])
+    message = capsys.readouterr().err
+    assert ending.value.code != 0
+    assert f"{option}: {value!r} is longer than" in message and message.strip().endswith(remedy)
 
 
 def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):

@@ -4,7 +4,8 @@ Each imports only from those above it:
 
     bars               progress and the time that is left
     doctor             what this machine has
-    arguments          the table of the flags that several commands share, and what reads them
+    readers            numbers, sizes and lengths as texts, and the refusal of others
+    arguments          the table of the flags that several commands share
     dataset_commands   the group dataset
     detector_commands  the group detector
     real_commands      the group real

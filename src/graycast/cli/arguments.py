@@ -1,7 +1,6 @@
-"""Arguments of commands: the table of the flags that several share, and what reads them."""
+"""Arguments of commands: the table of the flags that several share."""
 
 import argparse
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,6 +9,17 @@ from ..base.errors import GraycastError
 from ..base.frames import UNITS_M
 from ..rig.pair import PRESETS, RESOLUTIONS
 from .bars import open_stages
+from .readers import (
+    above_zero,
+    distortion,
+    length_m,
+    png_path,
+    positive,
+    share,
+    sides_m,
+    size,
+    whole,
+)
 
 if TYPE_CHECKING:
     from ..cell.engine import Workers
@@ -56,63 +66,6 @@ def add_command(
     rest.add_argument("--debug", action="store_true", help=_DEBUG)
     command.set_defaults(run=run, when_stopped=when_stopped)
     return command
-
-
-# --- what a text may be ------------------------------------------------------------------------
-
-
-def reader(
-    read: Callable[[str], Value], allowed: Callable[[Value], bool], what: str
-) -> Callable[[str], Value]:
-    """A function that reads a text, and refuses one that is not `what`."""
-
-    def checked(text: str) -> Value:
-        try:
-            value = read(text)
-            fits = allowed(value)
-        except ValueError:
-            fits = False
-        if not fits:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-        return value
-
-    return checked
-
-
-def numbers(text: str, separator: str = ",") -> tuple[float, ...]:
-    return tuple(map(float, text.lower().split(separator)))
-
-
-def _digits(text: str) -> int:
-    if not text.isdecimal():
-        raise ValueError(text)
-    return int(text)
-
-
-def _above_zero(value: float) -> bool:
-    return 0 < value < math.inf
-
-
-whole = reader(_digits, lambda n: n >= 0, "a whole number of at least 0")
-positive = reader(_digits, lambda n: n >= 1, "a whole number of at least 1")
-above_zero = reader(float, _above_zero, "a number greater than 0")
-share = reader(float, lambda x: 0 <= x <= 1, "a number from 0 to 1")
-size = reader(
-    lambda text: tuple(map(_digits, text.lower().split("x"))),
-    lambda sides: len(sides) == 2,
-    "a size such as 1280x720",
-)
-sides_m = reader(
-    lambda text: numbers(text, "x"),
-    lambda sides: len(sides) == 2 and all(map(_above_zero, sides)),
-    "two lengths such as 0.6x0.4",
-)
-png_path = reader(
-    Path, lambda path: path.suffix.lower() == ".png", "the name of a PNG file: end it with .png"
-)
-distortion = reader(
-    numbers, lambda k: len(k) == 5, "five numbers k1,k2,p1,p2,k3, separated by commas"
-)
 
 
 # --- the shared flags: each has one meaning ----------------------------------------------------
@@ -185,8 +138,8 @@ SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
     "--unit": (tuple(UNITS_M),
         "The unit of the lengths in the file. It is needed only if the file does not make it "
         "clear."),
-    "--near": (above_zero, "The nearest working distance in metres."),
-    "--far": (above_zero, "The farthest working distance in metres."),
+    "--near": (length_m, "The nearest working distance in metres."),
+    "--far": (length_m, "The farthest working distance in metres."),
 }  # fmt: skip
 
 
@@ -385,6 +338,6 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
     """A line for each reason, the parts' pixels first."""
-    for name, share in of_all.items():
+    for name, part_of_all in of_all.items():
         first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
-        print(f"  {name:18} {first}{share:7.2%} of all pixels")
+        print(f"  {name:18} {first}{part_of_all:7.2%} of all pixels")

@@ -6,7 +6,6 @@ from pathlib import Path
 from ..base.errors import GraycastError, one_line
 from .arguments import (
     CONTINUE,
-    above_zero,
     add_command,
     add_device,
     add_division,
@@ -16,11 +15,10 @@ from .arguments import (
     add_shared,
     division_of,
     file_options,
-    positive,
     resolve_config,
-    whole,
 )
 from .bars import open_bars
+from .readers import above_zero, positive, whole
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 

@@ -7,7 +7,6 @@ from ..base.errors import GraycastError
 from ..learn.detect.networks import HOLES, INPUTS, MODELS
 from .arguments import (
     CONTINUE,
-    above_zero,
     add_command,
     add_device,
     add_division,
@@ -17,12 +16,9 @@ from .arguments import (
     add_scoring,
     add_shared,
     division_of,
-    numbers,
-    positive,
-    reader,
-    whole,
 )
 from .bars import open_bars
+from .readers import above_zero, numbers, positive, reader, whole
 
 _NOTES = 5  # At most this many notes are printed.
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from ..base.errors import GraycastError
 from ..base.folder import refuse_foreign, whole_folder
 from .arguments import (
-    above_zero,
     add_command,
     add_device,
     add_group,
@@ -17,12 +16,10 @@ from .arguments import (
     add_out,
     add_shared,
     file_options,
-    numbers,
-    positive,
-    reader,
     resolve_config,
 )
 from .bars import open_bars, open_stages
+from .readers import above_zero, metres, numbers, positive, reader
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -120,7 +117,9 @@ def _add_fit_bin(group) -> None:
     inner = "The inner sizes of the bin along x, y and z in metres."
     add_option(fit, "--inner", _inner, inner, usual="as configured", metavar="L,W,H")
     wall = "The thickness of the bin's walls in metres."
-    add_option(fit, "--wall", above_zero, wall, usual="as configured", metavar="METRES")
+    add_option(
+        fit, "--wall", metres(above_zero, 1.0), wall, usual="as configured", metavar="METRES"
+    )
     add_option(
         fit,
         "--azimuth",
@@ -383,8 +382,11 @@ def _fit_bin(options: argparse.Namespace) -> int:
     return 0
 
 
-_inner = reader(
-    numbers,
-    lambda sizes_m: len(sizes_m) == 3 and min(sizes_m) > 0,
-    "three sizes in metres, each greater than 0, such as 0.6,0.4,0.2",
+_inner = metres(
+    reader(
+        numbers,
+        lambda sizes_m: len(sizes_m) == 3 and min(sizes_m) > 0,
+        "three sizes in metres, each greater than 0, such as 0.6,0.4,0.2",
+    ),
+    50.0,
 )

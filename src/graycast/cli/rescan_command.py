@@ -7,7 +7,6 @@ from pathlib import Path
 from ..base.errors import one_line
 from .arguments import (
     CONTINUE,
-    above_zero,
     add_command,
     add_device,
     add_option,
@@ -15,12 +14,12 @@ from .arguments import (
     add_rig,
     add_shared,
     add_workers,
-    positive,
     print_shares,
     resolve_rig_option,
     workers_of,
 )
 from .bars import open_bars
+from .readers import above_zero, positive
 
 # Heavy modules are imported by the command, so that --help answers at once.
 

@@ -10,7 +10,6 @@ from ..base.folder import refuse_foreign, whole_folder
 from ..rig.pattern import CODECS
 from .arguments import (
     CONTINUE,
-    above_zero,
     add_command,
     add_device,
     add_group,
@@ -21,11 +20,10 @@ from .arguments import (
     add_shared,
     add_workers,
     resolve_rig_option,
-    sides_m,
-    size,
     workers_of,
 )
 from .bars import open_bars
+from .readers import above_zero, length_m, metres, sides_m, size
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -90,9 +88,9 @@ def _add_list(group) -> None:
     sides = "The width and height in metres of a rectangle that the scanner must see and light."
     add_option(shelf, "--field", sides_m, sides)
     distance = "The distance from the camera along its axis in metres. --field and --noise need it."
-    add_option(shelf, "--at", above_zero, distance)
+    add_option(shelf, "--at", length_m, distance)
     noise = "The largest temporal noise of depth in metres, one standard deviation, as python -m "
-    add_option(shelf, "--noise", above_zero, f"{noise}benchmarks shelf measured it.")
+    add_option(shelf, "--noise", metres(above_zero, 0.1), f"{noise}benchmarks shelf measured it.")
 
 
 def _add_files(group) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from ..base.errors import GraycastError, one_line
 from .arguments import (
     CONTINUE,
-    above_zero,
     add_command,
     add_device,
     add_group,
@@ -17,11 +16,10 @@ from .arguments import (
     add_shared,
     add_workers,
     division_of,
-    positive,
-    whole,
     workers_of,
 )
 from .bars import open_bars, open_stages
+from .readers import above_zero, positive, whole
 from .scene_commands import WIDTH_PX
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.

@@ -17,12 +17,11 @@ from .arguments import (
     add_shared,
     add_workers,
     cell_of,
-    positive,
     print_shares,
-    whole,
     workers_of,
 )
 from .bars import open_bars, open_stages
+from .readers import positive, whole
 from .rescan_command import add_rescan
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.

@@ -302,14 +302,22 @@ def _calibrate(options: argparse.Namespace) -> None:
 
 def _decode(options: argparse.Namespace) -> None:
     from ..camera.rig_file import load_scanner
-    from ..camera.stack import CODE, decode_stack, describe_result, read_description, write_result
+    from ..camera.stack import (
+        CODE,
+        decode_stack,
+        describe_result,
+        read_description,
+        unread_settings,
+        write_result,
+    )
 
     refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
+    description = read_description(stack)
     if options.rig is not None:
         scanner = resolve_rig_option(options)
     else:
-        own = read_description(stack).rig
+        own = description.rig
         scanner = None if own is None else load_scanner(stack.parent / own)
     if scanner is None:
         result = decode_stack(stack, average=options.average)
@@ -317,6 +325,8 @@ def _decode(options: argparse.Namespace) -> None:
         result = decode_stack(stack, scanner.rig, average=options.average, filters=scanner.filters)
     written = write_result(result, options.out)
     print(describe_result(result))
+    for note in unread_settings(description, scanner.decode) if scanner else ():
+        print(f"note: {note}")
     for path in written:
         print(path)
 

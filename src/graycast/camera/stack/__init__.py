@@ -12,6 +12,7 @@ from .description import (
     stack_schema,
 )
 from .diagnosis import mirror_symptom
+from .idle_settings import unread_settings
 from .levels import MeasuredLevels, measure_levels
 from .products import CODE, describe_result, write_ply, write_result
 
@@ -34,6 +35,7 @@ __all__ = [
     "mirror_symptom",
     "read_description",
     "stack_schema",
+    "unread_settings",
     "write_ply",
     "write_result",
 ]

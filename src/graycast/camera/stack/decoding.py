@@ -34,6 +34,7 @@ from .averaging import join_pixels, meet_rays
 from .believed_depth import believed_depth, epipolar_limit_px
 from .description import code_of, read_description
 from .diagnosis import diagnose
+from .idle_settings import idle_settings
 from .levels import MeasuredLevels, measure_levels
 from .rig_fit import better_reading, doubts
 from .stack_figures import StackFigures, figures_of
@@ -144,6 +145,7 @@ def decode_stack(
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
+    notes += idle_settings(spec, stated_px, code, rig)
     if depth is not None:  # Only now it is known what is out of range or an outlier.
         figures = replace(figures, reasons=reason_shares(depth.reason))
     light = _light(pictures, code, levels.levels)

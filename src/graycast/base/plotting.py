@@ -58,9 +58,16 @@ def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
     ax.set_ylabel(y, fontsize=8, color=INK)
 
 
+def _figure_of(ax: Axes) -> Figure:
+    """Return the figure of axes that have not been taken out of it."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
 def legend_below(ax: Axes, *, columns: int, title: str = "") -> None:
     """Explain the colours below the axes and their label, where no line can lie under the words."""
-    place = ScaledTranslation(0, -_BELOW_IN, ax.get_figure(root=True).dpi_scale_trans)
+    place = ScaledTranslation(0, -_BELOW_IN, _figure_of(ax).dpi_scale_trans)
     ax.legend(
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
@@ -87,7 +94,7 @@ def write_names(
     not a number. The limits of the axes must be final.
     """
     taken: list[Bbox] = []
-    ax.get_figure(root=True).draw_without_rendering()
+    _figure_of(ax).draw_without_rendering()
     dots = ax.transData.transform(points)
     for name, point, dot, color in zip(names, points, dots, colors, strict=True):
         for shift, side in _SIDES if np.isfinite(point).all() else ():

@@ -49,15 +49,22 @@ def lens_of(optics: Optics, coded: int) -> Lens:
     centre = float(optics.cx_px), float(optics.cy_px)
     fold2 = fold_radius2(optics.distortion) if optics.has_distortion else math.inf
     end = optics.width_px - 0.5, optics.height_px - 0.5
-    terms = map(float, optics.distortion)
+    k1, k2, p1, p2, k3 = map(float, optics.distortion)
     return Lens(
-        *(focal[u], focal[v]),
-        *(centre[u], centre[v]),
-        *(end[u], end[v]),
-        *terms,
-        fold2,
-        optics.has_distortion,
-        coded == 1,
+        focal_u=focal[u],
+        focal_v=focal[v],
+        centre_u=centre[u],
+        centre_v=centre[v],
+        end_u=end[u],
+        end_v=end[v],
+        k1=k1,
+        k2=k2,
+        p1=p1,
+        p2=p2,
+        k3=k3,
+        fold2=fold2,
+        distorted=optics.has_distortion,
+        swapped=coded == 1,
     )
 
 

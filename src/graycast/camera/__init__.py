@@ -4,6 +4,7 @@ Each imports only from those above it:
 
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
+    exposure    exposure times: fixed, or chosen from the light
     speckle     laser speckle, its patches, and its effect on decoded positions
     decode      from pictures to projector positions and depth: Capture -> DepthMap; the reason of
                 each pixel without depth (`maps.Reason`); periods that are in doubt (`phases`,

@@ -6,15 +6,12 @@ The whole way from light to depth is two functions: `take` and `measure`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
-from pydantic import Field
+from jaxtyping import Bool, Float
 
-from ..base.errors import ConfigError
 from ..base.public_value import public_value
-from ..base.settings import Positive, check_fields
+from ..base.settings import check_fields
 from ..rendering import PathNoise, Radiance
 from ..rig.former_names import current_name
 from ..rig.optics import points
@@ -32,10 +29,11 @@ from .decode import (
     triangulate,
     triangulation_axis,
 )
+from .exposure import ExposureSpec, exposure_times
 from .faults import FaultSpec, with_faults
 from .light import camera_light
 from .line_noise import with_line_noise
-from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
+from .sensor import Capture, SensorSpec, expose, merge_exposures
 from .sigma import (
     bend_m,
     light_path_px,
@@ -56,38 +54,6 @@ from .speckle import (
 )
 
 APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
-
-
-@public_value
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExposureSpec:
-    """A fixed exposure time, or the one that brings the white frame to a target."""
-
-    exposure_s: Annotated[
-        Positive | None,
-        Field(description="The exposure time in seconds, instead of percentile and target."),
-    ] = None
-    percentile: Annotated[
-        float,
-        Field(gt=0, le=100, description="The percentile of the white frame that reaches target."),
-    ] = 99.0
-    target: Annotated[
-        float,
-        Field(
-            gt=0, le=1, description="The value at the percentile, as a share of the sensor's range."
-        ),
-    ] = 0.8
-    factors: Annotated[
-        tuple[Positive, ...],
-        Field(
-            min_length=1,
-            description="The exposure times as multiples of the chosen exposure; several "
-            "pictures are merged (HDR).",
-        ),
-    ] = (1.0,)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @public_value
@@ -149,22 +115,30 @@ def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
     return Scan(capture=capture, codes=codes, depth=depth)
 
 
-def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
+def take(
+    scanner: Scanner,
+    radiance: Radiance,
+    *,
+    seed: int,
+    metered: Bool[np.ndarray, "h w"] | None = None,
+) -> Capture:
     """Return the measuring camera's stack, one picture per pattern, several exposures merged.
 
     All exposures are taken through the same optics, so one pattern of speckle is in all of them.
+
+    Args:
+        metered: the pixels from which `exposure.auto` chooses its times, as a user draws a region
+            of interest; None is all of them. Other exposures do not depend on it.
 
     Raises:
         ValueError: the scene is dark, or lit beyond all numbers.
     """
     stack, background = camera_light(radiance, scanner.rig)
     exposure = scanner.exposure
-    time_s = exposure.exposure_s or auto_exposure_s(
-        stack[scanner.light_code().brightest] + background,
-        scanner.sensor,
-        percentile=exposure.percentile,
-        target=exposure.target,
-    )
+    white = stack[scanner.light_code().brightest] + background
+    if exposure.auto and metered is not None:
+        white = white[metered]
+    times = exposure_times(white.ravel(), scanner.sensor, exposure)
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
@@ -178,7 +152,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
         stack = speckled(
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )
-    seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
+    seeds = np.random.SeedSequence(seed).generate_state(len(times.times_s), np.uint64)
     stack_of = _pictures(scanner, radiance, stack)
     capture = merge_exposures(
         [
@@ -186,15 +160,13 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
                 stack_of(int(own)),
                 background,
                 scanner.sensor,
-                exposure_s=factor * time_s,
+                exposure_s=time_s,
                 seed=int(own),
             )
-            for factor, own in zip(exposure.factors, seeds, strict=True)
+            for time_s, own in zip(times.times_s, seeds, strict=True)
         ]
     )
-    if len(exposure.factors) > 1:
-        capture = replace(capture, reference_s=time_s)
-    return capture
+    return replace(capture, reference_s=times.reference_s, times_s=times.times_s)
 
 
 def _pictures(
@@ -227,9 +199,8 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
 
     Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
     """
-    factors = scanner.exposure.factors
-    exposed_s = capture.reference_s * (sum(factors) if len(factors) > 1 else 1)
-    return len(capture.frames) * (exposed_s + len(factors) * readout_s)
+    times_s = capture.times_s
+    return len(capture.frames) * (sum(times_s) + len(times_s) * readout_s)
 
 
 def measure(

@@ -163,18 +163,20 @@ class Capture:
 
     `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
     light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
-    `merged_s` lists all exposures of such a stack, also those that no pixel is taken from.
+    `times_s` are the times of all exposures that were taken, also of those that no pixel has.
     """
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
     reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
-    merged_s: tuple[float, ...] = ()  # It is empty for a single exposure.
+    times_s: tuple[float, ...] = ()  # If they are not given, they are those that pixels have.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):
             object.__setattr__(self, "reference_s", float(np.min(self.exposure_s)))
+        if not self.times_s:
+            object.__setattr__(self, "times_s", tuple(np.unique(self.exposure_s).tolist()))
         self.frames.flags.writeable = False
         if isinstance(self.exposure_s, np.ndarray):
             self.exposure_s.flags.writeable = False
@@ -264,7 +266,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
 
     Returns:
         A capture whose `exposure_s` is a float32 map, whose `reference_s` is the shortest time and
-        whose `merged_s` has all times, the shortest first; of a single capture, that capture.
+        whose `times_s` has all times, the shortest first; of a single capture, that capture.
 
     Raises:
         ValueError: no captures, different sensors or sizes, or one that is merged already.
@@ -290,8 +292,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    merged_s = tuple(float(np.min(capture.exposure_s)) for capture in (first, *longer))
-    return replace(first, frames=frames, exposure_s=exposure_s, merged_s=merged_s)
+    times_s = tuple(float(np.min(capture.exposure_s)) for capture in (first, *longer))
+    return replace(first, frames=frames, exposure_s=exposure_s, times_s=times_s)
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:

@@ -8,6 +8,7 @@ Each imports only from those above it:
     framing          how much of a picture a bin and a part cover; the scanner that fits a bin
     new_cell         a commented configuration for one part
     resolve          a configuration with all its files read, shared by all scenes
+    metering         the region of a picture from which a scanner meters its exposure
     simulate         one scene, from its seeds (`base.streams`) to its sample
     engine           where scenes are made: this process, other processes, or a cluster
     generate         many scenes of a cell, written to the folder of a dataset (`dataset.store`),

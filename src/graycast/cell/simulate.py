@@ -31,6 +31,7 @@ from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
 from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
+from .metering import bin_region
 from .resolve import Cell, Eye, eyes, free_scanners, patterns_of
 from .views import refuse_inside
 
@@ -151,7 +152,7 @@ def _taken(
             scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
-        capture = take(scanner, rendering.radiance, seed=seeds["noise"])
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=bin_region(scene))
     progress.stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
@@ -173,6 +174,7 @@ def _taken(
             **renderer.versions,
         },
         "exposure_s": capture.reference_s,
+        **({"exposures_s": list(capture.times_s)} if scanner.exposure.auto else {}),
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),

@@ -316,4 +316,6 @@ class SceneManifest(BaseModel):
     counts: dict[str, Count]
     physics: Physics | None = None
     reasons: dict[str, float]
+    exposure_s: Positive = math.nan
+    exposures_s: list[Positive] = []
     config: dict[str, Any]

@@ -23,7 +23,14 @@ MANIFEST = "manifest.json"
 SUMS, OWN = "sha256", "manifest_sha256"  # Both are in a manifest, the first in `graycast.json` too.
 # These are of a scene's further images; the first one's facts are the manifest's own.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
-OWN_FACTS = ("exposure_s", "reasons", "part_reasons", "frames", "code_maps")
+OWN_FACTS = (
+    "exposure_s",
+    "exposures_s",
+    "reasons",
+    "part_reasons",
+    "frames",
+    "code_maps",
+)
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
 _NOT_COMPARED = {*_UNSEALED, SUMS}  # Sums of files that differ would say the same twice.
 

@@ -12,14 +12,15 @@ from ...base.streams import device_seed
 from ...rig.pair import Rig
 from ...rig.pattern import Code, CodeSpec
 from ..decode import DecodeSpec, FilterSpec
+from ..exposure import ExposureSpec
 from ..faults import FaultSpec
-from ..scanner import ExposureSpec, Scanner
+from ..scanner import Scanner
 from ..sensor import SensorSpec
 
 _ABOUT = {
     CodeSpec: "The coded light.",
-    ExposureSpec: "A fixed exposure time, or the time that brings a percentile of the white frame "
-    "to a target.",
+    ExposureSpec: "A fixed exposure time, the time that brings a percentile of the white frame to "
+    "a target, or times that are chosen for the light in the bin.",
     SensorSpec: "The sensor in EMVA 1288 terms, and the f-number of its lens.",
     DecodeSpec: "The conditions under which a pixel is decoded.",
     FilterSpec: "The filters of the decoded depth; 0 switches a filter off.",

@@ -14,6 +14,7 @@ from jaxtyping import Bool
 from ...camera.decode import DecodeSpec, Levels, Reason, levels_of
 from ...camera.scanner import ExposureSpec
 from ...camera.sensor import SensorSpec
+from ..safe_reading import Unreadable
 from ..sample import LEAST_DECODED
 from .evidence import Evidence
 
@@ -65,7 +66,7 @@ def _rules(
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
     yield weak, rated & (modulation < least - half)
     # `gray` is of one exposure: what the sensor stored in a longer one was as much more.
-    factors = exposure.factors if len(exposure.factors) > 1 else (1.0,)
+    factors = _factors(scene, exposure)
     longest, shortest = max(factors), min(factors)
     full_dn, half_step = sensor.saturation_dn - levels.offset_dn, 0.5 * (longest > 1)
     white_dn = np.minimum((scene.image["gray_sl"] + half_step) / 255 * longest, 1) * full_dn
@@ -86,6 +87,16 @@ def _rules(
     dark = "gray_sl is dark where reason_sl says saturated"
     top = TOP * 255 / max(shortest, 1)
     yield dark, (reason == Reason.SATURATED) & (scene.image["gray_sl"] < top)
+
+
+def _factors(scene: Evidence, exposure: ExposureSpec) -> tuple[float, ...]:
+    """Return the exposure times of a picture as multiples of the one that `gray_sl` is of."""
+    if not exposure.auto:
+        return exposure.factors if len(exposure.factors) > 1 else (1.0,)
+    facts = scene.manifest_record
+    if not facts.exposures_s:
+        raise Unreadable("manifest.json: exposures_s is missing, which automatic exposure writes")
+    return tuple(time_s / facts.exposure_s for time_s in facts.exposures_s)
 
 
 def _step_dn(levels: Levels) -> float:

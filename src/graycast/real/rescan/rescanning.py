@@ -33,6 +33,7 @@ from ...cell.engine import (
     make_missing,
 )
 from ...cell.generate import described_scanner
+from ...cell.metering import bin_region
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part
 from ...dataset.bop import scanner_files
@@ -165,7 +166,12 @@ class ImageScanner:
                 seed=seeds["render"],
             )
         self._progress.stage("decoding the pictures")
-        capture = take(scanner, rendering.radiance, seed=seeds["noise"])
+        capture = take(
+            scanner,
+            rendering.radiance,
+            seed=seeds["noise"],
+            metered=bin_region(staged.scene),
+        )
         codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
         reasons = reason_shares(depth.reason)
         _refuse_undecoded(reasons)

@@ -11,6 +11,7 @@ from ...camera.picture import color_picture, gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...camera.sensor import Capture
 from ...cell.config import resolve_quality
+from ...cell.metering import bin_region
 from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...rendering import Renderer, Rendering
@@ -56,7 +57,9 @@ def scan(
     rendering = renderer.render(
         base.scene, layout, base.patterns(), quality=quality, seed=render_seed
     )
-    capture = take(base.scanner, rendering.radiance, seed=noise_seed)
+    capture = take(
+        base.scanner, rendering.radiance, seed=noise_seed, metered=bin_region(base.scene)
+    )
     return BinScan(
         view=DepthView(
             depth_m=_acted_on(cell, rendering, capture, depth_seed),

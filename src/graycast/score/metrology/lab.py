@@ -10,10 +10,10 @@ from scipy.ndimage import binary_erosion
 
 from ...base.frames import transform_points
 from ...camera.decode import DepthMap, Reason
+from ...camera.exposure import exposure_times
 from ...camera.faults import FaultSpec
 from ...camera.light import camera_light
 from ...camera.scanner import Scanner, measure, take
-from ...camera.sensor import auto_exposure_s
 from ...rendering import Quality, Renderer, Rendering
 from ...rig.optics import blur_radius_px, picture_rays
 from ...rig.pair import Rig, grey_levels
@@ -152,17 +152,19 @@ def _metered(
             f"resolution, {lab.rig.camera.width_px} px, may be too low"
         )
     exposure = lab.scanner.exposure
-    if exposure.exposure_s is not None:
+    if exposure.exposure_s is not None and not exposure.auto:
         return lab.scanner, exposure.exposure_s
     stack, background = camera_light(rendering.radiance, lab.scanner.rig)
     light = stack[lab.scanner.light_code().brightest] + background
-    exposure_s = auto_exposure_s(
-        light[where],
-        lab.scanner.sensor,
-        percentile=exposure.percentile,
-        target=exposure.target,
+    times = exposure_times(light[where], lab.scanner.sensor, exposure)
+    factors = tuple(time_s / times.reference_s for time_s in times.times_s)
+    fixed = replace(
+        exposure,
+        exposure_s=times.reference_s,
+        factors=factors if exposure.auto else exposure.factors,
+        auto=False,
     )
-    return replace(lab.scanner, exposure=replace(exposure, exposure_s=exposure_s)), exposure_s
+    return replace(lab.scanner, exposure=fixed), times.reference_s
 
 
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:

@@ -26,6 +26,7 @@ from ...camera.picture import color_light, developed
 from ...camera.scanner import measure, take
 from ...camera.sensor import Capture
 from ...cell.config import Config, resolve_quality, resolve_scanner, resolve_scanners
+from ...cell.metering import bin_region
 from ...cell.resolve import Cell, file_digests, open_cell_renderer, resolve_cell
 from ...cell.simulate import cell_seeds, varied
 from ...dataset.claim import described_values
@@ -224,7 +225,12 @@ class Line:
         light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
         key = (light, scanner.sensor, scanner.exposure, run.seeds["noise"])
         if self._taken is None or self._taken[0] != key:
-            capture = take(scanner, rendering.radiance, seed=run.seeds["noise"])
+            capture = take(
+                scanner,
+                rendering.radiance,
+                seed=run.seeds["noise"],
+                metered=bin_region(run.scene),
+            )
             self._taken = key, capture
         noise = rendering.radiance.path_noise
         codes, depth = measure(scanner, self._taken[1], path_noise=noise)

@@ -5,7 +5,6 @@ in linear light are shown in sRGB, as an eye would see them; maps of numbers bea
 """
 
 import math
-from collections.abc import Sequence
 from colorsys import hls_to_rgb
 from pathlib import Path
 
@@ -27,7 +26,6 @@ from ...base.plotting import save_png
 from ...base.robust import robust_sigma
 from ...camera.decode import Reason, reason_shares, triangulation_axis
 from ...camera.picture import srgb_frame
-from ...camera.sensor import Capture
 from ...cell.framing import framing_line
 from ...cell.simulate import Shot
 from ...dataset.sample import labelled
@@ -169,7 +167,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
         f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
         f"{render['samples']} samples, light paths over up to {render['depth']} surfaces",
-        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in _exposures_s(shot.capture))} ms",
+        f"exposure {', '.join(f'{1e3 * t:.3g}' for t in shot.capture.times_s)} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
         f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
@@ -185,11 +183,6 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
     figure.text(left, 1 - 34 / height_px, title, fontsize=17, weight="bold", va="center")
     figure.text(left, 1 - 70 / height_px, "   |   ".join(words), fontsize=10.5, va="center",
                 color="0.25")  # fmt: skip
-
-
-def _exposures_s(capture: Capture) -> Sequence[float]:
-    """All exposures of a capture, the shortest first, also those that no pixel is taken from."""
-    return capture.merged_s or np.unique(capture.exposure_s).tolist()
 
 
 # --- pictures and codes ------------------------------------------------------------------------

@@ -1,0 +1,36 @@
+"""The region from which the exposure is metered."""
+
+from dataclasses import replace
+
+import numpy as np
+from small_cell import write_cell
+
+from graycast.base.frames import transform_points
+from graycast.cell.metering import bin_region
+from graycast.cell.resolve import load_cell
+from graycast.rig.optics import picture_rays
+from graycast.world.scene import bin_of
+
+
+def test_the_metered_pixels_are_those_whose_ray_meets_the_inner_room_of_the_bin(tmp_path):
+    """Rays are cut with the box by its slabs, which shares no code with the projected hull."""
+    scene = load_cell(write_cell(tmp_path)).scene
+    length_m, width_m, height_m = bin_of(scene).inner_m
+    ray = picture_rays(scene.rig.camera) @ scene.T_world_cam[:3, :3].T
+    start = transform_points(scene.T_world_cam, np.zeros((1, 3)))[0]
+    low = np.array([-length_m / 2, -width_m / 2, 0])
+    high = np.array([length_m / 2, width_m / 2, height_m])
+    with np.errstate(divide="ignore"):
+        slab = np.stack([(low - start) / ray, (high - start) / ray])
+    meets = slab.min(axis=0).max(axis=-1) <= slab.max(axis=0).min(axis=-1)
+    region = bin_region(scene)
+    assert region is not None
+    camera = scene.rig.camera
+    border_px = 2 * (camera.width_px + camera.height_px)
+    assert (region != meets).sum() < 1.5 * border_px
+    assert region.any()
+    assert (region & meets).sum() > 0.9 * meets.sum()
+
+
+def test_a_scene_without_a_bin_has_no_region(tmp_path):
+    assert bin_region(replace(load_cell(write_cell(tmp_path)).scene, bin=None)) is None

@@ -48,6 +48,7 @@ def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     (part,) = cell.scene.parts
     preset = MATERIALS[surface]
     assert (part.density_kg_m3, part.material) == (preset.density_kg_m3, preset.material)
+    assert cell.scanner.exposure.auto == (surface == "steel")  # a metal needs a wide bracket
     assert len(part.symmetry.discrete) == 3
     assert cell.scene.bin.inner_m == (0.3, 0.22, 0.11) and cell.notes == ()
     # A third of the blocks whose volume is half of the bin's, which is more than the most of 60.

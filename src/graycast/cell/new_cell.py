@@ -16,7 +16,7 @@ BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
 BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 # The highlights and the dark sides of a metal need a wider bracket than the rig's.
-_METAL_EXPOSURE = "exposure: {auto: true}   # up to 5 exposures, chosen from each picture; more pictures, more time"
+_METAL_EXPOSURE = "exposure: {auto: true}   # chosen from each picture: up to 5, which take longer"
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 
 
@@ -55,7 +55,7 @@ def new_cell(
     cell, picture, dataset = (
         shlex.quote(f"{name}/{file}") for file in ("cell.yaml", "preview.png", "dataset")
     )
-    metal = surface is not None and material_preset(surface).metallic > 0
+    metal = surface is not None and material_preset(surface).material.metallic > 0
     exposure = f"{_METAL_EXPOSURE}\n" if metal else ""
     return f"""\
 # A cell for {part.name} ({size} mm). `graycast schema config` explains every key.

@@ -10,6 +10,7 @@ Each imports only from those above it:
     resolve          a configuration with all its files read, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
     simulate         one scene, from its seeds (`base.streams`) to its sample
+    remedies         other settings that give the parts more depth, tried on the light of a scene
     engine           where scenes are made: this process, other processes, or a cluster
     generate         many scenes of a cell, written to the folder of a dataset (`dataset.store`),
                      and those that are missing after a stop

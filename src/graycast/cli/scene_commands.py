@@ -132,6 +132,7 @@ def _add_reading(commands) -> None:
 
 def _preview(options: argparse.Namespace) -> int:
     from ..cell.framing import framing_line
+    from ..cell.remedies import depth_note
     from ..cell.resolve import open_cell_renderer
     from ..cell.simulate import make_images
     from ..show.report import draw_preview
@@ -160,6 +161,8 @@ def _preview(options: argparse.Namespace) -> int:
     print(framing_line(shot.sample.scene, shot.sample.layout))
     _tell_coarse(shot)
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
+    if note := depth_note(shot, scanner):
+        print(f"note: {note}")
     print(options.out)
     return 0
 
@@ -275,9 +278,13 @@ def _who(workers) -> str:
 
 
 def _tell(summary, out: Path) -> None:
+    from ..camera.decode import little_depth_note
+
     print(f"{out}: {summary.written} scenes made, {summary.found} were there", end="")
     print(f", {summary.seconds:.1f} s")
     print_shares(summary.part_reasons, summary.reasons)
+    if note := little_depth_note(summary.part_reasons):
+        print(f"note: {note}; graycast preview tries what helps")
     for scene in summary.set_aside:
         print(f"  scene {scene.scene_id:06d} is missing after {scene.tries} tries: {scene.reason}")
     if summary.set_aside:

@@ -104,6 +104,21 @@ def pooled_shares(counts: Iterable[Mapping[str, int]]) -> dict[str, float]:
     return {name: count / pixels for name, count in total.items()} if pixels else {}
 
 
+LITTLE_DEPTH = 0.5  # A detector learns holes from parts of which less has depth; our choice.
+
+
+def little_depth_note(of_parts: Mapping[str, float]) -> str:
+    """Return a sentence if under half of the parts' pixels have depth, with the main reason."""
+    if "decoded" not in of_parts or of_parts["decoded"] >= LITTLE_DEPTH:
+        return ""
+    missing = {reason: of_parts.get(reason.label, 0.0) for reason in Reason if reason}
+    main = max(missing, key=lambda reason: missing[reason])
+    return (
+        f"{of_parts['decoded']:.1%} of the parts' pixels have depth; the main reason of missing "
+        f"depth is {main.words} ({missing[main]:.1%})"
+    )
+
+
 class Mark(IntFlag):
     """Properties of a pixel in addition to its reason."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..base.errors import ConfigError
 from ..base.public_value import public_value
 from ..base.settings import check_fields
 from ..rendering import PathNoise, Radiance

@@ -1,4 +1,4 @@
-"""What the type checkers of developers and of users read; `make test` checks the package itself."""
+"""Code that type checkers of developers and users read; `make test` checks the package itself."""
 
 import ast
 import json

@@ -15,7 +15,7 @@ class Terminal(io.StringIO):
 
 
 class OutStream(io.StringIO):
-    """As a notebook's stream, which is no terminal."""
+    """Stream of a notebook, which is no terminal."""
 
 
 OutStream.__module__ = "ipykernel.iostream"
@@ -35,7 +35,7 @@ def each(count: int, *, progress: ProgressMeter = UNWATCHED):
 
 
 def last_row(text):
-    """What a terminal shows in its last row after these characters."""
+    """Return the last row that a terminal shows after these characters."""
     row = []
     for part in text.rsplit("\n", 1)[-1].split("\r"):
         row[: len(part)] = part

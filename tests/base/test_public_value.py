@@ -1,4 +1,4 @@
-"""What public values say of themselves: a line of text, help, and unknown keywords."""
+"""Public values: their line of text, their help, and unknown keywords."""
 
 import inspect
 import pydoc

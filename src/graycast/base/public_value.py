@@ -1,4 +1,4 @@
-"""What a public value says of itself: one line of text, a help that can be read, its keywords.
+"""Public values: one line of text, a help that can be read, and unknown keywords refused.
 
 Arrays, pictures and nested settings would fill screens. Here an array is its type and shape, a
 field that has its default is left out, and what does not fit into a line is "...".

@@ -1,4 +1,4 @@
-"""How much of a picture a bin and a part cover, and which scanner of the shelf fits a bin."""
+"""Share of a picture that a bin and a part cover, and the scanner of the shelf that fits a bin."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -97,7 +97,7 @@ def _missing_m(rig: Rig, box: Bin, distance_m: Float[np.ndarray, " n"]) -> Float
 
 
 def _beyond_m(optics: Optics, point_m: Float[np.ndarray, "n corners 3"]) -> Float[np.ndarray, " n"]:
-    """How far the worst of the points is outside the field of a device, whose edges stay free."""
+    """Return how far the worst of the points is outside a field [m]; its edges stay free."""
     size_px = np.array([optics.width_px, optics.height_px])
     pixel = project(optics, point_m.reshape(-1, 3)).reshape(*point_m.shape[:2], 2)
     beyond_px = np.abs(pixel - (size_px - 1) / 2) - (0.5 - EDGE) * size_px

@@ -10,9 +10,10 @@ Each imports only from those above it:
     detector_commands  the group detector
     real_commands      the group real
     rescan_command     rescan
+    parts_command      parts
     rig_commands       the group rig
     start_commands     demo, new, doctor, schema
-    scene_commands     preview, generate, live, validate, report, parts
+    scene_commands     preview, generate, live, validate, report
     robot_commands     the group robot
     command            the program: groups, help and errors
 """

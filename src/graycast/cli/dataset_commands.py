@@ -22,9 +22,7 @@ from .readers import above_zero, positive, whole
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-_FORMATS = (
-    "coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet", "clouds"
-)  # fmt: skip
+_FORMATS = ("coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet", "clouds")
 _OPTIONS = (  # each has the library's name
     "image", "depth", "polygons", "labels", "cloud", "organised", "shard_scenes", "link",
     "pixel_origin", "min_visibility",
@@ -233,9 +231,9 @@ def _stats(options: argparse.Namespace) -> int:
     from ..camera.decode import little_depth_note
     from ..dataset.stats import dataset_statistics, statistics_table, write_statistics
 
-    if options.licence is not None and not options.card:
-        raise GraycastError("--licence applies only with --card: add --card, or remove --licence")
     if options.licence is not None:
+        if not options.card:
+            raise GraycastError("--licence applies only with --card: add it, or remove --licence")
         from ..dataset.card import spdx
 
         spdx(options.licence)  # before the dataset is read

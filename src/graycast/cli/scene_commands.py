@@ -1,4 +1,4 @@
-"""Commands of scenes and datasets: preview, generate, live, validate, report, parts."""
+"""Commands of scenes and datasets: preview, generate, live, validate, report."""
 
 import argparse
 import shutil
@@ -20,7 +20,8 @@ from .arguments import (
     print_shares,
     workers_of,
 )
-from .bars import open_bars, open_stages
+from .bars import open_bars
+from .parts_command import add_parts
 from .readers import positive, whole
 from .rescan_command import add_rescan
 
@@ -120,14 +121,7 @@ def _add_reading(commands) -> None:
     )
     add_shared(report, "--width", default=WIDTH_PX)
 
-    parts = add_command(
-        commands, "parts", _parts, "List the built-in parts or the parts of a configuration.",
-        example="--out parts.png", more="With --out, the command also draws them.",
-    )  # fmt: skip
-    own = "A configuration whose parts are listed instead of the built-in ones."
-    add_option(parts, "config", Path, own, nargs="?")
-    add_png(parts)
-    add_device(parts)
+    add_parts(commands)
 
 
 def _preview(options: argparse.Namespace) -> int:
@@ -356,51 +350,3 @@ def _report(options: argparse.Namespace) -> int:
         f"{summary.built} scenes made, {summary.current} were there; open {summary.page.resolve()}"
     )
     return 0
-
-
-def _parts(options: argparse.Namespace) -> int:
-    from ..cell.framing import framing_line
-    from ..show.report import describe_parts, draw_parts
-    from ..world.parts import BUILTIN, builtin_part
-
-    if options.config is None:
-        parts = tuple(builtin_part(name) for name in BUILTIN)
-        print(describe_parts(parts))
-    else:
-        scene = cell_of(options).scene
-        parts = scene.parts
-        print(describe_parts(parts))
-        print(f"in the picture of {scene.rig.name}, {framing_line(scene)}")
-        _describe_hulls(parts)
-    if options.out is not None:
-        from ..rendering import open_renderer
-
-        with open_renderer(device=options.device) as renderer:
-            draw_parts(parts, options.out, renderer=renderer)
-        print(options.out)
-    return 0
-
-
-def _describe_hulls(parts) -> None:
-    """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
-    from ..world.drop import hull_notes, prepare
-    from ..world.parts import Symmetry
-    from ..world.parts.symmetry import shape_symmetry
-
-    with open_stages() as progress:
-        prepared = prepare(parts, progress=progress)
-    print(
-        "the number of collision hulls of each part, and their largest distance from its surface:"
-    )
-    for part, hulls in zip(parts, prepared, strict=True):
-        worst, bound = (f"{1e3 * hulls.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
-        print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
-    for note in hull_notes(parts, prepared):
-        print(f"note: {note}")
-    for part in parts:
-        if part.symmetry == Symmetry() and shape_symmetry(part.mesh) != Symmetry():
-            print(
-                f"note: {part.name} states no symmetry, and its shape looks the same after some "
-                "turns: if neither print nor colour tells its sides apart, add "
-                "`symmetry: {auto: true}`"
-            )

@@ -67,14 +67,14 @@ class ImageRecord(Record):
 
     @property
     def reason_px(self) -> dict[str, int]:
-        """How many of all pixels have each reason."""
+        """Number of all pixels that have each reason."""
         (image,) = self.entries["scene_gt_coco_sl"]["images"]
         pixels = image["width"] * image["height"]
         return {name: round(share * pixels) for name, share in self.reasons.items()}
 
     @property
     def part_reason_px(self) -> dict[str, int]:
-        """How many of the objects' visible pixels have each reason; empty where there is none."""
+        """Number of the objects' visible pixels that have each reason; empty if none is visible."""
         pixels = sum(info["px_count_visib"] for info in self.entries["scene_gt_info_sl"])
         return {name: round(share * pixels) for name, share in self.part_reasons.items()}
 

@@ -40,7 +40,7 @@ def test_every_computed_pair_is_found_and_no_taken_one(name):
 
 
 def test_pictures_of_little_noise_were_taken():
-    """Of 0.3 DN and rounding, most of the sums are equal to the one beside, but not all."""
+    """With a noise of 0.3 DN and rounding, most sums are equal to the next one, but not all."""
     code = CODES["inverses"]
     look = Look(squares=0.3, gain=0.0, read_dn=0.3)
     assert computed_pairs(shoot_cluttered(code, look), code) == []

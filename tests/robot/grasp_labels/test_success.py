@@ -1,4 +1,4 @@
-"""What is said of labels whose scores the simulation confirms, or contradicts."""
+"""Notes on labels whose scores the simulation confirms, or contradicts."""
 
 import pytest
 

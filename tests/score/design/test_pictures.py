@@ -12,7 +12,7 @@ from graycast.score.design import design_tables
 
 @pytest.mark.parametrize("count", [2, 25])
 def test_a_picture_of_a_study_names_settings_without_overlap_and_shows_intervals(tmp_path, count):
-    """Of two settings, both are named and neither lies on an axis; of many, names stay apart."""
+    """Two settings are both named and neither is on an axis; the names of many stay apart."""
     rng = np.random.default_rng(2)
     rows = [
         row(f"setting_{i}", rng.uniform(0.4, 0.6, 6), sigma_m=0.0002 + 1e-6 * i, seconds=0.5 + i)

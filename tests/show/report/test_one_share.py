@@ -1,4 +1,4 @@
-"""How much of the parts is seen is one number in the run, the statistics, card and page."""
+"""The share of the parts that is seen is one number in run, statistics, card and page."""
 
 import json
 

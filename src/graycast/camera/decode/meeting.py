@@ -1,4 +1,4 @@
-"""Where rays of the camera meet planes of the projector, pixel by pixel, compiled.
+"""Points in which rays of the camera meet planes of the projector, pixel by pixel, compiled.
 
 `triangulation` has the equations; the plain NumPy of `tests/camera/decode/plain_meeting.py` says
 the same. The kernels run on one thread: a picture of 5 million pixels takes a quarter of a second,

@@ -87,7 +87,7 @@ def diagnose(
 def _faults(
     pictures: StackPictures, code: Code, codes: CodeMap, spec: DecodeSpec, levels: Levels
 ) -> Diagnosis:
-    """What is wrong with the frames and their order, the cause before the effect."""
+    """Return the faults of the frames and their order, the cause before the effect."""
     well, frames = well_lit(codes), pictures.frames
     warnings = [*_ends(frames, code, well), *_alike(pictures, code, well)]
     explained = False

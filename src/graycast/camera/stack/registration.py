@@ -1,4 +1,4 @@
-"""How far one picture of a scene is moved against another, to a small part of a pixel."""
+"""Motion of one picture of a scene against another, to a small part of a pixel."""
 
 from dataclasses import dataclass
 
@@ -198,7 +198,7 @@ def _moved(value: Float[np.ndarray, "h w"], motion: Float[np.ndarray, "2"]):
 
 
 def _ratio(weight, value, other) -> float:
-    """How many times as strong a picture is as the other."""
+    """Return the factor by which a picture is brighter than the other."""
     return float(np.vdot(weight * value, other) / max(float(np.vdot(weight * other, other)), 1e-9))
 
 

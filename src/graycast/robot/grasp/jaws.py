@@ -67,7 +67,7 @@ class Jaws:
 
 
 class PadContact(NamedTuple):
-    """Where closed jaws touch a mesh.
+    """Return where closed jaws touch a mesh.
 
     `aside_m` is how far aside the middle between the pads lies along x. `slope` is the steeper
     tangent between the jaws' axis and the normal of what a pad touches. `ahead_m` is how far before

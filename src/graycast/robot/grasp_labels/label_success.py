@@ -1,4 +1,4 @@
-"""How often grips are held in the simulation, by the score that predicts it."""
+"""Share of grips that are held in the simulation, by the score that predicts it."""
 
 import math
 from collections import Counter

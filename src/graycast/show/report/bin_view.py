@@ -1,4 +1,4 @@
-"""What a contact sheet shows of a scene: the bin's part of the picture, and the bin's depths."""
+"""View of a contact sheet: the bin's part of the picture, and the bin's depths."""
 
 import itertools
 

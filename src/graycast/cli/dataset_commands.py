@@ -228,7 +228,6 @@ def _add_grasps(group) -> None:
 def _stats(options: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from ..camera.decode import little_depth_note
     from ..dataset.stats import dataset_statistics, statistics_table, write_statistics
 
     if options.licence is not None:
@@ -240,8 +239,6 @@ def _stats(options: argparse.Namespace) -> int:
     with open_bars() as bars:
         statistics = dataset_statistics(options.dataset, workers=options.workers, progress=bars)
     Console(width=None).print(statistics_table(statistics))
-    if note := little_depth_note(statistics.part_reason):
-        print(f"note: {note}; graycast preview tries what helps")
     if options.out is not None:
         write_statistics(statistics, options.out)
         print(options.out)

@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from ...base.folder import whole_folder
+from ...camera.decode import little_depth_note
 from ..json_text import plain
 from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, Statistics
 from .scene_statistics import DEPTH_BIN_MM
@@ -91,6 +92,8 @@ def statistics_table(statistics: Statistics) -> Table:
             of_parts = s.part_reason.get(name, 0)
             cell = f"{of_parts:7.2%} of the parts' pixels, {share:7.2%} of all pixels"
             table.add_row(name.replace("_", " "), cell)
+    if note := little_depth_note(s.part_reason):
+        table.add_row("note", f"{note}; graycast preview tries what helps")
     for name, error in (("scanner error on parts", s.part_error), ("  everywhere", s.error)):
         if error.pixels:
             table.add_row(name, _error_line(error))

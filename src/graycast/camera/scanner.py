@@ -200,8 +200,13 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
 
     Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
     """
-    times_s = capture.times_s
-    return len(capture.frames) * (sum(times_s) + len(times_s) * readout_s)
+    if scanner.exposure.auto:
+        exposed_s, count = sum(capture.times_s), len(capture.times_s)
+    else:
+        factors = scanner.exposure.factors
+        exposed_s = capture.reference_s * (sum(factors) if len(factors) > 1 else 1)
+        count = len(factors)
+    return len(capture.frames) * (exposed_s + count * readout_s)
 
 
 def measure(

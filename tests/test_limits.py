@@ -30,8 +30,8 @@ SOURCE = ROOT / "src" / "graycast"
 MOST_LINES = 77_700
 # These are the words in README.md and the pages of docs that people write. 1,700 came with the
 # sources of the shelf, the age of each page's figures, and the options and errors of these changes;
-# 200 say which faults of a stack are named, and 1,200 how Graycast is installed, what metal needs in
-# a stack, and how exposures, a user's own code and notes are used.
+# 200 say which faults of a stack are named, and 1,200 how Graycast is installed, what metal needs
+# in a stack, and how exposures, a user's own code and notes are used.
 MOST_WORDS = 48_700
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 

@@ -31,7 +31,7 @@ from graycast.camera.faults import FaultSpec
 from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.camera.scanner import Scanner
 from graycast.camera.stack import stack_sheet
-from graycast.cli import main, rig_commands
+from graycast.cli import main
 from graycast.real.realism import depth_curves
 from graycast.rig.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
 
@@ -346,8 +346,7 @@ def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("graycast.camera.stack.decode_stack", stop)
-    monkeypatch.setattr(rig_commands, "resolve_rig_option", stop)
+    monkeypatch.setattr("graycast.camera.stack.read_description", stop)
     assert main(["rig", "decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 

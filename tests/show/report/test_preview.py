@@ -193,7 +193,8 @@ def test_a_scan_of_several_exposures_says_all_of_them(tiles):
     shot = make_shot()
     exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
     exposure_s[:10] = 0.005
-    merged = replace(shot, capture=replace(shot.capture, exposure_s=exposure_s))
+    capture = replace(shot.capture, exposure_s=exposure_s, times_s=(0.005, 0.02))
+    merged = replace(shot, capture=capture)
     words = " ".join(text.get_text() for text in tiles(merged)[0].texts)
     assert "exposure 5, 20 ms" in words
 

@@ -21,7 +21,7 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 from ..base.color import srgb_of_bytes
 from ..base.errors import GraycastError
 from ..base.folder import beside
-from ..camera.decode import REASON_COLOR, Reason
+from ..camera.decode import REASON_COLOR, Reason, little_depth_note
 from .claim import BESIDE_CONFIG
 from .json_text import plain
 from .scene_content import SceneContent, scene_content
@@ -251,6 +251,8 @@ def _figures(s: Statistics, objects: Objects, stored: StoredDataset) -> str:
             f"{escaped(name.replace('_', ' '))} {share:.1%}" for name, share in missing.items()
         )
         rows.append(("without, on parts", shares_text))
+    if note := little_depth_note(s.part_reason):
+        rows.append(("note", f"{note}; `graycast preview` tries what helps"))
     if s.part_error.pixels:
         error = s.part_error
         figures = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"

@@ -1,13 +1,14 @@
 """The share of the parts that is seen is one number in run, statistics, card and page."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from small_cell import write_cell
 
-from graycast.camera.decode import Reason, pooled_shares, reason_counts
+from graycast.camera.decode import Reason, little_depth_note, pooled_shares, reason_counts
 from graycast.cell.generate import generate
 from graycast.cell.resolve import load_cell
 from graycast.dataset.card import write_card
@@ -57,10 +58,16 @@ def test_run_statistics_card_and_page_state_the_same_share(tmp_path):
     assert f"| with a scanner depth | {pooled:.1%} of the parts' pixels, " in (
         write_card(out, statistics).read_text()
     )
+    little = replace(statistics, part_reason={"decoded": 0.2, "shadow": 0.8})
+    note = (
+        "20.0% of the parts' pixels have depth; the main reason of missing depth is shadow (80.0%)"
+    )
+    assert f"| note | {note}; " in write_card(out, little).read_text()
     page = write_report(out, tmp_path / "page").page.with_name("index.js").read_text()
     index = json.loads(page.removeprefix("Graycast.report = ").rstrip().rstrip(";"))
     assert index["statistics"] == json.loads(json.dumps(statistics_json(statistics)))
     assert index["statistics"]["part_reasons"]["decoded"] == pytest.approx(pooled)
+    assert index["note"] == little_depth_note(statistics.part_reason)
     of_page = [dict(zip(index["columns"], row, strict=True)) for row in index["scenes"]]
     for row, share in zip(of_page, shares, strict=True):
         assert row["part_decoded"] == (None if share is None else round(share, 4))

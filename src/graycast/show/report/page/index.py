@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ....base.version import __version__
+from ....camera.decode import little_depth_note
 from ....dataset.scene_content import NO_REASON
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures
@@ -47,6 +48,7 @@ def index_script(
         "colormaps": {name: color_table(name) for name in _COLORMAPS},
         "scanners": _scanners(stored),
         "statistics": statistics_json(statistics),
+        "note": little_depth_note(statistics.part_reason),
         "columns": _COLUMNS,
         "scenes": rows,
         "detections": detections,

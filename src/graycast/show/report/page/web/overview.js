@@ -132,6 +132,8 @@
       "decoded",
       `${percent(s.part_reasons.decoded)} of parts' pixels, ${percent(s.reasons.decoded)} of all`,
     ]);
+    const note = Graycast.report.note;
+    if (note) list.push(["note", `${note}; graycast preview tries what helps`]);
     if (s.part_error.pixels)
       list.push([
         "scanner error on parts",

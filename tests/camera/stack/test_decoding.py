@@ -171,6 +171,19 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     assert result.figures.epipolar_median_px < 0.5
 
 
+@pytest.mark.parametrize(
+    ("name", "shown"), [("gray with inverses", True), ("gray and phase", False)]
+)
+def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, shown, tmp_path):
+    """With phases the pixels of the smallest sigma were few, and their residual was any number."""
+    rig, code = small_rig(), CODES[name]
+    result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
+    figures = result.figures
+    assert np.isfinite(figures.epipolar_sure_px) == shown
+    assert ("no doubtful bit" in describe_result(result)) == shown
+    assert not shown or figures.epipolar_sure_px <= figures.epipolar_median_px
+
+
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])
 def test_filters_of_a_preset_add_nothing_to_the_depth_of_a_stack(filters, tmp_path):
     """The ball's slopes showed it: a preset's raster scattered the depth of real pictures."""

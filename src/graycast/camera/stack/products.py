@@ -111,10 +111,12 @@ def describe_result(result: StackResult) -> str:
     lines.append("modulation (median over the better lit half of the decoded pixels):")
     lines += [f"  {name:28} {value:.3f}" for name, value in figures.modulation.items()]
     if np.isfinite(figures.epipolar_median_px):
+        certain = ""
+        if np.isfinite(figures.epipolar_sure_px):
+            certain = f"; median {figures.epipolar_sure_px:.3f} px of pixels with no doubtful bit"
         lines.append(
             f"epipolar residual: median {figures.epipolar_median_px:.3f} px, 95 % under "
-            f"{figures.epipolar_95_px:.3g} px; median {figures.epipolar_sure_px:.3f} px of the "
-            "certain pixels"
+            f"{figures.epipolar_95_px:.3g} px{certain}"
         )
     if result.depth is not None:
         known = result.depth.depth_m[np.isfinite(result.depth.depth_m)]

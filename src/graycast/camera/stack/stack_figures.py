@@ -26,7 +26,7 @@ class StackFigures:
     from the middle of white and black; without these two, of the pixel's brightest and darkest
     frame. Of a phase code, twice its amplitude. The epipolar residual [projector px] is NaN without
     a rig or without both axes; `epipolar_sure_px` is its median over the pixels in no doubt about
-    any bit.
+    any bit, and NaN with phases, where no pixels share the smallest doubt.
     """
 
     lit_share: float
@@ -52,7 +52,10 @@ def figures_of(
         known = np.isfinite(residual_px)
         off = np.abs(residual_px[known])
         sigma_px = np.maximum(codes.sigma_column, codes.sigma_row)[known]
-        sure = off[sigma_px < 1.05 * sigma_px.min(initial=np.inf)]
+        # Pixels in no doubt about any bit share the smallest sigma. With phases it varies from
+        # pixel to pixel, and the smallest of all sigmas says nothing.
+        if not any(frame.kind in ("phase", "line") for frame in code.frames):
+            sure = off[sigma_px < 1.05 * sigma_px.min(initial=np.inf)]
     decoded = codes.reason == Reason.DECODED
     return StackFigures(
         lit_share=float(lit.mean()),

@@ -99,8 +99,8 @@ def test_mypy_without_plugins_accepts_every_page_and_example(user_files):
     command += ["--cache-dir", ROOT / ".mypy_cache/pages", "--hide-error-context", user_files]
     done = subprocess.run(command, cwd=user_files, capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stdout + done.stderr
-    found = re.findall(r"^(.+?):(\d+): error: (.*)$", done.stdout, re.MULTILINE)
-    refuse_errors([(Path(name).name, int(line), text) for name, line, text in found])
+    errors = re.findall(r"^(.+?):(\d+): error: (.*)$", done.stdout, re.MULTILINE)
+    refuse_errors([(Path(name).name, int(line), text) for name, line, text in errors])
 
 
 @pytest.mark.slow
@@ -112,11 +112,11 @@ def test_pyright_accepts_every_page_and_example(user_files):
     (user_files / "pyrightconfig.json").write_text(json.dumps(settings), encoding="utf-8")
     command = [node, program, "--outputjson", "--pythonpath", sys.executable, "-p", user_files]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    found = json.loads(done.stdout)["generalDiagnostics"]
+    errors = json.loads(done.stdout)["generalDiagnostics"]
     refuse_errors(
         [
             (Path(one["file"]).name, one["range"]["start"]["line"] + 1, one["message"])
-            for one in found
+            for one in errors
             if one["severity"] == "error"
         ]
     )

@@ -6,7 +6,7 @@ task.
 """
 
 from collections.abc import Callable
-from typing import Protocol, TextIO, final, runtime_checkable
+from typing import Protocol, final, runtime_checkable
 
 MOST_COLUMNS = 78  # A longer line would be wrapped, and only its last row could be cleared.
 
@@ -28,6 +28,23 @@ class ProgressMeter(Protocol):
         ...
 
 
+@runtime_checkable
+class TextStream(Protocol):
+    """Receiver of text, such as `sys.stderr`; a notebook's stream is one, and no `TextIO`."""
+
+    def write(self, text: str, /) -> object:
+        """Write a text."""
+        ...
+
+    def flush(self) -> object:
+        """Show what was written."""
+        ...
+
+    def isatty(self) -> bool:
+        """Return whether a terminal shows the text."""
+        ...
+
+
 @final
 class Stages:
     """A `ProgressMeter` that passes the stages to a function and ignores the rest."""
@@ -44,7 +61,7 @@ class Stages:
 class StatusLine:
     """A `ProgressMeter` that keeps one line of a terminal or notebook, which it clears again."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextStream) -> None:
         self._stream = stream
         self._counted = ""
         self._columns = 0
@@ -75,7 +92,7 @@ class StatusLine:
         self._stream.flush()
 
 
-def is_watched(stream: TextIO | None) -> bool:
+def is_watched(stream: TextStream | None) -> bool:
     """Return whether somebody reads a stream while it is written: in a terminal or a notebook."""
     if stream is None:
         return False

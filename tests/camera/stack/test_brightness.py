@@ -27,10 +27,10 @@ LOOK = Look(squares=0.4)
 def faults(code, stack):
     lit = np.ptp(stack.astype(int), axis=0) > 60
     names = [frame.name for frame in code.frames]
-    found = [*brightness_faults(stack, code, names, lit, 255)]
+    warnings = [*brightness_faults(stack, code, names, lit, 255.0)]
     return [
         (m[1], float(m[2]))
-        for m in (re.match(r"\S+ \((\S+)\) is (\S+) times as bright", f) for f in found)
+        for m in (re.match(r"\S+ \((\S+)\) is (\S+) times as bright", line) for line in warnings)
         if m
     ]
 

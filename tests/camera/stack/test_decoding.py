@@ -172,16 +172,16 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"), [("gray with inverses", True), ("gray and phase", False)]
+    ("name", "mentioned"), [("gray with inverses", True), ("gray and phase", False)]
 )
-def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, shown, tmp_path):
+def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, mentioned, tmp_path):
     """With phases the pixels of the smallest sigma were few, and their residual was any number."""
     rig, code = small_rig(), CODES[name]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     figures = result.figures
-    assert np.isfinite(figures.epipolar_sure_px) == shown
-    assert ("no doubtful bit" in describe_result(result)) == shown
-    assert not shown or figures.epipolar_sure_px <= figures.epipolar_median_px
+    assert np.isfinite(figures.epipolar_sure_px) == mentioned
+    assert ("no doubtful bit" in describe_result(result)) == mentioned
+    assert not mentioned or figures.epipolar_sure_px <= figures.epipolar_median_px
 
 
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])

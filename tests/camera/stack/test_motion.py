@@ -52,7 +52,7 @@ def test_a_bump_between_columns_and_rows_is_named_and_nothing_else(name, x_px, y
 def test_a_bump_between_a_pattern_and_its_inverse_is_one_bump_about_these():
     code = CODES["gray"]
     stack = moved(shoot_cluttered(code, LOOK), 9, 2, 0)  # frame 8 is a pattern, 9 its inverse
-    (jump,) = stack_motion(white_sums(stack, code, 255)).jumps
+    (jump,) = stack_motion(white_sums(stack, code, 255.0)).jumps
     assert 7 <= jump.before <= 8 < 9 <= jump.after <= 10
     assert jump.x_px == pytest.approx(2.0, abs=0.15)
     assert abs(jump.y_px) < 0.15
@@ -66,7 +66,7 @@ def test_a_steady_motion_is_told_from_a_bump_in_it():
         stack[k] = np.roll(stack[k], (3 * (k >= 10), k // 2), axis=(0, 1))
     pairs = stack[:16]
     first = replace(code, frames=code.frames[:16])
-    motion = stack_motion(white_sums(pairs, first, 255))
+    motion = stack_motion(white_sums(pairs, first, 255.0))
     (jump,) = motion.jumps
     assert (jump.before, jump.after) == (9, 10)
     assert jump.y_px == pytest.approx(3.0, abs=0.1)
@@ -79,7 +79,7 @@ def test_noise_and_exposure_that_changes_move_nothing(name):
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.3, gain=0.3, read_dn=2.0))
     fading = np.linspace(1, 0.75, len(stack))[:, None, None]
-    motion = stack_motion(white_sums(np.rint(stack * fading).astype(np.uint8), code, 255))
+    motion = stack_motion(white_sums(np.rint(stack * fading).astype(np.uint8), code, 255.0))
     assert motion.jumps == ()
     assert motion.steady_px == 0
 
@@ -89,6 +89,6 @@ def test_fringes_that_a_gamma_leaves_in_the_sums_are_no_motion():
     for code in CODES.values():
         stack = shoot_cluttered(code, Look(squares=0.3, blur_px=0.7))
         bent = np.rint(255 * np.sqrt(stack / 255)).astype(np.uint8)
-        motion = stack_motion(white_sums(bent, code, 255))
+        motion = stack_motion(white_sums(bent, code, 255.0))
         assert motion.jumps == ()
         assert motion.steady_px == 0

@@ -7,18 +7,18 @@ from graycast.score.evaluate.intervals import Interval
 
 
 def ranking_of(*counts):
-    """Return the ranking of labels with so many grips in each band, and so many of them held."""
+    """Return the ranking of labels with so many grips in each band, and these of them held."""
     bands = tuple(
-        Band(low=low, high=high, grips=grips, held=held)
-        for (low, high), (grips, held) in zip(BANDS, counts, strict=True)
+        Band(low=low, high=high, grips=grips, held=successes)
+        for (low, high), (grips, successes) in zip(BANDS, counts, strict=True)
     )
-    grips, held = (sum(column) for column in zip(*counts, strict=True))
+    grips, successes = (sum(column) for column in zip(*counts, strict=True))
     unknown = Interval(value=float("nan"), low=float("nan"), high=float("nan"))
     return Ranking(
         scenes=1,
         labels=grips,
         reach={"free": grips},
-        ended={"held": held, "not held": grips - held},
+        ended={"held": successes, "not held": grips - successes},
         bands=bands,
         auc=unknown,
         auc_above_0=unknown,
@@ -38,9 +38,9 @@ NOTHING = (0, 0)
 )
 def test_a_score_of_0_is_contradicted_by_grips_that_hold(counts, notes):
     text = describe_ranking(ranking_of(counts, *[NOTHING] * 4, (20, 19)))
-    found = [line for line in text.splitlines() if line.startswith("note: ")]
-    assert len(found) == len(notes)
-    for line, note in zip(found, notes, strict=True):
+    remarks = [line for line in text.splitlines() if line.startswith("note: ")]
+    assert len(remarks) == len(notes)
+    for line, note in zip(remarks, notes, strict=True):
         assert note in line and "contradict" in line and "use them, and not the score" in line
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import final, overload
+from typing import TYPE_CHECKING, final, overload
 
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
@@ -23,11 +23,18 @@ from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]
 
+# Editors know the examples' type from it. A check of types at run time would read one example from
+# its files to see what it is.
+if TYPE_CHECKING:
+    _Sequence = Sequence[Example]
+else:
+    _Sequence = Sequence
+
 
 @final
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Examples(Sequence[Example]):
+class Examples(_Sequence):
     """The examples of one set, each read from its files when it is asked for.
 
     It holds no open files, so that the processes of a data loader can each have it.

@@ -65,7 +65,7 @@ PHRASES_LEFT = {
     "let go": (5, 0),
     "lies": (143, 17),
     "nobody": (24, 1),
-    "none of": (21, 2),
+    "none of": (20, 2),
     "of another": (72, 13),
     "of others": (23, 5),
     "one's": (12, 0),

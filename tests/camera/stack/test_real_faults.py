@@ -118,6 +118,24 @@ def test_real_pictures_in_the_opposite_order_are_named(name, stacks, tmp_path):
     assert "the pictures are in the opposite order: state the files" in warning
 
 
+@pytest.mark.parametrize(
+    ("name", "one", "other", "says"),
+    [
+        slow("kamino_phase", 0, 1, "step00 and column_phase_66.6667px_step01 may be"),
+        slow("yarn_three_frequencies", 0, 1, "step00 (00.png) and column_phase_28.5714px_step01"),
+        slow("yarn_three_frequencies", 34, 39, "step02 (34.png) and row_phase_27.7778px_step07"),
+        slow("xema_metal", 14, 18, "step00.5 (14.png) and column_phase_10px_step02.5 (18.png)"),
+        slow("xema_metal", 9, 10, "step01 (10.png) and column_phase_40px_step02 (09.png)"),
+    ],
+)
+def test_two_real_pictures_that_are_exchanged_are_named(name, one, other, says, stacks, tmp_path):
+    """Stripes are no sine in the right order, either: an exchange doubles their difference."""
+    content, stack = stacks(name)
+    stack[[one, other]] = stack[[other, one]]
+    (warning,) = warnings_of(tmp_path, content, stack)
+    assert says in warning
+
+
 @pytest.mark.slow
 def test_each_real_period_that_runs_backwards_is_named(stacks, tmp_path):
     """Only one of four was, because a phase changes little from one of the many pixels to the next.

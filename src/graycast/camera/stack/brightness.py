@@ -31,17 +31,25 @@ def brightness_faults(
     names: Sequence[str],
     well: Bool[np.ndarray, "h w"],
     saturation_dn: float,
+    *,
+    exchanged: frozenset[int] = frozenset(),
 ) -> Iterator[str]:
     """Yield a warning for each step of a period that is not as bright as the period's others.
 
     Leaves out: a period of which fewer than three steps are there; a lone period of three steps
     without any other white picture, whose frames hold no fourth number that could tell; shifts of
     lines, which are no cosines.
+
+    Args:
+        exchanged: frames of periods that are left out since two of their pictures are exchanged,
+            which looks like unequal brightness.
     """
     index = samples(well)
     index = index[:: max(1, len(index) // MOST)]
     flat = frames.reshape(len(frames), -1)[:, index].astype(np.float64)
     for steps in full_periods(code, kinds=("phase",)):
+        if not exchanged.isdisjoint(steps):
+            continue
         gain = step_gains(flat, code, steps, saturation_dn)
         if gain is None:
             continue

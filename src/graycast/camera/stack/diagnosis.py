@@ -19,6 +19,7 @@ from .motion import describe_motion, stack_motion
 from .sense import gray_bands, phase_faults
 from .stack_figures import MAX_SAMPLES, samples, well_lit
 from .stack_pictures import StackPictures
+from .step_order import step_exchanges
 from .white_sums import white_sums
 
 CLEAR = 0.75  # A value this far from the middle, in halves of the contrast, is not blurred.
@@ -42,6 +43,7 @@ class Diagnosis:
 
     warnings: tuple[str, ...]
     explained: bool
+    exchanged: frozenset[int] = frozenset()  # frames of periods with two exchanged pictures
 
 
 def diagnose(
@@ -78,7 +80,8 @@ def diagnose(
             return Diagnosis(warnings=(reading, *computed, *facts), explained=True)
     if motion.explains:
         return Diagnosis(warnings=(*moved, *facts), explained=True)
-    facts = [*_brightness(pictures, code, well_lit(codes), levels), *moved, *facts]
+    unequal = _brightness(pictures, code, well_lit(codes), levels, faults.exchanged)
+    facts = [*unequal, *moved, *facts]
     if computed and not faults.explained:  # Levels that are not the camera's look wrong, too.
         return Diagnosis(warnings=(*computed, *facts), explained=False)
     return Diagnosis(warnings=(*computed, *faults.warnings, *facts), explained=faults.explained)
@@ -89,9 +92,13 @@ def _faults(
 ) -> Diagnosis:
     """Return the faults of the frames and their order, the cause before the effect."""
     well, frames = well_lit(codes), pictures.frames
+    plans = plan_axes(code, spec.fine_bits)
+    exchanges = step_exchanges(pictures, code, plans, spec, levels)
+    exchanged = frozenset(k for exchange in exchanges for k in exchange.frames)
     warnings = [*_ends(frames, code, well), *_alike(pictures, code, well)]
-    explained = False
-    for axis, plan in plan_axes(code, spec.fine_bits).items():
+    warnings += [exchange.text for exchange in exchanges]
+    explained = bool(exchanges)
+    for axis, plan in plans.items():
         order = None
         if not plan.periods:
             place_px = np.where(well, codes.column if axis == "column" else codes.row, np.nan)
@@ -100,7 +107,8 @@ def _faults(
             bands = gray_bands(frames, code, axis, spec, levels, well)
             order = bits_fault(bands.neighbour_places_px(), code, axis, plan)
             if order is None:
-                for fault in phase_faults(bands, code, axis, plan):
+                others = tuple(p for p in plan.periods if exchanged.isdisjoint(p.frames))
+                for fault in phase_faults(bands, code, axis, replace(plan, periods=others)):
                     warnings.append(fault.text)
                     explained |= fault.remedy
         if order is not None:
@@ -110,7 +118,7 @@ def _faults(
         warnings += _outside(code, codes, well)
         warnings += _contradictions(code, codes, well, levels)
         warnings += _course(code, codes, well)
-    return Diagnosis(warnings=tuple(warnings), explained=explained)
+    return Diagnosis(warnings=tuple(warnings), explained=explained, exchanged=exchanged)
 
 
 def _better_reading(
@@ -246,9 +254,13 @@ def _alike(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -
 
 
 def _brightness(
-    pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"], levels: Levels
+    pictures: StackPictures,
+    code: Code,
+    well: Bool[np.ndarray, "h w"],
+    levels: Levels,
+    exchanged: frozenset[int],
 ) -> Iterator[str]:
-    """All pairs are equally bright, and so are all steps of a period."""
+    """Yield a warning for each pair, and each step, that is not as bright as the others."""
     sums = {}
     for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
         first, second = (flat[i].astype(np.float32) for i in (k, other))
@@ -263,7 +275,9 @@ def _brightness(
                 "bright as the others: the exposure or the light may have changed"
             )
     names = [file.name for file in pictures.files]
-    yield from brightness_faults(pictures.frames, code, names, well, levels.saturation_dn)
+    yield from brightness_faults(
+        pictures.frames, code, names, well, levels.saturation_dn, exchanged=exchanged
+    )
 
 
 def _well_lit_pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]):

@@ -41,6 +41,12 @@ class _Edges:
         """Whether the phase surely falls where the place grows."""
         return self.forwards < -SURE_SIGMAS * self.sigma
 
+    @property
+    def as_stated(self) -> bool:
+        """Whether sense and origin are the stated ones."""
+        origin, strength = self.origin(1)
+        return not self.backwards and strength >= UNRELATED and abs(origin) <= ORIGIN_PERIODS
+
     def origin(self, sign: int) -> tuple[float, float]:
         """Return the origin [periods] of place = sign * phase + origin, and its certainty."""
         mean = np.exp(2j * np.pi * (self.place - sign * self.phase)).mean()
@@ -146,17 +152,12 @@ def _gray_place_px(
 def _judge(
     bands: GrayBands, code: Code, axis: Axis, plan: AxisPlan, period: Period
 ) -> Iterator[PhaseFault]:
-    turns = np.tensordot(
-        np.exp(1j * np.array(period.delta_rad)), bands.frames[list(period.frames)], axes=1
-    )
-    place, phase = bands.place_px / period.period_px, np.angle(turns) / (2 * np.pi)
-    edges = _edges(bands, place, phase, plan.cell_px / period.period_px)
-    if edges is None:
+    phase = _phase(bands, period)
+    edges = _edges(bands, phase, plan, period)
+    if edges is None or edges.as_stated:
         return
     sign = -1 if edges.backwards else 1
     origin, strength = edges.origin(sign)
-    if sign > 0 and strength >= UNRELATED and abs(origin) <= ORIGIN_PERIODS:
-        return
     px = period.period_px
     whose = f"the phases of period {px:g} px do not fit the Gray code of the {axis}s"
     if strength < UNRELATED:
@@ -170,10 +171,15 @@ def _judge(
     before = [float(code.frames[k].step) for k in period.frames]
     origin = _usual(origin, steps)
     after = [round((sign * step + origin * steps) % steps, 2) % steps for step in before]
-    usable_phase = phase[np.isfinite(place)]
+    usable_phase = phase[np.isfinite(bands.place_px)]
     moved = (1 - sign) * usable_phase - origin
+    wrong = [k for k, one, other in zip(period.frames, before, after, strict=True) if one != other]
+    cause = "the steps run backwards" if sign < 0 else "the steps run from another origin"
+    if len(wrong) == 2 and sorted(before) == sorted(after):  # so two pictures in each other's place
+        both = " and ".join(code.frames[k].name for k in wrong)
+        cause = f"{both} may be exchanged, or {cause}"
     text = (
-        f"{whose}: the steps run {'backwards' if sign < 0 else 'from another origin'}. With step "
+        f"{whose}: {cause}. With step "
         f"{_listed(after)} of {steps} instead of {_listed(before)} they meet the edges of its "
         f"values within {px * edges.miss(sign, origin):.2g} px, and places move by "
         f"{px * float(np.median(np.abs(moved - np.rint(moved)))):.2g} px (medians)"
@@ -181,8 +187,28 @@ def _judge(
     yield PhaseFault(text=text, remedy=True)
 
 
-def _edges(bands: GrayBands, place, phase, cell: float) -> _Edges | None:
-    """All pairs of neighbours with an edge of the Gray cells between them; None of too few."""
+def phases_agree(bands: GrayBands, plan: AxisPlan, period: Period) -> bool:
+    """Return whether enough edges of the Gray code are seen, and the phases run as these say."""
+    edges = _edges(bands, _phase(bands, period), plan, period)
+    return edges is not None and edges.as_stated
+
+
+def _phase(bands: GrayBands, period: Period) -> Float[np.ndarray, "h w"]:
+    """Return the phase of a period [periods], as the stated steps make it."""
+    turns = np.tensordot(
+        np.exp(1j * np.array(period.delta_rad)), bands.frames[list(period.frames)], axes=1
+    )
+    return np.angle(turns) / (2 * np.pi)
+
+
+def _edges(
+    bands: GrayBands, phase: Float[np.ndarray, "h w"], plan: AxisPlan, period: Period
+) -> _Edges | None:
+    """Return all pairs of neighbours with an edge of the Gray cells between them.
+
+    None where they are too few.
+    """
+    place, cell = bands.place_px / period.period_px, plan.cell_px / period.period_px
     first, second = bands.neighbours(place).T
     before, after = bands.neighbours(phase).T
     apart = second - first

@@ -79,7 +79,7 @@ PHRASES_LEFT = {
     "told": (16, 2),
     "what is": (186, 29),
     "what stands": (8, 0),
-    "what was": (34, 13),
+    "what was": (35, 13),
     "whatever": (23, 1),
     "which one": (5, 0),
     "whoever": (11, 2),

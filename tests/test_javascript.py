@@ -88,7 +88,7 @@ def test_a_name_or_a_number_of_arguments_that_is_wrong_is_noticed(right, wrong, 
 
 
 def test_every_script_is_as_the_formatter_writes_it_and_belongs_to_a_page():
-    there = sorted(SOURCE.rglob("*.js"))
+    there = sorted({*SOURCE.rglob("*.js"), *(ROOT / "docs").glob("*.js")})
     assert set(there) == {path for name in PAGES for path in scripts(name)}
     done = run("prettier/bin/prettier.cjs", "--check", *there, WEB / "types.d.ts")
     assert done.returncode == 0, done.stdout + done.stderr

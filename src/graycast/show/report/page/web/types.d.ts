@@ -241,6 +241,7 @@ interface Shared {
   el(tag: string, attributes?: Record<string, any>, ...children: any[]): any;
   tip(event: MouseEvent, text?: string): void;
   words(name: string): string;
+  ownReasons(row: { part_reasons?: any; reasons?: any }): any;
   count(value: number): string;
   percent(share: number | null | undefined, digits?: number): string;
   mm(value: number | null | undefined, digits?: number): string;

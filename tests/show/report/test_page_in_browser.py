@@ -218,7 +218,7 @@ def test_captured_frames_are_brought_in_when_they_are_looked_at(page, report_wit
         miss = np.abs(picture - stored).mean(axis=(1, 2))
         assert miss.argmin() == k and miss[k] < 4, miss  # noise through JPEG
         assert page.locator("#choose-frame").input_value() == str(k)
-    assert "captured, 12 bit" in page.locator(".note").inner_text()
+    assert "captured, 12 bit" in page.locator("span.note").inner_text()
 
 
 def test_frames_flip_by_arrows_brackets_and_play(page, report_with_frames):
@@ -250,7 +250,7 @@ def test_ideal_bits_stand_beside_captured_frames(page, report_with_frames):
     slide(page, 2)
     captured = canvas_pixels(page)[..., 0]
     page.select_option("#choose-source", "scanner")
-    assert "ideal bits" in page.locator(".note").inner_text()
+    assert "ideal bits" in page.locator("span.note").inner_text()
     known = scene_map(page, "scanner") > 0
     page.click("#toggle-shade")
     ideal = canvas_pixels(page)[..., 0]
@@ -306,9 +306,9 @@ def test_frame_and_column_under_the_pointer(page, report_with_frames):
 
 def test_what_is_not_stored_is_told_with_the_key_that_would(page, report):
     opened(page, report, 0, "pattern")
-    assert "store: {frames: true}" in page.locator(".note").inner_text()
+    assert "store: {frames: true}" in page.locator("span.note").inner_text()
     page.click('[data-view="column"]')
-    assert "store: {columns: true}" in page.locator(".note").inner_text()
+    assert "store: {columns: true}" in page.locator("span.note").inner_text()
     names = page.eval_on_selector_all("#choose-axis option", "all => all.map((o) => o.value)")
     assert names == ["column", "row"]
     assert page.locator('#readout tr[data-name="decoded column"]').count() == 0

@@ -1,7 +1,5 @@
 """The region of a picture from which a scanner meters its exposure."""
 
-from itertools import product
-
 import cv2
 import numpy as np
 from jaxtyping import Bool
@@ -9,6 +7,7 @@ from jaxtyping import Bool
 from ..base.frames import inverse, transform_points
 from ..rig.optics import project
 from ..world.scene import Scene
+from .framing import bin_corners_m
 
 
 def bin_region(scene: Scene) -> Bool[np.ndarray, "h w"] | None:
@@ -20,11 +19,8 @@ def bin_region(scene: Scene) -> Bool[np.ndarray, "h w"] | None:
     if scene.bin is None:
         return None
     camera = scene.rig.camera
-    length_m, width_m, height_m = scene.bin.inner_m
-    corners_m = np.array(
-        list(product((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0, height_m)))
-    )
-    pixels = project(camera, transform_points(inverse(scene.T_world_cam), corners_m))
+    corner_m = transform_points(inverse(scene.T_world_cam), bin_corners_m(scene.bin))
+    pixels = project(camera, corner_m)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     if len(pixels) < 3:
         return None

@@ -188,12 +188,11 @@ def flat_light():
 
 def test_a_scan_lasts_as_long_as_its_frames():
     """Oracle: counted by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
-    scanner = Scanner(rig=preset_rig("paper"), exposure=ExposureSpec(factors=(1.0, 4.0, 10.0)))
     exposure_s = np.full((6, 8), 0.002, dtype=np.float32)
-    exposure_s[2, 3] = 0.020  # the longest that was taken by any pixel
-    frames = np.zeros((3, 6, 8), dtype=np.uint16)
-    capture = Capture(frames=frames, sensor=SensorSpec(), exposure_s=exposure_s)
-    seconds = scan_seconds(scanner, capture, readout_s=0.01)
+    exposure_s[2, 3] = 0.020  # No pixel has the exposure of 8 ms.
+    frames, times_s = np.zeros((3, 6, 8), dtype=np.uint16), (0.002, 0.008, 0.020)
+    capture = Capture(frames=frames, sensor=SensorSpec(), exposure_s=exposure_s, times_s=times_s)
+    seconds = scan_seconds(capture, readout_s=0.01)
     assert seconds == pytest.approx(3 * (0.002 + 0.008 + 0.020 + 3 * 0.01), rel=1e-6)
 
 

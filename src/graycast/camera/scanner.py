@@ -195,18 +195,12 @@ def _pictures(
     )
 
 
-def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> float:
-    """How long taking a stack lasts: each frame is exposed and read out, at every exposure.
+def scan_seconds(capture: Capture, *, readout_s: float) -> float:
+    """Return how long taking a stack lasts: each frame is exposed and read out, at every exposure.
 
-    Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
+    Leaves out: computing, which scanners do during the next scan, and pauses between frames.
     """
-    if scanner.exposure.auto:
-        exposed_s, count = sum(capture.times_s), len(capture.times_s)
-    else:
-        factors = scanner.exposure.factors
-        exposed_s = capture.reference_s * (sum(factors) if len(factors) > 1 else 1)
-        count = len(factors)
-    return len(capture.frames) * (exposed_s + count * readout_s)
+    return len(capture.frames) * (sum(capture.times_s) + len(capture.times_s) * readout_s)
 
 
 def measure(

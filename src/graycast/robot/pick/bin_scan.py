@@ -69,7 +69,7 @@ def scan(
         gray=gray_picture(capture),
         rgb=_picture(cell, renderer, rendering, picture_seed),
         instance=rendering.truth.instance,
-        seconds=scan_seconds(base.scanner, capture, readout_s=picking.readout_s),
+        seconds=scan_seconds(capture, readout_s=picking.readout_s),
     )
 
 

@@ -91,7 +91,7 @@ class Comparer:
             fates = judge(
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
             )
-            seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
+            seconds = scan_seconds(capture, readout_s=self._task.spec.readout_s)
             record = figures(scene, view, heap.surface, fates, seconds=seconds)
             measured[name] = record["measured"]
             picture = None

@@ -150,4 +150,4 @@ def test_a_function_of_the_door_is_one_object_that_processes_can_hand_on():
 
 def test_each_remedy_names_what_the_door_has():
     for text in argument_check._MAKERS.values():
-        assert all(hasattr(gc, name) for name in re.findall(r"graycast\.(\w+)", text))
+        assert set(re.findall(r"graycast\.(\w+)", text)) <= set(dir(gc))  # loads no PyTorch

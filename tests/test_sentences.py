@@ -21,7 +21,7 @@ OPENING = re.compile(r'^ *r?"""(Of|What|Which|As|So many|By|How|Where)\b', re.MU
 
 # How many docstrings of each room, and of each folder of tests, still begin with such a word.
 OPENINGS_LEFT = {
-    "src/graycast/camera": 27,
+    "src/graycast/camera": 26,
     "src/graycast/cell": 18,
     "src/graycast/cli": 5,
     "src/graycast/dataset": 64,
@@ -54,7 +54,7 @@ PHRASES_LEFT = {
     "are none": (16, 1),
     "as far as": (12, 2),
     "as it was": (5, 0),
-    "beside": (186, 22),
+    "beside": (185, 22),
     "by itself": (16, 2),
     "by turns": (1, 0),
     "has none": (31, 4),

@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -25,13 +26,18 @@ def test_who_uses_the_package_is_told_that_it_has_types():
     assert (ROOT / "src/graycast/py.typed").is_file()
 
 
+def name_of(function):
+    """Return the last name of a called expression, such as `Field` of `pydantic.Field`."""
+    return getattr(function, "attr", None) or getattr(function, "id", None)
+
+
 def test_no_default_of_a_field_is_positional():
     """Type checkers know a pydantic default by its keyword, and else take the key as required."""
     calls = [
         (path.relative_to(ROOT), call)
         for path in sorted((ROOT / "src").rglob("*.py"))
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] == "Field"
+        for call in nodes_of(path)
+        if isinstance(call, ast.Call) and name_of(call.func) == "Field"
     ]
     assert len(calls) > 300
     assert not [f"{path}:{call.lineno}" for path, call in calls if call.args]

@@ -144,6 +144,9 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
         ax.annotate(
             name, (0.01, 1e3 * z), xycoords=("axes fraction", "data"), va="bottom", color="gray"
         )
+    # A device that looks sideways has a field without end; the view keeps to the rig's own size.
+    widest_mm = 2e3 * max(bottom_m, rig.baseline_m)
+    ax.set_xlim(np.clip(ax.get_xlim(), -widest_mm, widest_mm))
     ax.set_aspect("equal")
     ax.invert_yaxis()
     ax.set(

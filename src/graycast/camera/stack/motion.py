@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from .white_sums import Displacement, WhiteSum, displacements
 
@@ -31,22 +32,30 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackMotion:
-    """The jumps of a stack, and its steady motion in all [px]; 0 where there is none."""
+    """The jumps of a stack, its steady motion in all [px], and the extent of an uneven motion [px].
+
+    A length is 0 where there is no such motion.
+    """
 
     jumps: tuple[Jump, ...] = ()
     steady_px: float = 0.0
+    uneven_px: float = 0.0
 
     @property
     def explains(self) -> bool:
         """Whether it is enough to make frames contradict, and a good rig misfit."""
-        return max(self.steady_px, *(jump.length_px for jump in self.jumps), 0) >= EXPLAINS_PX
+        lengths_px = (self.steady_px, self.uneven_px, *(jump.length_px for jump in self.jumps))
+        return max(lengths_px) >= EXPLAINS_PX
 
 
 def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
     """Return what moved from one white sum of a stack to the next.
 
     The median motion is steady; a jump is what is far from it. A jump within a white sum moves the
-    sum by a part, and the next by the rest: two in a row along one way are one.
+    sum by a part, and the next by the rest: two in a row along one way are one. Where half of the
+    motions or more are far from the median, as of a camera that shakes, or that creeps during half
+    of the stack, the median is no steady motion and nothing is far beyond the others: the motion is
+    uneven.
     """
     steps = displacements(sums)
     if not steps:
@@ -74,7 +83,18 @@ def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
     steady_px = float(np.linalg.norm(median_px))
     if steady_px < max(SURE_SIGMAS * sigma_of_median_px, LEAST_PX * scale):
         steady_px = 0.0
-    return StackMotion(jumps=tuple(jumps), steady_px=steady_px * len(steps))
+    uneven = usual_px > max(SURE_SIGMAS * float(np.median(sigma_px)), LEAST_PX * scale)
+    return StackMotion(
+        jumps=tuple(jumps),
+        steady_px=steady_px * len(steps),
+        uneven_px=_extent_px(motion_px) if uneven and not steady_px else 0.0,
+    )
+
+
+def _extent_px(motion_px: Float[np.ndarray, "n 2"]) -> float:
+    """Return the diagonal of the box about all places of the picture."""
+    place_px = np.concatenate([np.zeros((1, 2)), np.cumsum(motion_px, axis=0)])
+    return float(np.linalg.norm(np.ptp(place_px, axis=0)))
 
 
 def _between(step: Displacement) -> tuple[int, int]:
@@ -103,5 +123,10 @@ def describe_motion(motion: StackMotion, names: Sequence[str]) -> list[str]:
         warnings.append(
             f"the picture moves steadily, by {motion.steady_px:.1f} px from the first pictures to "
             f"the last: {remedy}"
+        )
+    if motion.uneven_px:
+        warnings.append(
+            "the picture moves during most of the stack, and not evenly: its places are up to "
+            f"{motion.uneven_px:.1f} px apart: {remedy}"
         )
     return warnings

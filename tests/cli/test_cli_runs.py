@@ -5,7 +5,9 @@ What the steps compute is tested in their rooms; here is that the options reach 
 
 import csv
 import json
+import re
 import shutil
+import sys
 from argparse import Namespace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +24,7 @@ from small_cell import write_cell
 
 from graycast.base.errors import GraycastError
 from graycast.camera.decode import Reason
+from graycast.cell.engine import Failed
 from graycast.cli import main, robot_commands
 from graycast.dataset.checking import validate
 from graycast.dataset.export import Split
@@ -193,6 +196,59 @@ def test_options_that_no_robot_has_are_refused_in_a_line(tmp_path, capsys):
         GraycastError, match="--depth is 'deep': give scanner, perfect, or a number"
     ):
         robot_commands._depth("deep")
+
+
+@pytest.fixture(params=["robot pick", "rig design", "dataset grasps"])
+def failing(request, monkeypatch, tmp_path):
+    """The words of a command whose task 3 fails twice, the second time for good."""
+
+    def failed(final):
+        return Failed(scene_id=3, error=OSError("no memory"), final=final)
+
+    def run_to_nowhere(*_, on_failed, **__):
+        for final in (False, True):
+            on_failed(*words[request.param], failed(final))
+        return (left[request.param],)
+
+    words = {"robot pick": (), "rig design": ("near", 3), "dataset grasps": ("train/000003",)}
+    left = {"robot pick": 3, "rig design": "near/003", "dataset grasps": "train/000003"}
+    whole_cell = SimpleNamespace(scene=SimpleNamespace(parts=(), rig=SimpleNamespace(name="r")))
+    for place, value in {
+        "robot.pick.resolve_pick_cell": lambda *_, **__: SimpleNamespace(cell=whole_cell),
+        "robot.pick.pick": run_to_nowhere,
+        "robot.pick.read_episodes": lambda _: (),
+        "robot.pick.summarize": lambda _: None,
+        "score.design.run_design": run_to_nowhere,
+        "score.design.write_design": lambda *_: None,
+        "score.design.describe_design": lambda *_: "",
+        "robot.grasp_labels.label_dataset": run_to_nowhere,
+        "robot.grasp_labels.rank": lambda *_: None,
+        "robot.grasp_labels.describe_ranking": lambda _: "",
+    }.items():
+        monkeypatch.setattr(f"graycast.{place}", value)
+    monkeypatch.setattr(robot_commands, "_tell", lambda _: None)
+    monkeypatch.setattr(robot_commands, "_need_robot", lambda: None)
+    monkeypatch.setitem(sys.modules, "coal", SimpleNamespace())
+    configs = Path(__file__).parents[2] / "configs"
+    cell = configs / "cells/ur5e_suction.yaml"
+    first = {
+        "robot pick": [cell],
+        "rig design": [configs / "design/brackets.yaml"],
+        "dataset grasps": [tmp_path, "--tool", cell],
+    }[request.param]
+    return [str(word) for word in (*request.param.split(), *first)]
+
+
+def test_a_try_that_fails_says_whether_another_follows_and_what_is_missing_in_the_end(
+    failing, capsys, tmp_path
+):
+    """A first try that fails was once a "failed" bin, which the same run then emptied."""
+    out = [] if "grasps" in failing else ["--out", str(tmp_path / "out")]
+    assert main([*failing, *out]) == 1
+    printed = capsys.readouterr().out
+    lines = re.findall(r"0+3  (.*): no memory", printed)
+    assert lines == ["will be made again", "given up"]
+    assert re.search(r"0+3 is missing; run the same command again to retry it", printed)
 
 
 @pytest.mark.slow

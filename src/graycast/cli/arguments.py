@@ -1,11 +1,11 @@
 """Arguments of commands: the table of the flags that several share."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ..base.errors import GraycastError
+from ..base.errors import GraycastError, one_line
 from ..base.frames import UNITS_M
 from ..rig.pair import PRESETS, RESOLUTIONS
 from .bars import open_stages
@@ -22,7 +22,7 @@ from .readers import (
 )
 
 if TYPE_CHECKING:
-    from ..cell.engine import Workers
+    from ..cell.engine import Failed, Workers
     from ..real.depth_file import FileOptions
 
 Run = Callable[[argparse.Namespace], int | None]
@@ -334,6 +334,18 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
         ray_length=getattr(options, "ray_length", False),
         max_depth_m=getattr(options, "max_depth", None),
     )
+
+
+def failed_line(name: str, failed: "Failed", *, given_up: str = "given up") -> str:
+    """Return why a try failed, and whether another one follows in the same run."""
+    then = given_up if failed.final else "will be made again"
+    return f"{name}  {then}: {one_line(failed.error)}"
+
+
+def print_missing(names: Iterable[str]) -> None:
+    """Print a line for each of what a run has given up."""
+    for name in names:
+        print(f"  {name} is missing; run the same command again to retry it")
 
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..base.errors import GraycastError, one_line
+from ..base.errors import GraycastError
 from .arguments import (
     CONTINUE,
     add_command,
@@ -14,7 +14,9 @@ from .arguments import (
     add_out,
     add_shared,
     division_of,
+    failed_line,
     file_options,
+    print_missing,
     resolve_config,
 )
 from .bars import open_bars
@@ -363,7 +365,7 @@ def _grasps(options: argparse.Namespace) -> int:
             )
 
         def failed(key, outcome) -> None:
-            bars.line(f"{key}  failed: {one_line(outcome.error)}")
+            bars.line(failed_line(key, outcome))
 
         lost = label_dataset(
             options.dataset,
@@ -379,6 +381,7 @@ def _grasps(options: argparse.Namespace) -> int:
     print(describe_ranking(rank(options.dataset, name)))
     labels = options.dataset / "grasps" / name
     print(f"{labels}: the labels; docs/reference/formats.md describes them")
+    print_missing(lost)
     return 1 if lost else 0
 
 

@@ -4,7 +4,6 @@ import argparse
 from datetime import timedelta
 from pathlib import Path
 
-from ..base.errors import one_line
 from .arguments import (
     CONTINUE,
     add_command,
@@ -14,6 +13,7 @@ from .arguments import (
     add_rig,
     add_shared,
     add_workers,
+    failed_line,
     print_shares,
     resolve_rig_option,
     workers_of,
@@ -137,8 +137,7 @@ def _rescan(options: argparse.Namespace) -> int:
             bars.line(f"{name_of(result.scene_id)}  {result.seconds:6.1f} s  {decoded}")
 
         def failed(one) -> None:
-            then = "set aside" if one.final else "will be made again"
-            bars.line(f"{name_of(one.scene_id)}  {then}: {one_line(one.error)}")
+            bars.line(failed_line(name_of(one.scene_id), one, given_up="set aside"))
 
         summary = rescan(
             source,

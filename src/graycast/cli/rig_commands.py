@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..base.errors import GraycastError, one_line
+from ..base.errors import GraycastError
 from ..base.folder import refuse_foreign, whole_folder
 from ..rig.pattern import CODECS
 from .arguments import (
@@ -19,6 +19,8 @@ from .arguments import (
     add_rig,
     add_shared,
     add_workers,
+    failed_line,
+    print_missing,
     resolve_rig_option,
     workers_of,
 )
@@ -365,7 +367,7 @@ def _design(options: argparse.Namespace) -> int:
             bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
 
         def failed(name, layout, outcome) -> None:
-            bars.line(f"{name}  heap {layout:03d}  failed: {one_line(outcome.error)}")
+            bars.line(failed_line(f"{name}  heap {layout:03d}", outcome))
 
         lost = run_design(
             spec,
@@ -378,6 +380,5 @@ def _design(options: argparse.Namespace) -> int:
         )
     write_design(spec, options.out)
     print(describe_design(spec, options.out))
-    for name in lost:
-        print(f"  {name} is missing; run the same command again to retry it")
+    print_missing(lost)
     return 1 if lost else 0

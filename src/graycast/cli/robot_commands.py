@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..base.errors import GraycastError, one_line
+from ..base.errors import GraycastError
 from .arguments import (
     CONTINUE,
     add_command,
@@ -16,6 +16,8 @@ from .arguments import (
     add_shared,
     add_workers,
     division_of,
+    failed_line,
+    print_missing,
     workers_of,
 )
 from .bars import open_bars, open_stages
@@ -150,7 +152,7 @@ def _pick(options: argparse.Namespace) -> int:
             bars.line(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
 
         def failed(outcome) -> None:
-            bars.line(f"bin {outcome.scene_id:06d}  failed: {one_line(outcome.error)}")
+            bars.line(failed_line(f"bin {outcome.scene_id:06d}", outcome))
 
         lost = pick(
             cell,
@@ -165,6 +167,7 @@ def _pick(options: argparse.Namespace) -> int:
         )
     _tell(summarize(read_episodes(options.out)))
     print(f"{options.out}: the pictures of all attempts are in bins/*/pictures")
+    print_missing(f"bin {bin_id:06d}" for bin_id in lost)
     return 1 if lost else 0
 
 

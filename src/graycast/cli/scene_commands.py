@@ -5,7 +5,7 @@ import shutil
 from datetime import timedelta
 from pathlib import Path
 
-from ..base.errors import GraycastError, one_line
+from ..base.errors import GraycastError
 from .arguments import (
     CONTINUE,
     add_command,
@@ -17,6 +17,7 @@ from .arguments import (
     add_shared,
     add_workers,
     cell_of,
+    failed_line,
     print_shares,
     workers_of,
 )
@@ -214,8 +215,8 @@ def _generate(options: argparse.Namespace) -> int:
                     bars.line(_ahead(scene, left, timed, options.out))
 
         def failed(scene) -> None:
-            then = "set aside" if scene.final else "will be made again"
-            bars.line(f"scene {scene.scene_id:06d}  {then}: {one_line(scene.error)}")
+            name = f"scene {scene.scene_id:06d}"
+            bars.line(failed_line(name, scene, given_up="set aside"))
 
         summary = generate(
             cell,

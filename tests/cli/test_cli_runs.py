@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 from argparse import Namespace
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -196,6 +197,61 @@ def test_options_that_no_robot_has_are_refused_in_a_line(tmp_path, capsys):
         GraycastError, match="--depth is 'deep': give scanner, perfect, or a number"
     ):
         robot_commands._depth("deep")
+
+
+def stop(*_, **__):
+    raise KeyboardInterrupt
+
+
+def stopped(capsys, *arguments):
+    assert main([str(argument) for argument in arguments]) == 130
+    start = "graycast: the command was stopped; "
+    return capsys.readouterr().err.strip().removeprefix(start)
+
+
+def test_a_preview_that_is_stopped_while_changes_are_tried_is_not_written(
+    capsys, monkeypatch, tmp_path
+):
+    """Trying what gives more depth takes longer than drawing, which once came first."""
+    manifest = {"part_reasons": {}, "reasons": {}}
+    sample = SimpleNamespace(scene=None, layout=None, manifest=manifest)
+    shot = SimpleNamespace(sample=sample)
+    renderer = SimpleNamespace(name="none", device="cpu")
+    for place, value in {
+        "cell.resolve.open_cell_renderer": lambda *_, **__: nullcontext(renderer),
+        "cell.simulate.make_images": lambda *_, **__: iter([shot]),
+        "cell.framing.framing_line": lambda *_: "",
+        "cli.scene_commands._tell_coarse": lambda _: None,
+        "show.report.draw_preview": lambda shot, code, out: out.write_bytes(b""),
+        "cell.remedies.depth_note": stop,
+    }.items():
+        monkeypatch.setattr(f"graycast.{place}", value)
+    out = tmp_path / "p.png"
+    message = stopped(capsys, "preview", write_cell(tmp_path), "--out", out)
+    assert message == "nothing was written"
+    assert not out.exists()
+
+
+def test_a_page_of_a_rescan_that_is_stopped_leaves_nothing(capsys, monkeypatch, tmp_path):
+    """It is written at once; once it said that the finished scenes were kept."""
+    monkeypatch.setattr("graycast.dataset.rescanned.is_rescanned", lambda _: True)
+    monkeypatch.setattr("graycast.show.report.rescan_page.write_rescan_page", stop)
+    page = tmp_path / "page"
+    assert stopped(capsys, "report", tmp_path, "--out", page) == "nothing was written"
+
+
+def test_statistics_that_are_stopped_before_the_card_are_written(capsys, monkeypatch, tmp_path):
+    for place, value in {
+        "dataset.stats.dataset_statistics": lambda *_, **__: None,
+        "dataset.stats.statistics_table": lambda _: "",
+        "dataset.stats.write_statistics": lambda _, out: out.mkdir(),
+        "dataset.card.write_card": stop,
+    }.items():
+        monkeypatch.setattr(f"graycast.{place}", value)
+    out = tmp_path / "stats"
+    message = stopped(capsys, "dataset", "stats", tmp_path, "--out", out, "--card")
+    assert message == f"{out} is written, the card is not"
+    assert out.exists()
 
 
 @pytest.fixture(params=["robot pick", "rig design", "dataset grasps"])

@@ -30,6 +30,7 @@ Kind = Callable[[str], Any] | tuple[str, ...] | None
 Value = TypeVar("Value")
 _DEBUG = "Print the Python traceback of an error, not only its message."
 CONTINUE = "run the same command again to continue"
+NOTHING = "nothing was written"
 
 
 def add_group(commands, name: str, help: str):
@@ -48,7 +49,7 @@ def add_command(
     *,
     example: str,
     more: str = "",
-    when_stopped: str = "nothing was written",
+    when_stopped: str = NOTHING,
 ) -> argparse.ArgumentParser:
     """Add a command and return its parser.
 

@@ -243,6 +243,7 @@ def _stats(options: argparse.Namespace) -> int:
     Console(width=None).print(statistics_table(statistics))
     if options.out is not None:
         write_statistics(statistics, options.out)
+        options.when_stopped = f"{options.out} is written, the card is not"
         print(options.out)
     if options.card:
         from ..dataset.card import write_card

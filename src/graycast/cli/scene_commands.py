@@ -8,6 +8,7 @@ from pathlib import Path
 from ..base.errors import GraycastError
 from .arguments import (
     CONTINUE,
+    NOTHING,
     add_command,
     add_config,
     add_device,
@@ -152,12 +153,12 @@ def _preview(options: argparse.Namespace) -> int:
             )
             shot = next(images)
     scanner = dict(cell.scanners)[cell.images[options.image][0]]
-    draw_preview(shot, scanner.light_code(), options.out)
     print(framing_line(shot.sample.scene, shot.sample.layout))
     _tell_coarse(shot)
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     if note := depth_note(shot, scanner):
         print(f"note: {note}")
+    draw_preview(shot, scanner.light_code(), options.out)  # last, as Ctrl-C says what is written
     print(options.out)
     return 0
 
@@ -332,6 +333,7 @@ def _report(options: argparse.Namespace) -> int:
     if is_rescanned(options.dataset):
         if options.detections is not None:
             raise GraycastError("--detections applies to a dataset of Graycast: remove it")
+        options.when_stopped = NOTHING  # This page is not made piece by piece.
         with open_bars() as bars:
             result = write_rescan_page(
                 options.dataset, options.out, width_px=options.width, progress=bars

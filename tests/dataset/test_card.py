@@ -49,8 +49,18 @@ def test_a_card_has_its_head_its_figures_and_its_pictures(dataset):
         assert f"card/{scene.key}.jpg" in text and picture.shape == (360, 4 * 480, 3)
 
 
+def test_a_card_that_is_written_again_keeps_its_licence(dataset, tmp_path):
+    """What the next `generate` does after `dataset stats --card --licence`."""
+    copied = shutil.copytree(dataset, tmp_path / "copied")
+    first = write_card(copied, licence="MIT").read_text()
+    assert "Licence: MIT." in first
+    assert write_card(copied).read_text() == first
+    assert "Licence: CC0-1.0." in write_card(copied, licence="CC0-1.0").read_text()
+
+
 def test_the_same_dataset_has_the_same_card_elsewhere_and_stays_valid(dataset, tmp_path):
     """With and without statistics given, as it has fewer scenes than are drawn."""
+    (dataset / "README.md").unlink(missing_ok=True)  # Another test stated a licence.
     write_card(dataset)
     first = files_of(dataset)
     assert "Licence: not stated." in first["README.md"].decode()

@@ -1,10 +1,12 @@
 """Words that a user chose, on a dataset's card: names, titles, the licence."""
 
+import json
+
 import pytest
 from markdown_it import MarkdownIt
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.card import escaped, fenced, spdx
+from graycast.dataset.card import counts_all_scenes, escaped, fenced, spdx, stated_licence
 
 HOSTILE = "a|b `c` *d* [e](javascript:f) <img src=x> # g_h_ & ~i~"
 
@@ -49,3 +51,32 @@ def test_words_that_are_no_licence_of_spdx_are_refused(words):
         GraycastError, match=r"is not an SPDX expression: give an identifier of spdx.org/licenses"
     ):
         spdx(words)
+
+
+@pytest.mark.parametrize(
+    ("readme", "licence"),
+    [
+        ("---\npretty_name: bins\nlicense: MIT\ntags:\n- bop\n---\n# bins\n", "MIT"),
+        ("---\nlicense: unknown\n---\n", None),
+        ("---\nlicense: of my own\n---\n", None),
+        ("---\nname: bins\n---\n\nlicense: MIT\n", None),
+        ("# The owner's own\n", None),
+    ],
+)
+def test_the_licence_of_a_card_is_that_of_its_head(readme, licence, tmp_path):
+    assert stated_licence(tmp_path) is None
+    (tmp_path / "README.md").write_text(readme)
+    assert stated_licence(tmp_path) == licence
+
+
+def test_a_card_of_fewer_scenes_than_there_are_is_known(tmp_path):
+    """A run that is stopped after its scenes leaves the card of an earlier run of fewer."""
+    for scene_id in range(3):
+        (tmp_path / "train" / f"{scene_id:06d}").mkdir(parents=True)
+    assert not counts_all_scenes(tmp_path)
+    (tmp_path / "README.md").write_text("the owner's own")
+    assert counts_all_scenes(tmp_path)
+    (tmp_path / "card").mkdir()
+    for count in (2, 3):
+        (tmp_path / "card/stats.json").write_text(json.dumps({"scenes_in_dataset": count}))
+        assert counts_all_scenes(tmp_path) == (count == 3)

@@ -185,7 +185,7 @@ def _tell_coarse(shot) -> None:
 def _generate(options: argparse.Namespace) -> int:
     from ..base.usage import GpuWatch
     from ..cell.generate import generate
-    from ..dataset.card import CARD, write_card
+    from ..dataset.card import counts_all_scenes, write_card
 
     workers = workers_of(options)
     cell = cell_of(options)
@@ -230,8 +230,9 @@ def _generate(options: argparse.Namespace) -> int:
             on_result=report,
             on_failed=failed,
         )
-    if summary.written or not (options.out / CARD).exists():
-        write_card(options.out)  # an existing card may have a licence or the figures of all scenes
+    # A card of these scenes may have the figures of all; a stopped run leaves one of fewer scenes.
+    if summary.written or not counts_all_scenes(options.out):
+        write_card(options.out)
     _tell(summary, options.out)
     if summary.written and gpu.share is not None:
         print(f"  the GPU was busy {gpu.share:.0%} of the time")

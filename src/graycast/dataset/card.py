@@ -1,7 +1,8 @@
 """The card of a dataset: a README that says what it is, how it was made and how it looks.
 
 The head between two lines `---` is what the Hugging Face Hub reads of a dataset's README. Equal
-datasets have equal cards, to the byte and wherever they lie: no date, no duration, no folder.
+datasets have equal cards, to the byte and wherever they lie: no date, no duration, no folder. Only
+the licence is their owner's, so a card that is written again keeps it.
 """
 
 import json
@@ -24,6 +25,8 @@ from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason, little_depth_note
 from .claim import BESIDE_CONFIG
 from .json_text import plain
+from .places import finished_scenes
+from .safe_reading import Unreadable, read_json
 from .scene_content import SceneContent, scene_content
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
 from .stored import StoredDataset, StoredScene, open_dataset
@@ -31,6 +34,7 @@ from .stored import StoredDataset, StoredScene, open_dataset
 CARD = "README.md"
 FOLDER = "card"  # It holds the card's pictures.
 UNSTATED = "not stated"
+_NO_LICENCE = "unknown"  # It stands in the head, for the Hub.
 SAMPLED = 40  # The pictures of so many scenes are read if nobody has counted those of all.
 _MOST = 3
 _TILE_PX = 480
@@ -54,7 +58,8 @@ def write_card(
         statistics: of all scenes (`dataset_statistics`). Left out, only `SAMPLED` scenes are read,
             drawn with a fixed seed, so that it takes seconds for any dataset; the card says so.
         licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own; left
-            out, the card says that none is stated.
+            out, it is that of the card which is there, and without one the card says that none is
+            stated.
         title: left out, it names the parts.
 
     Returns:
@@ -64,8 +69,7 @@ def write_card(
         DatasetError: the dataset cannot be read.
         GraycastError: its folder cannot be written, or the licence is none of SPDX's.
     """
-    if licence is not None:
-        licence = spdx(licence)
+    licence = stated_licence(dataset) if licence is None else spdx(licence)
     stored = open_dataset(dataset)
     objects = {scene: scene.obj_ids() for scene in stored.scenes}
     if statistics is None:
@@ -89,6 +93,31 @@ def write_card(
             "disk space"
         ) from error
     return dataset / CARD
+
+
+def stated_licence(dataset: Path) -> str | None:
+    """Return the licence in the head of a dataset's card; None if there is none of SPDX's."""
+    try:
+        text = (dataset / CARD).read_text(encoding="utf-8")
+        head = re.match(r"---\n(?:.+\n)*?license: (.+)\n", text)
+        return None if head is None or head[1] == _NO_LICENCE else spdx(head[1])
+    except (OSError, UnicodeDecodeError, GraycastError):
+        return None
+
+
+def counts_all_scenes(dataset: Path) -> bool:
+    """Return whether the card counts as many scenes as the dataset has; false without a card.
+
+    A README without the figures of a card is its owner's, and counts as one.
+    """
+    figures = dataset / FOLDER / "stats.json"
+    if not figures.exists():
+        return (dataset / CARD).exists()
+    try:
+        count = read_json(figures, dict[str, Any]).get("scenes_in_dataset")
+    except Unreadable:
+        return False
+    return (dataset / CARD).exists() and count == len(finished_scenes(dataset))
 
 
 def spdx(licence: str) -> str:
@@ -172,7 +201,7 @@ def card_text(
     """The card as Markdown."""
     head = {
         "pretty_name": title,
-        "license": licence or "unknown",
+        "license": licence or _NO_LICENCE,
         "task_categories": ["object-detection", "image-segmentation", "depth-estimation"],
         "tags": ["bop", "bin-picking", "structured-light", "graycast"],
     }

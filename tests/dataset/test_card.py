@@ -50,7 +50,7 @@ def test_a_card_has_its_head_its_figures_and_its_pictures(dataset):
 
 
 def test_a_card_that_is_written_again_keeps_its_licence(dataset, tmp_path):
-    """What the next `generate` does after `dataset stats --card --licence`."""
+    """The next `generate` writes the card again after `dataset stats --card --licence`."""
     copied = shutil.copytree(dataset, tmp_path / "copied")
     first = write_card(copied, licence="MIT").read_text()
     assert "Licence: MIT." in first

@@ -337,9 +337,9 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
     )
 
 
-def failed_line(name: str, failed: "Failed", *, given_up: str = "given up") -> str:
+def failed_line(name: str, failed: "Failed", *, if_final: str = "given up") -> str:
     """Return why a try failed, and whether another one follows in the same run."""
-    then = given_up if failed.final else "will be made again"
+    then = if_final if failed.final else "will be made again"
     return f"{name}  {then}: {one_line(failed.error)}"
 
 

@@ -137,7 +137,7 @@ def _rescan(options: argparse.Namespace) -> int:
             bars.line(f"{name_of(result.scene_id)}  {result.seconds:6.1f} s  {decoded}")
 
         def failed(one) -> None:
-            bars.line(failed_line(name_of(one.scene_id), one, given_up="set aside"))
+            bars.line(failed_line(name_of(one.scene_id), one, if_final="set aside"))
 
         summary = rescan(
             source,

@@ -158,7 +158,7 @@ def _preview(options: argparse.Namespace) -> int:
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     if note := depth_note(shot, scanner):
         print(f"note: {note}")
-    draw_preview(shot, scanner.light_code(), options.out)  # last, as Ctrl-C says what is written
+    draw_preview(shot, scanner.light_code(), options.out)  # last, so that Ctrl-C leaves nothing
     print(options.out)
     return 0
 
@@ -217,7 +217,7 @@ def _generate(options: argparse.Namespace) -> int:
 
         def failed(scene) -> None:
             name = f"scene {scene.scene_id:06d}"
-            bars.line(failed_line(name, scene, given_up="set aside"))
+            bars.line(failed_line(name, scene, if_final="set aside"))
 
         summary = generate(
             cell,

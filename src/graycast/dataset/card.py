@@ -34,7 +34,7 @@ from .stored import StoredDataset, StoredScene, open_dataset
 CARD = "README.md"
 FOLDER = "card"  # It holds the card's pictures.
 UNSTATED = "not stated"
-_NO_LICENCE = "unknown"  # It stands in the head, for the Hub.
+_NO_LICENCE = "unknown"  # It is the word of the Hugging Face Hub.
 SAMPLED = 40  # The pictures of so many scenes are read if nobody has counted those of all.
 _MOST = 3
 _TILE_PX = 480

@@ -19,13 +19,14 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.cli import main
 from graycast.real.fit_bin import fitting
-from graycast.real.fit_bin.bending import bend_bin
+from graycast.real.fit_bin.bending import bend_bin, bent_bin
 from graycast.rig.meshdepth import rasterize
 from graycast.rig.optics import Optics
 from graycast.rig.pair import preset_rig
 from graycast.world.parts import Mesh
 from graycast.world.scene import Bin, bin_mesh
 
+from . import empty_bins
 from .empty_bins import noisy, perfect_depth, pose
 
 CAMERA = Optics(width_px=400, height_px=300, fx_px=330.0, fy_px=330.0, cx_px=199.5, cy_px=149.5)
@@ -136,6 +137,22 @@ def test_a_bin_elsewhere_is_refused():
         bend_bin(STRAIGHT, T, CAMERA, far_m)
     with pytest.raises(ValueError, match="the depth is 399 x 300 pixels"):
         bend_bin(STRAIGHT, T, CAMERA, far_m[:, 1:])
+
+
+def test_a_flat_part_in_one_of_two_views_is_not_taken_for_the_bin():
+    """The median of two is their mean, which lies halfway between the part and the floor.
+
+    Oracle: the depth of the same bin without the part.
+    """
+    plate = ((-0.04, -0.04, 0.0), (0.04, 0.04, 0.01))
+    T_high = empty_bins.pose(tilt_deg=0.0, azimuth_deg=0.0)
+    empty_m, filled_m = (empty_bins.perfect_depth(T_high, blocks=b) for b in ((), (plate,)))
+    views = [empty_bins.view(noisy(z_m, 0.1e-3, k)) for k, z_m in enumerate((empty_m, filled_m))]
+    bent = bent_bin(BOX, T_high, views)
+    off_m = np.abs(cast(bent.mesh, bent.T_world_cam, empty_bins.CAMERA) - empty_m)
+    covered = filled_m < empty_m - 9e-3
+    assert covered.sum() > 200
+    assert off_m[covered].max() < 0.5e-3
 
 
 # --- the command -------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ Leaves out: places that parts, shadows or the bin itself hide, which take the ra
 measured beside them; the outside and the underside, which follow the inside along the ray, so that
 a wall's thickness is not measured; shape finer than `EDGE_M`; and what differs by `REACH_M` or more
 along the ray, which on a wall seen at a grazing angle is much less across the wall. A part flatter
-than that, at the same place in all views, is taken for the bin.
+than that, at the same place in the only view or in most views, is taken for the bin.
 """
 
 from collections.abc import Sequence
@@ -37,6 +37,8 @@ _LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is looked at
 _CURVED_M = 1e-4  # A face may be this far from the smooth shape, as this is the noise of one pixel.
 # Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
 REACH_M = 15e-3
+_AGREE_M = 1e-3  # Half of the views may be this far from their median, or
+_AGREE_USUAL = 5.0  # this many times what is usual, as cameras have different noise.
 _STEP_M = 5e-3  # A step in depth is larger than its neighbours' steps by this.
 _MARGIN_PX = 3  # This many pixels beside a step or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
@@ -117,6 +119,9 @@ class BentBin:
 def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[BinView]) -> BentBin:
     """Return a bin bent to the median of all views of one camera; a box becomes a mesh.
 
+    Pixels do not count where half of the views are far from that median, as it may then be no
+    surface at all: with a flat part in one of two views, it is in the middle between part and bin.
+
     Raises:
         GraycastError: see `bend_bin`.
         MeshError: the bent mesh is no open bin any more.
@@ -154,6 +159,9 @@ def _median_depth(views: Sequence[BinView]) -> Float[np.ndarray, "h w"]:
     known = np.isfinite(depth_m).any(axis=0)
     median_m = np.full(known.shape, np.nan)
     median_m[known] = np.nanmedian(depth_m[:, known], axis=0)
+    apart_m = np.nanmedian(np.abs(depth_m - median_m)[:, known], axis=0)
+    limit_m = max(_AGREE_M, _AGREE_USUAL * float(np.median(apart_m)))
+    median_m[known] = np.where(apart_m > limit_m, np.nan, median_m[known])
     return median_m
 
 

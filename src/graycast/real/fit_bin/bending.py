@@ -38,7 +38,7 @@ _CURVED_M = 1e-4  # A face may be this far from the smooth shape, as this is the
 # Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
 REACH_M = 15e-3
 _AGREE_M = 1e-3  # Half of the views may be this far from their median, or
-_AGREE_USUAL = 5.0  # this many times what is usual, as cameras have different noise.
+_AGREE_USUAL = 5.0  # this many times the usual distance, as cameras have different noise.
 _STEP_M = 5e-3  # A step in depth is larger than its neighbours' steps by this.
 _MARGIN_PX = 3  # This many pixels beside a step or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0

@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript reference docs release clean
+.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript reference schemas docs release clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -37,6 +37,12 @@ setup-test:
 # The pages of docs/reference that come from the program: commands, keys, materials and the glossary.
 reference: setup
 	.venv/bin/python docs/reference_pages.py
+
+# JSON Schemas of all YAML files in out/schema, where .vscode/settings.json looks for them.
+schemas: setup
+	mkdir -p out/schema
+	for kind in config rig stack study design robot tool; do \
+		$(GRAYCAST) schema $$kind > out/schema/$$kind.json || exit 1; done
 
 # The documentation as a site: out/site/index.html.
 docs: setup-test reference

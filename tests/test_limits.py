@@ -32,8 +32,9 @@ MOST_LINES = 78_000
 # These are the words in README.md and the pages of docs that people write. 1,700 came with the
 # sources of the shelf, the age of each page's figures, and the options and errors of these changes;
 # 200 say which faults of a stack are named, and 1,200 how Graycast is installed, what metal needs
-# in a stack, and how exposures, a user's own code and notes are used.
-MOST_WORDS = 48_800
+# in a stack, and how exposures, a user's own code and notes are used;
+# 80 introduce real scanners in README.md.
+MOST_WORDS = 48_900
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A run's last arguments say whom it tells of its steps.

@@ -36,6 +36,7 @@ examples:
   graycast preview bracket/cell.yaml --out p.png     draw one scene of it
   graycast generate bracket/cell.yaml --out data     make its dataset
   graycast report data --out page                    make a web page of the dataset
+  graycast rig decode stack --rig rig.yaml --out d   decode the pictures of a real scanner
   graycast detector train data --out detector        train a detector on it
   graycast robot --help                              list the commands of a group
 """
@@ -159,22 +160,22 @@ def _stop(number: int, frame: object) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="graycast",
-        description="Graycast simulates a structured-light camera and makes bin-picking "
-        "datasets with it.",
+        description="Graycast simulates a structured-light camera, decodes its pictures and "
+        "those of real scanners, and makes bin-picking datasets with it.",
         epilog=f"{EXAMPLES}\n{_documentation()}",
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     parser.add_argument("--print-completion", choices=("bash", "zsh"), help=COMPLETION)
     parser.set_defaults(run=partial(_alone, parser), debug=False, when_stopped="")
     commands = parser.add_subparsers(metavar="COMMAND")
-    parser._positionals.title = "commands, the first ones of a new dataset first"
+    parser._positionals.title = "commands: the scanner, its datasets, then detectors and robots"
     start_commands.add_first(commands)
     scene_commands.add_commands(commands)
+    rig_commands.add_commands(commands)
+    real_commands.add_commands(commands)
     dataset_commands.add_commands(commands)
     detector_commands.add_commands(commands)
     robot_commands.add_commands(commands)
-    rig_commands.add_commands(commands)
-    real_commands.add_commands(commands)
     start_commands.add_last(commands)
     return parser
 

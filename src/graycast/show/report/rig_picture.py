@@ -146,7 +146,8 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
         )
     # A device that looks sideways has a field without end; the view keeps to the rig's own size.
     widest_mm = 2e3 * max(bottom_m, rig.baseline_m)
-    ax.set_xlim(np.clip(ax.get_xlim(), -widest_mm, widest_mm))
+    left_mm, right_mm = ax.get_xlim()
+    ax.set_xlim(max(left_mm, -widest_mm), min(right_mm, widest_mm))
     ax.set_aspect("equal")
     ax.invert_yaxis()
     ax.set(

@@ -17,8 +17,8 @@ from graycast.rig.pattern.spec import Codec
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_FILES = 3
-# The functions of codes are exported by their names, and light that Cycles stored is read apart.
-KNOWING = {"src/graycast/rig/pattern/__init__.py", "src/graycast/dataset/sense/light.py"}
+# The functions of codes are exported by their names.
+KNOWING = {"src/graycast/rig/pattern/__init__.py"}
 NAMES = {
     "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" also names pictures
     "renderer": {"cycles"},

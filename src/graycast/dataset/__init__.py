@@ -24,7 +24,6 @@ Each imports only from those above it:
     rescan_check   checks of what `graycast rescan` added
     grasp_files    grasp labels: their files, read and checked
     mask_check     checks of masks, counts and boxes against the models at their poses
-    sense          checks of what can be true together
     bop            a scene as the files of a BOP scene folder
     raw_check      checks of captured pictures and code maps
     stored         a dataset that is read back, simulated or real

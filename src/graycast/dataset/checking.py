@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,7 +14,7 @@ from ..base.ply import split
 from ..base.public_value import public_value
 from . import records
 from .bop import camera_json
-from .claim import fingerprint, rig_of
+from .claim import BESIDE_CONFIG, difference, fingerprint, rig_of
 from .grasp_files import grasp_problems
 from .models import TEXTURE, diameter
 from .places import CLAIM, camera_file, finished_scenes
@@ -57,9 +58,6 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
     Of real pictures only what they hold is checked: pictures, masks, counts and run lengths. Of a
     rescan, only what the scanner added.
 
-    In addition to the digests, the contents of the files must be consistent; `sense/` describes
-    these checks and their limits.
-
     Raises:
         DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
     """
@@ -72,12 +70,12 @@ def _problems(out: Path, *, fast: bool) -> Iterator[_Finding]:
         return
     claim, finished = read_claim(out), sorted(finished_scenes(out))
     if isinstance(claim, RealClaim):
-        yield from _sum_problems(out, finished)
+        yield from _sum_problems(out, finished, claim)
         yield from () if fast else real_problems(out, claim)
         return
     yield from _of_dataset(_leftovers(out))
     yield from _of_dataset(_claim_problems(out, claim))
-    yield from _sum_problems(out, finished)
+    yield from _sum_problems(out, finished, claim)
     if fast:
         return
     try:
@@ -114,8 +112,10 @@ def _of_dataset(problems: Iterable[str]) -> Iterator[_Finding]:
     return ((None, what) for what in problems)
 
 
-def _sum_problems(out: Path, finished: Iterable[int]) -> Iterator[_Finding]:
-    """Files that are not what was written."""
+def _sum_problems(
+    out: Path, finished: Iterable[int], claim: records.Claim | RealClaim
+) -> Iterator[_Finding]:
+    """Yield files that are not as they were written, and scenes of another dataset."""
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
         try:
@@ -130,6 +130,16 @@ def _sum_problems(out: Path, finished: Iterable[int]) -> Iterator[_Finding]:
                 f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
                 "of another scene",
             )
+        if isinstance(claim, records.Claim):
+            yield from ((scene_id, what) for what in _other_dataset(manifest, claim))
+
+
+def _other_dataset(manifest: Mapping[str, Any], claim: records.Claim) -> Iterator[str]:
+    """Yield where a scene that was copied from another dataset differs from this one."""
+    config = {key: value for key, value in claim.config.items() if key not in BESIDE_CONFIG}
+    for key, must in (("dataset_seed", claim.seed), ("config", config)):
+        if (place := difference(manifest.get(key), must, key)) is not None:
+            yield f"the scene is of another dataset: {MANIFEST} and {CLAIM} differ in {place}"
 
 
 def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
@@ -138,7 +148,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     if fingerprint(content) != claim.fingerprint:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if not claim.sha256:
-        yield f"{CLAIM}: sha256 is missing, which every dataset has"
+        yield f"{CLAIM}: sha256 is missing: whether models and cameras were changed was not checked"
     yield from sum_problems(out, claim.sha256, listed_in=CLAIM)
 
 

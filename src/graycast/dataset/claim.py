@@ -15,9 +15,6 @@ from pydantic import BaseModel
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
 from ..base.version import __version__
-from ..camera.decode import DecodeSpec
-from ..camera.scanner import ExposureSpec
-from ..camera.sensor import SensorSpec
 from ..rig.former_names import with_current_names
 from ..rig.optics import Optics
 from ..rig.pair import Rig
@@ -156,22 +153,6 @@ def rig_of(described: Mapping[str, Any]) -> Rig:
     values = _unworded(described)
     lenses = {name: Optics(**values.pop(name)) for name in ("camera", "projector")}
     return Rig(**values | lenses | {"T_cam_proj": np.array(values["T_cam_proj"], dtype=np.float64)})
-
-
-def read_scanning(
-    described: Mapping[str, Any],
-) -> tuple[SensorSpec, DecodeSpec, ExposureSpec]:
-    """The sensor, the decoder and the exposure of a claim's `config.scanner`.
-
-    Raises:
-        KeyError, TypeError, ValueError: they are none.
-    """
-    sections = _unworded(described)
-    return (
-        SensorSpec(**sections["sensor"]),
-        DecodeSpec(**sections["decode"]),
-        ExposureSpec(**sections["exposure"]),
-    )
 
 
 def _unworded(item: Any) -> Any:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt16
+from jaxtyping import Bool, UInt16
 from pycocotools import mask as coco_mask
 
 from ..base.mask_box import mask_box, overlap
@@ -27,9 +27,8 @@ def mask_problems(
     scene: Plain,
     camera: records.Camera,
     models: Mapping[int, Model],
-    instance: Int[np.ndarray, "h w"],
 ) -> Iterator[str]:
-    """Masks against each other, counts, boxes and models; writes who is seen into `instance`."""
+    """Yield what is wrong with masks, with the counts and boxes of masks, or with their models."""
     count, files = len(scene.poses), scene.files
     names = [f"{scene.number:06d}_{i:06d}.png" for i in range(count)]
     place = {
@@ -58,7 +57,6 @@ def mask_problems(
         if (visible & taken).any():
             yield f"instance {i}: mask_visib overlaps that of another instance"
         taken |= visible
-        instance[visible] = i
         for suffix, infos in scene.info.items():
             if i < len(infos):
                 depth = scene.image[f"depth{suffix}"]

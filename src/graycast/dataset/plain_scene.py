@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,7 +27,7 @@ class Plain:
 
     `coco` has the annotations of this image alone, `first_annotation` is the id of the first one by
     camera type. `files` and `number` say where all of it lies, `numbers` are those of all images
-    of the scanner. `manifest` is what the scene's says of this image.
+    of the scanner.
     """
 
     files: SceneFolder
@@ -42,7 +41,6 @@ class Plain:
     coco: Mapping[str, records.SceneCoco]
     box3d: list[records.Box3d]
     scanner: records.ScannerRecord
-    manifest: Mapping[str, Any]
 
     def name(self, kind: str) -> str:
         """What a picture of this image is called."""

@@ -295,27 +295,3 @@ class RawFacts(BaseModel):
     exposure_s: Positive = math.nan
     frames: FramesRecord | None = None
     code_maps: list[str] = []
-
-
-class Physics(BaseModel):
-    """Of how the parts came to rest, what says where they may lie."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
-
-    outside: Count
-
-
-class SceneManifest(BaseModel):
-    """Of `manifest.json` what other files know too."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
-
-    scene_id: Count
-    dataset_seed: Count
-    seeds: dict[str, Count]
-    counts: dict[str, Count]
-    physics: Physics | None = None
-    reasons: dict[str, float]
-    exposure_s: Positive = math.nan
-    exposures_s: list[Positive] = []
-    config: dict[str, Any]

@@ -16,8 +16,6 @@ from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
 from .safe_reading import Form, Unreadable, png_kind
 from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
-from .seal import facts_of
-from .sense import Evidence, sense_problems
 
 R = TypeVar("R")
 
@@ -50,7 +48,7 @@ def scene_problems(
                 image = _read_image(files, number, range(taker.images), first_annotation)
                 for suffix, coco in image.coco.items():
                     first_annotation[suffix] += len(coco.annotations)
-                problems = _image_problems(image, claim, cameras[taker.name], models)
+                problems = _image_problems(image, cameras[taker.name], models)
                 which = f"{' '.join(filter(None, ('image', str(number), taker.name)))}: "
                 yield from ((which if many else "") + what for what in problems)
                 first = first or image
@@ -102,7 +100,7 @@ def _placed(pose: records.Pose) -> Float[np.ndarray, "4 4"]:
 
 
 def _image_problems(
-    scene: Plain, claim: records.Claim, camera: records.Camera, models: Mapping[int, Model]
+    scene: Plain, camera: records.Camera, models: Mapping[int, Model]
 ) -> Iterator[str]:
     yield from _camera_problems(scene, camera)
     yield from _pose_problems(scene, models)
@@ -113,15 +111,8 @@ def _image_problems(
     yield from _scanner_problems(scene)
     gray, reason = scene.image["gray_sl"], scene.image["reason_sl"]
     yield from raw_problems(scene.files, scene.number, camera, gray=gray, reason=reason)
-    instance = np.full(reason.shape, -1)
     try:
-        yield from mask_problems(scene, camera, models, instance)
-        if all(pose.obj_id in models for pose in scene.poses):
-            placed = ((models[pose.obj_id], _placed(pose)) for pose in scene.poses)
-            parts_mm = tuple(model.vertices @ T[:3, :3].T + T[:3, 3] for model, T in placed)
-            yield from sense_problems(
-                Evidence(claim=claim, plain=scene, instance=instance, parts_mm=parts_mm)
-            )
+        yield from mask_problems(scene, camera, models)
     except Unreadable as error:
         yield str(error)
 
@@ -137,7 +128,6 @@ def _read_image(
         if not same:
             one, other = (of_sensor(name + suffix, files.sensor) for suffix in ("_sl", ""))
             raise Unreadable(f"{one}.json differs from {other}.json: both look through one lens")
-    manifest = SceneFolder(files.path).record("manifest", records.Manifest)
     return Plain(
         files=files,
         number=number,
@@ -150,7 +140,6 @@ def _read_image(
         coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
         box3d=files.of_image("scene_gt_box3d", number, list[records.Box3d]),
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
-        manifest=facts_of(manifest, files.sensor, number),
     )
 
 

@@ -1,9 +1,8 @@
-"""What shows a change of a stored file: SHA-256 of each, in its scene's manifest and in the claim.
+"""The SHA-256 of each stored file, in its scene's manifest and in the claim, to show a change.
 
 A manifest also holds the SHA-256 of itself, over all but its timings, which differ between equal
-runs. These guard against accidents; who changes a file and computes the sums anew is found by the
-checks of sense in `sense/`, as far as the files know better. A scene that is made again is compared
-file by file.
+runs. These guard against accidents, not against forgery: new sums hide a change from them. A scene
+that is made again is compared file by file.
 """
 
 import hashlib
@@ -68,7 +67,10 @@ def _own(manifest: Mapping[str, Any]) -> str:
 def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
     """All that differs from what a scene's manifest says, in one line for each kind."""
     if SUMS not in manifest or OWN not in manifest:
-        yield f"{MANIFEST}: {SUMS} or {OWN} is missing, which every scene of this format has"
+        yield (
+            f"{MANIFEST}: {SUMS} or {OWN} is missing: whether a file of the scene was changed, "
+            "removed or added was not checked"
+        )
         return
     if manifest[OWN] != _own(manifest):
         yield f"{MANIFEST} was changed after it was written: its own SHA-256 differs"

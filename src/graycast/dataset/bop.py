@@ -1,12 +1,12 @@
-"""One scene as the files of a BOP scene folder, after bop_toolkit's docs and scripts.
+"""Write one scene as the files of a BOP scene folder, following bop_toolkit's docs and scripts.
 
-What the colour camera sees bears BOP's plain names; what the scanner measured bears the camera type
-`sl`. Both look through the same lens from the same place, so poses and masks are equal and written
-under both names, as bop_toolkit looks them up. Images are numbered from 0; scanners that have
-names have files and numbers of their own.
+Files of the colour camera have BOP's plain names; those of the scanner have the camera type `sl`.
+Both share the lens and the viewpoint, so poses and masks are equal; they are written under both
+names because bop_toolkit looks them up that way. Images are numbered from 0. A scanner that has a
+name has its own files and its own numbers.
 
-Lengths are millimetres. A depth picture times `depth_scale` is z of the camera frame; 0 is unknown.
-Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
+Lengths are in millimetres. A depth picture times `depth_scale` is z in the camera frame; 0 means
+unknown. Pixel (0, 0) is the centre of the top-left pixel, in BOP as in this package.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -32,11 +32,11 @@ from .sample import Sample, labelled
 from .scene_folder import SCANNER, of_sensor, picture_name
 from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
 
-_NOTHING = [-1, -1, -1, -1]  # BOP gives this box to what is invisible.
+_NOTHING = [-1, -1, -1, -1]  # BOP gives this box to an invisible instance.
 
 
 def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
-    """`camera.json` of the dataset. A lens with distortion adds OpenCV's five coefficients."""
+    """Return the content of `camera.json`, with OpenCV's five coefficients if the lens has any."""
     return {
         "cx": camera.cx_px,
         "cy": camera.cy_px,
@@ -49,17 +49,17 @@ def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
 
 
 def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[str, bytes]]:
-    """Every file of a scene folder as (path inside the folder, content), equal for equal samples.
+    """Yield every file of a scene folder as (path inside the folder, content).
 
-    The last one is the manifest, which holds the others' SHA-256. Each sample may go when the next
-    one is asked for.
+    Equal samples give equal files. The last file is the manifest, which holds the SHA-256 of the
+    others. A sample is no longer needed when the next one is requested.
 
     Args:
-        samples: the scene's images, of one layout, the first one first.
+        samples: the images of one scene, all with the same layout, in order.
 
     Raises:
-        ValueError: images of a sample have other sizes than its camera, or its silhouettes
-            are not one per instance.
+        ValueError: the images of a sample do not have the size of its camera, or the number of
+            silhouettes differs from the number of instances.
         DatasetError: a depth does not fit into 16 bits at this scale.
     """
     scene_record = _SceneRecord()
@@ -69,17 +69,17 @@ def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[st
 def scanner_files(
     sample: Sample, scale_mm: float, obj_ids: Sequence[int]
 ) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
-    """What a scanner adds to an image of others: pictures and masks, and entries of JSON files.
+    """Return what a scan adds to an image of another dataset: pictures, masks and JSON entries.
 
     Args:
-        obj_ids: of the labelled parts of the scene, in their order.
+        obj_ids: the object ids of the scene's labelled parts, in order.
 
     Returns:
-        Pairs of a path inside the scene's folder and its content; and by the name of a JSON file
-        what it says of this image. The entry of `scene_gt_coco_sl` is a whole file of one image.
+        A list of (path inside the scene's folder, content), and this image's entry of each JSON
+        file by the file's name. The entry of `scene_gt_coco_sl` is a whole file for one image.
 
     Raises:
-        ValueError, DatasetError: as `scene_files`.
+        ValueError, DatasetError: see `scene_files`.
     """
     _check_shapes(sample, sample.truth.instance.shape)
     scene_record = _SceneRecord()
@@ -95,18 +95,18 @@ def scanner_files(
 
 
 class _SceneRecord:
-    """What is known of a scene when all of its images are written."""
+    """Manifest and JSON records of a scene, collected while its images are written."""
 
     def __init__(self) -> None:
         self.manifest: dict[str, Any] = {}
-        self.records: dict[str, dict[str, Any]] = {}  # of JSON files, by image
-        self.coco: dict[str, dict[str, Any]] = {}  # of COCO files
+        self.records: dict[str, dict[str, Any]] = {}  # JSON file: image number: entry
+        self.coco: dict[str, dict[str, Any]] = {}  # COCO file: content
 
     def image(self, name: str, number: int, entry: Any) -> None:
         self.records.setdefault(name, {})[str(number)] = entry
 
     def of_manifest(self, sample: Sample) -> None:
-        """The first image's facts are the scene's; further ones have lists."""
+        """Add a sample's facts: the first sample's to the scene, those of others to lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
         facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}
@@ -123,7 +123,7 @@ class _SceneRecord:
 def _unsealed_files(
     samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
-    """All but the manifest, whose content goes into `scene_record`."""
+    """Yield all files but the manifest, whose content is collected in `scene_record`."""
     for sample in samples:
         camera = sample.scene.rig.camera
         _check_shapes(sample, (camera.height_px, camera.width_px))
@@ -137,7 +137,7 @@ def _unsealed_files(
 def _image_files(
     sample: Sample, scale_mm: float, scene_record: _SceneRecord, obj_ids: Sequence[int]
 ) -> Iterator[tuple[str, bytes]]:
-    """Pictures and masks of one image; its entries of JSON files go into `scene_record`."""
+    """Yield pictures and masks of one image; add its JSON entries to `scene_record`."""
     camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner_depth.reason == Reason.DECODED
@@ -186,7 +186,7 @@ def _image_files(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Silhouettes:
-    """What the image shows of one instance: all, the part inside the image, the visible part."""
+    """Silhouettes of one instance: the whole, the part inside the image, and the visible part."""
 
     whole: Silhouette
     inside: Silhouette
@@ -230,7 +230,7 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
 
 
 def _distortion(camera: Optics) -> dict[str, Any]:
-    """BOP has no distortion: readers who ignore the key see an ideal lens."""
+    """Return the key `distortion`, which BOP does not know, or nothing for an ideal lens."""
     return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
 
 
@@ -261,7 +261,7 @@ def _poses(sample: Sample, obj_ids: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
-    """The part's own bounding box, carried to its pose, in the camera frame."""
+    """Return the bounding box of each part, aligned with its own axes, in the camera frame."""
     boxes = []
     for T, part in zip(_T_cam_part(sample), sample.layout.part_index, strict=True):
         mesh = sample.scene.parts[part].mesh
@@ -278,7 +278,7 @@ def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
 
 
 def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
-    """One entry of `scene_gt_info.json`, counted as bop_toolkit's calc_gt_info counts."""
+    """Return an entry of `scene_gt_info.json`, with counts as in bop_toolkit's calc_gt_info."""
     inside, visible_px = silhouettes.inside, int(silhouettes.visible.mask.sum())
     h, w = inside.mask.shape
     window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]
@@ -294,7 +294,7 @@ def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[s
 
 
 def _span(crop: Silhouette) -> list[int]:
-    """BOP's box [x, y, w, h] of a mask: w is the last column minus the first, not their number."""
+    """Return BOP's box [x, y, w, h] of a mask, where w is the last column minus the first."""
     x, y, columns, rows = mask_box(crop.mask)
     return [x + crop.left_px, y + crop.top_px, columns - 1, rows - 1]
 
@@ -302,7 +302,7 @@ def _span(crop: Silhouette) -> list[int]:
 def _annotations(
     sample: Sample, silhouettes: list[_Silhouettes], obj_ids: Sequence[int]
 ) -> list[dict[str, Any]]:
-    """COCO annotations of the visible instances, without ids."""
+    """Return the COCO annotations of the visible instances, without ids."""
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []

@@ -1,8 +1,8 @@
-"""The card of a dataset: a README that says what it is, how it was made and how it looks.
+"""The card of a dataset: a README that describes its content, its making and its pictures.
 
-The head between two lines `---` is what the Hugging Face Hub reads of a dataset's README. Equal
-datasets have equal cards, to the byte and wherever they lie: no date, no duration, no folder. Only
-the licence is their owner's, so a card that is written again keeps it.
+The Hugging Face Hub reads the head between the two lines `---`. Equal datasets have equal cards,
+byte for byte, because a card contains no date, duration or folder. The owner chooses the licence,
+so a card that is written again keeps it.
 """
 
 import json
@@ -32,15 +32,15 @@ from .stats import Statistics, draw_statistics, scene_figures, statistics_json, 
 from .stored import StoredDataset, StoredScene, open_dataset
 
 CARD = "README.md"
-FOLDER = "card"  # It holds the card's pictures.
+FOLDER = "card"  # The card's pictures are in this folder.
 UNSTATED = "not stated"
-_NO_LICENCE = "unknown"  # It is the word of the Hugging Face Hub.
-SAMPLED = 40  # The pictures of so many scenes are read if nobody has counted those of all.
+_NO_LICENCE = "unknown"  # The Hugging Face Hub uses this word.
+SAMPLED = 40  # If no statistics are given, this number of pictures is read.
 _MOST = 3
 _TILE_PX = 480
-_NAMED = 4  # A title names so many parts.
+_NAMED = 4  # A title names this number of parts.
 
-Objects = Mapping[StoredScene, tuple[int, ...]]  # Each scene has an id for each instance.
+Objects = Mapping[StoredScene, tuple[int, ...]]  # Each scene has an object id per instance.
 
 
 def write_card(
@@ -52,22 +52,22 @@ def write_card(
 ) -> Path:
     """Write `README.md`, and `card/` with its pictures and `stats.json`, into a dataset's folder.
 
-    Scenes and instances are counted in all scenes' `scene_gt.json`, which is quick.
+    Scenes and instances are counted in `scene_gt.json` of every scene, which is quick.
 
     Args:
-        statistics: of all scenes (`dataset_statistics`). Left out, only `SAMPLED` scenes are read,
-            drawn with a fixed seed, so that it takes seconds for any dataset; the card says so.
-        licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own; left
-            out, it is that of the card which is there, and without one the card says that none is
-            stated.
-        title: left out, it names the parts.
+        statistics: of all scenes, from `dataset_statistics`. None: only `SAMPLED` pictures are
+            read, chosen with a fixed seed, which takes seconds; the card says so.
+        licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own.
+            None keeps the licence of the existing card; if there is no such licence, the card
+            says that none is stated.
+        title: the title of the card; None names the parts.
 
     Returns:
-        The card.
+        The path of the card.
 
     Raises:
         DatasetError: the dataset cannot be read.
-        GraycastError: its folder cannot be written, or the licence is none of SPDX's.
+        GraycastError: the folder cannot be written, or the licence is not on the SPDX list.
     """
     licence = stated_licence(dataset) if licence is None else spdx(licence)
     stored = open_dataset(dataset)
@@ -96,7 +96,7 @@ def write_card(
 
 
 def stated_licence(dataset: Path) -> str | None:
-    """Return the licence in the head of a dataset's card; None if there is none of SPDX's."""
+    """Return the licence in the head of a dataset's card; None if it is missing or not in SPDX."""
     try:
         text = (dataset / CARD).read_text(encoding="utf-8")
         head = re.match(r"---\n(?:.+\n)*?license: (.+)\n", text)
@@ -106,9 +106,9 @@ def stated_licence(dataset: Path) -> str | None:
 
 
 def counts_all_scenes(dataset: Path) -> bool:
-    """Return whether the card counts as many scenes as the dataset has; false without a card.
+    """Return whether the card's number of scenes is that of the dataset; False without a card.
 
-    A README without the figures of a card is its owner's, and counts as one.
+    A README without a card's figures was written by its owner and is accepted (True).
     """
     figures = dataset / FOLDER / "stats.json"
     if not figures.exists():
@@ -121,10 +121,10 @@ def counts_all_scenes(dataset: Path) -> bool:
 
 
 def spdx(licence: str) -> str:
-    """A licence as the SPDX list spells it; programs know licences by no other words.
+    """Return a licence as the SPDX list spells it, because programs know only these spellings.
 
     Raises:
-        GraycastError: it is not on the list.
+        GraycastError: the licence is not on the list.
     """
     try:
         return canonicalize_license_expression(licence)
@@ -137,28 +137,28 @@ def spdx(licence: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Words that a user chose, as Markdown shows them letter by letter and in one line."""
+    """Escape a user's text so that Markdown shows it literally, on one line."""
     return re.sub(r"([\\`*_{}\[\]<>()#|~&!$])", r"\\\1", " ".join(text.split()))
 
 
 def fenced(text: str) -> str:
-    """A YAML block, whose fence is longer than any row of backticks in it."""
+    """Return a YAML code block whose fence is longer than any row of backticks in the text."""
     longest = max((len(row) for row in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}yaml\n{text}{fence}"
 
 
 def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
-    """At most `SAMPLED` of the scenes, in their order; the same for the same number of scenes.
+    """Return at most `SAMPLED` of the scenes, in order; the choice depends only on their number.
 
-    Drawn, not evenly spread: scenes of several parts take turns.
+    The choice is random, because evenly spaced scenes could all have the same part.
     """
     order = np.random.default_rng(0).permutation(len(scenes))[:SAMPLED]
     return [scenes[k] for k in sorted(order)]
 
 
 def _examples(objects: Objects) -> list[StoredScene]:
-    """A scene of each mix of objects first, then any."""
+    """Return up to `_MOST` scenes: first one of each combination of objects, then any others."""
     first: dict[frozenset[int], StoredScene] = {}
     for scene, obj_ids in objects.items():
         first.setdefault(frozenset(obj_ids), scene)
@@ -175,7 +175,7 @@ def _title(stored: StoredDataset) -> str:
 def _publish(
     dataset: Path, card: str, statistics: Statistics, scenes: int, examples: Sequence[StoredScene]
 ) -> None:
-    """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
+    """Write the card's files to temporary places and rename them, so that none is incomplete."""
     with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
         folder.mkdir()
         draw_statistics(statistics, folder / "stats.png")
@@ -198,7 +198,7 @@ def card_text(
     licence: str | None,
     pictures: list[str],
 ) -> str:
-    """The card as Markdown."""
+    """Return the card as Markdown."""
     head = {
         "pretty_name": title,
         "license": licence or _NO_LICENCE,
@@ -309,7 +309,7 @@ def _making(stored: StoredDataset) -> str:
 
 
 def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
-    """Colour, white frame, scanner depth and reasons side by side; what is missing is left out."""
+    """Return colour, white frame, scanner depth and reasons side by side, without missing ones."""
     tiles = [scene.rgb] if scene.rgb is not None else []
     if scene.gray is not None:
         tiles.append(np.repeat(srgb_of_bytes(scene.gray)[..., None], 3, axis=2))

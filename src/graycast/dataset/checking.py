@@ -1,4 +1,4 @@
-"""Checks a dataset by its files only, without the renderer and the configuration."""
+"""Check a dataset from its files alone, without the renderer and the configuration."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
 
-_Finding = tuple[int | None, str]  # The scene, None for the whole dataset, and what is wrong.
-_MODEL_MM = 1e-3  # A PLY has nine digits, which are read back in single precision.
+_Finding = tuple[int | None, str]  # A scene (None is the whole dataset) and a message.
+_MODEL_MM = 1e-3  # A PLY file stores nine digits, which are read in single precision.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """A problem and its scene; a `scene` of None means the whole dataset."""
+    """A problem and its scene; `scene` is None if it concerns the whole dataset."""
 
     scene: int | None
     what: str
@@ -44,22 +44,21 @@ class Problem:
 
 
 def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
-    """All problems of a dataset folder; an empty tuple if it is sound.
+    """Return all problems of a dataset folder; an empty tuple if there are none.
 
-    Each file must have the SHA-256 that it was written with. `fast` ends there: it tells of all
-    that happened to the files since, in a hundredth of the time.
+    Each file must have the SHA-256 that was recorded when it was written. `fast` checks only
+    that: it finds every later change of a file, in a hundredth of the time.
 
-    Poses are checked against masks and depth by rendering every model at its pose with a
-    rasteriser of this package's own; masks must be a partition, and every count, box and run
-    length must follow from them.
+    Poses are checked against masks and depth: an independent rasteriser renders every model at its
+    pose. Visible masks must not overlap, and every count, box and run length must follow from them.
 
-    Grasp labels, where there are any, must be of the dataset's own instances and poses.
+    Grasp labels, if there are any, must belong to the dataset's own instances and poses.
 
-    Of real pictures only what they hold is checked: pictures, masks, counts and run lengths. Of a
-    rescan, only what the scanner added.
+    A dataset of real pictures is checked for what it contains: pictures, masks, counts and run
+    lengths. A rescan is checked only for what the scanner added.
 
     Raises:
-        DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
+        DatasetError: the folder holds no dataset, or one of another version of Graycast.
     """
     return tuple(Problem(scene=scene, what=what) for scene, what in _problems(Path(out), fast=fast))
 
@@ -124,7 +123,7 @@ def _sum_problems(
             yield scene_id, str(error)
             continue
         yield from ((scene_id, what) for what in seal_problems(folder, manifest))
-        if manifest.get("scene_id", scene_id) != scene_id:  # of real pictures it tells of none
+        if manifest.get("scene_id", scene_id) != scene_id:  # real pictures have no scene_id
             yield (
                 scene_id,
                 f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
@@ -143,7 +142,7 @@ def _other_dataset(manifest: Mapping[str, Any], claim: records.Claim) -> Iterato
 
 
 def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
-    """What `graycast.json` says of itself, of the models and of the camera."""
+    """Yield contradictions between `graycast.json`, its fingerprint, the models and the cameras."""
     content = parse_json((out / CLAIM).read_bytes())
     if fingerprint(content) != claim.fingerprint:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
@@ -153,7 +152,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
 
 
 def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:
-    """Files of intrinsics against the rigs that `graycast.json` says."""
+    """Yield differences between the files of intrinsics and the rigs in `graycast.json`."""
     if claim.takers[0].rig != claim.rig:
         yield f"{CLAIM}: rig is not that of the first of its scanners"
     for taker in claim.takers:
@@ -174,7 +173,7 @@ def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim
 
 
 def _leftovers(out: Path) -> Iterator[str]:
-    """Traces of a killed run, and files that do not belong to the split."""
+    """Yield traces of a killed run, and files that do not belong to the split."""
     for path in sorted([*out.glob(".tmp-*"), *out.glob("train/.tmp-*")]):
         yield f"{path.relative_to(out)} is left over from a killed run: the next run removes it"
     names = {f"{scene_id:06d}" for scene_id in finished_scenes(out)}
@@ -192,7 +191,7 @@ def _read_model(out: Path, obj_id: int, info: records.ModelInfo) -> Model:
     try:
         mesh = trimesh.load_mesh(path, process=False)
         vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=int)
-    except Exception as error:  # a damaged PLY makes trimesh raise whatever it met
+    except Exception as error:  # a damaged PLY can raise any exception in trimesh
         raise Unreadable(f"models/{path.name} cannot be read: {error}") from error
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise Unreadable(f"models/{path.name} has no faces, or faces without vertices")
@@ -221,7 +220,7 @@ def _model_problems(obj_id: int, model: Model) -> Iterator[str]:
 def _split_problems(
     out: Path, cameras: Mapping[str, records.Camera], finished: list[int], claim: records.Claim
 ) -> Iterator[str]:
-    """`train_coco.json` against the scenes' own COCO files, which are checked against masks."""
+    """Check `train_coco.json` against the scenes' COCO files, whose masks are checked elsewhere."""
     try:
         split = read_json(out / "train_coco.json", records.CocoFile[records.SplitAnnotation])
     except Unreadable as error:
@@ -277,7 +276,7 @@ def _split_image_problems(
         of_scene = scene.record("scene_gt_coco", records.SceneCoco).annotations
         infos = scene.of_image("scene_gt_info", image, list[records.Info])
     except Unreadable:
-        return  # told where the scene is checked
+        return  # reported by the check of the scene
     annotations = [entry for entry in of_scene if entry.image_id == image]
     visible = [info.visib_fract for info in infos if info.px_count_visib > 0]
     if not len(entries) == len(annotations) == len(visible):

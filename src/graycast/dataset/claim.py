@@ -1,4 +1,4 @@
-"""`graycast.json`: which configuration a dataset folder belongs to."""
+"""`graycast.json`: the configuration that a dataset folder belongs to."""
 
 import hashlib
 import json
@@ -23,7 +23,7 @@ from .json_text import plain
 from .records import FORMAT_VERSION
 from .seal import SUMS
 
-BESIDE_CONFIG = ("files", "scanner")  # They are in a claim's configuration, but no keys of it.
+BESIDE_CONFIG = ("files", "scanner")  # A claim has these in addition to the configuration's keys.
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # The fingerprint does not cover these.
 _CLAIMED = (
     "format_version",
@@ -39,9 +39,9 @@ _CLAIMED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Taker:
-    """One of a dataset's scanners: its name, how many images it takes of a scene, what it is.
+    """One scanner of a dataset: its name, its number of images per scene, its rig and settings.
 
-    `scanning` has the settings that a dataset of one scanner has as `config.scanner`.
+    `scanning` holds the settings that a dataset with one scanner stores as `config.scanner`.
     """
 
     name: str
@@ -58,9 +58,9 @@ def make_claim(
     depth_scale_mm: float,
     takers: tuple[Taker, ...] = (),
 ) -> dict[str, Any]:
-    """The content of `graycast.json`; its fingerprint covers all but versions and sources.
+    """Return the content of `graycast.json`; the fingerprint covers all but versions and sources.
 
-    `takers` are given where a scene has several images, or a scanner has a name.
+    Give `takers` if a scene has several images or a scanner has a name.
     """
     known = [part for part in parts if part.labelled]
     described = [
@@ -104,14 +104,14 @@ def make_claim(
 
 
 def fingerprint(claim: Mapping[str, Any]) -> str:
-    """SHA-256 over everything that determines the contents of a dataset."""
+    """Return the SHA-256 of everything that determines the contents of a dataset."""
     content = {key: value for key, value in claim.items() if key not in _BESIDE}
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """The fields of a frozen value for JSON; an infinite number becomes the word 'inf'."""
+    """Return the fields of a frozen value for JSON; an infinite number becomes the word 'inf'."""
 
     def worded(item: Any) -> Any:
         if isinstance(item, dict):
@@ -122,15 +122,15 @@ def described_values(value: Any) -> dict[str, Any]:
 
 
 def claimed_options(options: Any, *, without: Collection[str]) -> dict[str, Any]:
-    """Return the fields of a dataclass of options for a claim, by their names.
+    """Return the fields of an options dataclass for a claim, by name.
 
-    A field that is added later is in the claim without a change here.
+    A field that is added to the dataclass later enters the claim automatically.
 
     Args:
-        without: the fields that do not change a result, or that the claim holds in another form.
+        without: fields that do not change a result, or that the claim stores in another form.
 
     Raises:
-        ValueError: `without` names what is no field, for instance one that has another name now.
+        ValueError: `without` contains a name that is not a field, for instance a former name.
     """
     names = [field.name for field in fields(options)]
     if unknown := sorted(set(without) - set(names)):
@@ -145,10 +145,10 @@ def _as_json(value: Any) -> Any:
 
 
 def rig_of(described: Mapping[str, Any]) -> Rig:
-    """The rig that `described_values` wrote.
+    """Return the rig that `described_values` wrote.
 
     Raises:
-        KeyError, TypeError, ValueError: it is none.
+        KeyError, TypeError, ValueError: `described` is not a rig.
     """
     values = _unworded(described)
     lenses = {name: Optics(**values.pop(name)) for name in ("camera", "projector")}
@@ -156,7 +156,7 @@ def rig_of(described: Mapping[str, Any]) -> Rig:
 
 
 def _unworded(item: Any) -> Any:
-    """Turn lists into tuples, and the word 'inf' into the number."""
+    """Turn lists into tuples, and the word 'inf' into infinity."""
     if isinstance(item, Mapping):
         return {key: _unworded(inner) for key, inner in item.items()}
     if isinstance(item, list):
@@ -165,7 +165,7 @@ def _unworded(item: Any) -> Any:
 
 
 def part_digest(part: Part) -> str:
-    """SHA-256 over a part's shape, material, density, friction and symmetries."""
+    """Return the SHA-256 of a part's shape, material, density, friction and symmetries."""
     digest = hashlib.sha256()
     mesh, material = part.mesh, part.material
     for array in (mesh.vertices_m, mesh.faces, mesh.corner_uv, mesh.corner_normals):
@@ -195,10 +195,10 @@ def part_digest(part: Part) -> str:
 
 
 def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
-    """Compare a folder's `graycast.json` with what this run would write there.
+    """Refuse a folder whose `graycast.json` differs from the one that this run would write.
 
     Raises:
-        DatasetError: it is damaged, or of another configuration; says where that differs.
+        DatasetError: the file is damaged or of another configuration; the text names where.
     """
     try:
         content = parse_json(path.read_bytes())
@@ -221,7 +221,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
 
 
 def _same_by_current_names(content: Mapping[str, Any], claim: Mapping[str, Any]) -> bool:
-    """Return whether two claims differ in former names of rigs alone, and neither was changed."""
+    """Return whether two claims differ only in former names of rigs, and both are unmodified."""
     if content["fingerprint"] != fingerprint(content):
         return False
     one, other = (parse_json(with_current_names(json.dumps(c))) for c in (content, claim))
@@ -229,7 +229,7 @@ def _same_by_current_names(content: Mapping[str, Any], claim: Mapping[str, Any])
 
 
 def difference(a: Any, b: Any, where: str) -> str | None:
-    """The first place where two JSON values differ, as `key.key[index]` with both values."""
+    """Return the first difference of two JSON values as `key.key[index]` with both values."""
     if a == b:
         return None
     if isinstance(a, dict) and isinstance(b, dict):

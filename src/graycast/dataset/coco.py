@@ -1,4 +1,4 @@
-"""COCO annotations: masks as run lengths, one file per scene as BOP has it, one per split."""
+"""Write COCO annotations: masks as run lengths, one file per scene as in BOP, one per split."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -9,13 +9,13 @@ import numpy as np
 from ..rendering.radiance import Silhouette
 from .records import split_annotation
 
-IGNORED_BELOW = 0.1  # Instances that show less are ignored by bop_toolkit's calc_gt_coco.
+IGNORED_BELOW = 0.1  # calc_gt_coco of bop_toolkit ignores instances below this visibility.
 
 
 def run_lengths(crop: Silhouette, *, height_px: int, width_px: int) -> list[int]:
-    """COCO's uncompressed RLE of a mask in an image: lengths of runs, column by column.
+    """Return COCO's uncompressed RLE of a mask: the lengths of runs, column by column.
 
-    Runs of 0 and 1 alternate and the first is of 0. The crop lies inside the image.
+    Runs of 0 and of 1 alternate, starting with 0. The crop must be inside the image.
     """
     bh, bw = crop.mask.shape
     slab = np.zeros((bw, height_px), dtype=bool)  # transposed: COCO counts down the columns
@@ -40,9 +40,9 @@ def scene_annotation(
     height_px: int,
     width_px: int,
 ) -> dict[str, Any]:
-    """One entry of `scene_gt_coco.json` but its id, with the keys of bop_toolkit's calc_gt_coco.
+    """Return an entry of `scene_gt_coco.json` without its id, with the keys of calc_gt_coco.
 
-    `box` is [x, y, width, height] of the amodal mask inside the image, as there.
+    As in bop_toolkit, `box` is [x, y, width, height] of the amodal mask inside the image.
     """
     return {
         "image_id": image_id,
@@ -58,12 +58,12 @@ def scene_annotation(
 
 
 def scene_image(*, image_id: int, file_name: str, height_px: int, width_px: int) -> dict[str, Any]:
-    """One image in `scene_gt_coco.json`."""
+    """Return the entry of an image in `scene_gt_coco.json`."""
     return {"id": image_id, "file_name": file_name, "width": width_px, "height": height_px}
 
 
 def coco_categories(names: Iterable[tuple[int, str]]) -> list[dict[str, Any]]:
-    """Categories of objects by their ids and names."""
+    """Return COCO categories from object ids and names."""
     return [{"id": i, "name": name, "supercategory": "graycast"} for i, name in names]
 
 
@@ -73,7 +73,7 @@ def scene_coco(
     images: list[dict[str, Any]],
     annotations: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """`scene_gt_coco.json`; without BOP's dates, so that equal scenes are equal files."""
+    """Return `scene_gt_coco.json`, without BOP's dates, so that equal scenes give equal files."""
     return {
         "info": {"description": "graycast_train", "version": "0.1.0"},
         "licenses": [],
@@ -86,7 +86,7 @@ def scene_coco(
 def add_images(
     whole: dict[str, Any], images: list[dict[str, Any]], annotations: Iterable[Mapping[str, Any]]
 ) -> None:
-    """Add images to a scene's file, and their annotations, whose ids go on counting from 1."""
+    """Append images and annotations to a scene's file; annotation ids continue from the last."""
     whole["images"] += images
     first = len(whole["annotations"]) + 1
     whole["annotations"] += [{**entry, "id": k} for k, entry in enumerate(annotations, first)]
@@ -98,15 +98,15 @@ def split_coco(
     pictures: Iterable[Mapping[str, Any]],
     categories: list[dict[str, Any]],
 ) -> Iterator[str]:
-    """The text of the split's COCO file, piece by piece: memory stays flat over many scenes.
+    """Yield the text of the split's COCO file in pieces, so that memory use stays constant.
 
     Args:
-        annotated: of each image its id, its annotations in `scene_gt_coco.json` and its list in
-            `scene_gt_info.json`.
+        annotated: for each image its id, its annotations in `scene_gt_coco.json` and its list
+            in `scene_gt_info.json`.
         pictures: COCO images, in the same order.
         categories: COCO categories with the parts' names.
 
-    Boxes are those of the visible masks, which the segmentations hold as compressed RLE.
+    Boxes enclose the visible masks, which the segmentations hold as compressed RLE.
     """
     yield '{"info": {"description": "Graycast, training split"},\n"licenses": [],\n'
     yield f'"categories": {json.dumps(categories)},\n"images": ['

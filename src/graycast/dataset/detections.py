@@ -1,4 +1,4 @@
-"""The detections in a picture, and COCO's results files, which hold them."""
+"""The detections in a picture, and COCO results files, which hold them."""
 
 import json
 import math
@@ -16,22 +16,22 @@ from ..base.file_limits import check_runs, parse_json
 from ..base.public_value import public_value
 
 RESULTS, DETECT_JSON = "results.json", "detect.json"
-WEIGHTS = "detector.pt"  # The command `graycast detector train` leaves it in a folder.
+WEIGHTS = "detector.pt"  # The command `graycast detector train` writes this file.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:
-    """The detections in one picture, best first.
+    """The detections in one picture, in descending order of score.
 
     Attributes:
         scene_id: the scene of the picture; COCO's `image_id`.
-        score: in descending order; from 0 to 1 for the detectors of `detect`.
+        score: from 0 to 1 for the detectors of `detect`.
         obj_id: the object of each detection; COCO's `category_id`.
-        box_px: [x, y, columns, rows] as in COCO: (0, 0) is the outer corner of the top-left
+        box_px: [x, y, width, height] as in COCO: (0, 0) is the outer corner of the top-left
             pixel, so a box that begins in the first column has x = 0.
-        mask: the compressed run-length encoding of each mask as in COCO; None from a detector
-            without masks.
+        mask: the compressed run-length encoding of each mask as in COCO; None if the detector
+            does not predict masks.
     """
 
     scene_id: int
@@ -49,9 +49,9 @@ class Detections:
 
 
 def results_bytes(pictures: Sequence[Detections]) -> bytes:
-    """COCO results: a list with an entry for each detection, with box and optional mask.
+    """Return COCO results: a list with an entry for each detection, with its box and any mask.
 
-    Numbers have as many digits as are needed to read back the same values.
+    Numbers have just enough digits to read back the same values.
     """
     lines = [json.dumps(entry, allow_nan=False) for each in pictures for entry in _entries(each)]
     return ("[\n" + ",\n".join(lines) + "\n]\n").encode()
@@ -75,7 +75,7 @@ def _entries(one: Detections) -> list[dict[str, Any]]:
 
 
 def _shortest(value: np.floating) -> float:
-    """The shortest decimal that reads back as this number in its own precision."""
+    """Return the shortest decimal that reads back as this number in its own precision."""
     return float(str(value))
 
 
@@ -84,7 +84,7 @@ def read_results(
 ) -> list[Detections]:
     """Read the detections of each scene from COCO results of any program.
 
-    An entry with a mask may lack a box, which is then the box of the mask.
+    An entry with a mask may lack a box; its box is then computed from the mask.
 
     Args:
         obj_ids: the objects of the dataset; None accepts all.
@@ -154,7 +154,7 @@ def _finite(value: Any) -> bool:
 
 
 def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> Detections:
-    entries = sorted(entries, key=lambda entry: -entry["score"])  # stable: equal scores as stored
+    entries = sorted(entries, key=lambda entry: -entry["score"])  # Equal scores keep their order.
     masks = [_compressed(entry["segmentation"]) for entry in entries] if masked else []
     boxes = [
         entry["bbox"] if "bbox" in entry else coco_mask.toBbox(masks[i]).tolist()

@@ -1,4 +1,4 @@
-"""One picture and its labels as the arrays that a trainer wants, whatever file they come from."""
+"""One picture and its labels as arrays for training, from any file format."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,32 +12,32 @@ from ..base.frames import rigid
 from ..base.public_value import public_value
 from .records import MM_PER_M
 
-if TYPE_CHECKING:  # A dataset is read where little is installed; a camera needs more.
+if TYPE_CHECKING:  # Imported on demand, so that datasets can be read with few packages installed.
     from ..rig.optics import Optics
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """One picture and its labels, for the instances of which something is visible.
+    """One picture and its labels, for the instances that are at least partly visible.
 
-    What a dataset or a format does not hold is None.
+    A field is None if the dataset or format does not contain it.
 
     Attributes:
-        scene_id: of the dataset that it comes from.
+        scene_id: the picture's number in its dataset.
         K: pinhole intrinsics [px]; the centre of the top-left pixel is (0, 0).
         distortion: k1, k2, p1, p2, k3 of OpenCV.
         rgb: the colour picture, 8-bit sRGB.
         gray: the scanner's white frame, 8 bit, linear.
-        depth_m: perfect z of the camera frame [m], NaN where there is none.
-        scanner_depth_m: z as the scanner measured it [m], NaN where it has none.
-        instance: places of the instances in the dataset's `scene_gt.json`.
-        obj_id: what each instance is.
-        mask: what is visible of each instance.
-        box_px: [x, y, columns, rows] of the visible masks; integers from the top-left pixel on.
-        T_cam_part: poses, part to camera [m].
-        visib_fract: visible share of each silhouette.
-        ignored: instances that need not be found and are no background, as COCO's crowds.
+        depth_m: perfect depth, z in the camera frame [m]; NaN where unknown.
+        scanner_depth_m: depth that the scanner measured [m]; NaN where it measured nothing.
+        instance: index of each instance in the dataset's `scene_gt.json`.
+        obj_id: the object of each instance.
+        mask: the visible mask of each instance.
+        box_px: [x, y, width, height] of the visible masks; the image's corner is (0, 0).
+        T_cam_part: pose of each part in the camera frame [m].
+        visib_fract: visible fraction of each silhouette.
+        ignored: instances that are neither required nor background, such as COCO's crowds.
     """
 
     scene_id: int
@@ -73,10 +73,10 @@ class Example:
         return optics_of(self.K, depth.shape, self.distortion or (0.0,) * 5)
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """The cloud that the scanner measured [m], in the camera frame; else that of true depth.
+        """Return the measured point cloud [m] in the camera frame; without a scan, the true one.
 
         Raises:
-            DatasetError: as of `camera`.
+            DatasetError: the example has no depth or no intrinsics.
         """
         from ..rig.optics import points
 
@@ -86,9 +86,9 @@ class Example:
         return points(camera, depth_m)[np.isfinite(depth_m)]
 
     def hidden(self, min_visibility: float) -> Bool[np.ndarray, " n"]:
-        """The instances that do not count: ignored, or visible for less than that share.
+        """Return the instances that do not count: ignored or less visible than the threshold.
 
-        Where nobody knows what share is visible, that hides none.
+        If the visible fractions are unknown, only the ignored ones are hidden.
 
         Raises:
             DatasetError: the example has no labels.
@@ -109,12 +109,12 @@ class Example:
 
 
 def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
-    """What is drawn upon: colour, else the white frame, else depth from near (light) to far.
+    """Return a picture to draw on: colour, else the white frame, else depth (near is light).
 
     Missing depth is black.
 
     Raises:
-        DatasetError: the example has no picture at all.
+        DatasetError: the example has no picture.
     """
     if example.rgb is not None:
         return example.rgb
@@ -132,10 +132,10 @@ def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstanceLabel:
-    """One visible instance of a scene as its files have it.
+    """One visible instance of a scene, as its files describe it.
 
-    `segmentation` is compressed RLE, `box` [x, y, columns, rows] of it; `pose` (rotation, 9
-    numbers, and translation [mm]) and `visib_fract` are None where nobody knows them.
+    `segmentation` is compressed RLE, and `box` is its [x, y, width, height]. `pose` (9 numbers of
+    the rotation, and the translation [mm]) and `visib_fract` are None if they are unknown.
     """
 
     instance: int
@@ -148,10 +148,10 @@ class InstanceLabel:
 
     @property
     def T_cam_part(self) -> Float[np.ndarray, "4 4"]:
-        """Part to camera [m].
+        """Transform from the part to the camera frame [m].
 
         Raises:
-            DatasetError: nobody knows it.
+            DatasetError: the pose is unknown.
         """
         if self.pose is None:
             raise DatasetError(f"instance {self.instance}: has no pose")
@@ -159,16 +159,16 @@ class InstanceLabel:
 
 
 def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarray, "4 4"]:
-    """A pose of BOP's files in metres."""
+    """Return a pose of BOP's files with its translation in metres."""
     R = np.array(rotation, dtype=np.float64).reshape(3, 3)
     return rigid(R, np.array(translation_mm, dtype=np.float64) / MM_PER_M)
 
 
 def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
-    """Return whether each number of a depth picture is a distance.
+    """Return which numbers of a depth picture are distances.
 
-    0, what is not finite, and the largest number of the type (65535 of 16 bits) are none: cameras
-    write them where they measured nothing, however few such pixels there are.
+    Not distances are 0, NaN, infinity and the largest number of the type (65535 for 16 bits), which
+    cameras write where they measured nothing; even a single such pixel counts as missing.
     """
     if value.dtype.kind in "ui":
         return (value != 0) & (value != np.iinfo(value.dtype).max)
@@ -182,7 +182,7 @@ def metres(steps: UInt16[np.ndarray, "h w"], scale_mm: float) -> Float32[np.ndar
 
 
 def label_arrays(labels: list[InstanceLabel], size_px: tuple[int, int]) -> dict[str, Any]:
-    """The labels as `Example` has them."""
+    """Return the labels as the fields of an `Example`."""
     count = len(labels)
     mask = np.zeros((count, *size_px), dtype=bool)
     for i, label in enumerate(labels):

@@ -1,9 +1,9 @@
-"""Grasp labels beside a dataset's scenes: their files as values, read and checked.
+"""Read and check the files of grasp labels, which a dataset stores apart from its scenes.
 
-grasps/suction/grasps.json         of which dataset, tool and options they are
-grasps/suction/train/000000.json   the labels of one scene, whole or not there
+grasps/suction/grasps.json         the dataset, the tool and the options
+grasps/suction/train/000000.json   the labels of one scene; the file is complete or missing
 
-They are no part of the scenes: whoever adds or removes them changes no byte of the dataset.
+Grasp labels are not part of the scenes: adding or removing them leaves the dataset unchanged.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,15 +22,15 @@ from .scene_folder import SceneFolder
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
 GRASP_FORMAT = 1
-POSE_MM, POSE_TURN = 1e-6, 1e-9  # Poses are computed twice from the same numbers.
-BOX_MM = 1e-3  # A model's PLY has nine digits.
+POSE_MM, POSE_TURN = 1e-6, 1e-9  # Poses are computed in two ways from the same numbers.
+BOX_MM = 1e-3  # A model's PLY stores nine digits.
 
 Reach = Literal["free", "part", "bin", "table", "rig"]
 Ended = Literal["held", "lost seal", "slipped", "not held", "missed", "other part"]
 
 
 class GraspClaim(Record):
-    """`grasps.json`. `dataset` is the fingerprint of `graycast.json`."""
+    """The content of `grasps.json`. `dataset` is the fingerprint in `graycast.json`."""
 
     format_version: Literal[1]
     config: dict[str, Any]
@@ -40,13 +40,13 @@ class GraspClaim(Record):
 
     @property
     def opening_mm(self) -> float | None:
-        """How far jaws open; None of a suction cup."""
+        """Opening of the jaws; None for a suction cup."""
         jaws = self.config.get("tool", {}).get("jaws")
         return None if jaws is None else 1e3 * float(jaws["opening_m"])
 
 
 class Simulated(Record):
-    """The outcome of a grasp that was simulated with physics."""
+    """The outcome of a grasp in a physics simulation."""
 
     success: bool
     ended: Ended
@@ -54,9 +54,9 @@ class Simulated(Record):
 
 
 class Grasp(Record):
-    """A grasp: the tool's frame in the model's [mm] and in the camera's frame, and its score.
+    """A grasp: the tool's pose in the model's frame [mm] and in the camera's, and its score.
 
-    `opening` [mm] is between the pads of jaws that touch the part.
+    `opening` [mm] is the distance of the pads when the jaws touch the part; None for a suction cup.
     """
 
     R_t2m: Matrix3
@@ -75,16 +75,16 @@ class InstanceGrasps(Record):
 
 
 SceneGrasps = OneImage[list[InstanceGrasps]]
-"""The labels of one scene, an entry per instance of `scene_gt.json`."""
+"""The labels of one scene, with an entry for each instance of `scene_gt.json`."""
 
 
 def grasp_problems(out: Path, fingerprint: str, models: Mapping[int, Model]) -> Iterator[str]:
-    """All that is wrong with the grasp labels of a dataset; scenes need not have any.
+    """Yield all problems of the grasp labels of a dataset; a scene may have no labels.
 
     Args:
-        out: the dataset.
-        fingerprint: its own.
-        models: as read from it.
+        out: the folder of the dataset.
+        fingerprint: the fingerprint of the dataset.
+        models: the models of the dataset, by object id.
     """
     for folder in sorted((out / GRASPS).glob("*")):
         if folder.name.startswith("."):

@@ -1,4 +1,4 @@
-"""Finished datasets in the formats of other programs: COCO, YOLO, BOP's shards, clouds, tables."""
+"""Export finished datasets to COCO, YOLO, BOP shards, WebDataset, Parquet and point clouds."""
 
 from .formats import export
 from .options import FORMATS, Options

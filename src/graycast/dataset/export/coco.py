@@ -1,4 +1,4 @@
-"""COCO: pictures by split, and one file of annotations for each."""
+"""Export to COCO: a folder of pictures and a file of annotations for each set of the split."""
 
 import json
 from collections.abc import Iterable
@@ -18,11 +18,11 @@ from .placing import place
 def write_split(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
-    """`annotations/instances_SPLIT.json`, `images/SPLIT/000000.png` and depth beside them.
+    """Write `annotations/instances_SPLIT.json`, `images/SPLIT/000000.png`, and folders of depth.
 
-    An image's id is the picture's. Beside COCO's own keys an image has `cam_K`, `distortion` and
-    `depth_scale` [mm], and an annotation `visib_fract`, `cam_R_m2c`, `cam_t_m2c` [mm] and
-    `gt_id`, its place in the dataset's `scene_gt.json`.
+    The id of an image is the picture's number. In addition to COCO's keys, an image has `cam_K`,
+    `distortion` and `depth_scale` [mm]. An annotation has `visib_fract`, `cam_R_m2c`, `cam_t_m2c`
+    [mm] and `gt_id`, its index in the dataset's `scene_gt.json`.
     """
     target = folder / "annotations" / f"instances_{split}.json"
     target.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""From a dataset in BOP's form to any other form."""
+"""Export a dataset in BOP's form to another format."""
 
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
@@ -15,11 +15,11 @@ from .options import FORMATS, Options
 from .record import ExportRecord, write_record
 
 WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
-_SOME = 3  # An error names so many keys.
+_SOME = 3  # An error names this number of keys.
 
 
 class Selection(Record):
-    """A file of scenes (`train-000003`), with tags, that somebody saved on the report's page."""
+    """A file of scenes (`train-000003`) and their tags, saved on the report's page."""
 
     kind: Literal["graycast-scenes"]
     dataset: str
@@ -35,21 +35,21 @@ def export(
     selection: Path | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> ExportRecord:
-    """Write a finished dataset in another format, whole or not at all.
+    """Write a finished dataset in another format, completely or not at all.
 
     Args:
         dataset: the folder of a dataset, of simulated or of real pictures.
         out: a folder that does not exist or is empty.
-        options: the format and what it may be told.
+        options: the format and its options.
         selection: a file of scenes saved on the report's page; only they are exported.
         progress: counts pictures.
 
     Returns:
-        What `export.json` in `out` says.
+        The content of `export.json` in `out`.
 
     Raises:
-        GraycastError: `out` is in use or cannot be written, the dataset lacks what was asked for,
-            is damaged, `selection` is not of its scenes, or a set of the split would be empty.
+        GraycastError: `out` is in use or cannot be written, the dataset is damaged or lacks
+            what was requested, `selection` names other scenes, or a set would be empty.
     """
     module_name, _, function = FORMATS[options.format].writer.partition(".")
     writer = import_module(f".{module_name}", __package__)
@@ -80,11 +80,11 @@ def export(
 
 
 def selected_pictures(path: Path, stored: StoredDataset) -> list[int]:
-    """The numbers of a file's pictures, all of them pictures that an export can take.
+    """Return the numbers of the pictures that a selection names.
 
     Raises:
-        GraycastError: the file cannot be read, names no scene, is of another dataset, or names
-            scenes that are not in the dataset's `train`.
+        GraycastError: the file cannot be read, names no scene, belongs to another dataset, or
+            names scenes that are not in the dataset's `train`.
     """
     try:
         selection = read_json(path, Selection)

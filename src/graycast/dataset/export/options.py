@@ -1,4 +1,4 @@
-"""What an export may be told, and which format understands what."""
+"""The options of an export, and which format accepts which option."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -22,12 +22,12 @@ _CHOICES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """One format of exports.
+    """One export format.
 
-    `writer` is a module of this folder and its function that writes one set of the split; what
-    belongs to the dataset as a whole is written by the module's `write_rest`, if it has one.
-    `reader` is a module of `dataset/training` and its function that opens the examples of one set;
-    None for a format without labels. `options` are those of the format with their defaults.
+    `writer` names a module of this folder and its function that writes one set of the split. The
+    module's function `write_rest`, if there is one, writes the files of the dataset as a whole.
+    `reader` names a module of `dataset/training` and its function that opens one set's examples;
+    None for a format without labels. `options` are the format's options and their defaults.
     """
 
     writer: str
@@ -84,11 +84,11 @@ DEPTHS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """How to export; what is None is not said, and is the format's own choice.
+    """Options of an export; None means the default of the format.
 
     Attributes:
         format: one of `FORMATS`.
-        split: which scenes are train, val and test.
+        split: the scenes of train, val and test.
         image: the picture: `rgb`, the colour camera's, or `gray`, the scanner's white frame.
         depth: `perfect`, `scanner`, `both` or `none`.
         polygons: COCO's masks as polygons instead of run lengths.
@@ -96,10 +96,10 @@ class Options:
         cloud: `ply` or `pcd`.
         organised: clouds with a point for every pixel, NaN where there is none.
         shard_scenes: scenes in one file, at most.
-        pixel_origin: what of the top-left pixel is (0, 0) in BOP's cameras: its `centre`, as BOP
-            says, or its `corner`, as bop_toolkit's own renderers take it.
-        link: hard links to the dataset's pictures instead of copies.
-        min_visibility: leave out instances of which less is visible, as a share.
+        pixel_origin: the point of the top-left pixel that is (0, 0) in BOP's cameras: its
+            `centre`, as BOP defines it, or its `corner`, as bop_toolkit's renderers assume.
+        link: make hard links to the dataset's pictures instead of copies.
+        min_visibility: leave out instances whose visible fraction is smaller.
     """
 
     format: str
@@ -139,15 +139,15 @@ class Options:
             )
 
     def own_names(self) -> list[str]:
-        """The options that were said."""
+        """Return the names of the options that the user set."""
         names = [each.name for each in fields(self) if each.name not in ("format", "split")]
         return [name for name in names if getattr(self, name) is not None]
 
     def resolved(self, stored: StoredDataset) -> "Options":
-        """With the format's own choices, as far as the dataset holds what they take.
+        """Return these options with the format's defaults, limited to what the dataset contains.
 
         Raises:
-            GraycastError: the dataset lacks what was said.
+            GraycastError: the dataset lacks what the user requested.
         """
         settings = dict(FORMATS[self.format].options) | {
             name: getattr(self, name) for name in self.own_names()
@@ -175,25 +175,25 @@ class Options:
 
     @property
     def shift_px(self) -> float:
-        """What is added to the principal point of the dataset, which counts from centres."""
+        """Offset that is added to the dataset's principal point, which refers to pixel centres."""
         return 0.5 if self.pixel_origin == "corner" else 0.0
 
     @property
     def picture(self) -> str | None:
-        """The folder of the dataset's pictures; None where it has none."""
+        """Folder of the dataset's pictures; None if there are no pictures."""
         return _PICTURE[self.image] if self.image is not None else None
 
     @property
     def depths(self) -> tuple[str, ...]:
-        """The folders of the dataset's depth pictures."""
+        """Folders of the dataset's depth pictures."""
         return DEPTHS[self.depth or "none"]
 
 
 def settled(value: Value | None) -> Value:
-    """One of a format's own options, of which `Options.resolved` leaves none open.
+    """Return the value of an option that `Options.resolved` has set.
 
     Raises:
-        ValueError: it is open.
+        ValueError: the option is None.
     """
     if value is None:
         raise ValueError("an option is open: resolve the options first")

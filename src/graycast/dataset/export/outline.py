@@ -1,30 +1,30 @@
-"""Masks as polygons along the borders of their pixels, without loss.
+"""Convert masks to polygons along the borders of their pixels, without loss.
 
-Pixel (0, 0) covers [0, 1] x [0, 1], as in COCO and YOLO: coordinates count from the image's corner,
-half a pixel before those of the rest of this package.
+Pixel (0, 0) covers [0, 1] x [0, 1], as in COCO and YOLO: the origin is the image's corner, half a
+pixel before that of the rest of this package.
 
-Outlines lie a sixteenth of a pixel inside the borders. Programs that count what lies inside
-(pycocotools) read the same mask from there. Those that cut coordinates to whole numbers and paint
-the outline with the rest (OpenCV's `fillPoly`, so Ultralytics) would else make a mask a pixel wider
-on its right and lower side, half of a part of 2 x 2 pixels: now they, too, paint the pixels of the
-mask. What rounds instead of cutting, or scales before, is still wider.
+Outlines run a sixteenth of a pixel inside the borders. Programs that count the pixels inside an
+outline (pycocotools) still recover the same mask. Programs that truncate coordinates and also
+paint the outline (OpenCV's `fillPoly`, hence Ultralytics) now recover it, too; on the borders,
+they would make a mask one pixel wider on the right and at the bottom. Programs that round, or
+scale first, still make it wider.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-_ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the right of each border.
+_ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the right.
 
 
-INSET_PX = 1 / 16  # It is a binary fraction up to 0.1, as pycocotools rounds fifths of a pixel.
-_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each points inwards from such a border.
+INSET_PX = 1 / 16  # It is a binary fraction below 0.1, since pycocotools rounds to fifths.
+_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each is the inward normal of a direction.
 
 
 def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
-    """The corners (x, y) of every border of a mask: clockwise on the screen, holes the other way.
+    """Return the corners (x, y) of a mask's borders: outer ones clockwise, holes the other way.
 
-    They lie inside the mask by `INSET_PX`. Pixels that touch at a corner only are apart.
+    The corners are moved inwards by `INSET_PX`. Pixels that share only a corner are separate.
     """
     start, direction, following = _edges(mask)
     turns = direction != direction[following]
@@ -48,15 +48,15 @@ def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
 def _edges(
     mask: Bool[np.ndarray, "h w"],
 ) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " e"], Int[np.ndarray, " e"]]:
-    """Sides of pixels that border the outside: start (x, y), direction, and the edge that follows.
+    """Return the border sides of pixels: start (x, y), direction, and index of the next side.
 
-    At a corner where two pixels touch, the border stays with its own pixel: it turns right.
+    At a corner that two pixels share, the border follows its own pixel: it turns right.
     """
     height, width = mask.shape
     padded = np.pad(mask, 1)
     inside = padded[1:-1, 1:-1]
     outside = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
-    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # where the pixel's side begins
+    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # Each side starts here.
     starts, directions = [], []
     for side, beyond in enumerate(outside):
         y, x = np.nonzero(inside & ~beyond)
@@ -74,10 +74,10 @@ def _edges(
 
 
 def path(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "_ 2"]:
-    """One closed path around a mask, its pieces and holes joined by cuts that are walked twice.
+    """Return one closed path around a mask; cuts that run both ways join its pieces and holes.
 
-    A cut has no area, so a reader that counts crossings gets the mask back; a reader that paints
-    outlines (OpenCV's `fillPoly`) sees it as a line of one pixel, which matters between pieces.
+    A cut has no area, so a reader that counts crossings recovers the mask. A reader that also
+    paints outlines (OpenCV's `fillPoly`) draws a cut between two pieces as a line of one pixel.
     """
     around = sorted(rings(mask), key=len, reverse=True)
     joined = around[0]
@@ -90,7 +90,7 @@ def path(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "_ 2"]:
 
 
 def polygons(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
-    """A path for each connected piece of a mask."""
+    """Return a path for each connected piece of a mask."""
     pieces, _ = ndimage.label(mask)
     paths = []
     for i, (rows, columns) in enumerate(ndimage.find_objects(pieces), start=1):

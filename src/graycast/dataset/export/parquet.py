@@ -1,7 +1,7 @@
-"""Parquet: a row per picture, pictures as PNG bytes, labels as lists.
+"""Export to Parquet: a row per picture, with images as PNG bytes and labels as lists.
 
-A picture is a struct of `bytes` and `path`, and the schema's metadata says that it is one, so that
-Hugging Face's `datasets` opens it as an `Image`.
+An image is a struct of `bytes` and `path`. The schema's metadata declares it as an image, so that
+the library `datasets` of Hugging Face opens it as an `Image`.
 Source: huggingface.co/docs/datasets, "Image" and "Features".
 """
 
@@ -23,12 +23,12 @@ except ImportError as error:
         "Parquet needs pyarrow, which is not installed: run pip install 'graycast[parquet]'"
     ) from error
 
-_GROUP = 16  # So many scenes are in memory at once.
+_GROUP = 16  # This number of scenes is in memory at a time.
 _IMAGES = {"rgb": "rgb", "gray_sl": "gray", "depth": "depth", "depth_sl": "depth_sl"}
 
 
 def schema() -> "pa.Schema":
-    """One row; columns that a dataset does not hold are null."""
+    """Return the columns of a row; those that a dataset does not contain are null."""
     masks = pa.struct([("size", pa.list_(pa.int32(), 2)), ("counts", pa.string())])
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     features = {name: {"_type": "Image"} for name in _IMAGES.values()}
@@ -46,7 +46,7 @@ def schema() -> "pa.Schema":
             ("poses", pa.list_(pa.list_(pa.float64(), 16))),
             ("visib_fract", pa.list_(pa.float64())),
         ],
-        # What is not named has the type that its column has.
+        # Columns that are not named here keep their Arrow type.
         metadata={"huggingface": json.dumps({"info": {"features": features}})},
     )
 
@@ -54,7 +54,7 @@ def schema() -> "pa.Schema":
 def write_split(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
-    """`SPLIT/part-000000.parquet` ...; a row group for every few scenes, so memory stays flat."""
+    """Write `SPLIT/part-000000.parquet` ... in row groups of few scenes, to limit memory use."""
     (folder / split).mkdir()
     for part, of_file in enumerate(groups(scenes, settled(options.shard_scenes))):
         target = folder / split / f"part-{part:06d}.parquet"

@@ -1,4 +1,4 @@
-"""Files of a dataset put into an export: copied, linked, or packed into tar files."""
+"""Put a dataset's files into an export: copied, linked, or packed into tar files."""
 
 import io
 import os
@@ -15,10 +15,10 @@ T = TypeVar("T")
 
 
 def place(source: Path, target: Path, *, link: bool) -> None:
-    """A copy of a file, or a second name of it on the same disk.
+    """Copy a file, or make a hard link to it.
 
     Raises:
-        GraycastError: a link is not possible.
+        GraycastError: the link is not possible.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     if not link:
@@ -32,12 +32,12 @@ def place(source: Path, target: Path, *, link: bool) -> None:
 
 
 def bop_key(scene_id: int, place: int) -> str:
-    """BOP's name of a picture: its scene's number, and its own among those of all scanners."""
+    """Return BOP's name of a picture: the scene's number and the picture's index in the scene."""
     return f"{scene_id:06d}_{place:06d}"
 
 
 def groups(items: Iterable[T], most: int) -> Iterator[Iterator[T]]:
-    """At most so many items at a time, each asked for when it is its turn: memory stays flat."""
+    """Split items lazily into groups of at most `most`, so that memory use stays constant."""
     left = iter(items)
     for first in left:
         yield chain([first], islice(left, most - 1))
@@ -46,10 +46,10 @@ def groups(items: Iterable[T], most: int) -> Iterator[Iterator[T]]:
 def write_shards(
     folder: Path, samples: Iterable[tuple[str, Iterable[tuple[str, bytes]]]], *, most: int
 ) -> dict[str, int]:
-    """Write `shard-000000.tar` ... with at most so many samples each.
+    """Write `shard-000000.tar` ... with at most `most` samples each.
 
-    A sample is KEY.name, all of a key together, as WebDataset has them. Equal samples give equal
-    bytes: no times, owners or names of the machine.
+    As in WebDataset, a sample consists of consecutive files KEY.name. Equal samples give equal
+    bytes, because the entries hold no times, owners or names of the machine.
 
     Returns:
         The number of the shard that holds each key.

@@ -1,4 +1,4 @@
-"""`export.json`: what an export holds and where it comes from, for whoever reads it back."""
+"""`export.json`: the content and the origin of an export, for the programs that read it."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ RECORD = "export.json"
 
 
 class ExportedPicture(records.Record):
-    """One of the pictures that each scene has; `sensor` is its scanner's name, where it has one."""
+    """One of the pictures that each scene has; `sensor` is its scanner's name, or empty."""
 
     sensor: str
     image: int
@@ -23,10 +23,10 @@ class ExportedPicture(records.Record):
 
 
 class ExportRecord(records.Record):
-    """The content of `export.json`; `splits` has the numbers of the pictures of each set.
+    """The content of `export.json`; `splits` holds the numbers of the pictures of each set.
 
-    Where scenes have several pictures, `pictures` lists them: picture number n is of the scene
-    n // len(pictures), at the place n % len(pictures).
+    If scenes have several pictures, `pictures` lists them: picture n belongs to scene
+    n // len(pictures) and has the index n % len(pictures) there.
     """
 
     format: str
@@ -41,18 +41,18 @@ class ExportRecord(records.Record):
     pictures: tuple[ExportedPicture, ...] = ()
 
     def place(self, image_id: int) -> tuple[int, int]:
-        """Of a picture the number of its scene, and its place there."""
+        """Return the scene of a picture, and the picture's index in that scene."""
         return divmod(image_id, max(len(self.pictures), 1))
 
     def image(self, image_id: int) -> tuple[int, str, int]:
-        """Of a picture its scene, its scanner's name, and its number among that scanner's."""
+        """Return a picture's scene, its scanner, and its number among that scanner's images."""
         scene_id, place = self.place(image_id)
         if not self.pictures:
             return scene_id, "", 0
         return scene_id, self.pictures[place].sensor, self.pictures[place].image
 
     def size_of(self, image_id: int) -> tuple[int, int]:
-        """Height and width of a picture."""
+        """Return the height and width of a picture."""
         here = self.pictures[self.place(image_id)[1]].size_px if self.pictures else self.size_px
         return here[0], here[1]
 
@@ -60,7 +60,7 @@ class ExportRecord(records.Record):
 def write_record(
     folder: Path, stored: StoredDataset, options: Options, splits: dict[str, list[int]]
 ) -> ExportRecord:
-    """Write `export.json`; its options are those in force."""
+    """Write `export.json` with the resolved options."""
     settings = {name: getattr(options, name) for name in FORMATS[options.format].options}
     record = ExportRecord(
         format=options.format,
@@ -85,7 +85,7 @@ def read_record(folder: Path) -> ExportRecord:
     """Read `export.json`.
 
     Raises:
-        DatasetError: it is missing or damaged.
+        DatasetError: the file is missing or damaged.
     """
     try:
         record = read_json(folder / RECORD, ExportRecord)

@@ -1,4 +1,4 @@
-"""Train, validation and test sets by scene."""
+"""Divide scenes into train, validation and test sets."""
 
 import hashlib
 from collections.abc import Iterable
@@ -10,19 +10,19 @@ from ...base.public_value import public_value
 from ...base.settings import check_fields
 
 NAMES = ("train", "val", "test")
-_STEP = 0x9E3779B97F4A7C15  # It is 2^64 over the golden ratio, and odd.
+_STEP = 0x9E3779B97F4A7C15  # It is 2^64 divided by the golden ratio, and odd.
 _TURN = 2**64
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Split:
-    """Shares of the scenes that go to train, val and test.
+    """Fractions of the scenes that go to train, val and test.
 
-    A scene's set follows from the seed and its own id alone, so it stays where it is when a
-    dataset grows, and in every format. Multiples of the golden ratio, turned by the seed, fill
-    the circle evenly: of up to 5000 scenes in a row each set gets its share to within four. That
-    is no random draw and need not be one: scenes of a dataset are drawn independently.
+    The set of a scene depends only on the seed and the scene's id, so it is the same in every
+    format and when the dataset grows. Multiples of the golden ratio, shifted by the seed, fill
+    the circle evenly: of up to 5000 consecutive scenes, each set gets its share to within four.
+    The choice need not be random, because the scenes of a dataset are independent.
 
     Source: Knuth, "The Art of Computer Programming", vol. 3, section 6.4 (Fibonacci hashing).
     """
@@ -39,7 +39,7 @@ class Split:
             )
 
     def place(self, scene_id: int) -> str:
-        """The one set that a scene belongs to."""
+        """Return the set that a scene belongs to."""
         start = int.from_bytes(hashlib.sha256(f"split {self.seed}".encode()).digest()[:8])
         at = (start + scene_id * _STEP) % _TURN / _TURN
         train, val, _ = self.shares
@@ -47,7 +47,7 @@ class Split:
         return "train" if at < train else "val" if at < train + val else last
 
     def least(self) -> int:
-        """How many scenes, counted from scene 0, give each set with a share at least one."""
+        """Return how many scenes, counted from 0, give at least one to each set with a share."""
         wanted = {name for name, share in zip(NAMES, self.shares, strict=True) if share > 0}
         for scene_id in count():
             wanted.discard(self.place(scene_id))
@@ -56,13 +56,13 @@ class Split:
         return scene_id + 1
 
     def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
-        """The pictures of every set that has a share, in their order; a scene stays together.
+        """Return the pictures of each set with a share, in order; a scene is never divided.
 
         Args:
             image_ids: numbers of pictures; each scene has `images` of them.
 
         Raises:
-            GraycastError: a set that has a share gets no scene.
+            GraycastError: a set with a share gets no scene.
         """
         sets: dict[str, list[int]] = {
             name: [] for name, share in zip(NAMES, self.shares, strict=True) if share > 0
@@ -81,10 +81,10 @@ class Split:
 
 
 def parse_shares(text: str) -> tuple[float, float, float]:
-    """'0.8,0.1,0.1', or fewer: what is not named has no share.
+    """Read shares such as '0.8,0.1,0.1'; those left out are 0.
 
     Raises:
-        GraycastError: it is neither.
+        GraycastError: the text is not one to three numbers.
     """
     try:
         shares = [float(word) for word in text.split(",")]

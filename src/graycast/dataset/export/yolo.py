@@ -1,7 +1,7 @@
-"""YOLO as Ultralytics reads it: `data.yaml`, pictures, and a text file for each.
+"""Export to YOLO in Ultralytics' form: `data.yaml`, pictures, and a text file for each picture.
 
-A row is the class (from 0, in the order of the object ids) and then either centre and size of the
-box or the corners of a polygon, all as shares of width and height.
+A row is the class (from 0, in the order of object ids), followed by the centre and size of the box
+or the corners of a polygon, all as fractions of width and height.
 
 Source: docs.ultralytics.com, datasets/detect and datasets/segment.
 """
@@ -22,7 +22,7 @@ from .placing import place
 def write_split(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
-    """`images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
+    """Write `images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
     place_of = {obj_id: i for i, obj_id in enumerate(stored.categories)}
     kind = settled(options.labels)
     labels = folder / "labels" / split
@@ -41,9 +41,9 @@ def write_split(
 def write_rest(
     folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
 ) -> None:
-    """`data.yaml`, without `path`: its own folder is the root, wherever it is moved."""
+    """Write `data.yaml` without `path`, so that its own folder is the root and can be moved."""
     content = {split: f"images/{split}" for split in splits}
-    # Ultralytics insists on both keys; a dataset of one set validates on what it trains on.
+    # Ultralytics requires both keys; a dataset with one set uses it for training and validation.
     first = next(iter(content.values()))
     content = {"train": first, "val": first} | content
     names = dict(enumerate(stored.categories.values()))

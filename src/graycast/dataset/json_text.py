@@ -1,4 +1,4 @@
-"""How this package writes JSON: sorted keys, one line per outermost key."""
+"""Write JSON with sorted keys and one line for each outermost key."""
 
 import json
 import math
@@ -10,10 +10,10 @@ import numpy as np
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """JSON with sorted keys, one line per key of the outermost object, as bop_toolkit writes it.
+    """Return JSON with sorted keys, one line per outermost key, as bop_toolkit writes it.
 
     Raises:
-        ValueError: something in it has no JSON form.
+        ValueError: a value has no JSON form.
     """
     tree = plain(content)
     values = {key: json.dumps(tree[key], sort_keys=True, allow_nan=False) for key in sorted(tree)}
@@ -22,10 +22,10 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
 
 
 def plain(value: Any) -> Any:
-    """Values of NumPy, paths, tuples and mappings as JSON has them; NaN is null.
+    """Convert NumPy values, paths, tuples and mappings to what JSON can store; NaN becomes null.
 
     Raises:
-        ValueError: a value of another type, or an infinite number.
+        ValueError: a value has another type, or is infinite.
     """
     match value:
         case None | bool() | str() | int():

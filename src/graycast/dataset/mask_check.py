@@ -1,4 +1,4 @@
-"""Masks, counts and boxes of a scene against each other and against the models at their poses."""
+"""Check masks, counts and boxes of a scene for consistency and against the posed models."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,11 +14,11 @@ from .plain_scene import Model, Plain, transform_of
 from .safe_reading import Unreadable, read_mask
 from .scene_folder import of_sensor
 
-# A pixel whose centre lies very near an edge may fall to either side in a renderer of single
-# precision: in none or one of a mask's pixels when Mitsuba drew 40 built-in parts. One in fifty of
-# the pixels along an outline and two more are allowed; a shift by a twentieth of a pixel is more.
+# In single precision, a renderer may put a pixel whose centre is very near an edge on either side.
+# With 40 built-in parts, Mitsuba did so for at most one pixel of a mask. Two pixels and 2 % of the
+# outline are allowed; a shift by a twentieth of a pixel exceeds that.
 EDGE_SHARE, EDGE_PX = 0.02, 2
-# Off edges, depths differ by rounding to the scale and by single precision at grazing incidence.
+# Away from edges, depths differ by rounding, and by single precision at grazing incidence.
 DEPTH_TOLERANCE_MM = 0.02
 DEPTH_SHARE, DEPTH_PX = 0.01, 2
 
@@ -28,7 +28,7 @@ def mask_problems(
     camera: records.Camera,
     models: Mapping[int, Model],
 ) -> Iterator[str]:
-    """Yield what is wrong with masks, with the counts and boxes of masks, or with their models."""
+    """Yield contradictions between masks, counts, boxes and models."""
     count, files = len(scene.poses), scene.files
     names = [f"{scene.number:06d}_{i:06d}.png" for i in range(count)]
     place = {
@@ -75,7 +75,7 @@ def mask_problems(
 
 
 def _of_no_image(path: Path, scene: Plain) -> list[str]:
-    """Masks of images that the scanner does not have; told of with its first image."""
+    """Return the masks of images that the scanner does not have; empty after its first image."""
     if scene.number:
         return []
     has = {f"{number:06d}" for number in scene.numbers}
@@ -115,7 +115,7 @@ def _info_problems(
     left, top = max(x, 0), max(y, 0)
     right, bottom = min(x + w, width_px - 1), min(y + h, height_px - 1)
     whole = (x, y, x + w, y + h) == (left, top, right, bottom)
-    # A silhouette that leaves the image has its box confirmed by the model; see below.
+    # If a silhouette leaves the image, `_outside_problems` checks its box against the model.
     if whole and (info.bbox_obj != _bop_box(mask) or info.px_count_all != mask_px):
         here = f"{info.bbox_obj} with {info.px_count_all} pixels"
         yield f"bbox_obj is {here}, the mask's is {_bop_box(mask)} with {mask_px}"
@@ -131,7 +131,7 @@ def _surface_problems(
     model: Model,
     camera: records.Camera,
 ) -> Iterator[str]:
-    """The model, rendered at its pose by an independent rasteriser, against masks and depth."""
+    """Compare masks and depth with the posed model, rendered by an independent rasteriser."""
     pose = scene.poses[i]
     T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
     raster = rasterize(model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, scene.lens)
@@ -159,7 +159,7 @@ def _surface_problems(
             f"pixels, by {np.median(off):.3g} mm in the middle"
         )
     hidden = rendered & mask & ~visible
-    # Where parts touch, what hides is as deep as what is hidden: along a line, as edges are.
+    # At a contact, the hiding part is as deep as the hidden one, along a line, as at edges.
     covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
     bare = int((hidden & ~covered).sum())
     if bare > DEPTH_PX + DEPTH_SHARE * hidden.sum() + allowed:
@@ -167,7 +167,7 @@ def _surface_problems(
 
 
 def _outside_problems(info: records.Info, raster: Raster) -> Iterator[str]:
-    """Counts and box of the whole silhouette, of which the image may show only a part."""
+    """Check count and box of the whole silhouette, which may extend beyond the image."""
     rendered = ~np.isnan(raster.z)
     allowed = EDGE_PX + EDGE_SHARE * _outline_px(rendered)
     if abs(info.px_count_all - int(rendered.sum())) > allowed:
@@ -211,7 +211,7 @@ def _coco_problems(
 
 
 def _counts(runs: records.RunLengths) -> bytes:
-    """Compressed as pycocotools encodes; run lengths that do not fill the image give b''."""
+    """Return the RLE that pycocotools gives; b'' if the runs do not fill the image."""
     height_px, width_px = runs.size
     if sum(runs.counts) != height_px * width_px:
         return b""
@@ -219,13 +219,13 @@ def _counts(runs: records.RunLengths) -> bytes:
 
 
 def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:
-    """How many neighbouring pixels a mask's border separates."""
+    """Return the number of pairs of neighbouring pixels that the border of a mask separates."""
     mask = np.pad(mask, 1)
     across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
     return int(across.sum()) + int(down.sum())
 
 
 def _bop_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
-    """BOP's [x, y, last column - first, last row - first]; -1 for an empty mask."""
+    """Return BOP's [x, y, last column - first, last row - first]; -1 for an empty mask."""
     x, y, columns, rows = mask_box(mask)
     return [x, y, columns - 1, rows - 1] if columns else [-1, -1, -1, -1]

@@ -1,4 +1,4 @@
-"""Where things lie in a dataset's folder, for who writes it and for who reads it."""
+"""The layout of a dataset's folder, for the code that writes it and the code that reads it."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ SPLITS = ("train", "val", "test")
 
 
 def camera_file(sensor: str) -> str:
-    """The name of a scanner's file of intrinsics."""
+    """Return the name of the file with a scanner's intrinsics."""
     return f"camera_{sensor}.json" if sensor else "camera.json"
 
 
 def finished_scenes(out: Path, split: str = "train") -> set[int]:
-    """The scenes of a dataset folder; a scene that has its name is whole."""
+    """Return the ids of the scenes in a dataset folder; a scene with a final name is complete."""
     place = out / split
     names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
     return {int(name) for name in names if name.isdecimal() and len(name) >= 6}

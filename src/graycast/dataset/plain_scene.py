@@ -1,4 +1,4 @@
-"""One image of a scene folder and its records as they are, for those that check it."""
+"""One image of a scene folder, with its records as stored, for the checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from .scene_folder import SceneFolder, of_sensor, picture_name
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """What `models/` says of one object [mm]."""
+    """The content of `models/` for one object [mm]."""
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
@@ -23,11 +23,10 @@ class Model:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plain:
-    """The pictures and records of one image; `info` and `coco` by camera type.
+    """The pictures and records of one image; `info` and `coco` have an entry for each camera type.
 
-    `coco` has the annotations of this image alone, `first_annotation` is the id of the first one by
-    camera type. `files` and `number` say where all of it lies, `numbers` are those of all images
-    of the scanner.
+    `coco` holds the annotations of this image only, and `first_annotation` the id of the first one.
+    `files` and `number` say where the image is stored; `numbers` are the scanner's image numbers.
     """
 
     files: SceneFolder
@@ -43,21 +42,21 @@ class Plain:
     scanner: records.ScannerRecord
 
     def name(self, kind: str) -> str:
-        """What a picture of this image is called."""
+        """Return the file name of a picture of this image."""
         return picture_name(kind, self.number, self.files.sensor)
 
     def json_name(self, name: str) -> str:
-        """What a JSON file that tells of this image is called."""
+        """Return the name of a JSON file that describes this image."""
         return f"{of_sensor(name, self.files.sensor)}.json"
 
     @property
     def T_world_cam(self) -> Float[np.ndarray, "4 4"]:
-        """In millimetres."""
+        """Pose of the camera in the world [mm]."""
         return inverse(transform_of(self.view.cam_R_w2c, self.view.cam_t_w2c))
 
     @property
     def lens(self) -> Optics:
-        """The scene's own K: poses, masks and depth must agree through it."""
+        """Lens of this image, from its own K, which must fit its poses, masks and depth."""
         return optics_of(self.view.cam_K, self.image["depth"].shape[:2], self.view.distortion)
 
 

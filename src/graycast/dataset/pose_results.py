@@ -15,7 +15,7 @@ from ..base.tables import csv_text
 from .records import MM_PER_M
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
-ROTATION_TOLERANCE = 1e-3  # R's entries may be off by this, since files hold few digits.
+ROTATION_TOLERANCE = 1e-3  # Files hold few digits, so R's entries may be off by this.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,8 +23,8 @@ class PoseEstimate:
     """One estimated pose.
 
     Attributes:
-        T_cam_part: [m].
-        time_s: for all poses of the picture together; -1 where nobody knows.
+        T_cam_part: transform from the part to the camera frame [m].
+        time_s: time for all poses of the picture together; -1 if unknown.
     """
 
     scene_id: int
@@ -39,7 +39,7 @@ class PoseEstimate:
 
 
 def pose_results_text(estimates: Sequence[PoseEstimate]) -> str:
-    """BOP's results file: R row by row, t in millimetres, as many digits as it takes to read back.
+    """Return BOP's results file: R by rows, t [mm], with all digits that a number needs.
 
     Source: https://bop.felk.cvut.cz/challenges, "Formatting guidelines" of the localization task.
     """
@@ -53,11 +53,11 @@ def pose_results_text(estimates: Sequence[PoseEstimate]) -> str:
 
 
 def read_pose_results(path: Path) -> list[PoseEstimate]:
-    """The poses of a results file, in its order.
+    """Read the poses of a results file, in the order of its rows.
 
     Raises:
-        GraycastError: the file is missing, has another header, or a row that is no pose; one line
-            that names the row, the value and the remedy.
+        GraycastError: the file is missing, has another header, or has a row that is not a pose;
+            the text names the row, the value and the remedy.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -125,7 +125,7 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
 
 
 def _check_times(path: Path, estimates: Sequence[PoseEstimate]) -> None:
-    """BOP's time is of a picture, so all its poses state the same."""
+    """Refuse poses of one picture with different times: BOP's time is that of the picture."""
     known: dict[tuple[int, int], float] = {}
     for one in estimates:
         image = (one.scene_id, one.im_id)

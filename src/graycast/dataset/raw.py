@@ -1,10 +1,10 @@
-"""What lies between light and depth, where a dataset keeps it: captured pictures, code maps.
+"""Intermediate results that a dataset may store: captured pictures and code maps.
 
-The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast rig decode`
-wants to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the
-scanner. The way from there to `depth_sl` is the scanner's own, so it gives the same numbers, except
-where a test asks for sigma: of speckle, for which `graycast rig decode` would need the exposure,
-and of the renderer's light paths, whose share in sigma is not kept beside the pictures.
+The pictures are in a scene's `frames/` as the sensor stored them, with the files that `graycast rig
+decode` needs: `stack.yaml` describes each picture and how to decode it, and `rig.yaml` describes
+the scanner. Decoding gives the numbers of `depth_sl`, except where a test depends on sigma: the
+speckle, for which the command would need the exposure, and the renderer's sampling noise, which
+is not stored with the pictures.
 """
 
 import io
@@ -31,10 +31,10 @@ from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of
 
-_THREADS = 4  # Decoding a PNG lets other threads run.
+_THREADS = 4  # PNG decoding releases the GIL.
 FRAMES = "frames"
-STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # They lie beside the pictures.
-# Noise does not shrink, however long one tries: half the time of zlib's own, and smaller.
+STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # They are in the pictures' folder.
+# Noise hardly compresses: these settings take half the time of zlib's own and give smaller files.
 _NOISY_PNG = [
     cv2.IMWRITE_PNG_COMPRESSION,
     1,
@@ -44,7 +44,7 @@ _NOISY_PNG = [
 
 
 def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[str, bytes]]:
-    """Every file as (path inside the scene's folder, content), equal for equal values."""
+    """Yield each file as (path inside the scene's folder, content); equal values, equal files."""
     if raw.capture is not None:
         yield from _frame_files(raw, raw.capture, frames_folder(sensor, number))
     if raw.codes is not None:
@@ -55,7 +55,7 @@ def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[
 
 
 def raw_facts(raw: Raw) -> dict[str, Any]:
-    """What a scene's manifest says of these files."""
+    """Return the entries of these files in a scene's manifest."""
     facts: dict[str, Any] = {}
     if raw.capture is not None:
         facts["frames"] = {
@@ -69,7 +69,7 @@ def raw_facts(raw: Raw) -> dict[str, Any]:
 
 
 def frames_folder(sensor: str, number: int) -> str:
-    """Where the pictures of an image lie: in `frames`, of further images in `frames_000001`."""
+    """Return the folder of an image's pictures: `frames`, then `frames_000001` and so on."""
     return of_sensor(FRAMES, sensor) + (f"_{number:06d}" if number else "")
 
 
@@ -89,7 +89,7 @@ def _names(capture: Capture) -> list[str]:
 
 
 def _folder(name: str) -> str:
-    """`sigma_column` lies in `column_sigma_sl`, beside `column_sl`."""
+    """Return the folder of a code map: `column_sigma_sl` for `sigma_column`."""
     return "_".join(reversed(name.split("_"))) + "_sl"
 
 
@@ -98,7 +98,7 @@ def _png(image: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]) -> bytes:
 
 
 def _tiff(image: Float32[np.ndarray, "h w"]) -> bytes:
-    """Deflated, each number as its difference to the one before (TIFF's predictor for floats)."""
+    """Return a deflated TIFF that stores differences of neighbouring numbers (predictor 3)."""
     file = io.BytesIO()
     Image.fromarray(image).save(
         file, "TIFF", compression="tiff_adobe_deflate", tiffinfo={_PREDICTOR: _FLOATING_POINT}
@@ -106,17 +106,17 @@ def _tiff(image: Float32[np.ndarray, "h w"]) -> bytes:
     return file.getvalue()
 
 
-_PREDICTOR, _FLOATING_POINT = 317, 3  # They are tag and value of TIFF Technical Note 3.
+_PREDICTOR, _FLOATING_POINT = 317, 3  # These are the tag and the value of TIFF Technical Note 3.
 
 
 # --- reading -----------------------------------------------------------------------------------
 
 
 def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | None:
-    """The captured pictures of an image, and their scanner; None where the scene keeps none.
+    """Return the captured pictures of an image and their scanner; None if they are not stored.
 
     Raises:
-        Unreadable: a file is missing or damaged, or they do not fit together.
+        Unreadable: a file is missing or damaged, or the files do not fit together.
     """
     facts = raw_facts_of(scene, sensor=sensor, number=number)
     record = facts.frames
@@ -148,7 +148,7 @@ def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | Non
 def read_code_maps(
     scene: Path, *, sensor: str = "", number: int = 0
 ) -> Mapping[str, Float32[np.ndarray, "h w"]]:
-    """Decoded projector positions and their standard deviations, by the names of `CodeMap`.
+    """Return projector positions and their standard deviations, by the field names of `CodeMap`.
 
     Raises:
         Unreadable: a file is missing or damaged.
@@ -163,7 +163,7 @@ def read_code_maps(
 
 
 def raw_facts_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFacts:
-    """What a manifest says of an image's frames and code maps; a scene without one has none.
+    """Return a manifest's entries on an image's frames and code maps; empty without a manifest.
 
     Raises:
         Unreadable: the manifest is damaged.
@@ -180,7 +180,7 @@ def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
     try:
         refuse_large_picture(path, name, Unreadable)
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of a table that is cut off Pillow only warns
+            warnings.simplefilter("error")  # Pillow only warns of a truncated tag table.
             with Image.open(path) as image:
                 values = np.array(image)
     except FileNotFoundError as error:

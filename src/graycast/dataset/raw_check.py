@@ -1,4 +1,4 @@
-"""Captured pictures and code maps of a scene folder, judged from the files alone."""
+"""Check captured pictures and code maps of a scene folder from the files alone."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,9 +18,9 @@ from .safe_reading import Unreadable
 from .sample import Raw
 from .scene_folder import SceneFolder, of_sensor
 
-# A pixel has a projector position where only its depth was refused, not its code.
+# A pixel of these has a projector position, even if its depth was rejected.
 _POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
-_GRAY_DN = 1  # Another processor may round a half otherwise.
+_GRAY_DN = 1  # Processors may round a half differently.
 
 
 def raw_problems(
@@ -31,9 +31,9 @@ def raw_problems(
     gray: UInt8[np.ndarray, "h w"],
     reason: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
-    """All that is wrong with an image's `frames/` and code maps; nothing where it keeps none.
+    """Yield all problems of an image's `frames/` and code maps; none if it stores neither.
 
-    Leaves out: whether the pictures decode to the stored depth; `graycast rig decode` tells.
+    The check does not decode the pictures; `graycast rig decode` shows whether they give the depth.
     """
     folder, sensor = files.path, files.sensor
     try:
@@ -51,7 +51,7 @@ def raw_problems(
 
 
 def _folder_problems(files: SceneFolder, number: int, facts: records.RawFacts) -> Iterator[str]:
-    """Files that the manifest does not tell of."""
+    """Yield files that the manifest does not list, and listed files that are missing."""
     folder, sensor = files.path, files.sensor
     name = frames_folder(sensor, number)
     there = sorted(path.name for path in (folder / name).glob("*"))
@@ -121,7 +121,7 @@ def _code_problems(
         wrong = int((np.isfinite(image) != positioned).sum())
         if wrong:
             yield f"map of {name} and reason_sl disagree in {wrong} pixels on what is decoded"
-        least = 0.0 if name.startswith("sigma") else -0.5  # a pixel is a square about its centre
+        least = 0.0 if name.startswith("sigma") else -0.5  # A pixel is a square around its centre.
         lowest = image[np.isfinite(image)].min(initial=least)
         if lowest < least:
             yield f"map of {name} has the value {lowest}, under {least}"

@@ -1,9 +1,9 @@
-"""Datasets of real pictures: the same files as simulated ones, without what nobody knows.
+"""Datasets of real pictures: the files of simulated datasets, without the unknown quantities.
 
-`graycast.json` has `kind: real` and a list of what the scenes hold. There are no models, poses,
-perfect depth, silhouettes behind other parts or reasons of missing depth; everything else is where
-a simulated dataset has it, so that one reader serves both. Visible masks may overlap by what the
-annotators drew.
+`graycast.json` has `kind: real` and a list of what the scenes contain. There are no models, poses,
+perfect depth, hidden parts of silhouettes or reasons for missing depth. Everything else is where a
+simulated dataset has it, so that one reader serves both. Visible masks may overlap as far as the
+annotators' drawings overlap.
 """
 
 from collections.abc import Iterator
@@ -53,7 +53,7 @@ class RealPart(Record):
 
 
 class RealClaim(Record):
-    """`graycast.json` of real pictures."""
+    """The content of `graycast.json` in a dataset of real pictures."""
 
     format_version: FormatVersion
     kind: Literal["real"]
@@ -65,10 +65,10 @@ class RealClaim(Record):
 
 
 def read_claim(out: Path) -> Claim | RealClaim:
-    """The `graycast.json` of a dataset of simulated or of real pictures.
+    """Read the `graycast.json` of a dataset of simulated or of real pictures.
 
     Raises:
-        DatasetError: it is missing, damaged or of another version of Graycast.
+        DatasetError: the file is missing, damaged or of another version of Graycast.
     """
     kind = claim_kind(out)
     if kind == "rescan":
@@ -85,10 +85,10 @@ def read_claim(out: Path) -> Claim | RealClaim:
 
 
 def absent(out: Path) -> tuple[str, ...]:
-    """What a dataset of real pictures does not hold, in words; nothing of a simulated one.
+    """Return, in words, what a dataset of real pictures lacks; empty for a simulated dataset.
 
     Raises:
-        DatasetError: as `read_claim`.
+        DatasetError: see `read_claim`.
     """
     if is_rescanned(out):
         return ()
@@ -99,7 +99,7 @@ def absent(out: Path) -> tuple[str, ...]:
 
 
 def real_problems(out: Path, claim: RealClaim) -> Iterator[tuple[int | None, str]]:
-    """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
+    """Yield all problems of a dataset of real pictures, as (scene or None, message)."""
     try:
         camera = read_json(out / "camera.json", Camera)
     except Unreadable as error:
@@ -182,7 +182,7 @@ def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterato
             scene = SceneFolder(out / "train" / f"{scene_id:06d}")
             coco = scene.record("scene_gt_coco", SceneCoco)
         except Unreadable:
-            continue  # told where the scene is checked
+            continue  # The check of the scene reports this.
         there = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
         if there != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
             yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"

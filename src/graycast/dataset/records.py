@@ -1,4 +1,4 @@
-"""The JSON files of a dataset as values: every key and shape, nothing else, nothing missing."""
+"""The JSON files of a dataset as values; a missing or an unknown key is refused."""
 
 import math
 from collections.abc import Mapping
@@ -7,8 +7,8 @@ from typing import Annotated, Any, Generic, TypeVar
 from pycocotools import mask as coco_mask
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-MM_PER_M = 1000.0  # The files have the millimetres of BOP.
-FORMAT_VERSION = 3  # It is the version of `graycast.json` and all that belongs to it.
+MM_PER_M = 1000.0  # The files are in millimetres, as in BOP.
+FORMAT_VERSION = 3  # This is the version of `graycast.json` and of all files that belong to it.
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]
@@ -19,8 +19,8 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
 T = TypeVar("T")
-Images = dict[Count, T]  # A file of a scene that says something of each image.
-Manifest = dict[str, Any]  # It is whatever the run of a scene had to say.
+Images = dict[Count, T]  # A file of a scene with an entry for each image has this form.
+Manifest = dict[str, Any]  # The run that made the scene chooses the keys.
 
 
 def _refuse_other_format(version: int) -> int:
@@ -46,14 +46,14 @@ class PartClaim(Record):
 
 
 class DistractorClaim(Record):
-    """A part that lies among the others and is in no annotation."""
+    """A part that is among the others but has no annotations."""
 
     name: str
     content: str
 
 
 class TakerClaim(Record):
-    """One of a dataset's scanners; the only one may have no name."""
+    """One scanner of a dataset; a single scanner may have no name."""
 
     name: str
     images: Annotated[int, Field(ge=1)]
@@ -62,7 +62,7 @@ class TakerClaim(Record):
 
 
 class Claim(Record):
-    """`graycast.json`."""
+    """The content of `graycast.json`."""
 
     format_version: FormatVersion
     fingerprint: str
@@ -72,25 +72,25 @@ class Claim(Record):
     rig: dict[str, Any]
     parts: list[PartClaim]
     distractors: list[DistractorClaim] = []
-    scanners: list[TakerClaim] = []  # where scenes have several images, or a scanner has a name
+    scanners: list[TakerClaim] = []  # Empty if one scanner without a name takes one image.
     sources: list[str]
     versions: dict[str, str]
-    sha256: dict[str, str] = {}  # of the files beside the scenes
+    sha256: dict[str, str] = {}  # File outside the scenes: SHA-256
 
     @property
     def takers(self) -> list[TakerClaim]:
-        """Every scanner; the only one without a name where nothing is said of several."""
+        """All scanners; a single one without a name if none are listed."""
         one = {"rig": self.rig, "scanner": self.config.get("scanner", {})}
         return self.scanners or [TakerClaim(name="", images=1, **one)]
 
     @property
     def images(self) -> list[tuple[str, int]]:
-        """Every image of a scene, by its scanner's name and its number."""
+        """All images of a scene, as (name of the scanner, number of the image)."""
         return [(taker.name, image) for taker in self.takers for image in range(taker.images)]
 
 
 class Camera(Record):
-    """`camera.json`."""
+    """The content of `camera.json`."""
 
     cx: float
     cy: float
@@ -130,7 +130,7 @@ class ModelInfo(Record):
 
 
 class RealView(Record):
-    """One image in `scene_camera.json` of real pictures: where the camera stood is not known."""
+    """One image in `scene_camera.json` of real pictures, without the camera's unknown pose."""
 
     cam_K: Matrix3
     depth_scale: Positive
@@ -145,7 +145,7 @@ class View(RealView):
 
 
 class RealPose(Record):
-    """One instance in `scene_gt.json` of real pictures: what it is, not where."""
+    """One instance in `scene_gt.json` of real pictures: its object, without a pose."""
 
     obj_id: Annotated[int, Field(ge=1)]
 
@@ -189,7 +189,7 @@ class ScannerRecord(Record):
 
 
 class OneImage(Record, Generic[T]):
-    """A file of a scene that holds one image: its only key is that image's number."""
+    """A scene's file with a single image, whose number is the only key."""
 
     image: Annotated[T, Field(alias="0")]
 
@@ -234,7 +234,7 @@ class SceneAnnotation(_Annotation):
 
 
 class RealAnnotation(_Annotation):
-    """In the file of a split of real pictures."""
+    """An annotation in the COCO file of a split of real pictures."""
 
     segmentation: CompressedRunLengths
 
@@ -257,7 +257,7 @@ SceneCoco = CocoFile[SceneAnnotation]
 
 
 def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, Any]:
-    """An annotation of `scene_gt_coco.json` as a split's file has it, without its id."""
+    """Convert an annotation of `scene_gt_coco.json` to its form in a split's file, without id."""
     runs = annotation["segmentation"]
     height_px, width_px = runs["size"]
     compressed = coco_mask.frPyObjects(dict(runs), height_px, width_px)
@@ -272,7 +272,7 @@ def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, 
 
 
 class FrameRecord(BaseModel):
-    """One of a scene's `frames`, in a stack file's words."""
+    """One of a scene's `frames`, with the keys of a stack file."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
 
@@ -288,7 +288,7 @@ class FramesRecord(Record):
 
 
 class RawFacts(BaseModel):
-    """Of `manifest.json` what tells of captured pictures and code maps."""
+    """The entries of `manifest.json` on captured pictures and code maps."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 

@@ -1,4 +1,4 @@
-"""What `graycast rescan` added to a dataset of others: JSON files from its records, and checks."""
+"""Check what `graycast rescan` added to a dataset, and rebuild its JSON files from the records."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,15 +20,15 @@ from .scene_folder import OWN_PICTURES, SCANNER, AnyPose, SceneFolder, dead_link
 from .seal import sum_problems
 
 _COCO, _POSES = "scene_gt_coco_sl", "scene_gt_sl"
-_APART_MM, _TURNED = 0.01, 5e-3  # A rotation of three digits is replaced by the nearest real one.
+_APART_MM, _TURNED = 0.01, 5e-3  # Files may round R to three digits.
 _AGAIN = "restore the original, or remove this scene and run graycast rescan again"
-_NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths are off the perfect ones by 2 %.
+_NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths may be 2 % off the perfect ones.
 
 
 def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any]]:
-    """What a scene's JSON files must hold by the records of its images.
+    """Return the content of a scene's JSON files according to the records of its images.
 
-    A COCO file is one for all images; the others have an entry for each.
+    A COCO file is one object for all images; each other file has an entry for each image.
     """
     files: dict[str, dict[str, Any]] = {}
     for number, record in records.items():
@@ -44,7 +44,7 @@ def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any
 
 
 def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]]:
-    """Yield all that is wrong with what a scanner added, as (scene or None, what)."""
+    """Yield all problems of what a scanner added, as (scene or None, message)."""
     try:
         claim = read_json(out / CLAIM, RescanClaim)
     except Unreadable as error:
@@ -89,7 +89,7 @@ def _scene_problems(folder: Path, claim: RescanClaim, *, fast: bool) -> Iterator
 def _original_problems(
     scene: SceneFolder, records: Mapping[int, ImageRecord], claim: RescanClaim
 ) -> Iterator[str]:
-    """Yield what has changed in the original scene since it was scanned."""
+    """Yield the changes of the original scene since it was scanned."""
     known = [number for number, record in records.items() if record.source and record.has_original]
     poses = not claim.config.get("options", {}).get("depth_only", False)
     sums = original_sums(scene, known, poses=poses) if known else {}
@@ -106,7 +106,7 @@ def _original_problems(
 def _pose_problem(
     scene: SceneFolder, number: int, record: ImageRecord, claim: RescanClaim
 ) -> str | None:
-    """Return where the objects of the original do not lie as they were scanned, if anywhere."""
+    """Return a message if the original's objects are not where they were when scanned."""
     here = scene.of_instances("scene_gt", number, AnyPose)
     here = [one for one in here if one.obj_id in claim.names]
     scanned = [record_as(one, AnyPose, _POSES) for one in record.entries[_POSES]]
@@ -175,7 +175,7 @@ def _mask_problems(
 def _depth_problems(
     perfect: np.ndarray | None, record: ImageRecord, scanned_mm: np.ndarray
 ) -> Iterator[str]:
-    """Both depths are of the same pixels, and a scanner is not far off in most of them."""
+    """Check that the scanned depth is near the perfect one in most pixels that have both."""
     if perfect is None or perfect.shape != scanned_mm.shape or not record.perfect_step_mm:
         return
     perfect_mm = perfect * record.perfect_step_mm

@@ -1,9 +1,9 @@
-"""Datasets of others with scanner depth that `graycast rescan` added: their claim and records.
+"""Other datasets to which `graycast rescan` added scanner depth: their claim and records.
 
 `graycast.json` has `kind: rescan`. Each image has a record, `scan_sl/000012.json` in its scene's
-folder, with the SHA-256 of the pictures that the scanner added and with what the scene's JSON files
-say of it. What others made is linked or copied, and is not judged, but a record also has the
-SHA-256 of what its scan follows from, so that a change of the original is noticed.
+folder. It holds the SHA-256 of the pictures that the scanner added, and the image's entries of the
+scene's JSON files. The original files are linked or copied and not checked, but a record also has
+the SHA-256 of the inputs of its scan, so that a change of the original is noticed.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ SCANNED_POSES = "scene_gt_sl.json"
 
 
 class RescanClaim(Record):
-    """`graycast.json` of rescanned images."""
+    """The content of `graycast.json` for rescanned images."""
 
     format_version: FormatVersion
     kind: Literal["rescan"]
@@ -44,15 +44,15 @@ class RescanClaim(Record):
 
     @property
     def names(self) -> dict[int, str]:
-        """Of the objects, by their ids."""
+        """Names of the objects, by id."""
         return {int(obj_id): name for obj_id, name in self.config["names"].items()}
 
 
 class ImageRecord(Record):
-    """The record of one image; `entries` by the names of the scene's JSON files.
+    """The record of one image; `entries` holds its entries of the scene's JSON files, by file name.
 
-    A step of the perfect depth is `perfect_step_mm`, 0 where that has no steps. `source` has the
-    SHA-256 of what the scan follows from; earlier versions did not write it.
+    `perfect_step_mm` is the step of the perfect depth, or 0 if it is not quantised. `source` holds
+    the SHA-256 of the inputs of the scan; earlier versions did not write it.
     """
 
     seeds: dict[str, int]
@@ -67,28 +67,28 @@ class ImageRecord(Record):
 
     @property
     def reason_px(self) -> dict[str, int]:
-        """Number of all pixels that have each reason."""
+        """Number of all pixels with each reason."""
         (image,) = self.entries["scene_gt_coco_sl"]["images"]
         pixels = image["width"] * image["height"]
         return {name: round(share * pixels) for name, share in self.reasons.items()}
 
     @property
     def part_reason_px(self) -> dict[str, int]:
-        """Number of the objects' visible pixels that have each reason; empty if none is visible."""
+        """Number of the objects' visible pixels with each reason; empty if no object is visible."""
         pixels = sum(info["px_count_visib"] for info in self.entries["scene_gt_info_sl"])
         return {name: round(share * pixels) for name, share in self.part_reasons.items()}
 
     @property
     def has_original(self) -> bool:
-        """Whether the original files lie beside the scan; those of other layouts than BOP's do not.
+        """Whether the scan's folder has the original's files, as is so for datasets in BOP's form.
 
-        An image of another layout gets files in BOP's form, which its own entries state.
+        For another layout, the image's files in BOP's form come from its own entries.
         """
         return "scene_camera" not in self.entries
 
 
 def claim_kind(out: Path) -> str | None:
-    """The kind that a folder's `graycast.json` states; None of what `generate` made, or of none."""
+    """Return the kind in a folder's `graycast.json`; None for a generated or missing dataset."""
     try:
         return parse_json((out / CLAIM).read_bytes()).get("kind")
     except (OSError, ValueError, AttributeError):
@@ -96,15 +96,15 @@ def claim_kind(out: Path) -> str | None:
 
 
 def is_rescanned(out: Path) -> bool:
-    """Whether a folder's `graycast.json` says that a rescan wrote it."""
+    """Return whether a rescan wrote a folder's `graycast.json`."""
     return claim_kind(out) == "rescan"
 
 
 def read_rescan(out: Path) -> RescanClaim:
-    """The `graycast.json` of a rescan.
+    """Read the `graycast.json` of a rescan.
 
     Raises:
-        DatasetError: it is damaged, or of another version of Graycast.
+        DatasetError: the file is damaged, or of another version of Graycast.
     """
     try:
         return read_json(out / CLAIM, RescanClaim)
@@ -113,10 +113,10 @@ def read_rescan(out: Path) -> RescanClaim:
 
 
 def image_record(scene: Path, number: int) -> ImageRecord:
-    """The record of one image.
+    """Read the record of one image.
 
     Raises:
-        DatasetError: it is missing or damaged.
+        DatasetError: the record is missing or damaged.
     """
     try:
         return read_json(scene / RECORDS / f"{number:06d}.json", ImageRecord)
@@ -125,10 +125,10 @@ def image_record(scene: Path, number: int) -> ImageRecord:
 
 
 def image_records(scene: Path) -> dict[int, ImageRecord]:
-    """The records of a scene by image.
+    """Read the records of a scene, by image number.
 
     Raises:
-        Unreadable: one is damaged.
+        Unreadable: a record is damaged.
     """
     paths = sorted((scene / RECORDS).glob("[0-9]*.json"))
     return {int(path.stem): read_json(path, ImageRecord) for path in paths}
@@ -137,13 +137,13 @@ def image_records(scene: Path) -> dict[int, ImageRecord]:
 def original_sums(
     scene: SceneFolder, numbers: Iterable[int], *, poses: bool
 ) -> dict[int, dict[str, str]]:
-    """Return the SHA-256 of all from which a scan of each image follows, by its name.
+    """Return the SHA-256 of each input of an image's scan, by the input's name.
 
-    What is missing has none, so that it differs from what was there.
+    A missing input has no entry, so that its loss counts as a change.
 
     Args:
         scene: the original scene in BOP's form, or a folder that links to its files.
-        poses: whether the poses of the objects are among it.
+        poses: whether the objects' poses are inputs.
 
     Raises:
         Unreadable: a JSON file is missing or damaged, or a picture cannot be read.
@@ -165,5 +165,5 @@ def original_sums(
 
 
 def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
-    """Return the names whose SHA-256 differ, or that only one of both has."""
+    """Return the names whose SHA-256 differ, or that only one of the two has."""
     return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))

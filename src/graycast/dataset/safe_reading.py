@@ -1,4 +1,4 @@
-"""Files of a dataset, read without trust in them."""
+"""Read files of a dataset and check their form, since they may be damaged."""
 
 import zlib
 from collections.abc import Callable
@@ -14,20 +14,20 @@ from pydantic import TypeAdapter, ValidationError
 from ..base.file_limits import refuse_large_picture, refuse_turned
 
 R = TypeVar("R")
-Form = type[R] | GenericAlias  # GenericAlias is what `list[Pose]` is when the program runs.
+Form = type[R] | GenericAlias  # At run time, `list[Pose]` is a GenericAlias.
 _checker: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 class Unreadable(Exception):
-    """A file that is missing, damaged or of another form than it must have."""
+    """A file is missing, damaged or not of the required form."""
 
 
 def read_json(path: Path, form: Form[R]) -> R:
-    """A JSON file as the record it must be.
+    """Read a JSON file as a record of the given form.
 
     Raises:
-        Unreadable: it is not there, not JSON or of another form.
+        Unreadable: the file is missing, not JSON or not of this form.
     """
     try:
         return _checker(form).validate_json(path.read_bytes())
@@ -40,10 +40,10 @@ def read_json(path: Path, form: Form[R]) -> R:
 
 
 def record_as(content: Any, form: Form[R], where: str) -> R:
-    """What a file or a part of it holds as the record it must be.
+    """Convert the content of a file, or of a part of it, to a record of the given form.
 
     Raises:
-        Unreadable: it is of another form.
+        Unreadable: the content is not of this form.
     """
     try:
         return _checker(form).validate_python(content)
@@ -58,10 +58,10 @@ def _first_mistake(where: str, error: ValidationError) -> str:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """A mask (h, w) of bool as BOP stores it: one channel of 8 bits, 255 inside and 0 outside.
+    """Read a mask (h, w) of BOP: one channel of 8 bits, 255 inside and 0 outside.
 
     Raises:
-        Unreadable: it is not there, damaged or of another form.
+        Unreadable: the file is missing, damaged or not a mask.
     """
     image = read_png(path)
     name = f"{path.parent.name}/{path.name}"
@@ -74,25 +74,25 @@ def read_mask(path: Path) -> np.ndarray:
 
 
 def read_png(path: Path) -> np.ndarray:
-    """A PNG's pixels, every chunk's checksum verified: decoders forgive a file that ends early.
+    """Return a PNG's pixels; all checksums are verified, because decoders accept truncated files.
 
     Raises:
-        Unreadable: it is not there or damaged.
+        Unreadable: the file is missing or damaged.
     """
     return png_pixels(*_named(path))
 
 
 def read_picture(path: Path) -> np.ndarray:
-    """The pixels of a picture of any format; a PNG is checked as `read_png` checks.
+    """Return the pixels of a picture of any format; a PNG is checked as in `read_png`.
 
     Raises:
-        Unreadable: it is not there or damaged.
+        Unreadable: the file is missing or damaged.
     """
     return pixels(*_named(path))
 
 
 def _named(path: Path) -> tuple[bytes, str]:
-    """What a file holds, and its name as a scene's reader knows it."""
+    """Return a file's content, and its name with its folder for error messages."""
     name = f"{path.parent.name}/{path.name}"
     try:
         return path.read_bytes(), name
@@ -101,17 +101,17 @@ def _named(path: Path) -> tuple[bytes, str]:
 
 
 def png_kind(path: Path) -> str:
-    """How a PNG that is whole holds its pixels: decoders turn all kinds into arrays alike."""
+    """Return the colour type of an intact PNG, which decoders do not preserve."""
     with open(path, "rb") as file:
         kind = file.read(26)[25]
     return {0: "grey", 2: "colour", 3: "palette"}.get(kind, "with opacity")
 
 
 def png_pixels(data: bytes, name: str) -> np.ndarray:
-    """The pixels of a PNG that is in memory, checked as `read_png` checks.
+    """Return the pixels of a PNG in memory, checked as in `read_png`.
 
     Raises:
-        Unreadable: it is damaged.
+        Unreadable: the data are damaged.
     """
     at, kind = 8, b""
     while data[:8] == _PNG and kind != b"IEND" and at + 12 <= len(data):
@@ -126,10 +126,10 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
 
 
 def pixels(data: bytes, name: str) -> np.ndarray:
-    """The pixels of a picture in memory, of any format; a PNG is checked as `read_png` checks.
+    """Return the pixels of a picture in memory, of any format; a PNG is checked as in `read_png`.
 
     Raises:
-        Unreadable: it is damaged.
+        Unreadable: the data are damaged.
     """
     return png_pixels(data, name) if data.startswith(_PNG) else _decoded(data, name)
 

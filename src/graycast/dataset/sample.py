@@ -1,4 +1,4 @@
-"""One image's finished products, as the dataset writers take them; a scene is one or several."""
+"""The finished products of one image, as the dataset writers take them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,13 +14,13 @@ from ..camera.sensor import Capture
 from ..rendering.radiance import GroundTruth
 from ..world.scene import Layout, Scene
 
-LEAST_DECODED = 1e-3  # In a smaller share of a picture wrong codes give depths by chance.
+LEAST_DECODED = 1e-3  # If fewer pixels are decoded, their depths come from wrong codes.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raw:
-    """What lies between light and depth, as far as it is kept; `scanner` took and read it."""
+    """Captured pictures and code maps, if they are kept, and the `scanner` that made them."""
 
     scanner: Scanner
     capture: Capture | None = None
@@ -37,23 +37,22 @@ class Raw:
 
     @property
     def code_maps(self) -> tuple[str, ...]:
-        """The fields of `codes` that the code has an axis for, positions and their sigmas."""
+        """Fields of `codes` for the code's axes: positions and their standard deviations."""
         return tuple(n for axis in self.scanner.code.axes for n in (axis, f"sigma_{axis}"))
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """Everything about one image of a scene that reaches the disk.
+    """All data of one image of a scene that are written to disk.
 
-    A scene has one or several, of one layout: `sensor` is the name of the scanner that took it, ""
-    of the only one that has none; `image` counts each scanner's own. `scene` is the world with this
-    scanner's rig at this image's place.
+    All images of a scene have the same layout. `sensor` is the name of the scanner that took the
+    image, or "" if the only scanner has no name; `image` is its number among that scanner's images.
+    `scene` is the world with this scanner's rig at the image's viewpoint.
 
-    `rgb` is the colour picture (8-bit sRGB), `gray` the measuring camera's white frame (8 bit),
-    `scanner_depth` what the structured-light camera measured. `manifest` is stored beside them as
-    it is; its `timings` are the only part that may differ between equal runs. `raw` is kept
-    where the configuration wants it.
+    `rgb` is the colour picture (8-bit sRGB), `gray` the measuring camera's white frame (8 bit), and
+    `scanner_depth` the depth that the scanner measured. `manifest` is stored unchanged; only its
+    `timings` may differ between equal runs. `raw` is None unless the configuration asks for it.
     """
 
     scene: Scene
@@ -74,16 +73,16 @@ class Sample:
 
 
 def labelled(sample: Sample) -> Sample:
-    """A sample as annotations know it: without the instances of parts that have no label.
+    """Return a sample without the instances of parts that have no label, for annotations.
 
-    They stay in depth and pictures, and what they hide stays hidden.
+    These instances stay in depth and pictures, and pixels that they hide stay hidden.
     """
     scene, layout, truth = sample.scene, sample.layout, sample.truth
     has_label = np.array([part.labelled for part in scene.parts], dtype=bool)
     if has_label.all():
         return sample
     keep = has_label[layout.part_index]
-    number = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)  # -1, no part, stays -1
+    number = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)  # -1 (no part) stays -1
     return replace(
         sample,
         scene=replace(scene, parts=tuple(part for part in scene.parts if part.labelled)),

@@ -1,4 +1,4 @@
-"""One scene folder of a dataset, judged from its files alone."""
+"""Check one scene folder of a dataset from its files alone."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,8 +19,8 @@ from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 
 R = TypeVar("R")
 
-BOX_MM = 1e-3  # The models hold the sizes of 3D boxes to nine digits.
-WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # One pose is computed through two cameras in double precision.
+BOX_MM = 1e-3  # Models store the sizes of 3D boxes with nine digits.
+WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # Two cameras give one pose in double precision.
 
 _OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
 
@@ -32,10 +32,10 @@ def scene_problems(
     cameras: Mapping[str, records.Camera],
     models: Mapping[int, Model],
 ) -> Iterator[str]:
-    """All that is wrong with one scene folder; nothing if it is sound.
+    """Yield all problems of one scene folder.
 
     Args:
-        cameras: by the names of scanners.
+        cameras: intrinsics by the name of the scanner.
     """
     many = len(claim.images) > 1
     first: Plain | None = None
@@ -58,7 +58,7 @@ def scene_problems(
 
 
 def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
-    """Images that the records tell of, and COCO lists, beside those that a scene must have."""
+    """Compare the images in the records and in COCO's list with those that a scene must have."""
     must = set(range(count))
     for name in (*_OF_IMAGE, "scene_gt_box3d", "scene_sl"):
         for suffix in ("", "_sl") if name in _OF_IMAGE else ("",):
@@ -79,7 +79,7 @@ def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
 
 
 def _world_problems(first: Plain, image: Plain) -> Iterator[str]:
-    """Instances that lie elsewhere in the world than the first image has them."""
+    """Yield instances whose pose in the world differs from that in the first image."""
     if image is first:
         return
     where = f"{image.json_name('scene_gt')}: image {image.number}"
@@ -144,12 +144,12 @@ def _read_image(
 
 
 def _of_both(files: SceneFolder, name: str, number: int, form: Form[R]) -> dict[str, R]:
-    """What a JSON file says of one image, by camera type."""
+    """Return the entry of one image in a JSON file, for both camera types."""
     return {suffix: files.of_image(name + suffix, number, form) for suffix in ("", "_sl")}
 
 
 def _coco_of(files: SceneFolder, suffix: str, number: int) -> records.SceneCoco:
-    """What a COCO file says of one image."""
+    """Return the part of a COCO file that describes one image."""
     whole = files.record(f"scene_gt_coco{suffix}", records.SceneCoco)
     own = {
         "images": [image for image in whole.images if image.id == number],

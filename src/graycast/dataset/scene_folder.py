@@ -1,9 +1,9 @@
-"""A scene in BOP's form, ours or of others: the one place that knows how its files are named.
+"""A scene in BOP's form, ours or another: the only module that knows the names of its files.
 
-JSON files are named after what they say, and say it under the number of each image. Pictures lie in
-a folder a kind, under the image's number, and masks also under the instance's. What is not of the
-first camera ends in a type of camera: `depth_sl` is what our scanner measures. Where scanners have
-names, these come before it: `rgb_left`, `depth_left_sl`. Our scenes have PNGs alone.
+A JSON file is named after its content, with an entry under the number of each image. There is a
+folder for each kind of picture; a picture's name is the image's number, and a mask's name has also
+the instance's number. Names end in a camera type unless they are of the first camera: `depth_sl` is
+our scanner's depth. A scanner's name comes before it: `rgb_left`, `depth_left_sl`. We write PNGs.
 """
 
 import re
@@ -21,7 +21,7 @@ from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-SCANNER = "_sl"  # Our own datasets add this type of camera.
+SCANNER = "_sl"  # Our own datasets add this camera type.
 OWN_PICTURES = {
     "rgb": np.uint8,
     "depth": np.uint16,
@@ -35,17 +35,17 @@ R = TypeVar("R")
 
 
 def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
-    """The scenes of a split: its folders that have a number as a name and such a file inside."""
+    """Return the scenes of a split: folders that have a number as a name and contain the file."""
     folders = {file.parent for file in path.glob(f"[0-9]*/{files}")}
     return sorted(folder for folder in folders if folder.name.isdecimal())
 
 
 def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[str]:
-    """Yield a sentence for each folder to whose files there are links, and which has them no more.
+    """Yield a message for each folder that links point to and whose files are gone.
 
     Args:
         folder: a scene, or the dataset's own folder.
-        places: the entries that are looked at; None are all of the folder.
+        places: the entries to check; None checks all in the folder.
     """
     gone: dict[Path, list[str]] = {}
     for place in sorted(folder.iterdir() if places is None else places):
@@ -59,9 +59,9 @@ def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[s
 
 
 def of_sensor(name: str, sensor: str) -> str:
-    """What a file or folder is called for one of several scanners, `depth_sl` as `depth_left_sl`.
+    """Return a file's or folder's name for one of several scanners: `depth_sl`, `depth_left_sl`.
 
-    The first camera has no name, and the names stay as they are.
+    A scanner without a name does not change it.
     """
     if not sensor:
         return name
@@ -70,21 +70,21 @@ def of_sensor(name: str, sensor: str) -> str:
 
 
 def picture_name(kind: str, number: int, sensor: str = "") -> str:
-    """A picture of an image, as a PNG, inside its scene's folder."""
+    """Return the path of an image's PNG inside its scene's folder."""
     return f"{of_sensor(kind, sensor)}/{number:06d}.png"
 
 
 def own_form(kind: str, size_px: tuple[int, int]) -> tuple[tuple[int, ...], type]:
-    """Shape and type of a picture of our own datasets; only `rgb` has three channels."""
+    """Return the shape and type of a picture in our datasets; only `rgb` has three channels."""
     return (*size_px, 3)[: 3 if kind == "rgb" else 2], OWN_PICTURES[kind]
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class SceneFolder:
-    """Its files, each read when it is asked for, without trust.
+    """The files of a scene, each read and checked on demand.
 
-    What reads raises Unreadable where a file is missing, damaged or of another form. `sensor` is
+    Reading raises Unreadable if a file is missing, damaged or not of the required form. `sensor` is
     the name of one of several scanners.
     """
 
@@ -92,15 +92,15 @@ class SceneFolder:
     sensor: str = ""
 
     def record(self, name: str, form: Form[R]) -> R:
-        """A JSON file as the record that it must be."""
+        """Read a JSON file as a record of the given form."""
         return read_json(self.path / f"{of_sensor(name, self.sensor)}.json", form)
 
     def of_image(self, name: str, number: int, form: Form[R]) -> R:
-        """What a JSON file says of one image; what it says of others is not judged."""
+        """Return the entry of one image in a JSON file; other entries are not checked."""
         return record_as(self._entry(name, number), form, self._where(name, number))
 
     def of_instances(self, name: str, number: int, form: Form[R]) -> list[R]:
-        """What a JSON file says of each instance in one image."""
+        """Return the entries of an image's instances in a JSON file."""
         where, entry = self._where(name, number), self._entry(name, number)
         if not isinstance(entry, list):
             raise Unreadable(f"{where} must have a list with an entry for each of its instances")
@@ -109,13 +109,13 @@ class SceneFolder:
     def find_picture(
         self, kind: str, number: int, endings: tuple[str, ...] = PICTURES
     ) -> Path | None:
-        """Return where a picture is, whatever its format; None where there is none.
+        """Return the path of a picture of any format; None if there is none.
 
-        BOP writes six digits; some datasets have fewer or more, and are read as well.
+        BOP's names have six digits; names with fewer or more digits are found, too.
 
         Raises:
-            Unreadable: two files are pictures of this number.
-            DatasetError: it, or its folder, is a link to what is gone.
+            Unreadable: two files are pictures with this number.
+            DatasetError: the picture, or its folder, is a link to a missing file.
         """
         folder = self._of(kind)
         files = [folder / f"{number:06d}{ending}" for ending in endings]
@@ -131,7 +131,7 @@ class SceneFolder:
         return others[0] if others else None
 
     def picture(self, kind: str, number: int) -> np.ndarray | None:
-        """A picture of any format as it is stored, colours in OpenCV's order, if there is one."""
+        """Return a picture of any format as stored, colours in OpenCV's order; None if missing."""
         path = self.find_picture(kind, number)
         return None if path is None else read_picture(path)
 
@@ -139,11 +139,11 @@ class SceneFolder:
         return self._of(kind) / f"{number:06d}.png"
 
     def png(self, kind: str, number: int = 0) -> np.ndarray:
-        """A picture that must be there as a PNG."""
+        """Read a picture that must exist as a PNG."""
         return read_png(self.png_path(kind, number))
 
     def mask_path(self, kind: str, instance: int, number: int = 0) -> Path:
-        """Of `mask`, which goes on behind other parts, or of `mask_visib`."""
+        """Return the path of a mask; `kind` is `mask` (with hidden pixels) or `mask_visib`."""
         return self._of(kind) / f"{number:06d}_{instance:06d}.png"
 
     def mask(self, kind: str, instance: int, number: int = 0) -> Bool[np.ndarray, "h w"]:
@@ -163,16 +163,16 @@ class SceneFolder:
 
 
 class _Promised(BaseModel):
-    """What every dataset in BOP's form says; what else it may say is not read."""
+    """Keys that every dataset in BOP's form has; other keys are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class AnyCamera(_Promised):
-    """One image in `scene_camera.json` of whoever leaves out the scale of depth."""
+    """One image in the `scene_camera.json` of a dataset that may lack the depth scale."""
 
     cam_K: Matrix3
-    distortion: Distortion = [0.0] * 5  # is in ours alone
+    distortion: Distortion = [0.0] * 5  # Only our datasets have this key.
 
 
 class AnyView(AnyCamera):
@@ -182,7 +182,7 @@ class AnyView(AnyCamera):
 
 
 class AnyScanner(_Promised):
-    """One image in `scene_sl.json`: the numbers of the reasons why a pixel has no depth."""
+    """One image in `scene_sl.json`: the number of each reason for missing depth."""
 
     reasons: dict[str, int] = {}
 

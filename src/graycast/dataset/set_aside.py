@@ -1,7 +1,7 @@
-"""`set_aside.json`: which scenes of a folder were given up, and why.
+"""`set_aside.json`: the scenes of a folder that were given up, and the reasons.
 
-A scene stays in it until a run makes it or tries it again, so that a run with fewer scenes forgets
-none.
+A scene stays in the file until a run makes it or tries it again, so a run with fewer scenes loses
+no entry.
 """
 
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ SETASIDE = "set_aside.json"
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
-    """A scene that could not be made after so many tries: why, and where if nobody foresaw it."""
+    """A scene that failed in all tries, with the reason, and a traceback if it was unexpected."""
 
     scene_id: int
     tries: int
@@ -32,7 +32,7 @@ class SetAside:
 @final
 @dataclass(frozen=True, slots=True)
 class SetAsideFile:
-    """The `set_aside.json` of a folder; each scene has a name in it."""
+    """The `set_aside.json` of a folder, with an entry for each scene by its name."""
 
     folder: Path
 
@@ -41,20 +41,20 @@ class SetAsideFile:
         return self.folder / SETASIDE
 
     def forget(self, names: Iterable[str]) -> None:
-        """Remove scenes that are made, or that this run tries again.
+        """Remove scenes that were made, or that this run tries again.
 
         Raises:
-            GraycastError: the file is damaged, or the disk refuses.
+            GraycastError: the file is damaged or cannot be written.
         """
         entries = self._read()
         gone = entries.keys() & set(names)
         self._write({name: entry for name, entry in entries.items() if name not in gone})
 
     def add(self, name: str, scene: SetAside) -> None:
-        """Record a scene that is given up.
+        """Record a scene that was given up.
 
         Raises:
-            GraycastError: the file is damaged, or the disk refuses.
+            GraycastError: the file is damaged or cannot be written.
         """
         entry = {
             "reason": scene.reason,

@@ -1,11 +1,11 @@
-"""A dataset's folder: one run at a time, one configuration, whole scenes only.
+"""Write a dataset's folder: one run at a time, one configuration, complete scenes only.
 
-`graycast.json` claims the folder for a configuration before anything else is written. A scene is
-written beside its place and renamed into it, so that a reader or a restart sees all of it or
-nothing. Names that begin with `.tmp-` are what a killed run left; the next run removes them.
+`graycast.json` reserves the folder for a configuration before anything else is written. A scene is
+written to a temporary folder and renamed, so that a reader or a restarted run sees all of it or
+nothing. Names that begin with `.tmp-` are leftovers of a killed run; the next run removes them.
 
-Leaves out: a power cut may lose the masks of the last scenes, which are not forced to the disk one
-by one (a thousand files a scene); `validate` finds such scenes.
+Limitation: a power cut may lose the masks of the last scenes, because the thousand files of a scene
+are not forced to the disk one by one; `validate` finds such scenes.
 """
 
 import errno
@@ -44,51 +44,51 @@ class Store:
 
     out: Path
     depth_scale_mm: float
-    categories: tuple[tuple[int, str], ...]  # object id, name of the part
-    takers: tuple[Taker, ...]  # the only one has the name ""
+    categories: tuple[tuple[int, str], ...]  # (object id, name of the part)
+    takers: tuple[Taker, ...]  # A single scanner has the name "".
     lock: IO[str]
 
     def finished(self) -> set[int]:
-        """The scenes that are in the folder, each of them whole."""
+        """Return the scenes in the folder, all of which are complete."""
         return finished_scenes(self.out)
 
     def write(self, scene_id: int, samples: Iterable[Sample]) -> None:
-        """Write one scene of all its images; as `write_files`, and ValueError as `scene_files`."""
+        """Write all images of a scene; errors are those of `write_files` and `scene_files`."""
         self.write_files(scene_id, scene_files(samples, self.depth_scale_mm))
 
     def write_files(self, scene_id: int, files: Iterable[tuple[str, bytes]]) -> None:
-        """Write one scene, all of it or nothing.
+        """Write one scene, completely or not at all.
 
         Args:
-            files: (path inside the scene's folder, content), as `scene_files` gives them.
+            files: (path inside the scene's folder, content), as from `scene_files`.
 
         Raises:
-            DatasetError: the disk refuses, or the scene is there already.
+            DatasetError: the disk refuses, or the scene exists already.
         """
         place = self.out / "train" / f"{scene_id:06d}"
         with _disk_errors(self.out), beside(place) as aside:
-            if place.exists():  # nobody else writes: the folder is locked
+            if place.exists():  # No other run writes, since the folder is locked.
                 raise DatasetError(f"{place} exists already: remove it to make it again")
             aside.mkdir()
             for taker in self.takers:
                 for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
-                    # Also where no instance is seen.
+                    # The folders exist even if no instance is visible.
                     (aside / of_sensor(folder, taker.name)).mkdir()
             for name, content in files:
                 path = aside / name
                 path.parent.mkdir(exist_ok=True)
                 _write(path, [content], to_disk=not name.startswith("mask"))
         with _disk_errors(self.out):
-            _sync(place.parent)  # the new name reaches the disk with the scene
+            _sync(place.parent)  # force the new name to the disk
 
     def finish(self, scene_ids: Iterable[int]) -> None:
-        """Write the split's COCO file over every finished scene.
+        """Write the split's COCO file for all finished scenes.
 
         Args:
-            scene_ids: scenes that must be among them.
+            scene_ids: scenes that must be finished.
 
         Raises:
-            DatasetError: one of `scene_ids` is not there, or the disk refuses.
+            DatasetError: one of `scene_ids` is missing, or the disk refuses.
         """
         finished = sorted(self.finished())
         missing = sorted(set(scene_ids) - set(finished))
@@ -105,7 +105,7 @@ class Store:
         _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
 
     def _pictures(self, scene_id: int) -> list[dict[str, Any]]:
-        """A scene's images as the split's COCO file lists them."""
+        """Return the entries of a scene's images in the split's COCO file."""
         images = [(taker, image) for taker in self.takers for image in range(taker.images)]
         return [
             {
@@ -118,7 +118,7 @@ class Store:
         ]
 
     def _annotations(self, scene_id: int) -> Iterator[tuple[int, list[Any], list[Any]]]:
-        """Of each of a scene's images its id in the split, COCO annotations and list of figures."""
+        """Yield each image's id in the split, its COCO annotations and its instances' figures."""
         number = scene_id * sum(taker.images for taker in self.takers)
         for taker in self.takers:
             scene = SceneFolder(self.out / "train" / f"{scene_id:06d}", taker.name)
@@ -135,9 +135,9 @@ class Store:
                 ) from error
 
     def tidy(self) -> None:
-        """After a run that failed: remove unfinished scenes and, if none was finished, the claim.
+        """Remove unfinished scenes after a failed run; if none is finished, also the claim.
 
-        So that a configuration that turned out to be impossible does not keep the folder.
+        An impossible configuration therefore does not keep the folder reserved.
         """
         with suppress(OSError):
             remove_left(self.out, self.out / "train")
@@ -151,7 +151,7 @@ class Store:
             (self.out / CLAIM).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Let other runs have the folder."""
+        """Release the folder for other runs."""
         self.lock.close()
 
     def __enter__(self) -> "Store":
@@ -171,18 +171,18 @@ def open_store(
     depth_scale_mm: float,
     takers: tuple[Taker, ...] = (),
 ) -> Store:
-    """Create a dataset folder, or open one that the same configuration made, and lock it.
+    """Create a dataset folder, or open one of the same configuration, and lock it.
 
-    Removes what a killed run left and writes the models and `camera.json` where they are missing.
+    Leftovers of a killed run are removed, and missing models and files of intrinsics are written.
 
     Args:
-        rig: of the first scanner.
-        takers: all scanners, where a scene has several images or a scanner has a name.
+        rig: the rig of the first scanner.
+        takers: all scanners, if a scene has several images or a scanner has a name.
 
     Raises:
-        DatasetError: the folder belongs to something else, to another configuration or to a run
-            that is still going, or the disk refuses.
-        ValueError: something in `config` has no JSON form.
+        DatasetError: the folder belongs to another program, another configuration or a run that
+            has not ended, or the disk refuses.
+        ValueError: a value in `config` has no JSON form.
     """
     claim = make_claim(config, seed, parts, rig, depth_scale_mm, takers)
     takers = takers or (Taker(name="", images=1, rig=rig, scanning={}),)
@@ -250,7 +250,7 @@ def _refuse_foreign(out: Path) -> None:
 def _common_files(
     parts: tuple[Part, ...], takers: tuple[Taker, ...], depth_scale_mm: float
 ) -> dict[str, bytes]:
-    """What all scenes share: the models, and the cameras."""
+    """Return the files that all scenes share: the models and the cameras."""
     models = model_files(parts) | {"models_info.json": json_bytes(models_info(parts))}
     common = {f"models/{name}": content for name, content in models.items()}
     return common | {
@@ -260,7 +260,7 @@ def _common_files(
 
 
 def _write_common(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write what is not there yet: the folder of models as a whole."""
+    """Write the missing files; the folder of models is written as a whole."""
     for name, content in files.items():
         if not name.startswith("models/") and not (out / name).exists():
             _replace(out / name, [content])
@@ -274,7 +274,7 @@ def _write_common(out: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _replace(path: Path, pieces: Iterable[bytes]) -> None:
-    """Write a file beside its place and rename it there."""
+    """Write a file under a temporary name and rename it."""
     with _disk_errors(path.parent), beside(path) as aside:
         _write(aside, pieces, to_disk=True)
 
@@ -290,7 +290,7 @@ def _write(path: Path, pieces: Iterable[bytes], *, to_disk: bool) -> None:
 
 @contextmanager
 def _disk_errors(out: Path) -> Iterator[None]:
-    """Turns what the operating system refuses into an error that says what to do."""
+    """Convert an error of the operating system to one that names a remedy."""
     try:
         yield
     except OSError as error:

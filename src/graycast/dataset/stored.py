@@ -1,7 +1,6 @@
-"""A dataset read back, of simulated or of real pictures: the one reader of `train/`.
+"""Read a dataset of simulated or real pictures: the only reader of `train/`.
 
-Nothing is trusted: a file that is missing, damaged or contradicts another is a DatasetError that
-says which one.
+Files are not trusted: if one is missing, damaged or contradicts another, a DatasetError names it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,18 +23,18 @@ from .scene_folder import SceneFolder, own_form
 from .seal import facts_of
 
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
-# An instance has a pose and figures, and an annotation if it is seen.
+# An instance has a pose and figures; a visible one also has an annotation.
 Instance = tuple[Any, Any, records.SceneAnnotation | None]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredScene:
-    """One image of a scene of a dataset, each file read and checked when it is asked for.
+    """One image of a scene of a dataset; each file is read and checked on demand.
 
-    Most scenes have one; `sensor` is the name of the scanner that took it, "" of the only one that
-    has none, and `image` counts each scanner's own. Every method raises DatasetError where a file
-    is missing, damaged or contradicts another.
+    Most scenes have one image. `sensor` is the name of the scanner that took it, or "" if the only
+    scanner has no name; `image` is its number among that scanner's images. Every method raises
+    DatasetError if a file is missing, damaged or contradicts another.
     """
 
     folder: Path
@@ -47,45 +46,45 @@ class StoredScene:
     holds: frozenset[str]
     sensor: str = ""
     image: int = 0
-    place: int = 0  # It counts all images of the scene, those of all scanners.
-    of: int = 1  # The scene has so many images.
+    place: int = 0  # This is the index among the images of all scanners.
+    of: int = 1  # This is the number of the scene's images.
 
     @property
     def image_id(self) -> int:
-        """Its number among all images of the split: the scene's, where that has only one."""
+        """Number of the image in the split, which is the scene's id if each scene has one image."""
         return self.scene_id * self.of + self.place
 
     @property
     def key(self) -> str:
-        """Its name among all images of the dataset: the scene's, where that has only one."""
+        """Name of the image in the dataset, which is the scene's if the scene has one image."""
         return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.image_name}"
 
     @property
     def scene_key(self) -> str:
-        """Its scene's name among all scenes of the dataset."""
+        """Name of the scene in the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
 
     @property
     def image_name(self) -> str:
-        """Its name among the images of its scene: `1`, or `left-1` of the scanner `left`."""
+        """Name of the image in its scene: `1`, or `left-1` for the scanner `left`."""
         return f"{self.sensor}-{self.image}" if self.sensor else f"{self.image}"
 
     def view(self) -> records.View | Any:
-        """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
+        """Return intrinsics and depth scale; for a simulated scene also the camera's pose."""
         return self.of_image("scene_camera", records.RealView if self.real else records.View)
 
     def manifest(self) -> dict[str, Any]:
-        """What the run that made it had to say."""
+        """Return the scene's manifest with the entries of this image."""
         files = SceneFolder(self.folder)
         whole = self._checked(partial(files.record, "manifest", records.Manifest))
         return facts_of(whole, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
-        """What each instance is, seen or not: all that one small file tells."""
+        """Return the object of each instance, visible or not, which needs only one small file."""
         return tuple(pose.obj_id for pose in self.poses()) if "masks" in self.holds else ()
 
     def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
-        """The visible instances, or those visible for at least a share; none without masks."""
+        """Return the instances with at least the given visible fraction; none without masks."""
         rated = "shares" in self.holds
         return [
             self._label(i, pose, info, entry)
@@ -94,12 +93,12 @@ class StoredScene:
         ]
 
     def png(self, name: str) -> Path:
-        """A picture's file, which is whole and of the right form."""
+        """Return the path of a picture, after a check that it is complete and of the right form."""
         self.picture(name)
         return self._files.png_path(name, self.image)
 
     def picture(self, name: str) -> np.ndarray:
-        """A picture as stored: colours in OpenCV's order, depth in steps, 0 where there is none."""
+        """Return a picture as stored: colours in OpenCV's order, depth in steps (0: missing)."""
         shape, dtype = own_form(name, self.size_px)
         image = self._checked(partial(self._files.png, name, self.image))
         if image.shape != shape or image.dtype != dtype:
@@ -115,11 +114,11 @@ class StoredScene:
         return np.ascontiguousarray(self.picture("rgb")[..., ::-1])
 
     def depth_m(self, name: str) -> Float32[np.ndarray, "h w"]:
-        """z [m] of `depth` or `depth_sl`, NaN where there is none."""
+        """Return z [m] of `depth` or `depth_sl`; NaN where it is missing."""
         return metres(self.picture(name), self.view().depth_scale)
 
     def masks(self, name: str) -> Iterator[Bool[np.ndarray, "h w"]]:
-        """All masks of `mask` or `mask_visib`, of hidden instances too."""
+        """Yield all masks of `mask` or `mask_visib`, including those of hidden instances."""
         for i in range(len(self.poses())):
             mask = self._checked(partial(self._files.mask, name, i, self.image))
             if mask.shape != self.size_px:
@@ -128,7 +127,7 @@ class StoredScene:
             yield mask
 
     def example(self) -> Example:
-        """What a trainer wants of it."""
+        """Return the image and its labels for training."""
         view, labels = self.view(), self.labels()
         return Example(
             scene_id=self.image_id,
@@ -142,7 +141,7 @@ class StoredScene:
         )
 
     def poses(self) -> list[Any]:
-        """What `scene_gt.json` says of every instance, seen or not."""
+        """Return the entry of each instance, visible or not, in `scene_gt.json`."""
         poses = self.of_instances("scene_gt", records.RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
@@ -152,7 +151,7 @@ class StoredScene:
         return poses
 
     def instances(self) -> list[Instance]:
-        """Every instance, seen or not; none without masks."""
+        """Return every instance, visible or not; none without masks."""
         if "masks" not in self.holds:
             return []
         poses = self.poses()
@@ -198,11 +197,11 @@ class StoredScene:
         return SceneFolder(self.folder, self.sensor)
 
     def of_image(self, name: str, form: Any) -> Any:
-        """What a JSON file says of this image, as the record that it must be."""
+        """Return this image's entry in a JSON file, as a record of the given form."""
         return self._checked(partial(self._files.of_image, name, self.image, form))
 
     def of_instances(self, name: str, form: Any) -> Any:
-        """What a JSON file says of each instance in this image."""
+        """Return the entries of this image's instances in a JSON file."""
         return self._checked(partial(self._files.of_instances, name, self.image, form))
 
     def _checked(self, read: partial) -> Any:
@@ -219,15 +218,15 @@ class StoredDataset:
     """A finished dataset in BOP's form, of simulated or of real pictures.
 
     Attributes:
-        claim: what `graycast.json` says.
+        claim: the content of `graycast.json`.
         categories: object ids and the parts' names.
-        scene_ids: the scenes of each split's folder. Graycast writes `train` alone; who moves
-            scenes to `val` and `test` has them counted and shown apart.
-        sizes_px: height, width of each scanner's pictures, by its name, "" of the only one that
-            has none; the first scanner first.
-        images: every image of a scene: its scanner's name, and its number among that one's own.
-        holds: which of rgb, gray_sl, depth, depth_sl, masks, amodal, poses and shares (visible
-            ones) its scenes have.
+        scene_ids: the scenes in the folder of each split. Graycast writes only `train`; if you move
+            scenes to `val` and `test`, they are counted and shown separately.
+        sizes_px: (height, width) of each scanner's pictures, by its name, starting with the first
+            scanner; the name is "" if the only scanner has none.
+        images: all images of a scene, as (scanner's name, number among that scanner's images).
+        holds: the contents of the scenes: some of rgb, gray_sl, depth, depth_sl, masks, amodal,
+            poses and shares (visible fractions).
     """
 
     folder: Path
@@ -240,7 +239,7 @@ class StoredDataset:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Height, width of the first scanner's pictures."""
+        """Height and width of the first scanner's pictures."""
         return next(iter(self.sizes_px.values()))
 
     @property
@@ -253,7 +252,7 @@ class StoredDataset:
 
     @property
     def scenes(self) -> tuple[StoredScene, ...]:
-        """The scenes of all splits, each by its first image."""
+        """The scenes of all splits, each represented by its first image."""
         return tuple(
             self.scene(scene_id, split=split)
             for split, scene_ids in self.scene_ids.items()
@@ -263,7 +262,7 @@ class StoredDataset:
     def scene(
         self, scene_id: int, *, split: str = "train", sensor: str | None = None, image: int = 0
     ) -> StoredScene:
-        """One image of a scene: without a sensor's name of the first scanner, its first one."""
+        """Return one image of a scene; without a sensor's name, an image of the first scanner."""
         sensor = self.images[0][0] if sensor is None else sensor
         return StoredScene(
             folder=self.folder / split / f"{scene_id:06d}",
@@ -281,22 +280,22 @@ class StoredDataset:
 
     @property
     def pictures(self) -> tuple[StoredScene, ...]:
-        """The images of the scenes of all splits, those of a scene in a row."""
+        """The images of the scenes of all splits; those of a scene are consecutive."""
         return tuple(image for scene in self.scenes for image in self.images_of(scene))
 
     def image_ids(self, scene_ids: Iterable[int]) -> list[int]:
-        """The numbers of all images of some scenes: the scenes' own, where each has only one."""
+        """Return the numbers of all images of some scenes; a single image has its scene's id."""
         of = len(self.images)
         return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
 
     def picture(self, image_id: int) -> StoredScene:
-        """An image by its number among all images of `train`."""
+        """Return an image by its number among all images of `train`."""
         scene_id, place = divmod(image_id, len(self.images))
         sensor, image = self.images[place]
         return self.scene(scene_id, sensor=sensor, image=image)
 
     def taker(self, sensor: str) -> Mapping[str, Any]:
-        """The rig and the scanner of a name as the claim says them; nothing of real pictures."""
+        """Return a scanner's rig and settings from the claim; nothing for real pictures."""
         for taker in self.claim.get("scanners", ()):
             if taker["name"] == sensor:
                 return taker
@@ -305,7 +304,7 @@ class StoredDataset:
         return {"rig": self.claim["rig"], "scanner": self.claim["config"].get("scanner", {})}
 
     def images_of(self, scene: StoredScene) -> tuple[StoredScene, ...]:
-        """All images of a scene, whichever of them is given."""
+        """Return all images of the scene that an image belongs to."""
         return tuple(
             self.scene(scene.scene_id, split=scene.split, sensor=sensor, image=image)
             for sensor, image in self.images
@@ -313,10 +312,10 @@ class StoredDataset:
 
 
 def open_dataset(folder: Path) -> StoredDataset:
-    """A dataset that `graycast generate` or `graycast dataset import` made.
+    """Open a dataset that `graycast generate` or `graycast dataset import` made.
 
     Raises:
-        DatasetError: the folder holds none, or none with a scene.
+        DatasetError: the folder holds no dataset, or one without scenes.
     """
     claim = read_claim(folder)
     images = claim.images if isinstance(claim, records.Claim) else [("", 0)]

@@ -1,4 +1,4 @@
-"""What a dataset holds, in figures: from its files alone, one scene in memory at a time."""
+"""Statistics of a dataset, from its files alone, with one scene in memory at a time."""
 
 from .gather import Statistics, dataset_statistics, tally
 from .scene_statistics import SceneFigures, scene_figures

@@ -1,4 +1,4 @@
-"""From scenes to a dataset: histograms that add up, so memory does not grow with the scenes."""
+"""Add up scenes to the statistics of a dataset, in histograms whose size stays constant."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,8 +19,8 @@ from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
 
 VISIBILITY_BINS = 20
-SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # They are quarter octaves from 1 to 4096 px.
-SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # They bound COCO's classes of object area.
+SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # These are quarter octaves from 1 to 4096 px.
+SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # These limits separate COCO's classes of object area.
 _SIDES = len(SIDE_EDGES_PX) - 1
 _CLASS_BINS = {"visib_fract": VISIBILITY_BINS, "side_px": _SIDES, "box_px": _SIDES}
 _HISTOGRAMS = ("instances", "depth_bin", "error_step", "part_error_step", "gray", "luma")
@@ -29,10 +29,10 @@ _QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorFigures:
-    """Scanner less perfect depth over pixels that have both [mm].
+    """Errors of depth (scanner minus perfect) over the pixels that have both [mm].
 
-    `sigma_mm` is half the width that holds the middle 68.27 %, which spikes do not move; `rms_mm`
-    they do. NaN where there is no such pixel.
+    `sigma_mm` is half the width of the middle 68.27 %, which outliers hardly change; they do change
+    `rms_mm`. All are NaN if there is no such pixel.
     """
 
     pixels: int
@@ -45,45 +45,45 @@ class ErrorFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassFigures:
-    """One part's instances over all pictures; `scenes` counts the pictures that have any."""
+    """Instances of one object in all pictures; `scenes` counts the pictures that contain any."""
 
     obj_id: int
     name: str
     scenes: int
     instances: int
-    visible: int  # by 10 % or more: what detectors are scored on
-    visib_fract: Int[np.ndarray, " bins"]  # histogram over 0 to 1
-    side_px: Int[np.ndarray, " sides"]  # root of the visible area, over SIDE_EDGES_PX
-    box_px: Int[np.ndarray, " sides"]  # longer side of the visible box
+    visible: int  # Those that show at least 10 % count, as in scores of detectors.
+    visib_fract: Int[np.ndarray, " bins"]  # a histogram from 0 to 1
+    side_px: Int[np.ndarray, " sides"]  # the root of the visible area, in bins of SIDE_EDGES_PX
+    box_px: Int[np.ndarray, " sides"]  # the longer side of the visible box
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureFigures:
-    """Over all pictures of one name, the shares of pixels that have a scanner depth."""
+    """Fractions of pixels with scanner depth, over all pictures with the same name."""
 
     pictures: int
     decoded: float
-    part_decoded: float | None  # None where no part is visible
+    part_decoded: float | None  # None if no part is visible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistics:
-    """A dataset in figures. Shares are of 1; counters map a bin to its count."""
+    """The statistics of a dataset. Shares are from 0 to 1; a counter maps a bin to its count."""
 
-    scenes: dict[str, int]  # per split
-    pictures: int  # all else is of these: a scene may have several
-    of_picture: dict[str, PictureFigures]  # by the names that pictures have in their scenes
+    scenes: dict[str, int]  # split: number of scenes
+    pictures: int  # A scene may have several; the other figures count pictures.
+    of_picture: dict[str, PictureFigures]  # The key is the name of a picture in its scene.
     pixels: int
     part_pixels: int
-    sizes_px: dict[tuple[int, int], int]  # (width, height) to scenes
-    depth_scale_mm: float  # of the histograms of errors
+    sizes_px: dict[tuple[int, int], int]  # (width, height): number of scenes
+    depth_scale_mm: float  # Histograms of errors have this step.
     classes: tuple[ClassFigures, ...]
-    areas: dict[str, int]  # COCO's small, medium, large among visible instances
-    instances: dict[int, int]  # instances in a scene to scenes
+    areas: dict[str, int]  # COCO's small, medium and large: visible instances
+    instances: dict[int, int]  # instances in a scene: number of scenes
     depth_bin: dict[int, int]
-    reason: dict[str, float]  # share of all pixels
-    part_reason: dict[str, float]  # share of the parts' visible pixels; empty without any
-    decoded_share: Int[np.ndarray, " bins"]  # pictures per share of the parts' decoded pixels
+    reason: dict[str, float]  # reason: share of all pixels
+    part_reason: dict[str, float]  # reason: share of the parts' visible pixels, if there are any
+    decoded_share: Int[np.ndarray, " bins"]  # It counts pictures by the decoded share of parts.
     error_step: dict[int, int]
     part_error_step: dict[int, int]
     error: ErrorFigures
@@ -93,7 +93,7 @@ class Statistics:
 
     @property
     def depth_quantiles_mm(self) -> dict[str, float]:
-        """Of perfect depth, to within a bin of 10 mm."""
+        """Quantiles of the perfect depth, to within a bin of 10 mm."""
         quantiles = _quantiles(self.depth_bin, _QUANTILES)
         names = [f"p{round(100 * q):02d}" for q in _QUANTILES]
         return {n: (v + 0.5) * DEPTH_BIN_MM for n, v in zip(names, quantiles, strict=True)}
@@ -101,7 +101,7 @@ class Statistics:
 
 @dataclass(slots=True)
 class _Sums:
-    """What is added up, by the names of `Statistics`; lives inside one call of `tally`."""
+    """Sums by the field names of `Statistics`; they exist during one call of `tally`."""
 
     counts: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
     of_picture: defaultdict[str, defaultdict[str, Counter]] = field(
@@ -112,7 +112,7 @@ class _Sums:
     pictures: int = 0
     pixels: int = 0
     scale_mm: float = 0.0
-    last: tuple[str, int] | None = None  # the scene of the last picture
+    last: tuple[str, int] | None = None  # This is the scene of the last picture.
 
 
 def dataset_statistics(
@@ -121,14 +121,14 @@ def dataset_statistics(
     workers: int = 1,
     progress: ProgressMeter = UNWATCHED,
 ) -> Statistics:
-    """Read every scene once and count.
+    """Read each scene once and return the statistics.
 
     Args:
         workers: processes that read; the result does not depend on their number.
         progress: counts scenes.
 
     Raises:
-        DatasetError: no scene, or one that cannot be read.
+        DatasetError: the dataset has no scene, or one that cannot be read.
     """
     stored = open_dataset(dataset)
 
@@ -141,7 +141,7 @@ def dataset_statistics(
 
 
 def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Statistics:
-    """Add up scenes' figures, one scene at a time; `categories` are the objects' names."""
+    """Add up the figures of scenes one by one; `categories` are the objects' names."""
     sums = _Sums()
     for figures in scenes:
         _add(sums, figures)
@@ -169,7 +169,7 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
 
 
 def error_figures(step: dict[int, int], scale_mm: float) -> ErrorFigures:
-    """Figures of a histogram of errors in steps of `scale_mm`."""
+    """Return the figures of a histogram of errors, whose bins are steps of `scale_mm`."""
     pixels = sum(step.values())
     if not pixels:
         nan = float("nan")
@@ -192,10 +192,10 @@ def error_figures(step: dict[int, int], scale_mm: float) -> ErrorFigures:
 def _quantiles(
     counts: dict[int, int], shares: tuple[float, ...], *, continuous: bool = False
 ) -> Float[np.ndarray, " shares"]:
-    """Quantiles of a histogram over whole numbers.
+    """Return quantiles of a histogram over whole numbers; NaN if it is empty.
 
-    `continuous` takes a number k for all values from k - 1/2 to k + 1/2, spread evenly: what
-    rounding did to a smooth distribution. NaN of nothing.
+    `continuous` spreads the count of each k evenly from k - 1/2 to k + 1/2, which undoes the
+    rounding of a smooth distribution.
     """
     if not counts:
         return np.full(len(shares), np.nan)
@@ -222,7 +222,7 @@ def _read(scene: StoredScene) -> SceneFigures:
 
 def _add(sums: _Sums, figures: SceneFigures) -> None:
     counts, here = sums.counts, (figures.split, figures.scene_id)
-    counts["scenes"][figures.split] += here != sums.last  # a scene's pictures come in a row
+    counts["scenes"][figures.split] += here != sums.last  # A scene's pictures are consecutive.
     sums.last = here
     sums.pictures += 1
     sums.pixels += figures.pixels
@@ -244,7 +244,7 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
         own = getattr(figures, name)
         if figures.depth_scale_mm == sums.scale_mm:
             counts[name].update(own)
-        else:  # scenes of real pictures may come in other steps
+        else:  # Scenes of real pictures may have other steps.
             ratio = figures.depth_scale_mm / sums.scale_mm
             for step, count in own.items():
                 counts[name][round(step * ratio)] += count

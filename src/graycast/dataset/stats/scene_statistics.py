@@ -1,4 +1,4 @@
-"""The figures of one scene: small, whatever the size of its pictures, and fit for JSON."""
+"""Compute the figures of one scene, which are small and can be stored as JSON."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -9,20 +9,20 @@ from ..scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
-ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: it is two metres in steps of 0.1 mm.
+ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: 2 m in steps of 0.1 mm.
 
 
 class SceneFigures(BaseModel):
-    """Counts of one picture; dictionaries are histograms without their empty bins.
+    """Counts of one picture; dictionaries are histograms without empty bins.
 
-    `picture` is its name in its scene, where that has several.
+    `picture` is the picture's name in its scene, or empty if the scene has only one.
 
-    Per instance, in the order of `scene_gt.json`: `obj_id`, `visib_fract`, `area_px` (visible
-    mask), `box_px` (columns and rows of the visible box, 0 where nothing is visible); `visib_fract`
-    is None where nobody knows it. `depth_bin`
-    counts pixels of perfect depth per 10 mm. `error_step` counts scanner less perfect depth in
-    steps of `depth_scale_mm`, over pixels that have both; `part_` is over visible parts alone.
-    `gray` is the white frame, `luma` the colour picture (Rec. 709 weights on sRGB), both 0 to 255.
+    Four lists have an entry per instance, in the order of `scene_gt.json`: `obj_id`, `visib_fract`
+    (None if unknown), `area_px` of the visible mask, and `box_px` (columns and rows of the visible
+    box, 0 if nothing is visible). `depth_bin` counts pixels by perfect depth in bins of 10 mm.
+    `error_step` counts scanner minus perfect depth in steps of `depth_scale_mm`, over pixels with
+    both; `part_` means over visible parts only. `gray` is the white frame and `luma` the colour
+    picture (Rec. 709 weights on sRGB), both from 0 to 255.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -51,17 +51,17 @@ class SceneFigures(BaseModel):
 
     @property
     def reasons(self) -> dict[str, float]:
-        """The share of all pixels that has each reason."""
+        """Share of all pixels with each reason."""
         return pooled_shares([self.reason_px])
 
     @property
     def part_reasons(self) -> dict[str, float]:
-        """The share of the parts' visible pixels that has each reason; empty without any."""
+        """Share of the parts' visible pixels with each reason; empty if no part is visible."""
         return pooled_shares([self.part_reason_px])
 
 
 def scene_figures(scene: SceneContent) -> SceneFigures:
-    """Count one scene."""
+    """Return the counts of one scene."""
     on_part = scene.label >= 0
     everywhere = np.ones_like(on_part)
     height_px, width_px = on_part.shape

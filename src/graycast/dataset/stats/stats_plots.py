@@ -1,4 +1,4 @@
-"""A dataset's statistics as one sheet of plots."""
+"""Draw a dataset's statistics as one sheet of plots."""
 
 from pathlib import Path
 
@@ -13,11 +13,11 @@ from .scene_statistics import DEPTH_BIN_MM
 
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 _ERROR_SIGMAS = 5.0
-_ERROR_BARS = 100  # There are about so many at most: finer ones would show noise.
+_ERROR_BARS = 100  # With more bars, the plot would show noise.
 
 
 def draw_statistics(statistics: Statistics, path: Path) -> None:
-    """Write the sheet as a PNG.
+    """Write the sheet as a PNG file.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -94,7 +94,7 @@ def _errors(ax: Axes, s: Statistics) -> None:
     if not s.error.pixels:
         return
     reach = max(_ERROR_SIGMAS * s.error.sigma_mm, 3 * s.depth_scale_mm)
-    # Whole steps to a bar, centred on none at all.
+    # A bar covers whole steps; the middle bar is centred on zero.
     width_mm = max(1, round(2 * reach / s.depth_scale_mm / _ERROR_BARS)) * s.depth_scale_mm
     half = int(reach / width_mm) + 1
     edges_mm = (np.arange(-half, half + 2) - 0.5) * width_mm

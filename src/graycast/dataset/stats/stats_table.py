@@ -1,4 +1,4 @@
-"""A dataset's statistics as JSON and as a table in the terminal."""
+"""Format a dataset's statistics as JSON and as a table for the terminal."""
 
 import json
 from dataclasses import asdict
@@ -16,7 +16,7 @@ from .stats_plots import draw_statistics
 
 
 def statistics_json(statistics: Statistics) -> dict[str, Any]:
-    """Everything as JSON has it; histograms with the edges of their bins."""
+    """Return all statistics for JSON, with the bin edges of the histograms."""
     s = statistics
     return plain(
         {
@@ -49,7 +49,7 @@ def statistics_json(statistics: Statistics) -> dict[str, Any]:
 
 
 def write_statistics(statistics: Statistics, out: Path) -> None:
-    """Write `stats.json` and `stats.png` into a folder; both appear, or none.
+    """Write `stats.json` and `stats.png` into a folder, either both or neither.
 
     Raises:
         GraycastError: the folder cannot be written.
@@ -61,7 +61,7 @@ def write_statistics(statistics: Statistics, out: Path) -> None:
 
 
 def statistics_table(statistics: Statistics) -> Table:
-    """A table for the terminal: what, how much, where it is spread."""
+    """Return a table for the terminal: quantity, amount and distribution."""
     s = statistics
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style="bold")

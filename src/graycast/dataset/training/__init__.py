@@ -1,4 +1,4 @@
-"""Examples for trainers, read alike from a dataset and from its exports."""
+"""Training examples, read in the same form from a dataset and from its exports."""
 
 from ..example import Example
 from .sources import Examples, open_examples

@@ -1,7 +1,7 @@
-"""Examples from datasets that others made: COCO annotations, and folders in BOP's form.
+"""Read examples from other datasets: COCO annotations, and folders in BOP's form.
 
-A picture is an example. Examples are numbered in the order of their files, and their names say
-which picture each is.
+Each picture is an example. Examples are numbered in the order of their files, and an example's name
+identifies its picture.
 """
 
 import glob
@@ -39,12 +39,12 @@ from .from_bytes import boxes, compressed, masks
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Foreign:
-    """A dataset of others.
+    """A dataset that Graycast did not make.
 
     Attributes:
-        scene_of: what each example belongs to; a scene's pictures go into one set together.
+        scene_of: the scene of each example; the pictures of a scene stay in one set.
         categories: object ids and names.
-        read: an example by its number.
+        read: returns an example by its number.
     """
 
     scene_of: tuple[int, ...]
@@ -53,20 +53,20 @@ class Foreign:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether it is a JSON file, or a folder of BOP's scenes."""
+    """Return whether a path is a JSON file, or a folder of scenes in BOP's form."""
     is_bop = scene_folders(path) or scene_folders(path, SCANNED_POSES)
     return path.suffix == ".json" or bool(is_bop)
 
 
 def open_foreign(path: Path) -> Foreign:
-    """Read the annotations; pictures when they are asked for.
+    """Read the annotations; pictures are read on demand.
 
     Args:
-        path: a file of COCO annotations, whose pictures lie beside it or beside its folder; or a
-            folder with the scenes of one of BOP's splits, such as `train_pbr`.
+        path: a file of COCO annotations, with its pictures in the same folder or in the one above;
+            or a folder with the scenes of one of BOP's splits, such as `train_pbr`.
 
     Raises:
-        DatasetError: a file is missing, damaged, or of another form.
+        DatasetError: a file is missing, damaged, or not of the required form.
     """
     return _open_coco(path) if path.suffix == ".json" else _open_bop(path)
 
@@ -75,7 +75,7 @@ def open_foreign(path: Path) -> Foreign:
 
 
 class _Entry(BaseModel):
-    """An entry of a list; the description of a key says what it must be."""
+    """An entry of a list; its fields describe what the keys must hold."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
@@ -116,7 +116,7 @@ def _open_coco(path: Path) -> Foreign:
         for number, entry in enumerate(content[name]):
             _check(entry, form, f"{path}: {name}[{number}]")
     refuse_repeated(content, str(path))
-    # Numbers before words, where somebody mixed them.
+    # If a file mixes both, numbers come before strings.
     images = sorted(content["images"], key=lambda one: (isinstance(one["id"], str), one["id"]))
     if not images:
         raise DatasetError(f"{path}: has no images")
@@ -139,10 +139,10 @@ def _open_coco(path: Path) -> Foreign:
 def refuse_repeated(content: Mapping[str, Any], where: str) -> None:
     """Refuse a COCO file in which two images or categories share an id, or two categories a name.
 
-    Whoever reads it would take one of them for the other.
+    A reader would confuse the two.
 
     Raises:
-        DatasetError: the text names the first of them and where it stands.
+        DatasetError: the text names the first such pair and its place in the file.
     """
     for kind, key in (("images", "id"), ("categories", "id"), ("categories", "name")):
         place: dict[Any, int] = {}
@@ -155,7 +155,7 @@ def refuse_repeated(content: Mapping[str, Any], where: str) -> None:
 
 
 def _check(entry: Any, form: type[_Entry], place: str) -> None:
-    """What was written by others has the keys that are read, and they hold what they should."""
+    """Check that an entry has the keys that are read, and that they hold valid values."""
     try:
         form.model_validate(entry)
     except ValidationError as error:
@@ -203,7 +203,7 @@ def _coco_example(
 
 
 def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
-    """Polygons or run lengths as compressed run lengths."""
+    """Return compressed run lengths of polygons or run lengths."""
     try:
         if not isinstance(shape, list):
             check_runs(shape, f"{name}: a segmentation", DatasetError)
@@ -215,10 +215,10 @@ def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
 
 
 def _beside(path: Path, name: str) -> Path:
-    """Return where a picture is: beside the annotations, as is COCO's custom, or in a folder near.
+    """Return the path of a picture near the annotations: in their folder, or one above or below.
 
     Raises:
-        DatasetError: it is nowhere there, or its name leads out of there.
+        DatasetError: no such picture exists, or its name leads out of these folders.
     """
     if leads_out(name):
         raise DatasetError(
@@ -226,8 +226,8 @@ def _beside(path: Path, name: str) -> Path:
             "before it; pictures are found beside the annotations, beside their folder, and in the "
             "folders there"
         )
-    name = name.replace("\\", "/")  # Windows writes folders so.
-    plain = glob.escape(name)  # brackets in a name are no pattern
+    name = name.replace("\\", "/")  # Windows separates folders by backslashes.
+    plain = glob.escape(name)  # Brackets in a name are not a pattern.
     for folder in (path.parent, path.parent.parent):
         for file in (folder / name, *folder.glob(f"*/{plain}"), *folder.glob(f"*/*/{plain}")):
             if file.is_file():
@@ -241,14 +241,14 @@ def _beside(path: Path, name: str) -> Path:
 
 
 class _View(AnyView):
-    """A dataset without depth need not say its scale."""
+    """One image in `scene_camera.json`; the scale is optional, since there may be no depth."""
 
     depth_scale: Positive = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """An image of a scene; `perfect` has the same pixels without a scanner's errors, or is None."""
+    """An image of a scene; `perfect` holds its pixels without a scanner's errors, or is None."""
 
     scene: SceneFolder
     image: int
@@ -283,7 +283,7 @@ def _open_bop(path: Path) -> Foreign:
 
 
 def _bop_example(place: tuple[_Place, ...], number: int) -> Example:
-    """BOP has one depth, rendered or measured, which is given as both; a rescan has two."""
+    """Return an example: BOP's only depth serves as both kinds of depth; a rescan has both."""
     scene, image, perfect = place[number].scene, place[number].image, place[number].perfect
     try:
         poses = scene.of_instances("scene_gt", image, AnyPose)

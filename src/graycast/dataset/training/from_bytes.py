@@ -1,4 +1,4 @@
-"""Pieces that several formats share: pictures from bytes, masks from run lengths."""
+"""Decode pictures from bytes and masks from run lengths, for several formats."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,14 +11,14 @@ from ...base.errors import DatasetError
 from ..example import metres
 from ..safe_reading import Unreadable, pixels
 
-DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}  # of `Example`
+DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}  # field of `Example` by kind
 
 
 def picture(data: bytes, name: str) -> np.ndarray:
-    """An encoded picture as stored, colour in OpenCV's order.
+    """Decode a picture as stored, with colours in OpenCV's order.
 
     Raises:
-        DatasetError: it is none.
+        DatasetError: the data are not a picture.
     """
     try:
         return pixels(data, name)
@@ -27,14 +27,14 @@ def picture(data: bytes, name: str) -> np.ndarray:
 
 
 def image_fields(kind: str, image: np.ndarray, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
-    """The picture as the field of an `Example` that its kind, rgb or gray, belongs to."""
+    """Return a picture under the name of its field in `Example`, which is its kind."""
     if (image.ndim == 3) != (kind == "rgb") or image.dtype != np.uint8:
         raise DatasetError(f"{name}: is {image.dtype} {image.shape}, not 8-bit {kind}")
     return {kind: np.ascontiguousarray(image[..., ::-1]) if kind == "rgb" else image}
 
 
 def depth_m(steps: np.ndarray, scale_mm: float, name: str) -> Float32[np.ndarray, "h w"]:
-    """A 16-bit depth picture in metres."""
+    """Convert a 16-bit depth picture to metres."""
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise DatasetError(
             f"{name}: is {steps.dtype} {steps.shape}, but depth must have one channel of 16 bits"
@@ -45,10 +45,10 @@ def depth_m(steps: np.ndarray, scale_mm: float, name: str) -> Float32[np.ndarray
 def masks(
     runs: Sequence[dict[str, Any]], size_px: tuple[int, int], name: str
 ) -> Bool[np.ndarray, "n h w"]:
-    """Masks of one picture from COCO's run lengths, compressed or not.
+    """Return the masks of one picture from COCO's run lengths, compressed or not.
 
     Raises:
-        DatasetError: they are of another picture.
+        DatasetError: a mask has another size than the picture.
     """
     mask = np.zeros((len(runs), *size_px), dtype=bool)
     for i, run in enumerate(runs):
@@ -59,7 +59,7 @@ def masks(
 
 
 def compressed(segmentation: Any, size_px: tuple[int, int]) -> dict[str, Any]:
-    """Polygons or run lengths of COCO as compressed run lengths."""
+    """Return compressed run lengths of COCO's polygons or run lengths."""
     if isinstance(segmentation, list):
         return coco_mask.merge(coco_mask.frPyObjects(segmentation, *size_px))
     if isinstance(segmentation["counts"], list):
@@ -68,6 +68,6 @@ def compressed(segmentation: Any, size_px: tuple[int, int]) -> dict[str, Any]:
 
 
 def boxes(mask: Bool[np.ndarray, "n h w"]) -> Float32[np.ndarray, "n 4"]:
-    """[x, y, columns, rows] of masks that are not empty."""
+    """Return [x, y, width, height] of masks that are not empty."""
     encoded = coco_mask.encode(np.asfortranarray(np.moveaxis(mask, 0, -1), dtype=np.uint8))
     return coco_mask.toBbox(encoded).astype(np.float32).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""Examples from Parquet exports."""
+"""Read examples from Parquet exports."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -9,11 +9,11 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ..example import Example
-from ..export.parquet import schema  # says what to install where pyarrow is missing
+from ..export.parquet import schema  # If pyarrow is missing, this names the remedy.
 from ..export.record import ExportRecord
 from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks, picture
 
-# Where it is missing, `export.parquet` has raised before this.
+# If pyarrow is missing, `export.parquet` has already raised an error.
 # isort: split
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -30,7 +30,7 @@ _LABELS = {
 def open_parquet(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    """Finds each scene's file and row group; rows are read when they are asked for."""
+    """Find each scene's file and row group; rows are read on demand."""
     place: dict[int, tuple[Path, int, int]] = {}
     for path in sorted((folder / split).glob("part-*.parquet")):
         try:

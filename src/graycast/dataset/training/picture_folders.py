@@ -1,4 +1,4 @@
-"""Examples from COCO and YOLO exports: folders of pictures with text beside them."""
+"""Read examples from COCO and YOLO exports: folders of pictures with text files."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from .from_bytes import DEPTH_FIELDS, boxes, compressed, depth_m, image_fields, 
 def open_coco(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    """Reads the annotations once; pictures when they are asked for."""
+    """Read the annotations once; pictures are read on demand."""
     path = folder / "annotations" / f"instances_{split}.json"
     try:
         content = parse_json(path.read_bytes())
@@ -69,7 +69,7 @@ def _coco_example(
 def open_yolo(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    """YOLO has pictures, classes, boxes and polygons, but no camera, depth or poses."""
+    """Return a reader of pictures, classes, boxes and polygons, which are all that YOLO stores."""
     return partial(_yolo_example, folder, split, record)
 
 
@@ -104,7 +104,7 @@ def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int)
 
 
 def _pictures(folder: Path, name: str, record: ExportRecord, scale_mm: float) -> dict[str, Any]:
-    """Return the picture and the depths that an export holds."""
+    """Return the picture and the depths that an export contains."""
     if leads_out(name):
         raise DatasetError(f"{folder}: picture {name} leads out of the folder: export again")
     image = folder / "images" / name

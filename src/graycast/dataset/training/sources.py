@@ -1,4 +1,4 @@
-"""One reader for datasets, for their exports that hold examples, and for datasets of others."""
+"""Open the examples of datasets, of their exports with labels, and of other datasets."""
 
 import hashlib
 from collections import Counter
@@ -23,8 +23,8 @@ from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]
 
-# Editors know the examples' type from it. A check of types at run time would read one example from
-# its files to see what it is.
+# Editors learn the type of the examples from this base class. At run time it is plain, because a
+# run-time check of types would read an example from its files.
 if TYPE_CHECKING:
     _Sequence = Sequence[Example]
 else:
@@ -35,18 +35,18 @@ else:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examples(_Sequence):
-    """The examples of one set, each read from its files when it is asked for.
+    """The examples of one set, each read from its files on demand.
 
-    It holds no open files, so that the processes of a data loader can each have it.
+    No files are kept open, so each process of a data loader can have a copy.
 
     Attributes:
-        folder: where they come from.
-        scene_ids: numbers of the pictures, in the order of the examples: the scenes', where each
-            has one.
+        folder: the dataset or export that they come from.
+        scene_ids: numbers of the pictures, in the order of the examples; the scenes' ids if each
+            scene has one picture.
         categories: object ids and the parts' names.
-        place_of: the scene of each picture, by the picture's number, its scanner's name, and its
-            number among the scene's pictures by that scanner.
-        origins: the files that say what the examples are.
+        place_of: for each picture's number its scene, its scanner's name, and its number among
+            that scanner's pictures of the scene.
+        origins: the files that determine the content of the examples.
     """
 
     folder: Path
@@ -58,13 +58,13 @@ class Examples(_Sequence):
     origins: tuple[Path, ...] = ()
 
     def content_sum(self) -> str:
-        """Return a SHA-256 that changes with the data, so that a run does not go on with others.
+        """Return a SHA-256 that changes with the data, so that no run resumes with other data.
 
-        The manifest of a scene of ours has the SHA-256 of each of its files, and is taken without
-        the seconds that it took.
+        A scene's manifest represents all of its files, because it holds their SHA-256; durations in
+        it are left out.
 
-        Leaves out: pictures of others, and files of an export, that change while the annotations
-        or `export.json` beside them do not.
+        Limitation: changes of other datasets' pictures, and of an export's files, are not noticed
+        while the annotations or `export.json` stay the same.
 
         Raises:
             DatasetError: a file is missing or damaged.
@@ -90,11 +90,11 @@ class Examples(_Sequence):
     def __getitem__(self, index: slice) -> list[Example]: ...
 
     def __getitem__(self, index: int | slice) -> Example | list[Example]:
-        """Read an example.
+        """Return an example, or a list for a slice.
 
         Raises:
-            DatasetError: a file of it is missing or damaged.
-            IndexError: there are not so many.
+            DatasetError: a file of the example is missing or damaged.
+            IndexError: the index is out of range.
         """
         if isinstance(index, slice):
             return [self.read(scene_id) for scene_id in self.scene_ids[index]]
@@ -104,17 +104,17 @@ class Examples(_Sequence):
 def open_examples(
     folder: Path | str, *, split: str = "train", division: Split | None = None
 ) -> Examples:
-    """Return the examples of a dataset, of an export of it, or of others' datasets.
+    """Return the examples of a dataset, of its export, or of another dataset.
 
     Args:
-        folder: a dataset's or an export's; of others a file of COCO annotations, or the folder of
-            one of BOP's splits, such as `train_pbr`.
+        folder: the folder of a dataset or an export; for other datasets a file of COCO annotations,
+            or the folder of one of BOP's splits, such as `train_pbr`.
         split: `train`, `val` or `test`.
-        division: the shares of the sets; all scenes are `train` if nothing is said. An export was
-            divided when it was made.
+        division: the shares of the sets; None puts all scenes into `train`. Must be None for an
+            export, which was divided when it was made.
 
     Raises:
-        DatasetError: the folder is none of these, or has no such set.
+        DatasetError: the folder is not one of these, or has no such set.
     """
     folder = Path(folder)
     if not (folder / CLAIM).is_file() and not (folder / RECORD).is_file() and is_foreign(folder):
@@ -173,7 +173,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
 
 
 def _places(scene_of: Sequence[int]) -> dict[int, tuple[int, str, int]]:
-    """`Examples.place_of` of pictures by one scanner without a name."""
+    """Return `Examples.place_of` for pictures of a single scanner without a name."""
     before: Counter[int] = Counter()
     places = {}
     for i, scene in enumerate(scene_of):

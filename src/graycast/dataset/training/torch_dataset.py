@@ -1,4 +1,4 @@
-"""The examples as a map-style dataset of PyTorch; imported by who has it installed."""
+"""Provide the examples as a map-style dataset of PyTorch; this module needs PyTorch."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,14 +22,14 @@ except ImportError as error:
 
 @final
 class TorchExamples(Dataset):
-    """Examples as dictionaries of tensors; what a dataset does not hold is not among the keys.
+    """Examples as dictionaries of tensors; a key is missing if the dataset lacks its content.
 
-    `rgb` (3, h, w) and `gray` (1, h, w) are uint8; `depth` and `scanner_depth` (1, h, w) float32
-    [m] with NaN where there is none; `masks` (n, h, w) bool; `boxes` (n, 4) float32 as x0, y0,
-    x1, y1; `labels` (n) int64 are object ids; `poses` (n, 4, 4) float32, part to camera [m];
-    `K` (3, 3); `scene_id`.
+    `rgb` (3, h, w) and `gray` (1, h, w) are uint8. `depth` and `scanner_depth` (1, h, w) are
+    float32 [m], NaN where depth is missing. `masks` (n, h, w) are bool, and `boxes` (n, 4) are
+    float32: x0, y0, x1, y1. `labels` (n) are object ids (int64), `poses` (n, 4, 4) map part to
+    camera (float32, [m]); further keys are `K` (3, 3) and `scene_id`.
 
-    Numbers of instances differ, so a loader needs a `collate_fn` that keeps a list.
+    Images differ in their number of instances, so a loader needs a `collate_fn` that keeps a list.
     """
 
     def __init__(
@@ -48,14 +48,14 @@ class TorchExamples(Dataset):
 
     def __getitem__(self, index: int) -> Any:
         item = {
-            name: torch.from_numpy(np.array(value))  # a writable copy: tensors cannot be read-only
+            name: torch.from_numpy(np.array(value))  # This copy is writable, as tensors require.
             for name, value in arrays(self.examples[index]).items()
         }
         return item if self.transform is None else self.transform(item)
 
 
 def arrays(example: Example) -> dict[str, np.ndarray]:
-    """An example in the shapes and the box convention of torchvision's detectors."""
+    """Return an example in the shapes and the box convention of torchvision's detectors."""
     box = example.box_px
     values = {
         "rgb": None if example.rgb is None else example.rgb.transpose(2, 0, 1),

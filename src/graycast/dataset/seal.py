@@ -1,8 +1,8 @@
-"""The SHA-256 of each stored file, in its scene's manifest and in the claim, to show a change.
+"""Reveal changes of stored files by their SHA-256, in each scene's manifest and in the claim.
 
-A manifest also holds the SHA-256 of itself, over all but its timings, which differ between equal
-runs. These guard against accidents, not against forgery: new sums hide a change from them. A scene
-that is made again is compared file by file.
+A manifest also holds its own SHA-256, computed without its timings, which differ between equal
+runs. These digests guard against accidents, not against forgery: whoever changes a file can also
+compute its digest again. A scene that is made again is compared file by file.
 """
 
 import hashlib
@@ -19,8 +19,8 @@ from .json_text import json_bytes
 from .safe_reading import png_pixels
 
 MANIFEST = "manifest.json"
-SUMS, OWN = "sha256", "manifest_sha256"  # Both are in a manifest, the first in `graycast.json` too.
-# These are of a scene's further images; the first one's facts are the manifest's own.
+SUMS, OWN = "sha256", "manifest_sha256"  # A manifest has both; `graycast.json` has the first.
+# A scene's further images have these; the facts of the first image are the manifest's own keys.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
 OWN_FACTS = (
     "exposure_s",
@@ -31,11 +31,11 @@ OWN_FACTS = (
     "code_maps",
 )
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
-_NOT_COMPARED = {*_UNSEALED, SUMS}  # Sums of files that differ would say the same twice.
+_NOT_COMPARED = {*_UNSEALED, SUMS}  # Digests of differing files would report them twice.
 
 
 def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, Any]:
-    """What a manifest says of the scene, with what is one image's own in place of the first's."""
+    """Return a manifest's facts, with those of one image in place of the first image's."""
     for further in manifest.get(FURTHER, ()):
         if (further.get("sensor", ""), further["image"]) == (sensor, image):
             own = {key: further[key] for key in OWN_FACTS if key in further}
@@ -47,7 +47,7 @@ def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, 
 def sealed(
     files: Iterable[tuple[str, bytes]], manifest: Mapping[str, Any]
 ) -> Iterator[tuple[str, bytes]]:
-    """The files of a scene, and last its manifest with their sums."""
+    """Yield the files of a scene, then its manifest with their SHA-256."""
     sums = {}
     for name, content in files:
         sums[name] = sha256(content)
@@ -65,7 +65,7 @@ def _own(manifest: Mapping[str, Any]) -> str:
 
 
 def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """All that differs from what a scene's manifest says, in one line for each kind."""
+    """Yield all differences from a scene's manifest, in one line for each kind."""
     if SUMS not in manifest or OWN not in manifest:
         yield (
             f"{MANIFEST}: {SUMS} or {OWN} is missing: whether a file of the scene was changed, "
@@ -75,7 +75,7 @@ def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
     if manifest[OWN] != _own(manifest):
         yield f"{MANIFEST} was changed after it was written: its own SHA-256 differs"
     there = (str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-    # What a file browser leaves (.DS_Store) is nobody's data.
+    # Hidden files, such as .DS_Store of a file browser, are not data.
     visible = {name for name in there if not Path(name).name.startswith(".")} - {MANIFEST}
     yield from sum_problems(folder, manifest[SUMS], listed_in=MANIFEST)
     if odd := sorted(visible - set(manifest[SUMS])):
@@ -83,7 +83,7 @@ def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
 
 
 def sum_problems(folder: Path, sums: Mapping[str, str], *, listed_in: str) -> Iterator[str]:
-    """Name files that are missing, have another SHA-256, or lie outside of the folder."""
+    """Yield the files that are missing, have another SHA-256, or are outside the folder."""
     if outside := sorted(name for name in sums if leads_out(name)):
         yield f"{_named(outside)} leads out of the folder, and {listed_in} tells of it"
         sums = {name: digest for name, digest in sums.items() if name not in outside}
@@ -95,7 +95,7 @@ def sum_problems(folder: Path, sums: Mapping[str, str], *, listed_in: str) -> It
 
 
 def _sum_of(path: Path) -> str | None:
-    """None where the disk refuses: then it is told where the file is read."""
+    """Return a file's SHA-256; None if it cannot be read, which its reader reports."""
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -109,7 +109,7 @@ def _named(names: list[str]) -> str:
 
 
 def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
-    """The files of a stored scene that differ, and how; timings in manifests are ignored."""
+    """Return the differing files of a stored scene and their differences, ignoring timings."""
     new = dict(files)
     stored = {str(p.relative_to(scene)): p for p in scene.rglob("*") if p.is_file()}
     differing = dict.fromkeys(new.keys() - stored.keys(), "is not stored")
@@ -124,7 +124,7 @@ def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str
 
 
 def _renamed(content: bytes) -> str:
-    """Return the text of a file with the current names of rigs; broken letters stay broken."""
+    """Return a file's text with the current names of rigs; invalid bytes are preserved."""
     return with_current_names(content.decode("utf-8", "surrogateescape"))
 
 

@@ -1,7 +1,7 @@
 """Parts as BOP object models, written and read: PLY files in millimetres, `models_info.json`.
 
-A model keeps the part's own frame, so that poses speak of the user's CAD coordinates; BOP's habit
-of an origin in the middle of the bounding box is only a habit (`models_info.json` has the box).
+A model keeps the part's own frame, so that poses refer to the user's CAD coordinates. BOP's usual
+origin, the centre of the bounding box, is not required (`models_info.json` has the box).
 """
 
 import io
@@ -22,12 +22,12 @@ from ..world.parts import Mesh, Part, Symmetry, load_mesh
 from .records import MM_PER_M, Continuous, ModelInfo
 from .safe_reading import Unreadable, read_json
 
-TEXTURE = "comment TextureFile"  # The header of a model with a texture has it.
-_CHUNK = 2048  # So many rows of the distance matrix are in memory at once.
+TEXTURE = "comment TextureFile"  # A model with a texture has this in its header.
+_CHUNK = 2048  # This number of rows of the distance matrix is in memory at a time.
 
 
 def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:
-    """The content of `models/` but `models_info.json`, by file name."""
+    """Return the files of `models/` except `models_info.json`, by name."""
     files = {}
     for obj_id, part in enumerate(parts, start=1):
         texture = None if part.mesh.corner_uv is None else part.material.texture
@@ -40,7 +40,7 @@ def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:
 
 
 def models_info(parts: tuple[Part, ...]) -> dict[str, Any]:
-    """`models_info.json`: box, diameter and symmetries of every model [mm], keyed by object id."""
+    """Return box, diameter and symmetries of each model [mm] for `models_info.json`."""
     return {str(obj_id): _info(part) for obj_id, part in enumerate(parts, start=1)}
 
 
@@ -63,10 +63,10 @@ def _info(part: Part) -> dict[str, Any]:
 
 
 def diameter(points: Float[np.ndarray, "n 3"]) -> float:
-    """The largest distance between any two points, in their unit.
+    """Return the largest distance between any two points, in their unit.
 
-    Only corners of the convex hull can be that far apart; flat point sets have none and are
-    searched in full.
+    Only corners of the convex hull can be that far apart; a flat set of points has no hull, and all
+    of its points are compared.
     """
     try:
         points = points[ConvexHull(points).vertices]
@@ -107,7 +107,7 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
 
 
 def _corner_normals(mesh: Mesh) -> Float[np.ndarray, "f 3 3"]:
-    """The mesh's own normals, else the angle-weighted mean of the faces around each vertex.
+    """Return the mesh's own normals, else the angle-weighted means of the faces at each vertex.
 
     Source: G. Thürmer, C. Wüthrich, "Computing vertex normals from polygonal facets", 1998.
     """
@@ -123,7 +123,7 @@ def _corner_normals(mesh: Mesh) -> Float[np.ndarray, "f 3 3"]:
 
 
 def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Vectors of length one; a vector without direction stays zero."""
+    """Return vectors of length one; a zero vector stays zero."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.where(length > 0, length, 1.0)
 
@@ -133,7 +133,7 @@ def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredModel:
-    """A part's shape [m] with what `models_info.json` says of it."""
+    """A part's shape [m] with its diameter and its symmetries."""
 
     mesh: Mesh
     diameter_m: float
@@ -141,10 +141,10 @@ class StoredModel:
 
 
 def read_models(dataset: Path) -> dict[int, StoredModel]:
-    """The models of a dataset by object id.
+    """Read the models of a dataset, by object id.
 
     Raises:
-        DatasetError: there are none, or a file is missing or damaged.
+        DatasetError: the dataset has no models, or a file is missing or damaged.
     """
     folder = dataset / "models"
     if not folder.is_dir():
@@ -169,7 +169,7 @@ def _model(file: Path, info: ModelInfo) -> StoredModel:
 
 
 def symmetry_m(discrete: list[list[float]], continuous: list[Continuous]) -> Symmetry:
-    """Of `models_info.json`, whose lengths are millimetres."""
+    """Return symmetries with lengths in metres; `models_info.json` has millimetres."""
     scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
     return Symmetry(
         discrete=tuple(np.reshape(matrix, (4, 4)) * scale for matrix in discrete),

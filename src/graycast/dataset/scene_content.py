@@ -1,4 +1,4 @@
-"""All of one image of a dataset in memory, as statistics, pages and scores of depth want it."""
+"""Load all of one image of a dataset into memory, for statistics, pages and depth scores."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,15 +11,15 @@ from .example import known_depth
 from .records import Box3d, ScannerRecord
 from .stored import Instance, StoredScene
 
-NO_REASON = 255  # The dataset does not say why a pixel has no scanner depth.
+NO_REASON = 255  # The dataset does not say why depth is missing.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredInstance:
-    """One instance, seen or not; None is what a dataset of real pictures does not know.
+    """One instance, visible or not; a field that a dataset of real pictures lacks is None.
 
-    `box` and `amodal_box` are BOP's [x, y, last column - first, last row - first], -1 four times
-    where nothing is visible; `box3d` is rotation (9), centre and size [mm], camera frame.
+    `box` and `amodal_box` are BOP's [x, y, last column - first, last row - first], or -1 four times
+    if nothing is visible. `box3d` is rotation (9), centre and size [mm] in the camera frame.
     """
 
     obj_id: int
@@ -33,12 +33,12 @@ class StoredInstance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneContent:
-    """All of one scene in memory, as stored; a picture that the dataset does not hold is None.
+    """All data of one image as stored; a picture that the dataset does not contain is None.
 
-    Depths are steps of `depth_scale_mm`, 0 where there is none. `reason` holds the numbers of
-    `reason_name`, 0 where there is a scanner depth and `NO_REASON` where the dataset does not say
-    why there is none. `label` is the visible instance of each pixel, -1 for none; where masks of
-    annotators overlap, the later one.
+    Depths are multiples of `depth_scale_mm`, 0 where missing. `reason` holds keys of `reason_name`:
+    0 where there is a scanner depth, and `NO_REASON` where the reason of its absence is unknown.
+    `label` is the visible instance of each pixel, or -1; where masks of annotators overlap, the
+    later mask counts.
     """
 
     stored: StoredScene
@@ -59,7 +59,7 @@ class SceneContent:
 
 
 def scene_content(stored: StoredScene) -> SceneContent:
-    """Read all of it.
+    """Read all data of an image.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another.
@@ -91,14 +91,14 @@ def scene_content(stored: StoredScene) -> SceneContent:
 
 
 def _distances(steps: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
-    """Steps of depth, 0 where there is none; datasets of others may have 65535 there."""
+    """Return steps of depth, 0 where missing; other datasets may use 65535 there."""
     return np.where(known_depth(steps), steps, 0)
 
 
 def _label_map(instances: list[Instance], size_px: tuple[int, int]) -> Int[np.ndarray, "h w"]:
-    """From run lengths: a picture per mask would be read a hundred times slower."""
+    """Fill a map from run lengths, which is a hundred times faster than reading the masks."""
     height_px, width_px = size_px
-    label = np.full(height_px * width_px, -1, dtype=np.int32)  # by columns, as COCO counts
+    label = np.full(height_px * width_px, -1, dtype=np.int32)  # in columns, as in COCO
     for i, (_, _, entry) in enumerate(instances):
         turn = [] if entry is None else np.cumsum(entry.segmentation.counts).tolist()
         for start, end in zip(turn[0::2], turn[1::2], strict=False):

@@ -1,8 +1,8 @@
-"""What a person looks at.
+"""Pictures and pages for people.
 
-Each imports only from those above it:
+Each module imports only from those above it:
 
-    report           pictures of inputs and results, and the web page
+    report           pictures of inputs and results, and web pages
     scenes           scenes for a script or a notebook
-    live             a cell in the browser, whose settings can be changed
+    live             a cell in the browser, with settings that can be changed
 """

@@ -1,7 +1,7 @@
-"""A cell in the browser, alive: what each setting does is seen while it is set.
+"""A live cell in the browser: the effect of each setting is visible while it is changed.
 
-`Session` keeps what is set; a process of its own, which ends with the page, keeps the whole line
-open (`line.py`); `serve` shows both on this machine alone.
+`Session` holds the settings. A separate process, which ends with the page, holds the results of all
+stages (`line.py`). `serve` provides the page, which only this machine can open.
 """
 
 from .server import Server, serve

@@ -1,4 +1,4 @@
-"""What a session asks of the process that makes its pictures, and what comes back."""
+"""The messages between a session and the process that makes its pictures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from ...cell.config import Config
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ask:
-    """Show this cell. A later one replaces it, whatever has been done of it."""
+    """A request to show a cell. A later request replaces it, even if it is half done."""
 
     number: int
     config: Config
-    unturned: Config  # the same where ambient light and projector power are as the file says
+    unturned: Config  # the same with ambient light and projector power of the file
     ambient: float
     power: float
-    frame: int  # which of the captured frames is looked at
+    frame: int  # This is the index of the captured frame to show.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Something for the page: `header` says what it is, `arrays` are bytes by name."""
+    """Data for the page: `header` describes them, and `arrays` are bytes by name."""
 
     kind: str  # "picture", "stage" or "error"
     number: int

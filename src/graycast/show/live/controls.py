@@ -1,4 +1,4 @@
-"""The controls of the page: what each one sets, between which bounds, and what it costs."""
+"""The controls of the page: their settings, their bounds, and the cost of a change."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -17,15 +17,15 @@ from ...world.parts.part_sections import material_words, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
-MOST_PARTS = 6  # This many kinds of parts have controls of their own; the text has all.
+MOST_PARTS = 6  # More kinds of parts have no controls, only text.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
-    """One value that a user may set.
+    """A control of the page for one value.
 
-    `whole` is what is sent, where it is not the value alone: a list or a section, of which `key`
-    names a place. A `grey` value stands for three equal ones. A control without bounds is a choice.
+    `whole` is the key that is sent if `key` is only a part of it, such as an item of a list. `grey`
+    means that one number stands for three equal ones. A control without bounds offers `choices`.
     """
 
     key: str
@@ -34,21 +34,21 @@ class Control:
     cost: Cost
     low: Number | None = None
     high: Number | None = None
-    step: Number | None = None  # A slider moves by this step; if it is None, by equal ratios.
+    step: Number | None = None  # A slider moves by this step, or by equal ratios if it is None.
     unit: str = ""
-    scale: float = 1.0  # The page shows this many times the value that is set.
+    scale: float = 1.0  # The page shows the value times this factor.
     choices: tuple[Any, ...] = ()
     whole: str | None = None
     grey: bool = False
 
 
 def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
-    """Return all controls of a configuration as JSON, and the values that it states or leaves.
+    """Return all controls of a configuration as JSON, with their values, stated or default.
 
     Each control has the description of its key, which the page shows as a tooltip.
 
-    No file of a part or a bin is read, so the page has its controls before any picture, and also
-    where a value lets no picture be made.
+    No file of a part or a bin is read, so the page has its controls before the first picture, and
+    even if no picture can be made with the values.
     """
     return {
         "controls": [_described(control) for control in _controls(config)],
@@ -57,7 +57,7 @@ def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 
 def values_of_files(cell: Cell) -> dict[str, Any]:
-    """The values that a configuration may leave to the files that it names."""
+    """Return the values that a configuration may leave to the files that it names."""
     config = cell.config
     values: dict[str, Any] = {"table": material_words(cell.scene.table, config.table)}
     for index, section in enumerate(config.parts[:MOST_PARTS]):
@@ -167,7 +167,7 @@ _RIG = (
 
 
 def _surface(whole: str, name: str) -> Iterator[Control]:
-    """A surface in its physical words; a picture on it gives way to a plain grey."""
+    """Yield controls of a surface's physical properties; plain grey replaces a texture."""
     words = (("base_color", "grey", 0.0), ("metallic", "metallic", 0.0),
              ("roughness", "roughness", 0.05), ("specular", "specular", 0.0))  # fmt: skip
     for word, label, low in words:
@@ -214,14 +214,14 @@ _PHYSICS = (
 
 
 def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
-    """The values that are used, whether the configuration states them or not."""
+    """Return the values in use, whether the configuration states them or not."""
     values: dict[str, Any] = {}
     for section in ("exposure", "sensor", "decode", "filters"):
         for name, value in asdict(getattr(scanner, section)).items():
             values[f"{section}.{name}"] = value
     stated = {"bin.material": config.bin.material, "table": config.table}
     for index, part in enumerate(config.parts[:MOST_PARTS]):
-        if part.builtin is None:  # The material of a built-in part is known with the part.
+        if part.builtin is None:  # A built-in part's material is known once it is loaded.
             stated[f"parts.{index}.material"] = part.material
         values[f"parts.{index}.builtin"] = part.builtin
     for key, surface in stated.items():
@@ -250,6 +250,6 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 
 def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str, Any]:
-    """The bin's sizes, and what the camera looks at in it."""
+    """Return the bin's inner sizes, and the point that the camera looks at."""
     target_m = config.view.target_m or (0.0, 0.0, inner_m[2] / 3)
     return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}

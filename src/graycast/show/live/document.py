@@ -1,7 +1,7 @@
-"""What is set in a live session: a configuration's own words, and a few things turned beside them.
+"""The state of a live session: the text of a configuration, and a few separate adjustments.
 
-Ambient light and the rig have no single key of a configuration. They are turned here, and become
-words when the cell is asked for: scaled radiances, and a rig file of its own.
+Ambient light and changes of the rig have no single key in a configuration. They are stored here and
+become keys when a picture is requested: scaled radiances, and a rig file of the session.
 """
 
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ from ...rig.pair import Rig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigChange:
-    """What is turned at a rig: factors of its own values, and a turn added to its toe-in."""
+    """Changes of a rig: factors for its values, and an angle that is added to its toe-in."""
 
-    power: float = 1.0  # of the projector
+    power: float = 1.0  # This is a factor of the projector's power.
     baseline: float = 1.0
     toe_in_deg: float = 0.0
 
@@ -43,10 +43,10 @@ class RigChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """One state of a session; nothing in it changes, so that undo is an earlier one."""
+    """One state of a session; it is immutable, so that undo returns to an earlier one."""
 
-    content: Mapping[str, Any]  # as the YAML file says it
-    ambient: float = 1.0  # factor of the environment and of all lamps
+    content: Mapping[str, Any]  # the content of the YAML file
+    ambient: float = 1.0  # This scales the environment and all lamps.
     rig: RigChange = field(default_factory=RigChange)
 
     def __post_init__(self) -> None:
@@ -55,14 +55,14 @@ class Document:
 
 
 def changed(document: Document, key: str, value: Any) -> Document:
-    """The document with another value; None takes a key away, so that it is as if left out.
+    """Return the document with another value; None removes a key, so that its default applies.
 
     Args:
-        key: `ambient`, one of `RigChange` after `rig.`, or a key of the configuration with dots,
-            such as `exposure.target` and `parts.0.material`.
+        key: `ambient`, a field of `RigChange` after `rig.`, or a key of the configuration in
+            dotted form, such as `exposure.target` or `parts.0.material`.
 
     Raises:
-        ConfigError: there is no such place in the configuration, or a factor is out of its range.
+        ConfigError: the configuration has no such key, or a factor is out of its range.
     """
     try:
         if key == "ambient":
@@ -107,10 +107,10 @@ def _item(node: list[Any], step: str, key: str) -> Any:
 
 
 def checked(document: Document, path: Path) -> Config:
-    """The configuration that the document's own words are, without what is turned beside them.
+    """Return the document's configuration, without the separate adjustments.
 
     Raises:
-        ConfigError: as in `load_config`; the text names the file.
+        ConfigError: see `load_config`; the text names the file.
     """
     return check_settings(document.content, Config, path)
 
@@ -118,14 +118,14 @@ def checked(document: Document, path: Path) -> Config:
 def files_of(
     document: Document, path: Path, *, rig_name: str
 ) -> tuple[Mapping[str, Any], str | None]:
-    """What the files hold that `graycast preview` reads: a configuration, and a rig file if needed.
+    """Return files for `graycast preview`: a configuration, and the text of a rig file if needed.
 
     Args:
-        path: of the configuration; its relative paths start in that folder.
-        rig_name: what the configuration calls the document's own rig file.
+        path: of the configuration; relative paths start in its folder.
+        rig_name: the name of the document's own rig file in the configuration.
 
     Raises:
-        ConfigError: the words are refused, or the rig cannot be read or turned like that.
+        ConfigError: the configuration is invalid, or the rig cannot be read or changed like this.
     """
     config = checked(document, path)
     content = deepcopy(dict(document.content))
@@ -139,7 +139,7 @@ def files_of(
     except ValueError as error:
         raise ConfigError(f"{path}: rig: {error}") from error
     content["rig"] = rig_name
-    content.pop("resolution", None)  # a rig file states its own
+    content.pop("resolution", None)  # A rig file states its own resolution.
     return content, scanner_text(turned)
 
 
@@ -151,14 +151,14 @@ def _brightened(config: Config, factor: float) -> dict[str, Any]:
 
 
 def turned_rig(rig: Rig, change: RigChange) -> Rig:
-    """The rig with a brighter projector, farther from the camera, turned more towards its axis.
+    """Return the rig with a brighter projector, farther away and turned towards its axis.
 
     Raises:
-        ValueError: the baseline is none, or longer than rigs are.
+        ValueError: the baseline is zero, or longer than allowed.
     """
     across = 0 if triangulation_axis(rig) == "column" else 1
     side = 1.0 if rig.T_cam_proj[across, 3] >= 0 else -1.0
-    # About y a turn by +a moves the axis towards +x, about x towards -y.
+    # A positive turn moves the axis towards +x about y, and towards -y about x.
     sense = -side if across == 0 else side
     T_cam_proj = rig.T_cam_proj.copy()
     turn = axis_rotation("xy"[1 - across], sense * np.radians(change.toe_in_deg))
@@ -169,5 +169,5 @@ def turned_rig(rig: Rig, change: RigChange) -> Rig:
 
 
 def document_text(content: Mapping[str, Any]) -> str:
-    """A configuration as YAML."""
+    """Return a configuration as YAML."""
     return yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=100)

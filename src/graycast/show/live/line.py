@@ -1,13 +1,13 @@
-"""The whole line kept open: what is asked for is made from what is there as far as that goes.
+"""Keep the results of all stages, and make a requested picture from those that still apply.
 
-Every product stays with what it was made from. A change of what comes after the light alone
-(exposure, sensor, decoder, filters, faults) is measured again from the stored radiance, which is
-linear: so are the projector's power and the ambient light, whose factors scale it. Another light is
-rendered, roughly first, then as configured. Only what falls otherwise is dropped again.
+Each product is stored with a key of its inputs. If only settings after the light have changed
+(exposure, sensor, decoder, filters, faults), the stored radiance is measured again. Radiance is
+linear, so the projector's power and the ambient light are factors of it. A change of the light
+is rendered roughly first, then as configured. Parts are dropped again only if the physics changed.
 
-What is finished is what `make_scene` makes of the same configuration, bit for bit: the stages and
-their seeds are the same. A scaled radiance differs in its last bits, so it is shown at once, and
-rendered anew while one waits.
+A finished picture equals that of `make_scene` bit for bit, since the stages and their seeds are the
+same. A scaled radiance differs in its last bits, so it is shown at once and rendered again in the
+background.
 """
 
 import hashlib
@@ -37,30 +37,30 @@ from .asking import Answer, Ask
 from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
-ROUGH = (1, 4)  # Pictures with this many samples come before the configured ones.
+ROUGH = (1, 4)  # Before the configured quality, pictures with these samples are made.
 
 Emit = Callable[[Answer], None]
 
 
 class Superseded(Exception):
-    """Something else has been asked for: what is being made is of no use any more."""
+    """Another request has arrived, so the current work is useless."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightState:
-    """A rendering, and the light that it was made with."""
+    """A rendering, with the light it was made with."""
 
-    key: Hashable  # of all that the light depends on but the two factors
-    number: int  # no two renderings have the same
+    key: Hashable  # It identifies the light without the two factors.
+    number: int  # Each rendering has its own number.
     ambient: float
     power: float
     quality: Quality
-    final: bool  # of as many samples as configured
+    final: bool  # It has as many samples as configured.
     rendering: Rendering
 
 
 class Line:
-    """Keeps the last product of every stage. One thread calls it, for Mitsuba's sake."""
+    """The latest product of every stage. Only one thread may call it, because of Mitsuba."""
 
     def __init__(
         self,
@@ -71,12 +71,12 @@ class Line:
         emit: Emit,
         superseded: Callable[[], bool],
     ) -> None:
-        """Keep nothing yet.
+        """Start without any products.
 
         Args:
-            folder: where the configuration's relative paths start.
-            emit: is given every answer.
-            superseded: whether something else has been asked for meanwhile.
+            folder: the folder where the configuration's relative paths start.
+            emit: called with every answer.
+            superseded: returns whether another request has arrived.
         """
         self._folder, self._scene_id, self._device = folder, scene_id, device
         self._emit, self._superseded = emit, superseded
@@ -97,11 +97,11 @@ class Line:
             self._renderer[1].close()
 
     def show(self, ask: Ask) -> None:
-        """Make what is asked for and emit it, roughly first where it takes long.
+        """Make the requested picture and emit it, with rough pictures first if it takes long.
 
         Raises:
-            Superseded: before it was finished.
-            GraycastError, ValueError, OSError: as in `resolve_cell` and `make_scene`.
+            Superseded: another request arrived first.
+            GraycastError, ValueError, OSError: see `resolve_cell` and `make_scene`.
         """
         start = time.perf_counter()
         cell = self._resolved(ask.config)
@@ -139,7 +139,7 @@ class Line:
             first = False
 
     def look(self, ask: Ask) -> None:
-        """Show another of the captured frames; show all anew if a file has changed."""
+        """Show another captured frame; if a file has changed, make the whole picture again."""
         key = _light_key(ask.config, self._folder, self._files(ask.config))
         if self._cell is None or self._cell[0] != key:
             self.show(ask)
@@ -149,9 +149,9 @@ class Line:
     # --- the stages ---------------------------------------------------------------------------
 
     def _resolved(self, config: Config) -> Cell:
-        """Return the cell; it is made anew where more has changed than the free sections.
+        """Return the cell, which is resolved again unless only free sections changed.
 
-        Files count by their content: one that was edited may keep its name.
+        Files are compared by content, because an edited file may keep its name.
         """
         key = _light_key(config, self._folder, self._files(config))
         if self._cell is not None and self._cell[0] == key:
@@ -163,9 +163,9 @@ class Line:
         return cell
 
     def _files(self, config: Config) -> Mapping[str, str]:
-        """Return the digests of the files that a configuration names; only changed ones are read.
+        """Return the digests of the configuration's files; only changed files are read again.
 
-        There are none where one cannot be read, which reading the cell then says.
+        If a file cannot be read, the result is empty, and resolving the cell reports the error.
         """
         words = _words(config)
         if self._digests is not None and self._digests[0] == words:
@@ -187,7 +187,7 @@ class Line:
     def _layout(
         self, key: Hashable, scene: Scene, counts: tuple[int, ...], seed: int, ask: Ask
     ) -> tuple[Layout, bool]:
-        """Where the parts lie, and whether they had to fall for it."""
+        """Return the layout of the parts, and whether they had to be dropped for it."""
         if self._lain is not None and self._lain[0] == key:
             return self._lain[1], False
         limits = ask.config.drop
@@ -214,12 +214,12 @@ class Line:
         return self._renderer[1]
 
     def _passed(self, done: int, total: int) -> None:
-        """A finished rough picture is worth its time, so only the long ones are broken off."""
+        """Stop a long rendering if another request has arrived; rough ones are finished."""
         if total > max(ROUGH) and done < total and self._superseded():
             raise Superseded
 
     def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
-        """Make what the page shows of light; the colour picture follows where it takes longer."""
+        """Measure and show a rendering; a colour picture that takes longer follows."""
         scanner, ask = run.cell.scanner, run.ask
         power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
         light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
@@ -261,7 +261,7 @@ class Line:
         self._emit(picture_answer(ask, self.content, kind=kind, ms=run.ms, first=False))
 
     def _tell_world(self, ask: Ask) -> None:
-        """The bodies of the 3D view, where they are other ones."""
+        """Emit the bodies of the 3D view if they have changed."""
         assert self.content is not None
         key = world_key(self.content)
         if key != self._world:
@@ -271,7 +271,7 @@ class Line:
     def _color_light(
         self, run: "_Run", rendering: Rendering, key: tuple[Hashable, bool]
     ) -> Float[np.ndarray, "h w 3"]:
-        """Cleaned once for a finished rendering; others are shown as they are."""
+        """Return the colour picture's light, denoised once a rendering is final."""
         quality = resolve_quality(run.ask.config)
         noisy = run.ask.config.render.denoise and quality.denoise == "none"
         denoiser = self._opened(run.cell).denoiser if noisy and key[1] else None
@@ -283,7 +283,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """What all pictures of one asking have in common."""
+    """The common inputs of all pictures of one request."""
 
     ask: Ask
     cell: Cell
@@ -298,10 +298,10 @@ class _Run:
 
 
 def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hashable:
-    """Return all that a configuration and its files say of the world and its light.
+    """Return a key of the configuration and its files that determines the world and its light.
 
     Args:
-        digests: of the files that it names, beside those of its rigs, which are read here.
+        digests: of the files that it names, except those of its rigs, which are read here.
     """
     rigs = [
         (name, described_values(scanner.rig), described_values(scanner.code))
@@ -315,12 +315,12 @@ def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hash
 
 
 def _words(config: Config) -> str:
-    """Return all that a configuration itself says of the world and its light, as text."""
+    """Return the part of the configuration that determines the world and its light, as text."""
     return config.model_dump_json(exclude=set(FREE_SECTIONS))
 
 
 def _state(file: Path) -> Hashable:
-    """Return what changes when a file is written; None if there is no such file."""
+    """Return a value that changes when a file is written; None if there is no such file."""
     try:
         state = file.stat()
     except OSError:
@@ -329,17 +329,16 @@ def _state(file: Path) -> Hashable:
 
 
 def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:
-    """Rough pictures first, but none that is no better than what is there."""
+    """Return rough qualities that improve on the present picture, then the wanted one."""
     there = lit.quality.samples if lit is not None else 0
     rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
     return [*rough, wanted]
 
 
 def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
-    """The rendering under another power of the projector and another ambient light.
+    """Return the rendering with other factors of projector power and ambient light.
 
-    A light that was dark says nothing of a brighter one: what it would add is left out until it
-    is rendered.
+    A light that was dark cannot be scaled up; its contribution is missing until it is rendered.
     """
     if power == ambient == 1:
         return rendering
@@ -356,14 +355,14 @@ def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
 
 
 def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:
-    """A turn of one light copies no other: the patterns' stack alone is 15 ms of a wait."""
+    """Scale a light; the factor 1 makes no copy, which takes 15 ms for a stack of patterns."""
     return light if factor == 1 else light * np.float32(factor)
 
 
 def _physics_key(scene: Scene, counts: tuple[int, ...], seed: int, limits: DropLimits) -> Hashable:
-    """By value, all that `drop` is given and looks at: shapes, weights, friction."""
+    """Return a key of all values that `drop` uses: shapes, masses, friction and limits."""
     box = scene.bin
-    assert box is not None  # a cell has one
+    assert box is not None  # A cell always has a bin.
 
     def solid(mesh: Any) -> str:
         digest = hashlib.sha256(np.ascontiguousarray(mesh.vertices_m).tobytes())

@@ -1,4 +1,4 @@
-"""The process that makes the pictures, so that all its memory and threads go when it ends."""
+"""The process that makes the pictures; when it ends, its memory and threads are released."""
 
 import faulthandler
 import signal
@@ -13,14 +13,14 @@ from ...base.errors import GraycastError, error_line
 from ...base.spawn import SPAWN
 from .asking import Answer, Ask
 
-STOP_S = 3.0  # If a rendering keeps the process from ending in this time, the process is killed.
+STOP_S = 3.0  # The process is killed if it has not ended after this time.
 
 
 def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> None:
-    """Answer what comes in until nothing more does; of several asks the last one counts."""
+    """Answer requests until the session ends; of several, only the last one counts."""
     from .line import Line, Superseded
 
-    faulthandler.enable()  # where native code crashes, standard error says where it was called
+    faulthandler.enable()  # If native code crashes, this prints the call stack.
     line = Line(
         folder=folder,
         scene_id=scene_id,
@@ -42,7 +42,7 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
                 continue
             except (GraycastError, ValueError, OSError, MemoryError) as error:
                 connection.send(_refusal(ask, error_line(error)))
-            except Exception as error:  # the page must hear of what nobody foresaw
+            except Exception as error:  # The page must also report unexpected errors.
                 text = f"{type(error).__name__} {error_line(error)}"
                 connection.send(
                     _refusal(ask, f"{text}: this is an error in Graycast or in the machine")
@@ -51,7 +51,7 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
 
 
 def _last(connection: Connection) -> Ask | None:
-    """What was asked for last; None where the session is over."""
+    """Return the latest request; None if the session is over."""
     while True:
         ask: Ask | None = connection.recv()
         if ask is None:
@@ -66,7 +66,7 @@ def _refusal(ask: Ask, text: str) -> Answer:
 
 
 class PictureProcess:
-    """The running process, and a thread that hands its answers on."""
+    """The running process, and a thread that forwards its answers."""
 
     def __init__(
         self,
@@ -77,11 +77,11 @@ class PictureProcess:
         on_answer: Callable[[Answer], None],
         on_end: Callable[[str], None],
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             on_answer: called in the thread with every answer.
-            on_end: called in the thread with what ended the process, if `stop` did not.
+            on_end: called in the thread with the cause if the process ends without `stop`.
         """
         self._connection, theirs = SPAWN.Pipe()
         self._process = SPAWN.Process(
@@ -90,7 +90,7 @@ class PictureProcess:
         self._process.start()
         theirs.close()
         self._on_answer, self._on_end = on_answer, on_end
-        self._lock = Lock()  # of the three below, and of the pipe's one end
+        self._lock = Lock()  # It guards the next three and sending on the pipe.
         self._on_the_way = self._stopping = False
         self._waiting: Ask | None = None
         self._thread = Thread(target=self._listen, daemon=True)
@@ -101,7 +101,7 @@ class PictureProcess:
         return self._process.pid
 
     def ask(self, ask: Ask) -> None:
-        """Ask for a cell; of several that wait, the process sees the last alone."""
+        """Request a cell; of several waiting requests, the process gets only the last."""
         with self._lock:
             if self._on_the_way:
                 self._waiting = ask
@@ -110,7 +110,7 @@ class PictureProcess:
 
     def _send(self, ask: Ask) -> None:
         self._on_the_way, self._waiting = True, None
-        with suppress(BrokenPipeError, OSError):  # `on_end` tells of it
+        with suppress(BrokenPipeError, OSError):  # `on_end` reports it.
             self._connection.send(ask)
 
     def _taken(self) -> None:
@@ -120,7 +120,7 @@ class PictureProcess:
                 self._send(self._waiting)
 
     def stop(self) -> None:
-        """End it, and with it all that it holds."""
+        """End the process, which releases all its resources."""
         with self._lock, suppress(BrokenPipeError, OSError):
             self._stopping, self._waiting = True, None
             self._connection.send(None)

@@ -1,8 +1,8 @@
-"""The page's server: this machine alone reaches it, and only pages of its own may speak to it.
+"""The page's server: only this machine can reach it, and only its own pages can use it.
 
-It listens on the loopback address. What comes from elsewhere under another name (a page of the
-internet whose name was made to point here) is refused by its Host, and a page of another origin by
-its Origin. There is no password: whoever has an account on this machine may open the page.
+It listens on the loopback address. Its check of the header Host refuses a foreign page whose name
+was made to point to this address, and the check of Origin refuses a page of another origin. There
+is no password: anyone with an account on this machine can open the page.
 """
 
 import json
@@ -27,9 +27,9 @@ from .asking import Answer
 from .session import Message, Session
 
 HOST = "127.0.0.1"
-GRACE_S = 2.0  # A page may take this time to load again before all that it needs is given back.
-MOST_BYTES = 1_000_000  # A page may not send more in one request.
-_BEAT_S = 0.25  # A page's stream looks this often whether the page is still there.
+GRACE_S = 2.0  # If a page is not loaded again in this time, its resources are released.
+MOST_BYTES = 1_000_000  # This limits the size of one request.
+_BEAT_S = 0.25  # A page's stream checks at this interval whether the page is still open.
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
@@ -39,19 +39,19 @@ _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-in
 
 
 class Server:
-    """Serves one session to the pages that are open; without any, nothing is kept made."""
+    """Serves a session to the open pages; without an open page, no pictures are kept."""
 
     def __init__(self, path: Path, *, port: int = 0, scene_id: int = 0, device: str = "auto"):
-        """Read the configuration and take the port.
+        """Read the configuration and open the port.
 
         Raises:
-            ConfigError: as in `load_config`.
-            GraycastError: the port is taken.
+            ConfigError: see `load_config`.
+            GraycastError: the port is in use.
         """
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
         self._pages: list[SimpleQueue[Message]] = []
         self._lock = threading.Lock()
-        self._turn = threading.Lock()  # opening and pausing take their turns
+        self._turn = threading.Lock()  # It keeps opening and pausing apart.
         self._pause: threading.Timer | None = None
         try:
             self._http = _Http((HOST, port), _Handler)
@@ -70,12 +70,12 @@ class Server:
         self._http.serve_forever(poll_interval=_BEAT_S)
 
     def close(self) -> None:
-        """End `run`, which another thread is in."""
+        """End `run`, which another thread executes."""
         self._http.shutdown()
         self.release()
 
     def release(self) -> None:
-        """Give all back, once `run` has ended."""
+        """Release all resources after `run` has ended."""
         self._http.server_close()
         with self._turn:
             if self._pause is not None:
@@ -86,13 +86,13 @@ class Server:
 
     @contextmanager
     def page(self) -> Iterator["SimpleQueue[Message]"]:
-        """One page that listens: the first one opens the session, the last one closes it."""
+        """Add a listening page: the first one opens the session, the last one pauses it."""
         queue: SimpleQueue[Message] = SimpleQueue()
         with self._turn:
             if self._pause is not None:
                 self._pause.cancel()
             self.session.open()
-            with self.session.standing_still():  # An answer that came meanwhile would be lost.
+            with self.session.standing_still():  # No answer may arrive in between and be lost.
                 queue.put(Message(kind="state", content=self.session.state()))
                 for version, answer in self.session.newer(0):
                     queue.put(Message(kind=answer.kind, content={"version": version}))
@@ -123,13 +123,13 @@ class Server:
             for queue in self._pages:
                 queue.put(message)
 
-    # --- what a page asks ---------------------------------------------------------------------
+    # --- commands of a page -------------------------------------------------------------------
 
     def do(self, command: Any) -> dict[str, Any]:
-        """One thing that a user did; what it gives back goes to his page.
+        """Execute one command of the user, and return the result for his page.
 
         Raises:
-            GraycastError, ValueError: it cannot be done; nothing has changed.
+            GraycastError, ValueError: the command is not possible; nothing has changed.
         """
         session = self.session
         match command:
@@ -154,7 +154,7 @@ class Server:
 
 @contextmanager
 def serve(path: Path, *, port: int, scene_id: int, device: str) -> Iterator[Server]:
-    """A server that runs in the block, in a thread of its own."""
+    """Yield a server that runs in its own thread during the block."""
     server = Server(path, port=port, scene_id=scene_id, device=device)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
@@ -168,14 +168,14 @@ def serve(path: Path, *, port: int, scene_id: int, device: str) -> Iterator[Serv
 class _Http(ThreadingHTTPServer):
     live: Server
     daemon_threads = True
-    block_on_close = False  # a stream ends when its page or the program does
+    block_on_close = False  # A stream ends when its page or the program does.
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that went away in the middle of an answer is no error."""
+        """Ignore pages that close during an answer, which is not an error."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request of a browser."""
+    """The handler of one request of a browser."""
 
     server: _Http
     protocol_version = "HTTP/1.1"
@@ -220,7 +220,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(json.dumps(answer).encode(), "application/json")
 
     def _is_ours(self) -> bool:
-        """Whether a page of this server asks, under the name that it was opened with."""
+        """Return whether a page of this server sent the request, under the server's own name."""
         names = {f"{name}:{self.server.live.port}" for name in (HOST, "localhost")}
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
         if host in names and origin in (None, f"http://{host}"):
@@ -230,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _stream(self) -> None:
-        """Everything that happens, line by line, for as long as the page is there."""
+        """Send all messages, one per line, while the page is open."""
         self.close_connection = True
         self._head(HTTPStatus.OK, "text/event-stream", None)
         with self.server.live.page() as queue, suppress(OSError):
@@ -260,12 +260,12 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is printed for a request."""
+        """Print nothing for a request."""
 
 
 @cache
 def _about() -> bytes:
-    """What the page has to know before any picture."""
+    """Return the data that the page needs before the first picture."""
     return report_script(
         {
             "reasons": reason_records(),
@@ -284,20 +284,20 @@ def _command(body: bytes) -> Any:
 
 
 def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:
-    """A picture's own kind (free, light, physics) gives way to the message's."""
+    """Rename a picture's own kind (free, light, physics), since the message has a `kind`, too."""
     return {("change" if key == "kind" else key): value for key, value in content.items()}
 
 
 def _is_gone(connection: socket.socket) -> bool:
-    """Whether the other side has closed: a browser sends nothing more on a stream."""
+    """Return whether the other side has closed; a browser sends nothing more on a stream."""
     readable, _, _ = select.select([connection], [], [], 0)
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 
 
 def _packed(answers: list[tuple[int, Answer]]) -> bytes:
-    """Answers as one piece: the length of a head, the head as JSON, and every array's bytes.
+    """Return answers in one block: the length of the head, the head as JSON, and all arrays.
 
-    Arrays begin at multiples of 8 bytes, so that a browser looks at them where they are.
+    Arrays begin at multiples of 8 bytes, so that a browser can use them without a copy.
     """
     places: list[dict[str, Any]] = []
     pieces: list[bytes] = []

@@ -1,4 +1,4 @@
-"""A session: what is set, what was set before, what is saved; and the process that shows it."""
+"""A session: its settings with their history, its files, and the process that shows it."""
 
 import hashlib
 import re
@@ -27,14 +27,14 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}\.ya?ml")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """What a page is told: a kind, and what belongs to it. Pictures are fetched by their number."""
+    """A message to a page: its kind and content. Pictures are fetched separately, by number."""
 
     kind: str
     content: Mapping[str, Any]
 
 
 class Session:
-    """The state behind the page. Its methods may be called by any thread."""
+    """The state behind the page. Any thread may call its methods."""
 
     def __init__(
         self,
@@ -44,14 +44,14 @@ class Session:
         device: str = "auto",
         on_message: Callable[[Message], None] = lambda message: None,
     ) -> None:
-        """Read and check a configuration; nothing is made before `open`.
+        """Read and check a configuration; pictures are made after `open`.
 
         Args:
-            path: of the configuration. Nothing is ever written there.
-            on_message: called for everything that a page shall hear.
+            path: the file of the configuration, which is never written.
+            on_message: called with every message for a page.
 
         Raises:
-            ConfigError: as in `load_config`.
+            ConfigError: see `load_config`.
         """
         self._path, self._scene_id, self._device = path, scene_id, device
         self._on_message = on_message
@@ -62,30 +62,30 @@ class Session:
         self._number = self._version = 0
         self._requests: dict[int, Document] = {}
         self._request_s: dict[int, float] = {}
-        self._latest: dict[str, tuple[int, Answer]] = {}  # by kind, with a version
+        self._latest: dict[str, tuple[int, Answer]] = {}  # kind: (version, answer)
         self._refusal: Message | None = None
-        self._own: set[Path] = set()  # files that this session has written
+        self._own: set[Path] = set()  # This session has written these files.
         self._lock = RLock()
         self._maker: PictureProcess | None = None
-        self._has_finished = False  # whether the running process has finished a picture
+        self._has_finished = False  # This concerns the running process.
         self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
 
     # --- opening and closing ------------------------------------------------------------------
 
     @property
     def pid(self) -> int | None:
-        """Of the process that makes the pictures; None where none runs."""
+        """Id of the process that makes the pictures; None if it does not run."""
         with self._lock:
             return None if self._maker is None else self._maker.pid
 
     @property
     def number(self) -> int:
-        """Of what was asked for last."""
+        """Number of the latest request."""
         with self._lock:
             return self._number
 
     def open(self) -> None:
-        """Begin to make pictures, if that is not done already."""
+        """Start to make pictures, unless this has been done."""
         with self._lock:
             if self._maker is None:
                 self._has_finished = False
@@ -99,7 +99,7 @@ class Session:
                 self._show()
 
     def pause(self) -> None:
-        """Give back all memory and threads; what is set, and what it was before, stays."""
+        """Release all memory and threads; settings and their history stay."""
         with self._lock:
             maker, self._maker = self._maker, None
             self._latest.clear()
@@ -110,56 +110,56 @@ class Session:
         self.pause()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    # --- what a user does ---------------------------------------------------------------------
+    # --- actions of a user --------------------------------------------------------------------
 
     def set(self, key: str, value: Any, *, draft: bool = False) -> None:
-        """Set one value, as in `document.changed`; drafts in a row are one step of undo.
+        """Set one value, as in `document.changed`; consecutive drafts are one step of undo.
 
         Raises:
-            ConfigError: the configuration would be refused; what was set stays.
+            ConfigError: the configuration would be invalid; the settings stay as they are.
         """
         with self._lock:
             self._take(changed(self._now, key, value), draft=draft)
 
     def rewrite(self, text: str) -> None:
-        """Take another text for the configuration; what is turned beside it stays.
+        """Replace the text of the configuration; the separate adjustments stay.
 
         Raises:
-            ConfigError: it would be refused; what was set stays.
+            ConfigError: the configuration would be invalid; the settings stay as they are.
         """
         with self._lock:
             content = dict(parse_yaml(text, self._path))
             self._take(replace(self._now, content=content), draft=False)
 
     def undo(self, steps: int = 1) -> None:
-        """Go back, or with a negative number forth again; at either end nothing happens."""
+        """Undo some steps, or redo them if the number is negative, as far as possible."""
         with self._lock:
             self._draft = False
             self._at = min(max(self._at - steps, 0), len(self._states) - 1)
             self._show()
 
     def return_to(self, number: int) -> None:
-        """Set all as it was when the picture of that number was asked for."""
+        """Restore the settings of the picture with this number."""
         with self._lock:
             if number not in self._requests:
                 raise ConfigError(f"picture {number} is no longer stored: set its values by hand")
             self._take(self._requests[number], draft=False)
 
     def look(self, frame: int) -> None:
-        """Look at another of the captured frames."""
+        """Show another captured frame."""
         with self._lock:
             self._frame = frame
             self._show()
 
     def save(self, name: str) -> Path:
-        """Write what is set beside the configuration, for `graycast preview` and all others.
+        """Write the settings to the configuration's folder, for all commands of Graycast.
 
         Returns:
-            The file. A rig that was turned is a file of its own beside it.
+            The path of the configuration. A changed rig gets its own file in the same folder.
 
         Raises:
-            GraycastError: the name is none, is taken by a file that this session has not written,
-                or the disk refuses.
+            GraycastError: the name is invalid, belongs to a file that this session has not
+                written, or the disk refuses.
         """
         if not _NAME.fullmatch(name):
             raise ConfigError(
@@ -181,10 +181,10 @@ class Session:
                 self._own.add(file)
         return path
 
-    # --- what a page shows --------------------------------------------------------------------
+    # --- data for a page ----------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """What is set, for a page: words, what is turned, whether there is something to undo."""
+        """Return the settings for a page: text, adjustments, and whether undo is possible."""
         with self._lock:
             now = self._now
             config = checked(now, self._path)
@@ -210,7 +210,7 @@ class Session:
             }
 
     def _controls(self, config: Config) -> dict[str, Any]:
-        """There are none where the rig cannot be read: the text remains to be corrected."""
+        """Return the controls; none if the rig cannot be read, since its text can be corrected."""
         try:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):
@@ -218,29 +218,29 @@ class Session:
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
-        """While it lasts, nothing is set and no answer is taken: a page that joins misses none."""
+        """Block settings and answers, so that a page that joins misses none."""
         with self._lock:
             yield
 
     def newer(self, version: int) -> list[tuple[int, Answer]]:
-        """The last answers of each kind that are newer than a version, with their versions."""
+        """Return the latest answers of each kind that are newer than a version, with theirs."""
         with self._lock:
             return [latest for latest in self._latest.values() if latest[0] > version]
 
     @property
     def refusal(self) -> Message | None:
-        """Why there is no picture of what is set; None unless it was refused."""
+        """Message that says why the settings give no picture; None if they were not refused."""
         with self._lock:
             return self._refusal
 
-    # --- within -------------------------------------------------------------------------------
+    # --- private ------------------------------------------------------------------------------
 
     @property
     def _now(self) -> Document:
         return self._states[self._at]
 
     def _take(self, document: Document, *, draft: bool) -> None:
-        config = self._config(document)  # refuse it before it counts
+        config = self._config(document)  # Invalid documents must be refused before they count.
         resolve_scanner(config, self._path.parent)
         if self._draft and self._at > 0:
             self._states[self._at] = document
@@ -254,7 +254,7 @@ class Session:
         self._show()
 
     def _show(self) -> None:
-        """Tell the page what is set, and ask for its picture."""
+        """Send the settings to the page, and request a picture."""
         self._number += 1
         self._refusal = None
         self._request_s[self._number] = time.perf_counter()
@@ -277,7 +277,7 @@ class Session:
             )
 
     def _config(self, document: Document) -> Config:
-        """The document's whole configuration; its rig file, if any, is among the session's own."""
+        """Return the document's configuration; its rig file is in the session's own folder."""
         content, rig_text = files_of(document, self._path, rig_name="rig.yaml")
         if rig_text is not None:
             digest = hashlib.sha256(rig_text.encode()).hexdigest()[:16]
@@ -307,12 +307,12 @@ class Session:
         self._on_message(message)
 
     def _ended(self, by: str) -> None:
-        """The process is gone, and nobody stopped it: another one makes the picture.
+        """Start a new process after one that ended without `stop`, to make the picture.
 
-        A process that did not finish one picture has no successor, as it would end likewise.
+        If the process had not finished a picture, a new one would end in the same way.
         """
         with self._lock:
-            if self._maker is None:  # `pause` was quicker
+            if self._maker is None:  # `pause` was faster.
                 return
             self._maker = None
             text = f"the process that makes the pictures was ended by {by}"
@@ -328,7 +328,7 @@ class Session:
 
 
 def _turned(document: Document) -> list[str]:
-    """What is turned beside the configuration's words."""
+    """Return the keys of the separate adjustments that are not neutral."""
     as_it_is = asdict(RigChange())
     names = [
         f"rig.{name}" for name, value in asdict(document.rig).items() if value != as_it_is[name]
@@ -337,7 +337,7 @@ def _turned(document: Document) -> list[str]:
 
 
 def _keys_of(content: Mapping[str, Any], before: str = "") -> list[str]:
-    """Every key that the configuration's own text holds, with dots."""
+    """Return every key of the configuration's text in dotted form."""
     keys = []
     for name, value in content.items():
         key = f"{before}{name}"

@@ -1,4 +1,4 @@
-"""What is made, as the page takes it: maps as bytes, and a header that says what they are."""
+"""Results in the form that the page reads: maps as bytes, and a header that describes them."""
 
 import hashlib
 from collections.abc import Mapping
@@ -33,22 +33,22 @@ DEPTH_MAX = 65535
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageContent:
-    """What is on the page: everything that a picture of it needs."""
+    """All data that the page needs to show a picture."""
 
     cell: Cell
     scene: Scene
     layout: Layout
     rendering: Rendering
     samples: int
-    exact: bool  # what `make_scene` gives
+    exact: bool  # It equals the result of `make_scene`.
     capture: Capture
     codes: CodeMap
     depth: DepthMap
-    rgb: UInt8[np.ndarray, "h w 3"] | None  # It is None until it is made.
+    rgb: UInt8[np.ndarray, "h w 3"] | None  # None until it is made.
 
 
 def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: bool) -> Answer:
-    """All maps of what is shown; the colour picture is among them once it is made."""
+    """Return all maps of a picture, with the colour picture once it is made."""
     cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
     rig, codes = cell.scanner.rig, page.codes
@@ -101,7 +101,7 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
 
 
 def world_answer(ask: Ask, page: PageContent) -> Answer:
-    """The bodies of the 3D view: meshes of the bin and of every kind of part, and their places."""
+    """Return the bodies of the 3D view: meshes of the bin and the parts, and their poses."""
     scene, layout = page.scene, page.layout
     kinds = sorted({int(kind) for kind in layout.part_index})
     meshes = {f"part{kind}": scene.parts[kind].mesh for kind in kinds}
@@ -124,7 +124,7 @@ def world_answer(ask: Ask, page: PageContent) -> Answer:
 
 
 def world_key(page: PageContent) -> str:
-    """Return a key that changes when the bodies of the 3D view do."""
+    """Return a key that changes when the bodies of the 3D view change."""
     scene, layout = page.scene, page.layout
     digest = hashlib.sha256(layout.T_world_part.tobytes() + layout.part_index.tobytes())
     meshes: list[Mesh] = [part.mesh for part in scene.parts]
@@ -136,7 +136,7 @@ def world_key(page: PageContent) -> str:
 
 
 def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndarray, "h w"]:
-    """As depth pictures store it; 0 where there is none, or beyond 16 bits."""
+    """Return depth in the steps of depth pictures; 0 if missing or beyond 16 bits."""
     step = np.rint(np.nan_to_num(depth_m) * (MM_PER_M / scale_mm))
     return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
 
@@ -163,7 +163,7 @@ def _rig(rig: Rig) -> dict[str, Any]:
 
 
 def _figures(page: PageContent) -> dict[str, Any]:
-    """What stands beside the picture, in numbers."""
+    """Return the figures that the page shows next to the picture."""
     depth, truth = page.depth, page.rendering.truth
     of_parts = on_part(page.scene, page.layout, truth)
     part_reasons = reason_shares(depth.reason[of_parts])
@@ -185,14 +185,14 @@ def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
 
 
 def _target(page: PageContent) -> list[float]:
-    """What the rig turns about when it is dragged, in the world [mm]."""
+    """Return the point about which dragging turns the rig, in the world [mm]."""
     view, box = page.cell.config.view, page.scene.bin
     height_m = 0.0 if box is None else box.inner_m[2]
     return [MM_PER_M * v for v in view.target_m or (0.0, 0.0, height_m / 3)]
 
 
 def _lines(rig: Rig, T_world_cam: Float[np.ndarray, "4 4"]) -> Mapping[str, list[float]]:
-    """Segments in the world [mm]: both fields to the far end of the range, what they share."""
+    """Return line segments in the world [mm]: both fields of view, and their common part."""
     ends_m = rig.near_m, 0.5 * (rig.near_m + rig.far_m), rig.far_m
     lines = {
         "camera": _field(rig.camera, np.eye(4), rig.far_m),
@@ -227,7 +227,7 @@ def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]
 
 
 def _volume(outlines: list[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "2 3"]]:
-    """Outlines one behind the other, and edges between their outermost corners."""
+    """Return outlines at several depths, with edges between their outermost corners."""
     segments = [segment for corners in outlines for segment in _around(corners)]
     visible = [corners for corners in outlines if len(corners)]
     for front, back in pairwise(visible):

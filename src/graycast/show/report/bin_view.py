@@ -1,4 +1,4 @@
-"""View of a contact sheet: the bin's part of the picture, and the bin's depths."""
+"""View of a contact sheet: the part of the picture with the bin, and its range of depths."""
 
 import itertools
 
@@ -10,17 +10,17 @@ from ...rendering import GroundTruth
 from ...rig.optics import project
 from ...world.scene import Scene
 
-_AROUND = 0.04  # The bin's outline is this share of its length away from the edge of the crop.
-_MARGIN = 0.02  # The colours reach further than the depths by this share of their range.
+_AROUND = 0.04  # The crop has this margin around the bin, as a share of its length.
+_MARGIN = 0.02  # The colours extend beyond the depths by this share of their range.
 
 Crop = tuple[int, int, int, int]  # left, top, width and height in pixels
 
 
 def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
-    """Return the rectangle of the picture that has the whole bin and all visible parts.
+    """Return the rectangle of the picture that contains the bin and all visible parts.
 
-    It is at least as wide as it is high, where the picture is. Without a bin, or if a corner of the
-    bin is beyond the lens model, it is the whole picture.
+    It is at least as wide as it is high, if the picture allows. Without a bin, or if the lens model
+    does not reach a corner of the bin, it is the whole picture.
     """
     camera = scene.rig.camera
     whole = (0, 0, camera.width_px, camera.height_px)
@@ -41,15 +41,15 @@ def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
     low, high = low - wider_px, high + wider_px
     left, top = np.floor(low).clip(0).astype(int).tolist()
     right, bottom = (np.ceil(high).astype(int) + 1).clip(max=whole[2:]).tolist()
-    if right - left < 2 or bottom - top < 2:  # The camera looks past the bin.
+    if right - left < 2 or bottom - top < 2:  # The bin is out of sight.
         return whole
     return left, top, right - left, bottom - top
 
 
 def depth_limits_mm(scene: Scene, truth: GroundTruth) -> tuple[float, float]:
-    """Return the least and the greatest depth that have colours: those of bin and visible parts.
+    """Return the least and greatest depth of the bin and the visible parts, for the colours.
 
-    Without a bin they are those of the whole picture.
+    Without a bin, they are those of the whole picture.
     """
     if scene.bin is None:
         depth_m = truth.depth_m.ravel()

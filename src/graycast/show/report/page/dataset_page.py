@@ -1,4 +1,4 @@
-"""Builds the page: only scenes that are new or changed, each whole or not at all."""
+"""Build the page of a dataset: only scenes that are new or changed, each completely or not."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from .packing import plain_text, receiving
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
 
-WIDTH_PX = 1300  # Maps of wider cameras are thinned; one of 1032 px keeps every pixel.
-_FORM = "5"  # A change of this number builds a scene's files anew.
+WIDTH_PX = 1300  # Maps of wider cameras are thinned; a camera with 1032 columns keeps all.
+_FORM = "5"  # If this changes, the files of all scenes are built again.
 FUSED = "fused.js"
-_STEPS = 65535  # The longest side of the cloud has this many steps, which 16 bits can count.
+_STEPS = 65535  # The cloud's longest side has this many steps, all that 16 bits hold.
 _MOST = 400000  # A browser draws this many points smoothly.
-_SIGMA_STEP_MM = 0.002  # In 8 bits, steps of this size reach half a millimetre.
+_SIGMA_STEP_MM = 0.002  # With 8 bits, these steps reach half a millimetre.
 _PICTURES, _MAPS = ("depth_sl", "rgb"), ("column_sl", "row_sl")
 _WEB = Web(
     package=__package__,
@@ -74,7 +74,7 @@ class _ScenePiece:
 
 
 def _stamped(scene: StoredScene) -> list[str]:
-    """The files whose change makes a picture's page anew; the manifest knows all of a scene."""
+    """Return the files whose changes make a picture's page outdated, including the manifest."""
     frames = frames_folder(scene.sensor, scene.image)
     pictures = (picture_name(kind, scene.image, scene.sensor) for kind in _PICTURES)
     maps = (Path(picture_name(kind, scene.image, scene.sensor)) for kind in _MAPS)
@@ -96,22 +96,22 @@ def write_report(
     detections: Path | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
-    """Write a dataset's page, or bring it up to date.
+    """Write a dataset's page, or update it.
 
-    A scene whose files are as they were when its page was made is not made again, so a stopped
-    build goes on where it was. Pages of scenes that are gone are removed.
+    A scene whose files have not changed since its page was made is skipped, so a stopped build can
+    be continued. Pages of removed scenes are removed.
 
     Args:
-        out: folder of the page; new, empty or that of an earlier report.
-        workers: processes that make scenes' pages.
-        width_px: maps wider than this are thinned; see `scene_page_files`.
-        detections: results to show over the scenes: a file of COCO results, or a folder that
-            `graycast detector find` wrote. Without them those of an earlier build are taken away.
+        out: folder of the page; it is new, empty or holds an earlier report.
+        workers: number of processes.
+        width_px: wider maps are thinned; see `scene_page_files`.
+        detections: results to show in the scenes: a file of COCO results, or a folder of
+            `graycast detector find`. None removes those of an earlier build.
         progress: counts scenes.
 
     Raises:
-        DatasetError: no scene, or one that cannot be read.
-        GraycastError: `out` holds something else, or cannot be written; the results are of
+        DatasetError: the dataset has no scene, or one that cannot be read.
+        GraycastError: `out` holds something else or cannot be written, or the results belong to
             another dataset.
     """
     stored = open_dataset(dataset)
@@ -129,7 +129,7 @@ def write_report(
 
 
 def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: StoredDataset) -> None:
-    """A script of every scene that was looked at; none of an earlier build stays."""
+    """Write a script for each scene with detections, and remove those of an earlier build."""
     scripts = {} if evaluation is None else dict(detection_scripts(evaluation, stored))
     for scene in scenes.iterdir():
         if scene.name in scripts:
@@ -154,7 +154,7 @@ def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None)
 
 
 def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
-    """The cloud of all pictures of a scene, under the key of the first.
+    """Return the script of the fused cloud of a scene's pictures, under the first one's key.
 
     Raises:
         DatasetError: a file is missing or damaged.
@@ -167,7 +167,7 @@ def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
 
 
 def _packed(cloud: FusedCloud, stride: int) -> dict[str, Any]:
-    """Places [mm, world] as steps of 16 bits from a corner; a byte each of what else is known."""
+    """Return points [mm, world] as 16-bit steps from a corner, and other data as bytes."""
     place_mm = 1000 * cloud.point_m[::stride]
     low = place_mm.min(axis=0) if len(place_mm) else np.zeros(3)
     step = float(max((place_mm - low).max(initial=0.0), 1.0) / _STEPS)

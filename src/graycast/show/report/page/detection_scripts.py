@@ -1,7 +1,7 @@
-"""A run's detections for the page: counts of every scene for the grid, outlines for a scene.
+"""Detections for the page: counts of each scene for the grid, and outlines for each scene.
 
-A detection takes the same instance whatever worse ones there are, so all that a score to count from
-changes is which detections are looked at: the page does that itself.
+A detection matches the same instance whatever detections with lower scores exist. A score threshold
+therefore only selects detections, which the page can do.
 """
 
 from collections.abc import Iterator
@@ -21,10 +21,10 @@ _DIGITS = 4
 
 
 def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
-    """The data of the grid's filters: instances to find, and scores of hits and mistakes per scene.
+    """Return data of the grid's filters: instances to find, and scores of hits and mistakes.
 
-    Outlines are judged by masks where there are any. Detections are of pictures in `train/`,
-    however these are divided.
+    Matches are judged by masks if there are any, else by boxes. Detections are of pictures in
+    `train/`, however these are divided into sets.
     """
     judgement = _judgement(evaluation)
     point = judgement.point
@@ -45,7 +45,7 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
     return {
         "name": evaluation.run.name,
         "kind": judgement.kind,
-        # Rounded so that the detection of that score still counts on the page.
+        # It is rounded down, so that the detection with this score still counts on the page.
         "score": 0.5 if np.isnan(point.score) else float(np.floor(point.score * 100) / 100),
         "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,
@@ -53,7 +53,7 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
 
 
 def detection_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
-    """Scene keys, and for each a script with its detections and what is found of its instances."""
+    """Yield (scene key, script with the scene's detections and the results of its instances)."""
     judgement = _judgement(evaluation)
     scenes = len(judgement.known.labels)
     detections: list[dict[int, dict[str, Any]]] = [{} for _ in range(scenes)]
@@ -93,11 +93,11 @@ def detection_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator
 
 
 def _judgement(evaluation: Evaluation) -> Judgement:
-    return evaluation.judgements[-1]  # masks come after boxes
+    return evaluation.judgements[-1]  # Masks come after boxes.
 
 
 def _instance(judgement: Judgement, scene: int, place: int) -> int | None:
-    """Place in `scene_gt.json`."""
+    """Return the index of an instance in `scene_gt.json`; None for a negative place."""
     labels = judgement.known.labels[scene]
     if place < 0:
         return None

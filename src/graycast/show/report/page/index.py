@@ -1,4 +1,4 @@
-"""What all pages share, as one script: the dataset, its statistics, a row per scene."""
+"""The script that all pages share: the dataset, its statistics, and a row for each scene."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -25,10 +25,10 @@ def index_script(
     figures: Iterable[SceneFigures],
     detections: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """`index.js`; figures may come from a generator.
+    """Return the content of `index.js`; `figures` may be a generator.
 
     Args:
-        detections: what `detection_index` gives; None where no results were judged.
+        detections: the result of `detection_index`; None if no results were evaluated.
     """
     rows: list[list[Any]] = []
 
@@ -63,7 +63,7 @@ _COLUMNS = (
 
 
 def _scene_row(one: SceneFigures) -> list[Any]:
-    """The row of a scene for filters and sorting; it is short because thousands are loaded."""
+    """Return a scene's row for filters and sorting; it is short, as thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     visible = [share for share in one.visib_fract if share is not None]
     return [
@@ -102,7 +102,7 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
 
 
 def _claim(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The claim without digests."""
+    """Return the claim without digests."""
     keys = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
     claim = {key: content[key] for key in keys if key in content}
     if "config" in claim:
@@ -119,13 +119,13 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
 
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:
-    """What took the pictures, by its name: its rig and code, None where they are not known."""
+    """Return each scanner's rig and code by its name, or None where they are unknown."""
     takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
     return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
 
 
 def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The projected frames, each as its levels along its own axis; None where none are known."""
+    """Return the frames' levels along their own axes; None if the code is unknown."""
     rig, settings = taker.get("rig"), taker.get("scanner", {}).get("code")
     if not rig or not settings:
         return None

@@ -1,8 +1,8 @@
-"""Pictures, maps and records as a script can carry them.
+"""Encode pictures, maps and records as text in a script.
 
-A page opened from the disk may not read files: neither fetch nor the pixels of an image beside it.
-It may run scripts, so everything a script needs is text in one: pictures as data URLs, maps of
-numbers as base64 of zlib of bytes. `web/packed.js` undoes what is done here.
+A page that is opened from the disk can read neither files by `fetch` nor the pixels of an image
+file, but it can run scripts. All its data are therefore text in scripts: pictures as data URLs,
+and maps of numbers as bytes in zlib and base64. `web/core.js` decodes them.
 """
 
 import base64
@@ -25,17 +25,17 @@ _WHOLE = 65536
 
 
 def receiving(content: Mapping[str, Any]) -> bytes:
-    """A script that hands its content to the page."""
+    """Return a script that passes its content to the page."""
     return f"Graycast.receive({_json(content)});\n".encode()
 
 
 def report_script(content: Mapping[str, Any]) -> bytes:
-    """The script of what all of a page shares."""
+    """Return the script with the data that a whole page shares."""
     return f"Graycast.report = {_json(content)};\n".encode()
 
 
 def reason_records() -> list[dict[str, Any]]:
-    """The reasons of missing depth, as the legends of pages have them."""
+    """Return the reasons of missing depth for the legends of pages."""
     return [
         {
             "number": int(reason),
@@ -48,7 +48,7 @@ def reason_records() -> list[dict[str, Any]]:
 
 
 def view_record(camera: Optics, T_world_cam: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
-    """A camera and its place [mm], with the keys of a dataset's `scene_camera.json`."""
+    """Return a camera and its pose [mm], with the keys of a dataset's `scene_camera.json`."""
     T_cam_world = inverse(T_world_cam)
     return {
         "cam_K": camera.K.ravel().tolist(),
@@ -59,20 +59,20 @@ def view_record(camera: Optics, T_world_cam: Float[np.ndarray, "4 4"]) -> dict[s
 
 
 def plain_text(array: np.ndarray) -> str:
-    """The bytes of an array as base64, not compressed."""
+    """Return the uncompressed bytes of an array as base64."""
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
-    """A map of bytes, row by row."""
+    """Return a map of bytes, row by row, compressed."""
     return _text(np.ascontiguousarray(values).tobytes())
 
 
 def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str:
-    """A map of 16-bit numbers as what a plane through three neighbours leaves over.
+    """Return a map of 16-bit numbers, each as its residual to a plane through three neighbours.
 
-    `d[r, c] = v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, beyond the border 0; low
-    bytes first, then high bytes. On flat surfaces that is a step or two: a third of a PNG's size.
+    It is `d[r, c] = v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, with 0 outside, low
+    bytes before high bytes. On flat surfaces it is a step or two: a third of a PNG's size.
     """
     wide = np.pad(values.astype(np.int32), ((1, 0), (1, 0)))
     left_over = wide[1:, 1:] - wide[:-1, 1:] - wide[1:, :-1] + wide[:-1, :-1]
@@ -82,9 +82,9 @@ def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str
 
 
 def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, "h w"]) -> str:
-    """A map as its difference to another modulo 2^16; 0 where it has no value.
+    """Return a map as its difference to another modulo 2^16; 0 where it has no value.
 
-    Small differences of either sign are folded to small numbers (2 d, or -2 d - 1) first.
+    Signed differences are first mapped to small positive numbers (2 d, or -2 d - 1).
     """
     d = values.astype(np.int32) - base
     d = np.where(values > 0, (d + _WHOLE // 2) % _WHOLE - _WHOLE // 2, 0)
@@ -94,19 +94,19 @@ def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, 
 
 
 def jpeg(picture: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"], quality: int) -> bytes:
-    """A JPEG of an RGB or grey picture."""
+    """Return an RGB or grey picture as a JPEG."""
     image = picture if picture.ndim == 2 else picture[..., ::-1]
     options = [cv2.IMWRITE_JPEG_QUALITY, quality]
     return cv2.imencode(".jpg", np.ascontiguousarray(image), options)[1].tobytes()
 
 
 def jpeg_url(picture: UInt8[np.ndarray, "..."], quality: int) -> str:
-    """The same as a data URL: its pixels are open to scripts, those of a file are not."""
+    """Return a JPEG as a data URL, because scripts can read its pixels, unlike a file's."""
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(picture, quality)).decode()
 
 
 def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray, "..."]:
-    """A picture of at most that width, averaged over what falls together."""
+    """Return a picture reduced to at most this width, by averaging over areas."""
     height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
     if width_px >= picture.shape[1]:
         return picture
@@ -116,7 +116,7 @@ def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray
 def palette_picture(
     index: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], colors: dict[int, str]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Numbers in their colours (`#rrggbb`); black where a number has none."""
+    """Return numbers in their colours (`#rrggbb`); black for a number without a colour."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for number, color in colors.items():
         table[number] = list(bytes.fromhex(color[1:]))
@@ -124,7 +124,7 @@ def palette_picture(
 
 
 def color_table(name: str) -> str:
-    """256 colours of a colour map as hexadecimal digits."""
+    """Return 256 colours of a colour map as hexadecimal digits."""
     return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
 
 

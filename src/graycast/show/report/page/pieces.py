@@ -1,4 +1,4 @@
-"""A page in pieces, one for each scene or bin: only those are made that are new or changed."""
+"""A page in pieces, one per scene or bin; only new or changed pieces are made."""
 
 import hashlib
 import shutil
@@ -17,30 +17,30 @@ from ....base.folder import beside, remove_left, write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....base.spawn import SPAWN
 
-PIECES = "scenes"  # The page's scripts look for the pieces in this folder.
+PIECES = "scenes"  # The scripts of the page read the pieces from this folder.
 _STAMP = "stamp"
 _MARK = "graycast-report"
 
 
 @runtime_checkable
 class Piece(Protocol):
-    """A part of the page with its own files; it is sent to the process that makes them."""
+    """A part of the page with its own files; it is sent to a worker process that makes them."""
 
     @property
     def key(self) -> str: ...
 
     def stamp(self) -> str:
-        """A text that changes when the files must be made again."""
+        """Return a text that changes when the files must be made again."""
         ...
 
     def files(self) -> Iterator[tuple[str, bytes]]:
-        """(name, content)."""
+        """Yield the files as (name, content)."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportSummary:
-    """What a build did; `page` is what a browser opens."""
+    """The result of a build; a browser opens the file `page`."""
 
     page: Path
     built: int
@@ -49,7 +49,7 @@ class ReportSummary:
 
 
 def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
-    """Changes with the words, and when a file does; files that are not there are left out."""
+    """Return a digest of the text and the state of the files; missing files are left out."""
     digest = hashlib.sha256(text.encode())
     for name in names:
         path = folder / name
@@ -61,11 +61,11 @@ def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
 
 @contextmanager
 def writing_page(out: Path, source: Path) -> Iterator[None]:
-    """Open the page's folder; what is written inside says where the disk refuses.
+    """Open the page's folder, and convert errors of the disk inside the block.
 
     Args:
-        out: new, empty, or with an earlier report.
-        source: the folder that the page tells of.
+        out: a folder that is new, empty, or holds an earlier report.
+        source: the folder that the page describes.
 
     Raises:
         GraycastError: `out` holds something else, or cannot be written.
@@ -90,12 +90,12 @@ def write_pieces(
     what: str,
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
-    """Make the pieces that are new or changed, and remove those that are gone.
+    """Make the new and changed pieces, and remove those that no longer exist.
 
     Args:
-        out: the page's folder, opened.
-        workers: processes that make them.
-        what: of which kind the pieces are, for `progress`, which counts them.
+        out: the page's folder, opened with `writing_page`.
+        workers: number of processes.
+        what: the kind of the pieces, for `progress`, which counts them.
     """
     folder = out / PIECES
     remove_left(folder)
@@ -116,20 +116,20 @@ def write_pieces(
 class Web:
     """The files that a browser loads, and the values of the page template.
 
-    `styles` and `scripts` are files of the `web` folder of `package`, or else of this one, in the
-    order of their loading. The template itself names what every page has: style.css, core.js and
-    index.js first, app.js last.
+    `styles` and `scripts` are files of the folder `web` in `package`, or else in this package, in
+    loading order. The template itself loads style.css, core.js and index.js first, and app.js last,
+    because every page needs them.
     """
 
     package: str
     title: str
-    home: str  # what the browser says of the link to the overview
+    home: str  # A browser describes the link to the overview by this text.
     styles: tuple[str, ...] = ()
     scripts: tuple[str, ...]
 
 
 def write_web(out: Path, web: Web) -> None:
-    """Write what a browser runs, but for index.js, which holds the page's content."""
+    """Write the files that a browser runs except index.js, which holds the page's content."""
     folders = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
     for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
         file = next(file for folder in folders if (file := folder.joinpath(name)).is_file())
@@ -176,7 +176,7 @@ def _finished_keys(todo: Sequence[Piece], folder: Path, workers: int) -> Iterato
 
 
 def _make(piece: Piece, *, folder: Path) -> str:
-    stamp = piece.stamp()  # before reading: a piece changed meanwhile is made again
+    stamp = piece.stamp()  # A piece that changes while it is read is made again later.
     with beside(folder / piece.key) as aside:
         aside.mkdir()
         for name, data in piece.files():

@@ -1,7 +1,7 @@
-"""One scene as the page's files: a script with its maps, thumbnails, its figures.
+"""The page's files of one scene: a script with its maps, thumbnails and figures.
 
-Captured frames and decoded projector positions, which not every dataset has, are scripts of their
-own that are loaded when they are shown.
+Captured frames and decoded projector positions, which not every dataset has, are separate scripts
+that are loaded on demand.
 """
 
 import math
@@ -34,19 +34,19 @@ from .packing import (
 
 THUMB_PX = 288
 _THUMB_QUALITY, _FRAME_QUALITY, _PICTURE_QUALITY = 80, 85, 90
-_FAST = 2  # This is a fast level of zlib, as code maps are noisy.
-_STEPS = 65534  # Of the values of 16 bits, 0 is no value, and the first step is 1.
+_FAST = 2  # This is a fast level of zlib, because code maps are noisy.
+_STEPS = 65534  # Of the 16-bit values, 0 means missing, and steps begin at 1.
 MISSING_COLOR = "#555b6e"
 
 
 def scene_page_files(
     scene: SceneContent, figures: SceneFigures, *, width_px: int
 ) -> Iterator[tuple[str, bytes]]:
-    """Every file of one scene as (name, content).
+    """Yield every file of one scene as (name, content).
 
     Args:
-        width_px: maps wider than this are thinned: every second, third, ... pixel in both
-            directions keeps its own value; pictures are averaged.
+        width_px: wider maps are thinned: every second, third, ... pixel in both directions keeps
+            its value. Pictures are averaged.
 
     Raises:
         DatasetError: a captured frame or a code map is missing or damaged.
@@ -72,7 +72,7 @@ def scene_page_files(
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
-    """Every captured picture as `srgb_frame`: 0 at the sensor's offset, 255 where it saturates."""
+    """Return all captured pictures in sRGB, with the sensor's offset as 0 and saturation as 255."""
     sensor, capture = raw.scanner.sensor, raw.capture
     if capture is None:
         raise ValueError("no picture was captured")
@@ -94,7 +94,7 @@ def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
 def columns_script(
     name: str, code_maps: Mapping[str, Float32[np.ndarray, "h w"]], stride: int
 ) -> dict[str, Any]:
-    """Positions and standard deviations in steps of a power of two [px], 0 for none."""
+    """Return positions and sigmas in steps of a power of two [px]; 0 means missing."""
     return {
         "key": name,
         "maps": {axis: _packed(image[::stride, ::stride]) for axis, image in code_maps.items()},
@@ -164,12 +164,12 @@ _LEFT_OUT = (
     "manifest_sha256",
 )
 
-# The pose of the camera of a real picture is not known, so it looks straight down here.
+# The camera pose of a real picture is unknown, so the camera looks straight down here.
 _DOWNWARDS = {"cam_R_w2c": [1, 0, 0, 0, -1, 0, 0, 0, -1], "cam_t_w2c": [0, 0, 0]}
 
 
 def _color(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour picture, or in its place the white frame, or black."""
+    """Return the colour picture, else the white frame, else black."""
     if scene.rgb is not None:
         return scene.rgb
     gray = np.zeros(scene.reason.shape, np.uint8) if scene.gray is None else scene.gray
@@ -199,7 +199,7 @@ def _instances(scene: SceneContent) -> list[dict[str, Any]]:
 
 
 def _reason_thumb(scene: SceneContent) -> bytes:
-    """Not averaged: a mixture of two reasons would have a third one's colour."""
+    """Return a thumbnail of reasons, not averaged: mixed colours could mean another reason."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
     names = {**scene.reason_name, NO_REASON: "missing"}
     colors = {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}

@@ -1,4 +1,4 @@
-"""Scenes for a script or a notebook: made one after the other, looked at, and saved."""
+"""Scenes for a script or a notebook: make them one by one, look at them, and save them."""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -27,7 +27,7 @@ from .report.preview import preview
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SceneResult:
-    """A finished scene. `shots` are its images; the properties are those of the first image."""
+    """A finished scene. `shots` are its images; the properties refer to the first image."""
 
     cell: Cell
     shots: tuple[Shot, ...]
@@ -38,12 +38,12 @@ class SceneResult:
 
     @property
     def layout(self) -> Layout:
-        """Where the parts came to lie."""
+        """Poses of the parts at rest."""
         return self.shots[0].sample.layout
 
     @property
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The colour picture in sRGB."""
+        """Colour picture in sRGB."""
         return self.shots[0].sample.rgb
 
     @property
@@ -53,25 +53,25 @@ class SceneResult:
 
     @property
     def capture(self) -> Capture:
-        """The pictures of the patterns, as the sensor stored them."""
+        """Pictures of the patterns, as the sensor stored them."""
         return self.shots[0].capture
 
     @property
     def codes(self) -> CodeMap:
-        """The projector position of each pixel."""
+        """Projector position of each pixel."""
         return self.shots[0].codes
 
     @property
     def depth(self) -> DepthMap:
-        """What the scanner measured; `depth.points()` is its cloud."""
+        """Measured depth; `depth.points()` is the point cloud."""
         return self.shots[0].sample.scanner_depth
 
     def sheet(self) -> Image.Image:
-        """The pictures and the depth of the scene on one sheet, as of `graycast preview`."""
+        """Return pictures and depth of the scene on one sheet, as `graycast preview` does."""
         return preview(self.shots[0], self.cell.code)
 
     def show(self) -> None:
-        """Show the sheet in the notebook, or with this machine's viewer of pictures.
+        """Show the sheet in the notebook, or in this machine's picture viewer.
 
         Raises:
             GraycastError: the machine has no such viewer.
@@ -83,7 +83,7 @@ class SceneResult:
             )
 
     def save(self, out: Path | str) -> Path:
-        """Write the scene into a dataset, as `graycast generate` would; see `save_scene`."""
+        """Write the scene into a dataset, as `graycast generate` does; see `save_scene`."""
         return save_scene(self.cell, self.shots, out)
 
     def __repr__(self) -> str:
@@ -99,18 +99,18 @@ def scenes(
     workers: Workers = ALONE,
     progress: ProgressMeter = UNWATCHED,
 ) -> Iterator[SceneResult]:
-    """Make the scenes 0 .. count-1 of a cell, in this order, and keep no file.
+    """Make the scenes 0 .. count-1 of a cell, in this order, without writing files.
 
-    The renderer is opened for the first scene, and closed after the last one or when the loop
-    ends. Each worker may finish two scenes before the loop takes them. `generate` makes datasets of
-    many scenes: it writes each scene at once and tries lost ones again.
+    The renderer is open from the first scene until the last one or the end of the loop. A worker
+    may be up to two scenes ahead of the loop. For datasets of many scenes use `generate`, which
+    writes each scene at once and retries failed ones.
 
     Args:
-        seed: of all random numbers; None takes the configuration's.
-        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
+        seed: seed of all random numbers; None takes the configuration's.
+        device: 'auto', 'cpu', 'cuda' or, for Cycles, 'optix'.
 
     Raises:
-        DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
+        DropError, ValueError, DeviceError: see `make_scene` and `open_renderer`.
     """
     task = SceneTask(
         cell=cell,
@@ -129,7 +129,7 @@ def scenes(
 
 def _in_order(pool: Pool, count: int) -> Iterator[tuple[Shot, ...]]:
     finished: dict[int, TaskResult | Failed] = {}
-    submitted, ahead = 0, 2 * max(pool.free, 1)  # The limit holds where the first scene is slow.
+    submitted, ahead = 0, 2 * max(pool.free, 1)  # This limits the lead if the first scene is slow.
     for scene_id in range(count):
         while scene_id not in finished:
             while pool.free and submitted < min(count, scene_id + ahead):

@@ -1,4 +1,4 @@
-"""The object database in a picture and in words."""
+"""The object database as a picture and as a table."""
 
 from pathlib import Path
 
@@ -19,15 +19,15 @@ from .preview import DPI, pixel_axes
 
 _TILE_PX = (480, 360)
 _FOCAL_PX = 900.0  # A field of 30 degrees gives little perspective, as in a catalogue.
-_FILL = 0.86  # A part takes this share of the tile in its longer direction.
-_FROM = np.array([0.50, -0.80, 0.55])  # The eye is before the part, to its right and above.
+_FILL = 0.86  # A part takes this share of the tile in its tighter direction.
+_FROM = np.array([0.50, -0.80, 0.55])  # The camera is in front of the part, on its right and above.
 _GAP_PX, _HEAD_PX, _WORDS_PX = 24, 72, 104
 _FLOOR = Material(base_color=(0.5, 0.5, 0.5), specular=0.0)
 _WHITE_LEVEL = 0.55  # The picture shows this radiance [W sr^-1 m^-2] as white.
 
 
 def describe_parts(parts: tuple[Part, ...]) -> str:
-    """A table for the terminal: one line per part under a head line; mm, and g or kg."""
+    """Return a table for the terminal: a header, and a line for each part (mm, g or kg)."""
     head = ("part", "size [mm]", "mass", "faces", "material", "symmetries", "source")
     rows = [head] + [
         (
@@ -55,17 +55,17 @@ def draw_parts(
 ) -> None:
     """Write a PNG: each part on a grey floor, filling its tile, with its figures below.
 
-    Light and exposure are the same for all parts, so that their darkness can be compared; each
-    scene is scaled by its part, so that sizes cannot. z of the part's frame is up.
+    All parts have the same light and exposure, so their brightness can be compared. Each scene is
+    scaled to its part, so their sizes cannot. The z axis of the part's frame points up.
 
     Args:
-        path: of the PNG file; it appears complete or not at all.
-        renderer: an open one.
+        path: the PNG file, which is written completely or not at all.
+        renderer: an open renderer.
         samples: light paths per pixel.
 
     Raises:
         GraycastError: the file cannot be written.
-        ValueError: no parts.
+        ValueError: there are no parts.
     """
     if not parts:
         raise ValueError("no parts are given: give at least one")
@@ -107,7 +107,7 @@ def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarr
     rendering = renderer.render(
         scene,
         layout,
-        np.zeros((1, 2, 2), dtype=np.uint8),  # the projector has nothing to show
+        np.zeros((1, 2, 2), dtype=np.uint8),  # The projector is dark.
         quality=Quality(samples=samples, depth=4),
         seed=0,
     )
@@ -119,11 +119,11 @@ def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarr
 
 
 def portrait_scene(part: Part) -> tuple[Scene, Layout]:
-    """A part on a floor under two lamps, and a camera at three quarters whose picture it fills."""
+    """Return a part on a floor under two lamps, with a camera whose picture it fills."""
     low, high = part.mesh.bounds_m
     middle = (low + high) / 2
     size_m = float(np.linalg.norm(high - low))
-    # The part's middle goes to the world's origin, the floor under its lowest point.
+    # The part's middle moves to the world's origin, and the floor is under its lowest point.
     layout = Layout(
         T_world_part=rigid(np.eye(3), -middle)[None], part_index=np.zeros(1, dtype=np.int64)
     )
@@ -152,16 +152,16 @@ def portrait_scene(part: Part) -> tuple[Scene, Layout]:
 
 
 def _lamp(at: tuple[float, float, float], size_m: float, *, share: float, radiance: float) -> Lamp:
-    """A lamp whose place and size are multiples of the part's, so that all parts are lit alike."""
+    """Return a lamp with position and size in units of the part's, so that all light is alike."""
     x, y, z = (size_m * a for a in at)
     return Lamp(center_m=(x, y, z), size_m=share * size_m, radiance=(radiance,) * 3)
 
 
 def _filling_distance_m(mesh: Mesh, towards: Float[np.ndarray, "3"]) -> float:
-    """How far the eye stands from the middle of the part for it to fill the tile.
+    """Return the distance from the camera to the part's middle at which it fills the tile.
 
-    A vertex at (x, y, z) of a camera at the middle is seen at f x / (z + d) once that camera has
-    drawn back by d, so d >= f |x| / limit - z; likewise in y, and the largest d of all holds.
+    A vertex at (x, y, z) of a camera in the middle appears at f x / (z + d) after the camera has
+    moved back by d. Each vertex needs d >= f |x| / limit - z, and likewise for y.
     """
     T_middle_cam = look_at(np.zeros(3), -towards, np.array([0.0, 0.0, -1.0]))
     point = mesh.vertices_m[np.unique(mesh.faces)] - mesh.bounds_m.mean(axis=0)

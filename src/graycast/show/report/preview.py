@@ -1,7 +1,7 @@
 """A contact sheet of one scene: captured frames, measured depth and ground truth.
 
-Each tile shows the bin as the camera does, with the top-left pixel at the top left. Pictures taken
-in linear light are shown in sRGB, as an eye would see them; maps of numbers bear a colour bar.
+Each tile shows the bin as the camera sees it. Linear pictures are converted to sRGB for display;
+maps of numbers have a colour bar.
 """
 
 import math
@@ -34,44 +34,44 @@ from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from .bin_view import Crop, bin_crop, depth_limits_mm
 
-DPI = 100  # Lengths are in pixels; a point of type is then 1.39 px.
+DPI = 100  # With this, lengths are in pixels, and a point of type is 1.39 px.
 SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
-_ABOVE_PX = 36  # The title of a tile is in this space.
-_BELOW_PX = (14, 52, 84)  # Below the rows come, in turn, nothing, colour bars and a legend.
+_ABOVE_PX = 36  # The title of a tile has this space.
+_BELOW_PX = (14, 52, 84)  # The spaces below the rows are for nothing, colour bars and a legend.
 _COARSE_RANK = 2  # The third Gray bit of an axis has a few wide stripes.
-_CLOSE_UP = 4  # The finest bit shows a camera pixel this large: less would beat with its stripes.
+_CLOSE_UP = 4  # In the close-up, a camera pixel has this size, to avoid moire.
 
-# Unknown is a neutral grey that its map does not hold: dark, but light where the map ends dark.
+# Unknown values are a neutral grey that the colour map does not contain, dark or light.
 _DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
 _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
-_ERROR_SHARE, _ERROR_SIGMAS = 99.0, 5.0  # The scale of errors holds this many per cent, or sigmas.
-_LEAST_ERROR_MM = 0.01  # Perfect depth is written in steps of about this size.
-_ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)  # A scale ends at one of these, times a power of 10.
-_EDGE_POINTS = 17  # An edge of a box has this many points, as a lens with distortion bends it.
-# Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
+_ERROR_SHARE, _ERROR_SIGMAS = 99.0, 5.0  # The error scale covers this percentage or these sigmas.
+_LEAST_ERROR_MM = 0.01  # Perfect depth is stored in steps of about this size.
+_ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)  # A scale ends at one of these times a power of 10.
+_EDGE_POINTS = 17  # A distorting lens bends an edge, so it has this many points.
+# Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2), so neighbours differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
 
 
 def draw_preview(shot: Shot, code: Code, path: Path) -> None:
-    """Write the contact sheet of one scene as a PNG; it appears complete or not at all.
+    """Write the contact sheet of one scene as a PNG, completely or not at all.
 
     Raises:
         GraycastError: the file cannot be written.
-        ValueError: as of `preview`.
+        ValueError: see `preview`.
     """
     save_png(_sheet_of(shot, code), path, dpi=DPI)
 
 
 def preview(shot: Shot, code: Code) -> Image.Image:
-    """The contact sheet of one scene.
+    """Return the contact sheet of one scene.
 
     Args:
-        code: that of the capture's frames.
+        code: the code of the captured frames.
 
     Raises:
-        ValueError: the capture has another number of frames than the code.
+        ValueError: the numbers of frames of capture and code differ.
     """
     canvas = FigureCanvasAgg(_sheet_of(shot, code))
     canvas.draw()
@@ -98,7 +98,7 @@ def _sheet_of(shot: Shot, code: Code) -> Figure:
 
 
 def pixel_axes(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
-    """Axes that cover these pixels of a figure, counted from its top left."""
+    """Add axes that cover these pixels of a figure, counted from its top left."""
     sheet_width, sheet_height = figure.get_size_inches() * DPI
     bottom = sheet_height - top - height
     return figure.add_axes(
@@ -134,7 +134,7 @@ class _Sheet:
         return ax
 
     def color_bar(self, name: str, limits: tuple[float, float], label: str) -> None:
-        """A colour bar under the tile that was filled last."""
+        """Draw a colour bar below the latest tile."""
         left, top = self._corner()
         width, height = self.tile_px
         bar = pixel_axes(self.figure, left, top + height + 9, width * 11 // 20, 11)
@@ -150,7 +150,7 @@ class _Sheet:
 
 
 def _note(ax: Axes, text: str) -> None:
-    """A few words at the right of a tile's title."""
+    """Write a few words to the right of a tile's title."""
     ax.set_title(text, loc="right", fontsize=9, pad=6, color="0.3")
 
 
@@ -189,7 +189,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
 
 
 def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
-    """The white frame, a coarse one, and the finest in a close-up from the middle of the crop."""
+    """Draw the white frame, a coarse frame, and a close-up of the finest in mid-crop."""
     axis = triangulation_axis(shot.sample.scene.rig)
     index = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
     coarse, finest = index[min(_COARSE_RANK, len(index) - 1)], index[-1]
@@ -224,7 +224,7 @@ def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
 
 
 def _frame_picture(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
-    """A frame's light as a grey picture in sRGB; all exposures are on one scale."""
+    """Return a frame as a grey sRGB picture; all exposures have the same scale."""
     return np.repeat(srgb_frame(shot.capture, index)[..., None], 3, axis=-1)
 
 
@@ -235,7 +235,7 @@ def painted(
     *,
     unknown: tuple[float, float, float] = _DARK,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A map in the colours of `name`; beyond the limits its ends, `unknown` for NaN."""
+    """Return a map in the colours of `name`, clipped at the limits; `unknown` for NaN."""
     low, high = limits
     share = np.clip((value - low) / max(high - low, 1e-9), 0.0, 1.0)
     color = colormaps[name](np.nan_to_num(share))[..., :3]
@@ -278,10 +278,10 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
 
 
 def error_limit_mm(error_mm: Float[np.ndarray, "h w"]) -> float:
-    """Return the error at which the colours end: the least round one that holds the noise.
+    """Return the error at which the colours end: the smallest round one that covers the noise.
 
-    The noise reaches to five robust sigmas, or to where 99 % of the errors lie if that is less or
-    if more than half of the errors are 0. Spikes therefore do not widen the scale.
+    The noise extends to five robust sigmas, or to the 99th percentile of the errors if that is less
+    or if more than half of the errors are 0. Outliers therefore do not widen the scale.
     """
     size_mm = np.abs(error_mm[np.isfinite(error_mm)])
     if not size_mm.size:
@@ -315,7 +315,7 @@ def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
 
 
 def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
-    """Visible masks, their boxes, and the oriented boxes of the labels that are seen."""
+    """Draw visible masks and their boxes, and the oriented boxes of visible labelled parts."""
     sample = labelled(shot.sample)
     instance = sample.truth.instance
     color = instance_colors(len(sample.layout.part_index))
@@ -338,12 +338,12 @@ def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
 def _rectangle(
     left: int, top: int, width: int, height: int, *, color: object, width_pt: float = 1.5
 ) -> Rectangle:
-    """The outline of whole pixels."""
+    """Return the outline of a rectangle of whole pixels."""
     return Rectangle((left - 0.5, top - 0.5), width, height, fc="none", ec=color, lw=width_pt)
 
 
 def instance_colors(n: int) -> Float[np.ndarray, "n 3"]:
-    """Colours that differ most between neighbours: hues a golden section of the circle apart."""
+    """Return colours with distinct neighbours: hues at golden-section steps of the circle."""
     hue = (0.07 + np.arange(n) * 0.618033988749895) % 1.0
     light = np.array([0.52, 0.64, 0.42])[np.arange(n) % 3]
     colors = [hls_to_rgb(h, level, 0.85) for h, level in zip(hue, light, strict=True)]
@@ -355,8 +355,8 @@ def tinted(
     instance: Int[np.ndarray, "h w"],
     color: Float[np.ndarray, "n 3"],
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture with each instance in its colour, still shaded by the picture; -1 is left."""
-    own = np.concatenate([color, np.zeros((1, 3))])[instance]  # index -1 is replaced below
+    """Return a picture with instances tinted but still shaded; index -1 is unchanged."""
+    own = np.concatenate([color, np.zeros((1, 3))])[instance]  # Index -1 is replaced below.
     shaded = own * (0.6 * 255 + 0.4 * picture)
     image = np.where(instance[..., None] >= 0, shaded, picture.astype(np.float64))
     return np.round(image).astype(np.uint8)
@@ -365,9 +365,9 @@ def tinted(
 def box_edges_px(
     part: Part, T_cam_part: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "12 points 2"]:
-    """The twelve edges of a part's own bounding box as the lens shows them, bent where it bends.
+    """Return the projected twelve edges of a part's own bounding box, with lens distortion.
 
-    NaN where a point lies beyond the lens model, as behind the camera.
+    Points that the lens model does not cover, such as those behind the camera, are NaN.
     """
     low, high = part.mesh.bounds_m
     unit = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)])

@@ -1,7 +1,7 @@
-"""The page of a rescan: each image's perfect depth beside what the scanner measured.
+"""The page of a rescan: the perfect depth of each image next to the measured depth.
 
-It is one HTML file with pictures beside it, and needs no script. Of more images than a page can
-show, those are drawn that lie evenly among all.
+It is one HTML file without scripts, with pictures in its folder. If there are more images than it
+can show, evenly spaced ones are drawn.
 """
 
 import html
@@ -23,10 +23,10 @@ from .page.packing import jpeg, palette_picture, shrunk
 from .preview import painted
 
 PAGE = "rescan.html"
-_MOST = 60  # So many images are drawn.
+_MOST = 60  # At most this number of images is drawn.
 _QUALITY = 88
 _BLACK = (0.0, 0.0, 0.0)
-_ERROR_MM = 1.0  # The picture of errors has its full colours here.
+_ERROR_MM = 1.0  # The picture of errors has its extreme colours here.
 _HEADS = (
     "picture",
     "white frame",
@@ -45,7 +45,7 @@ i { display: inline-block; width: 10px; height: 10px; margin-right: 5px; }
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanPage:
-    """What was written: the page, and how many of the images it shows."""
+    """The written page, and how many of the images it shows."""
 
     page: Path
     images: int
@@ -61,8 +61,8 @@ def write_rescan_page(
         width_px: the largest width of its pictures.
 
     Raises:
-        GraycastError: `out` is no rescan, or damaged; the folder holds something else, or cannot be
-            written.
+        GraycastError: `out` is not a rescan or is damaged, or the folder holds something else or
+            cannot be written.
     """
     claim = read_rescan(out)
     refuse_foreign(folder, PAGE)
@@ -99,7 +99,7 @@ def write_rescan_page(
 def _pictures(
     scene: Path, number: int, record: ImageRecord, claim: RescanClaim
 ) -> tuple[dict[str, UInt8[np.ndarray, "h w 3"]], Float[np.ndarray, " n"]]:
-    """An image's pictures by their heads, and the errors of its depth [mm]."""
+    """Return an image's pictures by column heading, and its depth errors [mm]."""
     own, original = SceneFolder(scene), SceneFolder(scene, claim.config["sensor"])
     scanned_mm = _depth_mm(own.png("depth_sl", number), claim.depth_scale_mm)
     gray = srgb_of_bytes(own.png("gray_sl", number))
@@ -168,7 +168,7 @@ def _rows(facts: Mapping[str, str]) -> str:
 
 
 def _reasons(records: list[ImageRecord]) -> str:
-    """A line for each reason with its colour, and the share of pixels that have it."""
+    """Return an HTML table row for each reason, with its colour and shares of pixels."""
     of_all = pooled_shares(record.reason_px for record in records)
     of_parts = pooled_shares(record.part_reason_px for record in records)
     lines = ["<tr><th></th><th>objects</th><th>all</th></tr>"]

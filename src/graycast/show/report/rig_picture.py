@@ -1,7 +1,7 @@
-"""A rig in a picture and in words: what camera and projector see, alone and together.
+"""A rig as a picture and as text: the fields of camera and projector, and their common field.
 
-All drawings are in the camera frame: x right, y down, z is depth. A field of view is taken from the
-image borders through the lens model, so distortion is in it; occlusion, focus and light are not.
+All drawings are in the camera frame: x right, y down, z is depth. A field is traced from the image
+borders through the lens model, with distortion but without occlusion, focus and light.
 """
 
 import math
@@ -19,23 +19,23 @@ from ...rig.optics import Optics, rays
 from ...rig.pair import Rig, depth_per_line_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
-_BORDER_POINTS = 33  # A side has this many points, as distorted borders are curved.
+_BORDER_POINTS = 33  # Distorted borders are curved, so each side has this many points.
 _DEPTHS = 61
-_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # What words take is beside or below the plots.
+_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # Words need the last, next to or below plots.
 
 
 def footprint_m(
     optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
 ) -> Float[np.ndarray, "n 2"]:
-    """Outline (x, y) of what a device sees or lights on the plane at depth `z_m`, camera frame.
+    """Return the outline (x, y) of a device's field on the plane at depth `z_m`, camera frame.
 
     Args:
-        optics: of the camera or projector.
-        T_cam_device: maps the device's coordinates to the camera's.
+        optics: the camera or the projector.
+        T_cam_device: transform from the device's frame to the camera frame.
         z_m: depth of the plane [m], camera frame.
 
     Returns:
-        Corners of the outline in order [m]; none where a border ray never meets the plane.
+        Corners of the outline in order [m]; none if a border ray never meets the plane.
     """
     direction = rays(optics, _border_px(optics)) @ T_cam_device[:3, :3].T
     origin = T_cam_device[:3, 3]
@@ -46,9 +46,9 @@ def footprint_m(
 
 
 def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
-    """Outline (x, y) of what the camera sees and the projector lights at depth `z_m`, camera frame.
+    """Return the outline (x, y) of the common field at depth `z_m`, in the camera frame.
 
-    Where distorted outlines meet in several pieces, the largest; no corner where they do not meet.
+    It is the largest piece if distorted outlines intersect in several, and empty if in none.
     """
     outlines = (
         footprint_m(rig.camera, np.eye(4), z_m),
@@ -62,7 +62,7 @@ def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
 
 
 def describe_rig(rig: Rig) -> str:
-    """The rig's figures as text, one per line; lengths in mm, angles in degrees."""
+    """Return the rig's figures as text, one per line; lengths in mm, angles in degrees."""
     lines = [
         f"rig {rig.name}",
         f"  baseline          {1e3 * rig.baseline_m:.1f} mm",
@@ -96,7 +96,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
         _draw_fields(ax, rig, name, z_m)
     _share_limits(axes[1])
     _share_scale(axes[0, :2])
-    # Each row is as high as its drawings at one scale, so that neither leaves a part of it empty.
+    # Each row has the height of its drawings at one scale, so that no part of it stays empty.
     spans = [abs(np.diff(ax.get_xlim()).item()) for ax in axes[0, :2]]
     above.set_width_ratios([*spans, sum(spans) / 2])
     depth = abs(np.diff(axes[0, 0].get_ylim()).item())
@@ -114,7 +114,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
 
 
 def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
-    """One view with depth downwards: from above (across is x, 0) or from the side (y, 1)."""
+    """Draw a view with depth downwards: from above (`across` is 0, x) or the side (1, y)."""
     bottom_m = rig.far_m + 0.08 * (rig.far_m - rig.near_m)
     devices = (
         ("camera", rig.camera, np.eye(4), _CAMERA),
@@ -144,7 +144,7 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
         ax.annotate(
             name, (0.01, 1e3 * z), xycoords=("axes fraction", "data"), va="bottom", color="gray"
         )
-    # A device that looks sideways has a field without end; the view keeps to the rig's own size.
+    # A device that looks sideways has an unlimited field, so the view is limited to the rig's size.
     widest_mm = 2e3 * max(bottom_m, rig.baseline_m)
     left_mm, right_mm = ax.get_xlim()
     ax.set_xlim(max(left_mm, -widest_mm), min(right_mm, widest_mm))
@@ -193,7 +193,7 @@ def _draw_fields(ax: Axes, rig: Rig, name: str, z_m: float) -> None:
 
 
 def _share_limits(axes: np.ndarray) -> None:
-    """One scale for the three fields, so that their sizes can be compared."""
+    """Give the three fields the same scale, so that their sizes can be compared."""
     x = [limit for ax in axes for limit in ax.get_xlim()]
     y = [limit for ax in axes for limit in ax.get_ylim()]
     for ax in axes:
@@ -202,7 +202,7 @@ def _share_limits(axes: np.ndarray) -> None:
 
 
 def _share_scale(axes: np.ndarray) -> None:
-    """One range of depth for both views, so that the same distance is as long in each."""
+    """Give both views the same range of depth, so that distances have the same length."""
     bottom, top = axes[0].get_ylim()
     for ax in axes:
         low, high = ax.get_ylim()
@@ -224,7 +224,7 @@ def _optics_words(optics: Optics) -> str:
 
 
 def _field_words(rig: Rig, z_m: float) -> str:
-    """Width and height of the common field's enclosing rectangle, or that there is none."""
+    """Return the size of the common field's enclosing rectangle as text, or "none"."""
     field = common_field(rig, z_m)
     if not len(field):
         return "none"
@@ -233,14 +233,14 @@ def _field_words(rig: Rig, z_m: float) -> str:
 
 
 def _edges(outline: Float[np.ndarray, "n 2"], across: int) -> tuple[float, float]:
-    """Lowest and highest coordinate along an axis; NaN where the outline is empty."""
+    """Return the lowest and highest coordinate along an axis; NaN for an empty outline."""
     if not len(outline):
         return math.nan, math.nan
     return outline[:, across].min(), outline[:, across].max()
 
 
 def _border_px(optics: Optics) -> Float[np.ndarray, "n 2"]:
-    """Points along the outer pixel borders, once around."""
+    """Return points along the outer pixel borders, once around the image."""
     right, bottom = optics.width_px - 0.5, optics.height_px - 0.5
     t = np.linspace(0.0, 1.0, _BORDER_POINTS)[:-1, None]
     corner = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])

@@ -1,4 +1,4 @@
-"""The list of the scanners with names, and those of them that see a certain field well enough."""
+"""A list of the named scanners, or of those that see a required field well enough."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,16 +15,16 @@ Size = tuple[float, float]
 def shelf_lines(
     *, field_m: Size | None = None, at_m: float | None = None, noise_m: float | None = None
 ) -> list[str]:
-    """One line for each scanner that fits; each stated number has the class of its source.
+    """Return a line for each suitable scanner; each number shows the class of its source.
 
     `rig.shelf.LEGEND` explains the classes.
 
     Args:
-        field_m: sides of a rectangle that camera and projector have in common at `at_m`.
-        at_m: a distance along the camera's axis, inside the working range; the field in a line is
-            that at this distance, and else that in the middle of the range.
-        noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner that was not
-            measured does not fit.
+        field_m: sides of a rectangle that must fit into the common field at `at_m`.
+        at_m: a distance along the camera's axis, inside the working range. The line gives the
+            field at this distance, or in the middle of the range if it is None.
+        noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner without a
+            measurement is not suitable.
     """
     lines = []
     for name in PRESETS:
@@ -42,10 +42,10 @@ def shelf_lines(
 
 
 def covers(rig: Rig, field_m: Size, z_m: float) -> bool:
-    """Whether a rectangle fits into the common field at a depth, along x or along y.
+    """Return whether a rectangle fits into the common field at a depth, along x or along y.
 
-    A convex field holds the rectangle around a point if it holds its four corners, so the four
-    fields that are displaced by the corners must have a point in common.
+    A convex field contains the rectangle around a point if it contains its four corners. The four
+    fields that are shifted by the corners must therefore have a point in common.
     """
     field = common_field(rig, z_m)
     if not len(field):
@@ -62,11 +62,11 @@ def _holds(outline: CrossSection, half_m: Float[np.ndarray, "2"]) -> bool:
 
 
 def stored_noise_m(name: str, z_m: float) -> float | None:
-    """Temporal noise of depth at a distance, from what `measured` has at three.
+    """Return the temporal noise of depth at a distance, from three measured distances.
 
-    An error of a place in the projector's picture makes one of depth in proportion to `z^2 / (f b)`
-    (similar triangles), so noise over `z^2` is taken as linear between the three and as constant
-    outside. None where the scanner was not measured.
+    An error in the projector's picture causes a depth error in proportion to `z^2 / (f b)` (similar
+    triangles). Noise over `z^2` is therefore interpolated linearly between the three distances, and
+    constant outside. The result is None if the scanner has not been measured.
     """
     own = measured().scanners.get(name)
     if own is None:

@@ -1,4 +1,4 @@
-"""One bin as the page's files: a script of its attempts, and one of each scan and motion."""
+"""The page's files of one bin: a script of its attempts, and one for each scan and motion."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ..page.packing import jpeg_url, pack_words, receiving, shrunk
 from ..page.pieces import stamp_of
 from .bodies import packed_places, placed
 
-_FORM = "1"  # A change of this number builds a bin's files anew.
+_FORM = "1"  # If this changes, the files of all bins are built again.
 _QUALITY = 85
 _ATTEMPT_KEYS = (
     "outcome", "detail", "targets", "part", "kind", "score", "pose_error", "least_factor",
@@ -26,7 +26,7 @@ _ATTEMPT_KEYS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinPiece:
-    """A bin of a folder of picks; `cell_folder` as in `open_replay`."""
+    """A bin in a folder of picks; for `cell_folder` see `open_replay`."""
 
     out: Path
     cell_folder: Path
@@ -45,7 +45,7 @@ class BinPiece:
         return stamp_of(f"picks {_FORM} {self.width_px}", self.folder, (EPISODE, MOTION, WORK))
 
     def files(self) -> Iterator[tuple[str, bytes]]:
-        """Raises GraycastError: a file of the bin is missing or damaged."""
+        """Yield the files; raises GraycastError if a file of the bin is missing or damaged."""
         replay = open_replay(self.out, folder=self.cell_folder)
         episode, motions = self.episode, read_motions(replay, self.episode)
         still = replay.T_world_limb(replay.robot.home)
@@ -81,7 +81,7 @@ def bin_key(bin_id: int) -> str:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Raises GraycastError: it is missing or damaged."""
+    """Read an image; raises GraycastError if it is missing or damaged."""
     if path.is_file():
         refuse_large_picture(path, str(path), GraycastError)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -102,7 +102,7 @@ def _attempt_record(attempt: Mapping[str, Any], work_s: Mapping[str, float]) -> 
 
 
 def _packed_motion(motion: Motion | None, still: np.ndarray) -> dict[str, Any]:
-    """An arm that stays where it is has one time."""
+    """Return a motion for the page; an arm that does not move is stored as one time step."""
     if motion is None:
         return {"time_s": [0.0], "limbs": packed_places(still[None]), "part": None}
     return {

@@ -1,4 +1,4 @@
-"""Meshes and places of bodies for the page and the film."""
+"""Meshes and poses of bodies for the page and the film."""
 
 from dataclasses import replace
 from typing import Any
@@ -13,7 +13,7 @@ from ....world.parts import Mesh
 from ....world.scene import bin_mesh
 from ..page.packing import pack_bytes
 
-UPRIGHT = 0.9  # A face looks up if the cosine of its normal to the vertical is larger.
+UPRIGHT = 0.9  # A face points up if the cosine of its angle to the vertical is larger.
 TABLE_BEYOND_M = 0.25
 TINT = {
     "arm": (0.66, 0.70, 0.76),
@@ -27,7 +27,7 @@ TINT = {
 
 
 def open_bin(replay: Replay) -> Mesh:
-    """The bin without its outer sides: seen from any side one looks in."""
+    """Return the bin without its outer sides, so that its inside is visible from anywhere."""
     whole = bin_mesh(replay.cell.box)
     normal, centre = whole.face_normal, whole.vertices_m[whole.faces].mean(axis=1)
     low, high = whole.bounds_m
@@ -37,22 +37,22 @@ def open_bin(replay: Replay) -> Mesh:
 
 
 def table(replay: Replay) -> Mesh:
-    """The part of the table on which the bin, the robot and the place of parts stand."""
+    """Return the part of the table that carries the bin, the robot and the placed parts."""
     box, config = replay.cell.box, replay.cell.config
     low, high = box.bounds_m
     stands = np.array([low, high, config.robot.base_m, config.picking.place_m])[:, :2]
     (x0, y0), (x1, y1) = stands.min(axis=0) - TABLE_BEYOND_M, stands.max(axis=0) + TABLE_BEYOND_M
-    z = -box.floor_m - 1e-3  # below the bin's own floor
+    z = -box.floor_m - 1e-3  # The table is below the bin's own floor.
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     return Mesh(vertices_m=corners, faces=np.array([[0, 1, 2], [0, 2, 3]]))
 
 
 def look(replay: Replay) -> dict[str, Any]:
-    """The viewpoint: opposite the robot, slightly from the side where parts are placed."""
+    """Return the viewpoint: opposite the robot, slightly from the side where parts are placed."""
     config, box = replay.cell.config, replay.cell.box
     base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
     home = zip(replay.limbs, replay.T_world_limb(replay.robot.home), strict=True)
-    top_m = float(joined(home).bounds_m[1, 2])  # tall arms are looked at from farther away
+    top_m = float(joined(home).bounds_m[1, 2])  # Tall arms need a more distant view.
     far = max(float(np.linalg.norm(base)), 0.75 * top_m, 0.3)
     aside = -base / max(float(np.linalg.norm(base)), 1e-9)
     aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
@@ -66,7 +66,7 @@ def look(replay: Replay) -> dict[str, Any]:
 
 
 def packed_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Vertices [mm] and faces as the page unpacks them."""
+    """Return vertices [mm] and faces in the form that the page unpacks."""
     mesh = replace(mesh, corner_uv=None, corner_normals=None)
     return {
         "vertices": _packed((1e3 * mesh.vertices_m).astype("<f4")),
@@ -75,14 +75,14 @@ def packed_mesh(mesh: Mesh) -> dict[str, Any]:
 
 
 def placed(T: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
-    """Places as (x, y, z) [mm] and a unit quaternion (x, y, z, w)."""
+    """Return poses as (x, y, z) [mm] and a unit quaternion (x, y, z, w)."""
     flat = T.reshape(-1, 4, 4)
     turn = Rotation.from_matrix(flat[:, :3, :3]).as_quat()
     return np.column_stack([1e3 * flat[:, :3, 3], turn]).reshape(*T.shape[:-2], 7)
 
 
 def packed_places(T: Float[np.ndarray, "t limbs 4 4"]) -> str:
-    """Places over time; from one time to the next quaternions keep their sign."""
+    """Return poses over time; consecutive quaternions have no jump of sign."""
     places = placed(T)
     turn = places[..., 3:]
     flips = np.where((turn[1:] * turn[:-1]).sum(axis=-1) < 0, -1.0, 1.0)

@@ -1,9 +1,9 @@
-"""One bin as a film: what the page shows from behind the bin, attempt after attempt.
+"""A film of one bin: the page's view from behind the bin, attempt by attempt.
 
-Drawn by the project's own rasteriser. Leaves out what the page leaves out, too: shadows, and how a
-part that was let go falls; it is shown where it was found next. Of a scan the points of a part that
-is carried away are left out, so that what is left is seen; at the end the true parts that are left
-shine through it.
+The project's own rasteriser draws it. As on the page, there are no shadows, and a released part
+does not fall; it is shown where the next scan finds it. Points of a carried part are removed from
+the scan, so that the other points stay visible. At the end of an attempt, the true remaining parts
+are drawn translucently over the scan.
 """
 
 import io
@@ -34,19 +34,19 @@ from .bodies import TINT, look, open_bin, table
 from .words import OUTCOME_COLOR
 
 KINDS = {".gif": "GIF", ".webp": "WEBP"}
-WIDTH_PX, LEAST_PX = 480, 280  # In a narrower picture, the words would lie over each other.
-FRAME_MS = 100  # GIF counts hundredths of a second.
+WIDTH_PX, LEAST_PX = 480, 280  # In a narrower picture, the words would overlap.
+FRAME_MS = 100  # GIF stores times in hundredths of a second.
 _END_FRAMES = 8  # An attempt's outcome stays for this many frames.
-_FIELD_RAD = 0.55  # The page has the same field of view (`FIELD_RAD`).
+_FIELD_RAD = 0.55  # It equals `FIELD_RAD` of the page.
 _PITCH_RAD, _DISTANCE = 0.42, 4.2  # The distance is in units of `reach` of `look`.
 _BAND_PX = 26  # The words are in this band below the picture.
-_ON_SURFACE_M = 2e-3  # Points of the scan are drawn if they lie no deeper than this in a body.
+_ON_SURFACE_M = 2e-3  # Scan points deeper than this in a body are hidden.
 _PALETTE_FRAMES = 12
-_SMOOTH_PX = 5  # The slope of the measured surface is averaged over this, for shading alone.
+_SMOOTH_PX = 5  # Measured normals are averaged over this, only for shading.
 
-_OF_PART_M = 5e-3  # A point this near to a true surface is of that part.
-_GHOST = 0.5  # Of the colour, where a true part shines through.
-_FARTHER = (1.0, 1.15, 1.3, 1.5, 1.75, 2.0)  # The eye goes back until the tool stays in sight.
+_OF_PART_M = 5e-3  # A point closer than this to a part's true surface belongs to the part.
+_GHOST = 0.5  # A translucent part has this share of the colour.
+_FARTHER = (1.0, 1.15, 1.3, 1.5, 1.75, 2.0)  # The camera moves back until the tool stays in view.
 
 Steps = UInt16[np.ndarray, "h w"]
 Colors = UInt8[np.ndarray, "h w 3"]
@@ -63,13 +63,13 @@ class _Eye:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Layer:
-    """Colours and z [m] of what is seen; z is infinite where there is nothing."""
+    """Colours and z [m] of the visible surface; z is infinite where there is none."""
 
     color: Float[np.ndarray, "h w 3"]
     z: Float[np.ndarray, "h w"]
 
     def over(self, other: "_Layer") -> "_Layer":
-        """Both, the nearer in front."""
+        """Return both layers, with the nearer surface in front."""
         mine = self.z < other.z
         color = np.where(mine[..., None], self.color, other.color)
         return _Layer(color=color, z=np.where(mine, self.z, other.z))
@@ -85,20 +85,20 @@ def write_film(
     width_px: int = WIDTH_PX,
     progress: ProgressMeter = UNWATCHED,
 ) -> int:
-    """Draw a bin's attempts into one file.
+    """Draw a bin's attempts as a film in one file.
 
     Args:
-        out: its suffix, .gif or .webp, says of which kind.
-        cell_folder: as `folder` of `open_replay`.
-        speed: how much faster than the robot.
-        width_px: of the picture; its height is three quarters of it, and a line of words.
+        out: the file; its suffix, .gif or .webp, selects the format.
+        cell_folder: see `folder` of `open_replay`.
+        speed: the film's speed in multiples of the robot's.
+        width_px: width of the picture; its height is three quarters, plus a line of words.
         progress: counts attempts.
 
     Returns:
-        The number of pictures.
+        The number of frames.
 
     Raises:
-        GraycastError: no such bin, a damaged one, a file of another kind, or too small a picture.
+        GraycastError: the bin is missing or damaged, or suffix or width are not allowed.
     """
     if out.suffix.lower() not in KINDS:
         raise GraycastError(f"{out}: give a file name that ends with {' or '.join(KINDS)}")
@@ -123,7 +123,7 @@ def write_film(
 
 
 def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -> _Eye:
-    """From behind the bin, as far away as the tool needs to stay in the picture."""
+    """Return a camera behind the bin, far enough away to keep the tool in the picture."""
     height_px = round(0.75 * width_px)
     f_px = height_px / 2 / np.tan(_FIELD_RAD / 2)
     camera = pinhole(width_px, height_px, f_px)
@@ -142,7 +142,7 @@ def _eye(replay: Replay, width_px: int, motions: Sequence[Motion | None] = ()) -
 
 
 def _tool_path_m(replay: Replay, motions: Sequence[Motion | None]) -> Float[np.ndarray, "points 3"]:
-    """Where the tool's limbs are over all times: the corners of their boxes, in the world."""
+    """Return the box corners of the tool's limbs at all times, in world coordinates."""
     corners_m = [np.zeros((0, 3))]
     for number, limb in enumerate(replay.limbs[replay.arm_limbs :], start=replay.arm_limbs):
         corners = np.stack(np.meshgrid(*limb.bounds_m.T), axis=-1).reshape(-1, 3)
@@ -192,7 +192,7 @@ def _attempts(
 
 
 def _steps(motion: Motion, step_s: float) -> list[int]:
-    """The times that are shown, the last one with them."""
+    """Return the indices of the times to show, including the last."""
     wanted = np.arange(0.0, motion.time_s[-1], step_s)
     nearest = np.abs(motion.time_s[None] - wanted[:, None]).argmin(axis=1)
     return [*nearest.tolist(), len(motion.time_s) - 1]
@@ -201,7 +201,7 @@ def _steps(motion: Motion, step_s: float) -> list[int]:
 def _part_place(
     attempt: Mapping[str, Any], following: Sequence[Mapping[str, Any]], motion: Motion, i: int
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Of the part that the tool met; after it was let go as it was found next, if it was."""
+    """Return the pose of the touched part; after release, that in the next scan with it."""
     place = attempt["present"].index(motion.part)
     before = np.array(attempt["T_world_part"][place])
     carried = motion.T_world_part(i, before)
@@ -219,7 +219,7 @@ def _part_place(
 
 
 def _ground(replay: Replay, eye: _Eye) -> _Layer:
-    """The table and the inside of the bin; of the bin only what faces the eye."""
+    """Return the table and the inside of the bin, without faces that look away."""
     box = open_bin(replay)
     corner = eye.sees(box)[box.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -241,7 +241,7 @@ def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4
 def _remaining(
     attempt: Mapping[str, Any], motion: Motion | None
 ) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """The parts that lie in the bin at the end, and their true places."""
+    """Return the parts that are in the bin at the end, with their true poses."""
     carried = motion.part if motion is not None and motion.held_until_s is not None else None
     places = zip(attempt["present"], attempt["T_world_part"], strict=True)
     return {number: np.array(T) for number, T in places if number != carried}
@@ -254,7 +254,7 @@ def _with_ghosts(
     kinds: tuple[int, ...],
     rest: Mapping[int, Float[np.ndarray, "4 4"]],
 ) -> _Layer:
-    """The scene with true parts shining through: those that no scan may have shown."""
+    """Return the scene with the true parts drawn translucently, even those in no scan."""
     color = scene.color.copy()
     for number, T in rest.items():
         ghost = _part(replay, eye, kinds, number, T)
@@ -271,7 +271,7 @@ def _part(
 
 
 def _body(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
-    """A mesh in one colour, as bright as it faces the eye."""
+    """Return a mesh in one colour, shaded by the angle between its faces and the view."""
     vertices = eye.sees(mesh)
     face, z = rasterize(vertices, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
     corner = vertices[mesh.faces]
@@ -283,13 +283,13 @@ def _body(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
 def _shade(
     normal: Float[np.ndarray, "*n 3"], place: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n"]:
-    """As the page's bodies: darker as they turn away."""
+    """Return the shading of the page's bodies, which is darker at oblique angles."""
     long = np.linalg.norm(normal, axis=-1) * np.linalg.norm(place, axis=-1)
     return 0.45 + 0.55 * np.abs((normal * place).sum(axis=-1)) / np.maximum(long, 1e-15)
 
 
 def _scan_steps(replay: Replay, episode: StoredEpisode, number: int) -> Steps:
-    """The depth that the robot acted on, as it is stored."""
+    """Read the depth that the robot used, in its stored steps."""
     return read_image(
         replay.folder / BINS / f"{episode.bin_id:06d}" / "depth" / f"{number:03d}.png"
     )
@@ -298,7 +298,7 @@ def _scan_steps(replay: Replay, episode: StoredEpisode, number: int) -> Steps:
 def _without(
     replay: Replay, step: Steps, kinds: tuple[int, ...], attempt: Mapping[str, Any], part: int
 ) -> Steps:
-    """The depth without the points on a part."""
+    """Return the depth without the points on a part."""
     scene = replay.cell.cell.scene
     mesh = scene.parts[kinds[part]].mesh
     T_world_part = np.array(attempt["T_world_part"][attempt["present"].index(part)])
@@ -312,12 +312,12 @@ def _without(
 
 
 def _points(replay: Replay, step: Steps, eye: _Eye, ground: _Layer) -> _Layer:
-    """The points of a scan, over table and bin."""
+    """Return the points of a scan, drawn over the table and the bin."""
     scene = replay.cell.cell.scene
     world = transform_points(scene.T_world_cam, points(scene.rig.camera, step * DEPTH_STEP_M))
     point = transform_points(inverse(eye.T_world_eye), world)
     known = step > 0
-    for axis in (0, 1):  # a slope over a gap is none
+    for axis in (0, 1):  # A slope across a gap is not valid.
         known &= (np.roll(step, 1, axis) > 0) & (np.roll(step, -1, axis) > 0)
     normal = np.cross(np.gradient(point, axis=1), np.gradient(point, axis=0))
     long = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-15)
@@ -328,7 +328,7 @@ def _points(replay: Replay, step: Steps, eye: _Eye, ground: _Layer) -> _Layer:
 def _scattered(
     eye: _Eye, point: Float[np.ndarray, "p 3"], shade: Float[np.ndarray, " p"], ground: _Layer
 ) -> _Layer:
-    """Points of a pixel each, far ones first so that near ones stay."""
+    """Draw points as single pixels, far ones first, so that near ones cover them."""
     pixel, inside = pixels_of(eye.camera, point)
     order = np.argsort(-point[:, 2])
     order = order[inside[order]]
@@ -345,7 +345,7 @@ def _scattered(
 
 
 def _picture(layer: _Layer, words: str, ended: Mapping[str, Any] | None) -> Image.Image:
-    """The layer, and below it which attempt it is and, once it has ended, how."""
+    """Return the layer with a line below: the attempt and, once it has ended, its outcome."""
     color: Colors = np.rint(255 * layer.color).clip(0, 255).astype(np.uint8)
     height, width = color.shape[:2]
     image = Image.new("RGB", (width, height + _BAND_PX), "white")
@@ -362,7 +362,7 @@ def _picture(layer: _Layer, words: str, ended: Mapping[str, Any] | None) -> Imag
 
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
-    """The most frequent colours of some pictures, and those of the outcomes, which are rare."""
+    """Return a palette of frequent colours, and of the outcomes' colours, which are rare."""
     every = max(len(frames) // _PALETTE_FRAMES, 1)
     some = np.vstack([np.asarray(frame) for frame in frames[::every]])
     rare = [value for ink in OUTCOME_COLOR.values() for value in bytes.fromhex(ink[1:])]
@@ -373,7 +373,7 @@ def _palette(frames: list[Image.Image]) -> Image.Image:
 
 
 def _encoded(frames: list[Image.Image], kind: str) -> bytes:
-    """All pictures of a GIF have one palette, so that what stands still costs nothing."""
+    """Encode the pictures; one palette for a GIF keeps still areas small."""
     if kind == "GIF":
         palette = _palette(frames)
         frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]

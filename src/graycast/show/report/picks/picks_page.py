@@ -1,4 +1,4 @@
-"""Builds the page of a folder of picks: what all bins share, and a piece for each bin."""
+"""Build the page of a folder of picks: the shared data, and a piece for each bin."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,7 +23,7 @@ _WEB = Web(
     home="all bins (Esc)",
     styles=("picks.css",),
     scripts=(
-        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # The page of a dataset has these.
+        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # The dataset's page has these, too.
         *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
     ),
 )
@@ -38,13 +38,13 @@ def write_pick_report(
     width_px: int = WIDTH_PX,
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
-    """Write the page of a folder of picks, or bring it up to date; see `write_report`.
+    """Write the page of a folder of picks, or update it; see `write_report`.
 
     Args:
-        cell_folder: as `folder` of `open_replay`.
+        cell_folder: see `folder` of `open_replay`.
 
     Raises:
-        GraycastError: no bin yet, a damaged one, or `out` holds something else.
+        GraycastError: there is no bin, or a damaged one, or `out` holds something else.
     """
     episodes = read_episodes(picks)
     summary = summarize(episodes)
@@ -80,7 +80,7 @@ def write_pick_report(
 
 
 def _cell(replay: Replay) -> dict[str, Any]:
-    """What stands still, what the bodies are, and where the scanner and the viewer stand."""
+    """Return the fixed bodies, all meshes, and the viewpoints of the scanner and the viewer."""
     scene = replay.cell.cell.scene
     return {
         "view": view_record(scene.rig.camera, scene.T_world_cam),
@@ -96,7 +96,7 @@ def _cell(replay: Replay) -> dict[str, Any]:
 
 
 def _bins(episodes: Sequence[StoredEpisode]) -> list[dict[str, Any]]:
-    """What the list shows; short, as thousands are loaded at once."""
+    """Return the rows of the list; they are short, because thousands are loaded at once."""
     names = {one["name"]: i for i, one in enumerate(outcome_words())}
     return [
         {

@@ -35,7 +35,7 @@ _MEANING = {
 
 
 def outcome_words() -> list[dict[str, Any]]:
-    """Of every outcome, in the order of the list that pages show."""
+    """Return the texts and colours of all outcomes, in the order in which pages list them."""
     return [
         {
             "name": str(outcome),

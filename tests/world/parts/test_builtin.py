@@ -1,14 +1,23 @@
+import json
 from functools import cache
 
 import numpy as np
 import pytest
 import trimesh
 from manifold3d import Manifold, Mesh64
+from PIL import Image
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.world.parts import BUILTIN, builtin_part
 from graycast.world.parts.builtin import RING_PROFILE_MM, RING_SEGMENTS
-from graycast.world.parts.printed_labels import salt_box_panels, spray_panels, toothpaste_panels
+from studies.printed_labels import (
+    LABELS,
+    LAYOUTS,
+    pack,
+    salt_box_panels,
+    spray_panels,
+    toothpaste_panels,
+)
 
 part_of = cache(builtin_part)  # no test changes it
 # The outward normal of a panel and the way up for its reader.
@@ -126,6 +135,14 @@ def test_print_breaks_the_symmetry_of_boxes():
     for name in ("yellow_salt_cube", "toothpaste", "hygiene_spray"):
         assert part_of(name).symmetry.discrete == ()
         assert part_of(name).symmetry.continuous == ()
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_stored_pictures_of_labels_are_those_that_the_study_draws(name):
+    draw, rows = LAYOUTS[name]
+    image, places = pack(draw(), rows)
+    assert np.array_equal(np.array(Image.open(LABELS / f"{name}.png")), image)
+    assert json.loads((LABELS / "panels.json").read_text())[name] == places
 
 
 def view_of(part, normal, up, right_m, up_m):

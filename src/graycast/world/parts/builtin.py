@@ -5,20 +5,24 @@ package is one solid of uniform density: its mass is right, its centre of mass a
 moments of inertia are those of an evenly filled body.
 """
 
+import json
+from importlib.resources import files
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from manifold3d import CrossSection, Manifold
+from PIL import Image
 
 from ...base.frames import axis_rotation, rigid
-from . import printed_labels as labels
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .shapes import PANELS, loft, revolve, rounded_box, solid, superellipse, union
 
 CREASE_RAD = np.radians(35)  # It parts chamfers (45 deg) from the widest facet step (22.5 deg).
 _STEEL_KG_M3 = 7800.0
+SALT_BOX_MM = (70.0, 60.0, 145.0)  # outer x, y, z
+TOOTHPASTE_MM = (190.0, 38.0, 45.0)
 
 # The ring's half section (r, z) runs counter-clockwise: a flange has a groove in its rim, the hub
 # above it is narrower, with a fillet at its foot, and the bore has a counterbore from above.
@@ -105,35 +109,55 @@ def _chamfered_footprint() -> Manifold:
     return CrossSection([corner + [(-a, -b) for a, b in corner]]).extrude(40).translate((0, 0, -1))
 
 
+Region = tuple[float, float, float, float]
+
+
+def _label(name: str) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Region]]:
+    """Read a printed label, which `studies/printed_labels.py` drew.
+
+    Returns:
+        Its picture (8-bit sRGB), and the lower left and upper right corner (u0, v0, u1, v1) of
+        each panel, v up.
+    """
+    folder = files(__package__) / "labels"
+    with (folder / f"{name}.png").open("rb") as file:
+        image = np.array(Image.open(file))
+    height, width = image.shape[:2]
+    places = json.loads((folder / "panels.json").read_text(encoding="utf-8"))[name]
+    return image, {
+        panel: (x / width, 1 - (y + h) / height, (x + w) / width, 1 - y / height)
+        for panel, (x, y, w, h) in places.items()
+    }
+
+
 def _carton(
     name: str,
     size_mm: tuple[float, float, float],
-    label: labels.Atlas,
+    label: str,
     *,
     edge_mm: float,
     density_kg_m3: float,
     roughness: float,
 ) -> Part:
     """Return a printed box with slightly rounded edges. The print tells all its sides apart."""
+    image, region = _label(label)
     vertices, faces, panel = rounded_box(size_mm, edge_mm, steps=3)
     corner_uv = np.empty((len(faces), 3, 2))
     for side, (_, right, up) in PANELS.items():
         mine = np.array([p == side for p in panel])
         axes = np.array([right, up])
         share = vertices[faces[mine]] @ axes.T / (np.abs(axes) @ np.array(size_mm)) + 0.5
-        corner_uv[mine] = _into_region(share, label.region[side])
+        corner_uv[mine] = _into_region(share, region[side])
     return Part(
         name=name,
         mesh=_mesh(vertices, faces, corner_uv),
-        material=Material(texture=label.image, roughness=roughness),
+        material=Material(texture=image, roughness=roughness),
         density_kg_m3=density_kg_m3,
         friction=0.45,
     )
 
 
-def _into_region(
-    share: Float[np.ndarray, "*n 2"], region: tuple[float, float, float, float]
-) -> Float[np.ndarray, "*n 2"]:
+def _into_region(share: Float[np.ndarray, "*n 2"], region: Region) -> Float[np.ndarray, "*n 2"]:
     """Return positions in a panel (0 to 1 to the right and up) as uv of the atlas."""
     low, high = np.array(region[:2]), np.array(region[2:])
     return low + share * (high - low)
@@ -145,13 +169,10 @@ def _salt_box() -> Part:
     Density: 650 g of salt (1.2 kg per litre as poured, the box nine tenths full) and 20 g of
     carton in 0.607 litres.
     """
-    label = labels.pack(
-        labels.salt_box_panels(), ("front", "right", "back", "left"), ("top", "bottom")
-    )
     return _carton(
         "yellow_salt_cube",
-        labels.SALT_BOX_MM,
-        label,
+        SALT_BOX_MM,
+        "salt_box",
         edge_mm=2.5,
         density_kg_m3=1100.0,
         roughness=0.45,
@@ -159,11 +180,17 @@ def _salt_box() -> Part:
 
 
 def _toothpaste() -> Part:
-    """Density: a 100 ml tube (1.3 kg per litre, 10 g of tube) and a 15 g carton in 0.324 litres."""
-    rows = ("front", "right"), ("back", "left"), ("top",), ("bottom",)
-    label = labels.pack(labels.toothpaste_panels(), *rows)
+    """Return a toothpaste carton, which lies with its long side along x.
+
+    Density: a 100 ml tube (1.3 kg per litre, 10 g of tube) and a 15 g carton in 0.324 litres.
+    """
     return _carton(
-        "toothpaste", labels.TOOTHPASTE_MM, label, edge_mm=1.0, density_kg_m3=480.0, roughness=0.35
+        "toothpaste",
+        TOOTHPASTE_MM,
+        "toothpaste",
+        edge_mm=1.0,
+        density_kg_m3=480.0,
+        roughness=0.35,
     )
 
 
@@ -185,19 +212,19 @@ def _spray() -> Part:
         [(19.0, 158.0), (22.0, 148.0), (26.0, 138.0), (33.0, 129.0)], radius_mm=3.0, width_mm=13.0
     )
     vertices, faces, piece = union({"body": solid(body), "head": head, "trigger": trigger})
-    label = labels.pack(labels.spray_panels(), ("body",), ("head", "trigger"))
+    image, region = _label("spray")
     corner = vertices[faces]
     corner_uv = np.empty((len(faces), 3, 2))
     for name in ("head", "trigger"):
         mine = np.array([p == name for p in piece])
         share = (corner[mine][..., [0, 2]] - [-40, 100]) / [100, 100]  # plain: anywhere inside
-        corner_uv[mine] = _into_region(share, label.region[name])
+        corner_uv[mine] = _into_region(share, region[name])
     mine = np.array([p == "body" for p in piece])
-    corner_uv[mine] = _into_region(_wrap(corner[mine]), label.region["body"])
+    corner_uv[mine] = _into_region(_wrap(corner[mine]), region["body"])
     return Part(
         name="hygiene_spray",
         mesh=_mesh(vertices, faces, corner_uv),
-        material=Material(texture=label.image, roughness=0.3),
+        material=Material(texture=image, roughness=0.3),
         density_kg_m3=950.0,
         friction=0.35,
     )

@@ -1,11 +1,14 @@
-"""Printed labels of our own making, as textures. All brands are invented.
+"""Draw the labels of the built-in parts, for docs/how-to/python.md. All brands are invented.
 
-A label is drawn panel by panel, each as its reader sees it, and the panels are packed into one
-picture, the atlas. Drawing is deterministic; only another version of the font renderer changes it.
+python -m studies.printed_labels
+
+This writes the pictures of `src/graycast/world/parts/labels` again, with the place of each panel in
+`panels.json`. Each panel is drawn as its reader sees it. Drawing is deterministic, but another
+version of the font renderer changes the pixels.
 """
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
@@ -13,49 +16,40 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from graycast.world.parts.builtin import SALT_BOX_MM, TOOTHPASTE_MM
+
 Real = float | int
 Box = tuple[Real, Real, Real, Real]  # They are left, top, right, bottom as fractions of a panel.
 Colour = tuple[int, int, int]  # It is 8-bit sRGB.
 
 _BLEED_PX = 3  # Each panel's border is repeated outwards, so that filtering picks up no neighbour.
 
-SALT_BOX_MM = (70.0, 60.0, 145.0)  # The panels below are for boxes of these outer x, y, z.
-TOOTHPASTE_MM = (190.0, 38.0, 45.0)
 SPRAY_WRAP_MM = (177.0, 128.0)  # Girth and height are the body's; the label goes once round it.
+LABELS = Path(__file__).resolve().parents[1] / "src/graycast/world/parts/labels"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Atlas:
-    """Panels packed in one texture (8-bit sRGB, row 0 on top).
+def pack(
+    panels: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], rows: Sequence[Sequence[str]]
+) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, list[int]]]:
+    """Pack panels side by side in rows, from top to bottom; unused area stays grey.
 
-    `region` is each panel's (u0, v0, u1, v1), v up: its lower left and upper right corner.
+    Returns:
+        The picture, and the left, top, width and height [px] of each panel in it.
     """
-
-    image: UInt8[np.ndarray, "h w 3"]
-    region: Mapping[str, Box]
-
-    def __post_init__(self) -> None:
-        self.image.flags.writeable = False
-
-
-def pack(panels: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], *rows: Sequence[str]) -> Atlas:
-    """Pack panels side by side in rows, from top to bottom; unused area stays grey."""
     b = _BLEED_PX
     heights = [max(len(panels[name]) for name in row) + 2 * b for row in rows]
     width = max(sum(panels[name].shape[1] + 2 * b for name in row) for row in rows)
-    height = sum(heights)
-    image = np.full((height, width, 3), 128, dtype=np.uint8)
-    region: dict[str, Box] = {}
+    image = np.full((sum(heights), width, 3), 128, dtype=np.uint8)
+    place: dict[str, list[int]] = {}
     for row, top in zip(rows, np.cumsum([0, *heights[:-1]]).tolist(), strict=True):
         left = 0
         for name in row:
             h, w = panels[name].shape[:2]
             bled = np.pad(panels[name], ((b, b), (b, b), (0, 0)), mode="edge")
             image[top : top + h + 2 * b, left : left + w + 2 * b] = bled
-            x, y = left + b, top + b
-            region[name] = (x / width, 1 - (y + h) / height, (x + w) / width, 1 - y / height)
+            place[name] = [left + b, top + b, w, h]
             left += w + 2 * b
-    return Atlas(image=image, region=region)
+    return image, place
 
 
 @final
@@ -241,7 +235,7 @@ def toothpaste_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
 
 
 def spray_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """The spray bottle's wrap (its middle is the front), and plain swatches of its plastics."""
+    """Return the spray bottle's wrap, whose middle is the front, and swatches of its plastics."""
     plastic, green, dark, white = (240, 242, 240), (60, 170, 90), (15, 80, 60), (252, 252, 252)
     p = _Panel(*SPRAY_WRAP_MM, 5.8, plastic)
     p.fill((0, 0.2, 1, 0.88), white)
@@ -267,3 +261,25 @@ def spray_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
         "head": swatch + np.array([25, 130, 75], dtype=np.uint8),
         "trigger": swatch + np.array([235, 235, 230], dtype=np.uint8),
     }
+
+
+LAYOUTS = {
+    "salt_box": (salt_box_panels, (("front", "right", "back", "left"), ("top", "bottom"))),
+    "toothpaste": (
+        toothpaste_panels,
+        (("front", "right"), ("back", "left"), ("top",), ("bottom",)),
+    ),
+    "spray": (spray_panels, (("body",), ("head", "trigger"))),
+}
+
+
+def main() -> None:
+    places = {}
+    for name, (draw, rows) in LAYOUTS.items():
+        image, places[name] = pack(draw(), rows)
+        Image.fromarray(image).save(LABELS / f"{name}.png", optimize=True)
+    (LABELS / "panels.json").write_text(json.dumps(places) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

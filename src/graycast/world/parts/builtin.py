@@ -5,7 +5,6 @@ package is one solid of uniform density: its mass is right, its centre of mass a
 moments of inertia are those of an evenly filled body.
 """
 
-import json
 from importlib.resources import files
 from itertools import pairwise
 
@@ -14,6 +13,7 @@ from jaxtyping import Float, Int, UInt8
 from manifold3d import CrossSection, Manifold
 from PIL import Image
 
+from ...base.file_limits import parse_json
 from ...base.frames import axis_rotation, rigid
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
@@ -123,7 +123,7 @@ def _label(name: str) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Region]]:
     with (folder / f"{name}.png").open("rb") as file:
         image = np.array(Image.open(file))
     height, width = image.shape[:2]
-    places = json.loads((folder / "panels.json").read_text(encoding="utf-8"))[name]
+    places = parse_json((folder / "panels.json").read_text(encoding="utf-8"))[name]
     return image, {
         panel: (x / width, 1 - (y + h) / height, (x + w) / width, 1 - y / height)
         for panel, (x, y, w, h) in places.items()

@@ -1,7 +1,7 @@
 """The configuration that a user writes in YAML: it is checked and resolved to values.
 
-Every key that is not known stops the run and is named with its file and the nearest known key.
-Paths in a configuration are relative to its file.
+An unknown key stops the run; the error names it, its file and the most similar known key. Paths in
+a configuration are relative to its file.
 """
 
 from collections.abc import Callable
@@ -73,7 +73,7 @@ class BinSection(Settings):
 
     @model_validator(mode="after")
     def _one_shape(self) -> "BinSection":
-        # By value: what is read back from a manifest gives every key.
+        # Values are compared, since a configuration from a manifest has every key.
         of_other = ("unit", "up_axis") if self.mesh is None else ("inner_m", "wall_m")
         fields = BinSection.model_fields
         names = [name for name in of_other if getattr(self, name) != fields[name].default]
@@ -117,7 +117,7 @@ class CyclesSection(Settings):
 
 
 class RenderSection(Settings):
-    """How pictures are rendered."""
+    """Settings of the rendering."""
 
     backend: Literal["mitsuba", "cycles"] = Field(
         default="mitsuba",
@@ -135,7 +135,7 @@ class RenderSection(Settings):
 
 
 class StoreSection(Settings):
-    """What a scene's folder holds in addition to pictures, depth and labels."""
+    """Files of a scene in addition to pictures, depth and labels."""
 
     frames: bool = Field(
         default=False, description="Keep every picture as the sensor stored it, for rig decode."
@@ -147,7 +147,7 @@ class StoreSection(Settings):
         default=None,
         gt=0,
         le=1000,
-        exclude=True,  # a dataset says it as its depth_scale, chosen or not
+        exclude=True,  # a dataset states it as its depth_scale
         description="One step of the depth pictures in millimetres. Without this key, 16 "
         "bits span the range.",
     )
@@ -236,7 +236,7 @@ class Config(ScannerSections):
 
     @model_validator(mode="after")
     def _one_way_to_look(self) -> "Config":
-        # By value: what is read back from a manifest gives every key.
+        # Values are compared, since a configuration from a manifest has every key.
         used = {"distance_m", "target_m"} if isinstance(self.views, DomeSection) else set()
         if self.views is not None and not isinstance(self.views, JitterSection):
             plain = ViewSection(**self.view.model_dump(include=used))
@@ -351,13 +351,13 @@ def resolve_scanner(config: Config, folder: Path) -> Scanner:
     """The scanner that a configuration names, or the first of several.
 
     Raises:
-        ConfigError: as of `resolve_scanners`.
+        ConfigError: as in `resolve_scanners`.
     """
     return resolve_scanners(config, folder)[0][1]
 
 
 def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner], ...]:
-    """Return every scanner with its name, "" of the only one; with what its sections change.
+    """Return every scanner and its name ("" for a single one), changed by its sections.
 
     Raises:
         ConfigError: there is no such rig, or the code lacks the axis that is parallel to the
@@ -391,7 +391,7 @@ def resolve_quality(config: Config) -> Quality:
 
 
 def quality_of(render: RenderSection) -> Quality:
-    """The effort of the section's renderer."""
+    """Return the quality settings of the section's renderer."""
     return Quality(
         samples=render.samples,
         depth=render.depth,

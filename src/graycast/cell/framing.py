@@ -1,4 +1,4 @@
-"""Share of a picture that a bin and a part cover, and the scanner of the shelf that fits a bin."""
+"""The share of a picture that a bin and a part cover, and the scanner of the shelf for a bin."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ from ..world.parts import Part
 from ..world.scene import Bin, Layout, Scene, bin_of
 from .views import Pose, ViewSection, hang
 
-# The scanners of makers, not those that somebody builds from other devices.
+# Scanners that copy a maker's, without those that a user builds from other devices.
 SCANNERS = tuple(name for name in SHELF if name.startswith("like-"))
-ENOUGH = 0.85  # The first scanner that covers this share of what the best one covers is taken.
+ENOUGH = 0.85  # The first scanner with this share of the best `bin_share` is taken.
 EDGE = 0.02  # This share of a picture stays free at each of its edges.
 STEP_M = 0.01
-_NAMED = 3  # A line names so many parts with their widths; of more it says the range.
+_NAMED = 3  # A line has the widths of this many parts; for more parts, it has their range.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
     """A scanner of the shelf above a bin.
 
-    `distance_m` is that of `view` in a configuration. `bin_share` is the share of the picture that
-    the bin covers. `missing_m` is how far the bin's worst corner is outside the working range, or
-    outside the field of camera or projector; 0 or less where all corners are inside.
+    `distance_m` is the one of `view` in a configuration. `bin_share` is the share of the picture
+    that the bin covers. `missing_m` is the distance of the bin's worst corner to the working range,
+    or to the field of camera or projector; 0 or less if all corners are inside.
     """
 
     rig: Rig
@@ -44,9 +44,9 @@ def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
     """Return the scanner whose picture a bin fills, and the distance at which it hangs.
 
     Each scanner hangs as near as all corners of the bin are in its working range and in the fields
-    of its camera and its projector. The first of `names` is taken that covers nearly as much of its
-    picture with the bin as the best one does (`ENOUGH`). If no scanner fits, it is the one at the
-    distance at which the least is missing.
+    of its camera and its projector. The result is the first of `names` whose bin covers nearly as
+    much of the picture as the best (`ENOUGH`). If no scanner fits, it is the one that misses
+    the least.
     """
     nearest = [_nearest(preset_rig(name, "full"), box) for name in names]
     fits = [one for one in nearest if one.missing_m <= 0]
@@ -81,8 +81,8 @@ def _hang(rig: Rig, box: Bin, distance_m: float) -> Pose:
 
 
 def _missing_m(rig: Rig, box: Bin, distance_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """`Framing.missing_m` at each distance."""
-    # The rig does not turn with the distance, so that a corner moves along a line in its frame.
+    """Return `Framing.missing_m` for each distance."""
+    # The rig does not turn with the distance, so a corner moves along a line in its frame.
     corner = bin_corners_m(box)
     at_1_m, at_2_m = (transform_points(inverse(_hang(rig, box, d)), corner) for d in (1.0, 2.0))
     in_camera = at_1_m + (distance_m[:, None, None] - 1) * (at_2_m - at_1_m)
@@ -97,7 +97,7 @@ def _missing_m(rig: Rig, box: Bin, distance_m: Float[np.ndarray, " n"]) -> Float
 
 
 def _beyond_m(optics: Optics, point_m: Float[np.ndarray, "n corners 3"]) -> Float[np.ndarray, " n"]:
-    """Return how far the worst of the points is outside a field [m]; its edges stay free."""
+    """Return how far the worst point is outside a field, reduced by a margin at its edges [m]."""
     size_px = np.array([optics.width_px, optics.height_px])
     pixel = project(optics, point_m.reshape(-1, 3)).reshape(*point_m.shape[:2], 2)
     beyond_px = np.abs(pixel - (size_px - 1) / 2) - (0.5 - EDGE) * size_px
@@ -126,7 +126,7 @@ def bin_share(camera: Optics, T_world_cam: Pose, box: Bin) -> float:
 
 
 def part_width_px(part: Part, camera: Optics, T_world_cam: Pose, box: Bin) -> float:
-    """Return the pixels that the longest side of a part covers across the line of sight.
+    """Return the width of a part in pixels, its longest side perpendicular to the line of sight.
 
     The part is in the middle of the bin, at a third of its height.
     """
@@ -138,7 +138,7 @@ def part_width_px(part: Part, camera: Optics, T_world_cam: Pose, box: Bin) -> fl
 def framing_line(scene: Scene, layout: Layout | None = None) -> str:
     """Return how much of a scene's picture the bin fills, and how wide the parts are in it.
 
-    The parts are those of a layout that have labels; without a layout, all kinds of the scene.
+    The parts are the labelled parts of a layout or, without a layout, all kinds of the scene.
     """
     kinds = range(len(scene.parts)) if layout is None else sorted({*layout.part_index.tolist()})
     parts = [scene.parts[kind] for kind in kinds if scene.parts[kind].labelled]

@@ -38,7 +38,7 @@ from .simulate import Shot, own_record
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a run did: scenes that it made, found, and gave up; share of pixels per reason."""
+    """Counts of a run: scenes that it made, found and gave up; share of pixels per reason."""
 
     written: int
     found: int
@@ -66,17 +66,17 @@ def generate(
     and the next run tries it again.
 
     Args:
-        out: the dataset's folder; made, or continued where the same configuration began it.
-        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
-        on_result: takes what is known of each scene, a result and no progress, in this process.
-        on_failed: takes the reason of each try that did not come out.
+        out: the dataset's folder, which is made, or continued if it has the same configuration.
+        device: 'auto', 'cpu', 'cuda' or, for Cycles, 'optix'.
+        on_result: receives the result of each scene, in this process.
+        on_failed: receives the reason of each failed try.
         progress: counts scenes, hears what is being prepared, and notes each part whose collision
-            hulls are coarse. Where this process makes all, it hears what each scene does, too.
+            hulls are coarse. If this process makes all scenes, it hears their steps, too.
 
     Raises:
-        DatasetError: the folder is another dataset's, is in use, or the disk refuses.
-        DeviceError: no such device here.
-        GraycastError, ValueError: nothing came out, for this reason; or Ray does not answer.
+        DatasetError: the folder has another dataset or is in use, or writing fails.
+        DeviceError: this machine has no such device.
+        GraycastError, ValueError: no scene was made, for this reason; or Ray does not answer.
     """
     out = Path(out)
     start = time.perf_counter()
@@ -125,9 +125,9 @@ def generate(
 
 
 def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Path:
-    """Write a scene that `make_scene` made into a dataset's folder, which it may begin.
+    """Write a scene of `make_scene` into the folder of a dataset, new or begun.
 
-    Of a cell that takes several images of a scene, give all that `make_images` makes.
+    If a cell takes several images of a scene, pass all images that `make_images` makes.
 
     The files are those that `generate` writes for the same cell, seed and number, which may go on
     with the folder. Unlike `generate` it also takes a scene in which nothing was decoded. If the
@@ -139,8 +139,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
     Raises:
         ValueError: the scene was made from another configuration than the cell's, or an image of
             it is missing.
-        DatasetError: the scene is there already with other files; the folder is another dataset's
-            or in use; the disk refuses.
+        DatasetError: the scene is there already with other files; the folder has another dataset or
+            is in use; or writing fails.
     """
     out = Path(out)
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
@@ -178,10 +178,10 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
 
 
 def depth_step_mm(cell: Cell) -> float:
-    """Return the millimetres of one step of the cell's depth pictures, as configured or as needed.
+    """Return the step of the cell's depth pictures [mm]: configured, or as its depth needs.
 
     Raises:
-        ConfigError: the cell lies deeper than 16 bits reach in any step.
+        ConfigError: with every step, the cell is deeper than 16 bits can store.
     """
     if cell.config.store.depth_step_mm is not None:
         return cell.config.store.depth_step_mm
@@ -196,7 +196,7 @@ def depth_step_mm(cell: Cell) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """What a dataset says it was made from; `files` are the paths in its configuration."""
+    """Origin of a dataset; `files` are the paths in its configuration."""
 
     config: Config
     seed: int
@@ -204,10 +204,10 @@ class Origin:
 
 
 def read_origin(out: Path) -> Origin:
-    """The configuration and seed of a dataset that `generate` made.
+    """Return the configuration and seed of a dataset that `generate` made.
 
     Raises:
-        DatasetError: `out` holds no such dataset, or one of another version of Graycast.
+        DatasetError: `out` has no such dataset, or one of another version of Graycast.
     """
     try:
         claim = read_json(out / CLAIM, Claim)
@@ -228,11 +228,11 @@ def rerender(
     """Make a stored scene again, and compare; nothing is written.
 
     Returns:
-        The files that differ and how; none where the scene came out the same. A manifest's
-        timings are left out.
+        The files that differ, and how; empty if the scene is the same. Timings in a manifest are
+        not compared.
 
     Raises:
-        DatasetError: no such scene, or the dataset is of another configuration.
+        DatasetError: the scene is missing, or the dataset has another configuration.
         DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
     task = _task(cell, seed, ALONE.device(cell.config.render.backend, device))
@@ -249,7 +249,7 @@ def _task(cell: Cell, seed: int, device: str) -> SceneTask:
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
-    """The content of `graycast.json` for this run."""
+    """Return the content of `graycast.json` for this run."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, described_scanner(cell.scanner))
@@ -264,7 +264,7 @@ def _claimed(task: SceneTask) -> dict[str, Any]:
 
 
 def _takers(cell: Cell) -> tuple[Taker, ...]:
-    """All scanners; none where one without a name takes one image, as it ever was."""
+    """Return all scanners; none if a single scanner without a name takes one image."""
     images = Counter(name for name, _ in cell.images)
     takers = tuple(
         Taker(
@@ -279,6 +279,6 @@ def _takers(cell: Cell) -> tuple[Taker, ...]:
 
 
 def described_scanner(scanner: Scanner) -> dict[str, Any]:
-    """Return all that a preset or a rig file says, but the rig, which a claim holds by itself."""
+    """Return all values of a preset or a rig file but the rig, which a claim holds separately."""
     names = [field.name for field in fields(scanner) if field.name != "rig"]
     return {name: described_values(getattr(scanner, name)) for name in names}

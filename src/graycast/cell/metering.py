@@ -13,8 +13,8 @@ from .framing import bin_corners_m
 def bin_region(scene: Scene) -> Bool[np.ndarray, "h w"] | None:
     """Return the pixels that look into the bin; None if there is no bin or no such pixel.
 
-    It is the hull of the inner room's corners, as a user draws a region of interest around the bin.
-    It knows nothing of the parts.
+    It is the hull of the bin's inner corners, as a user draws a region of interest around the bin;
+    the parts do not change it.
     """
     if scene.bin is None:
         return None

@@ -1,4 +1,4 @@
-"""A commented configuration for one part, whose size decides the bin, the rig and its distance."""
+"""A commented configuration for one part, whose size determines bin, rig and distance."""
 
 import json
 import shlex
@@ -12,8 +12,8 @@ from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .framing import Framing, best_framing, part_width_px
 
-BIN_LENGTHS = 5.0  # The bin is so many parts long inside.
-BIN_M = (0.12, 1.0)  # The smallest and the largest bin are so long.
+BIN_LENGTHS = 5.0  # inner length of the bin in lengths of the part
+BIN_M = (0.12, 1.0)  # inner lengths of the smallest and of the largest bin
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 # The highlights and the dark sides of a metal need a wider bracket than the rig's.
 _METAL_EXPOSURE = "exposure: {auto: true}   # chosen from each picture: up to 5, which take longer"
@@ -26,11 +26,11 @@ def new_cell(
     """Return the text of a configuration.
 
     Args:
-        name: of the folder, for the commands in its first lines.
-        part: as it is read, to know its size.
-        source: the keys of `parts` that say where it comes from.
-        surface: one of `MATERIALS`; None keeps the part's own material, as of a mesh with a
-            texture. The part's own density is then written, too, if `source` is a mesh.
+        name: the folder's name, for the commands in the first lines of the text.
+        part: the part, whose size is used.
+        source: the keys of `parts` that name its origin.
+        surface: one of `MATERIALS`; None keeps the part's own material, such as a mesh's texture.
+            The part's own density is then written, too, if `source` is a mesh.
 
     Raises:
         ValueError: no material has that name.
@@ -40,7 +40,7 @@ def new_cell(
     framing = best_framing(box)
     full = max(1, round(full_count(part, inner_m)))
     most = int(np.clip(round(HEAP_SHARE * full), 3, MOST_PARTS))
-    # Text of JSON is text of YAML, also where a file's name has a colon, a hash or a quote.
+    # JSON is valid YAML, even if the name of a file has a colon, a hash or a quote.
     keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
     if surface is not None:
         density_kg_m3 = material_preset(surface).density_kg_m3
@@ -78,7 +78,7 @@ resolution: low   # small, low or full
 
 
 def bin_for(part: Part) -> tuple[float, float, float]:
-    """Length, width and height inside of a bin for a part, in whole centimetres."""
+    """Return the inner length, width and height of a bin for a part, in whole centimetres."""
     length_m = float(np.clip(BIN_LENGTHS * part.mesh.extent_m.max(), *BIN_M))
     length, width, height = (round(100 * length_m * share) / 100 for share in (1, 0.75, 0.375))
     return length, width, height
@@ -87,7 +87,7 @@ def bin_for(part: Part) -> tuple[float, float, float]:
 def framing_text(framing: Framing, part: Part, box: Bin) -> str:
     """Return a line that says which rig was chosen, and how large bin and part are in its picture.
 
-    If no scanner holds the bin, the line says how much is missing.
+    If the bin fits no scanner, the line says how much is missing.
     """
     width_px = part_width_px(part, framing.rig.camera, framing.T_world_cam, box)
     small_px = width_px * BINNING["full"] / BINNING["small"]

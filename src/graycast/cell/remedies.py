@@ -1,4 +1,4 @@
-"""Other settings of a scanner that give the parts of a scene more depth: tried on its light."""
+"""Settings of a scanner that give the parts of a scene more depth, tried on the scene's light."""
 
 from dataclasses import dataclass, replace
 
@@ -10,14 +10,14 @@ from .simulate import Shot, on_part
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Remedy:
-    """A change of a scanner in the words of a configuration, and its scanner."""
+    """A change of a scanner, as written in a configuration, and the changed scanner."""
 
     words: str
     scanner: Scanner
 
 
 def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
-    """Return the changes to try, without those that the scanner has already."""
+    """Return the changes to try, without those that the scanner already has."""
     exposure = scanner.exposure
     tries = {
         "exposure: {auto: true}": replace(scanner, exposure=replace(exposure, auto=True)),
@@ -36,8 +36,8 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
 def depth_note(shot: Shot, scanner: Scanner) -> str:
     """Return why under half of the parts' pixels have depth, and the change that helps most.
 
-    Each change is tried on the light of the scene, which is not rendered again. The note is empty
-    if half of the pixels have depth.
+    Each change is tried on the light of the scene, without another rendering. The note is empty if
+    at least half of the pixels have depth.
     """
     sample = shot.sample
     before = sample.manifest["part_reasons"]

@@ -53,11 +53,11 @@ _Poses = Callable[..., tuple[Pose, ...]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Eye:
-    """One image of a scene: which scanner takes it, and from where.
+    """One image of a scene: its scanner and its pose.
 
-    `sensor` is the scanner's name, "" of the only one; `image` counts each scanner's own, from 0;
-    `station` is the scanner's place in the configuration. `T_first_cam` is where it is mounted on
-    the first scanner, whose image of the same number it then moves with; else None.
+    `sensor` is the scanner's name, "" for a single one; `image` counts its images from 0; `station`
+    is its index in the configuration. `T_first_cam` is its pose if it is mounted on the first
+    scanner, with whose image of the same number it moves; else None.
     """
 
     sensor: str
@@ -74,8 +74,8 @@ class Cell:
     """A configuration with all its files read. All scenes of a dataset share it.
 
     `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
-    Its rig and pose, and `scanner`, are those of the first image. `named` holds all scanners by
-    their names, if the configuration gives them names.
+    Its rig and pose, and `scanner`, are those of the first image. `named` has all scanners by name,
+    if the configuration names them.
     """
 
     config: Config
@@ -84,12 +84,12 @@ class Cell:
     notes: tuple[str, ...]
     file_digests: dict[str, str]
     domain: Domain | None = None
-    own: tuple[str, ...] = ()  # what of the scanner is not the configuration's; see `with_own`
+    own: tuple[str, ...] = ()  # values that the configuration does not have; see `with_own`
     named: tuple[tuple[str, Scanner], ...] = ()
 
     @property
     def kinds(self) -> tuple[Part, ...]:
-        """Every kind of part that may lie in a scene, distractors last."""
+        """Every kind of part that may be in a scene, distractors last."""
         return self.scene.parts + (self.domain.distractors if self.domain else ())
 
     @property
@@ -100,7 +100,7 @@ class Cell:
     def with_own(self, *, code: Code | None = None, sensor: SensorSpec | None = None) -> "Cell":
         """Return the cell with a code or a sensor that its configuration does not name.
 
-        Every function takes such a cell. A dataset of it holds the code and the sensor in its
+        Every function takes such a cell. Its datasets store the code and the sensor in
         `graycast.json`, and under `own` in the manifest of each scene.
 
         Args:
@@ -126,23 +126,23 @@ class Cell:
         return replace(self, scanner=scanner, own=own)
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """The grey levels for the projector, with its response inverted."""
+        """Grey levels for the projector, with its response inverted."""
         return patterns_of(self.scanner)
 
     @property
     def scanners(self) -> tuple[tuple[str, Scanner], ...]:
-        """Every scanner with its name, "" of the only one that has none."""
+        """Every scanner with its name, which is "" for a single scanner."""
         return self.named or (("", self.scanner),)
 
     @property
     def draws_views(self) -> bool:
-        """Whether each scene has places of its own for its images."""
+        """Whether each scene has its own random places for its images."""
         own = [_own_views(self.config, station) for station in range(len(self.scanners))]
         return any(isinstance(views, DomeSection | JitterSection) for views in own)
 
     @property
     def images(self) -> tuple[tuple[str, int], ...]:
-        """Every image of a scene: its scanner's name, and its number among that scanner's own."""
+        """Every image of a scene: its scanner's name, and its number for that scanner."""
         numbers: list[int] = []
         for station in range(len(self.scanners)):
             views = _own_views(self.config, station)
@@ -168,7 +168,7 @@ def refuse_several(cell: Cell, who: str) -> None:
 
 
 def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
-    """The grey levels for a scanner's projector, with its response inverted."""
+    """Return the grey levels for a scanner's projector, with its response inverted."""
     return scanner.light_code().render(lambda share: grey_levels(scanner.rig, share))
 
 
@@ -176,8 +176,8 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
     """Return every image of one scene, scanner by scanner, as the configuration places them.
 
     Args:
-        seed: of the scene's views, of which each scanner has a stream of its own; places that are
-            listed do not follow from it.
+        seed: the seed of the scene's views, from which each scanner has its own stream; listed
+            places do not depend on it.
 
     Raises:
         ConfigError: a camera or projector would be inside the bin.
@@ -211,10 +211,10 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
 def _stations(
     cell: Cell, poses_of: Callable[[int], _Poses]
 ) -> Iterator[tuple[int, tuple[Pose, ...]]]:
-    """Yield each scanner's place in the configuration, and its poses: those of its views, if any.
+    """Yield the index of each scanner in the configuration, and its poses.
 
     Args:
-        poses_of: gives the function of a scanner, by its place, that is called with its views, the
+        poses_of: returns, for a scanner's index, the function that makes poses of its views, the
             configuration's single view, rig and bin.
     """
     config, box = cell.config, bin_of(cell.scene)
@@ -304,7 +304,7 @@ def load_cell(
     Args:
         source: a configuration, or its YAML file.
         folder: where relative paths of the configuration start; None is the folder of the file, or
-            the current folder for a configuration that was made in Python.
+            the current folder for a configuration made in Python.
         progress: hears of each step that may take seconds.
 
     Raises:
@@ -340,7 +340,7 @@ def open_cell_renderer(
 ) -> Renderer:
     """Open the renderer that a cell's configuration names; see `open_renderer`.
 
-    `progress` counts the renders of a scene. `on_pass` may end a rendering, which is its use.
+    `progress` counts the renders of a scene. `on_pass` may end a rendering early.
     """
     return open_configured(
         cell.config.render, device=device, threads=threads, progress=progress, on_pass=on_pass
@@ -355,7 +355,7 @@ def open_configured(
     progress: ProgressMeter = UNWATCHED,
     on_pass: OnPass | None = None,
 ) -> Renderer:
-    """Open the renderer of a section `render`, as `open_cell_renderer`."""
+    """Open the renderer of a section `render`, as `open_cell_renderer` does."""
     return open_renderer(
         render.backend,
         device=device,
@@ -369,8 +369,8 @@ def open_configured(
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file that a configuration names, so that a change is noticed.
 
-    Among them are the materials and pictures that a mesh file draws on. Names are those of the
-    configuration, or begin with its folder of the mesh.
+    They include the materials and pictures that a mesh file uses. File names are those of the
+    configuration, or begin with the folder of the mesh there.
     """
     named = [section.mesh for section in config.parts]
     named.append(config.bin.mesh)

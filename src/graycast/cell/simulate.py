@@ -1,4 +1,4 @@
-"""One scene all the way from its seeds to what is measured: drop, light, sensor, decoding.
+"""One scene from its seeds to its measured depth: drop, light, sensor, decoding.
 
 A scene depends on (configuration, dataset seed, scene id) alone.
 """
@@ -41,7 +41,7 @@ _PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Shot:
-    """One finished image with what lies between radiance and sample, for pictures of it."""
+    """One finished image, with the steps from radiance to sample for pictures of it."""
 
     sample: Sample
     rendering: Rendering
@@ -49,7 +49,7 @@ class Shot:
     codes: CodeMap
 
     def __repr__(self) -> str:
-        """One line, since the arrays inside fill screens."""
+        """Return one line, since the arrays inside fill screens."""
         manifest, (height_px, width_px) = self.sample.manifest, self.codes.reason.shape
         of_parts = manifest["part_reasons"]
         decoded = f", {of_parts['decoded']:.0%} of the parts' pixels decoded" if of_parts else ""
@@ -67,10 +67,10 @@ def make_scene(
     renderer: Renderer,
     progress: ProgressMeter = UNWATCHED,
 ) -> Shot:
-    """One scene from its seeds to the sample of its first image; `progress` hears what begins.
+    """Make one scene and the sample of its first image; `progress` hears each step.
 
     Raises:
-        DropError: the parts did not come to an acceptable rest.
+        DropError: the parts did not come to rest as required.
         ValueError: the picture is dark, or a value is out of its range.
     """
     return next(make_images(cell, scene_id, seed=seed, renderer=renderer, progress=progress))
@@ -85,15 +85,15 @@ def make_images(
     progress: ProgressMeter = UNWATCHED,
     only: int | None = None,
 ) -> Iterator[Shot]:
-    """All images of one scene, one after the other, so that memory holds the light of one.
+    """Yield the images of one scene one by one, so that only the light of one is in memory.
 
     The parts are dropped once. Every image has the ground truth of the same layout.
 
     Args:
-        only: a place in `cell.images`: make this image and no other.
+        only: an index in `cell.images`: make this image and no other.
 
     Raises:
-        DropError, ValueError: as of `make_scene`.
+        DropError, ValueError: as in `make_scene`.
     """
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
@@ -142,7 +142,7 @@ def _taken(
     renderer: Renderer,
     progress: ProgressMeter,
 ) -> Shot:
-    """One image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
+    """Take one image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
     config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
     if cell.own:
         manifest = manifest | {"own": own_record(cell)}
@@ -201,28 +201,28 @@ def _taken(
 
 
 def own_record(cell: Cell) -> dict[str, Any]:
-    """Return what a cell's scanner has of the user's own, for manifests; see `Cell.with_own`."""
+    """Return the replaced code or sensor of a cell's scanner for manifests; see `Cell.with_own`."""
     return {name: plain(described_values(getattr(cell.scanner, name))) for name in cell.own}
 
 
 def on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
-    """The pixels that see a part which is labelled."""
+    """Return the pixels that see a labelled part."""
     labelled = [scene.parts[kind].labelled for kind in layout.part_index]
-    return np.array([*labelled, False])[truth.instance]  # -1 is no part
+    return np.array([*labelled, False])[truth.instance]  # -1 means no part
 
 
 def compile_kernels(cell: Cell) -> None:
-    """Have Numba compile what a cell's scanners use, so that workers find it in its cache.
+    """Compile the Numba functions of a cell's scanners, so that workers find them in the cache.
 
-    Pictures go from the sensor to depth, in which the camera sees what the projector shows: from
-    dark on the left to saturated on the right, so that each reason for no depth occurs.
+    Test pictures are converted to depth. They show the projector's image, dark on the left to
+    saturated on the right, so that each reason for no depth occurs.
     """
     for _, scanner in cell.scanners:
         patterns, camera = patterns_of(scanner), scanner.rig.camera
         row = np.linspace(0, patterns.shape[1] - 1, camera.height_px).astype(int)[:, None]
         column = np.linspace(0, patterns.shape[2] - 1, camera.width_px).astype(int)
         light = np.linspace(0, 1, camera.width_px, dtype=np.float32)
-        light[-1 - camera.width_px // 200 :] = 10  # so few that automatic exposure lets them go
+        light[-1 - camera.width_px // 200 :] = 10  # few enough to be ignored by automatic exposure
         white = np.tile(light, (camera.height_px, 1))
         colour = np.repeat(white[..., None], 3, axis=2)
         radiance = Radiance(
@@ -239,12 +239,12 @@ def compile_kernels(cell: Cell) -> None:
 
 
 def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
-    """The seeds of a scene of this cell, and of its first image."""
+    """Return the seeds of a scene of this cell, and of its first image."""
     return scene_seeds(seed, scene_id, domain=cell.domain is not None, views=cell.draws_views)
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
-    """Return what a scene drops and renders first, the cell's own or varied by its domain."""
+    """Return the scene to drop and to render first: the cell's own, or varied by its domain."""
     counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
     first = eyes(cell, seeds.get("views", 0))[0]
     scene = replace(cell.scene, T_world_cam=first.T_world_cam)
@@ -256,9 +256,9 @@ def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
 
 
 def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
-    """Return the world before each of a scene's eyes; a domain moves them by what it drew.
+    """Return the scene in front of each of its eyes, moved by the values of a domain.
 
-    All images of a scanner are moved alike, and a mounted scanner moves with the first.
+    All images of a scanner are moved in the same way; a mounted scanner moves with the first one.
     """
     first, *others = eyes(cell, seeds.get("views", 0))
     hung = [(first, variation.scene)]
@@ -277,7 +277,7 @@ def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple
 
 
 def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
-    """How many of each kind: one kind in turn, or all kinds drawn at random."""
+    """Return the number of parts of each kind: one kind in turn, or all kinds drawn at random."""
     kinds = len(cell.scene.parts)
     if cell.config.mix:
         return mixed_counts(cell, rng)
@@ -287,14 +287,14 @@ def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int,
 
 
 def mixed_counts(cell: Cell, rng: np.random.Generator) -> tuple[int, ...]:
-    """How many of each kind, if all kinds are drawn at random."""
+    """Return the number of parts of each kind if all kinds are drawn at random."""
     kinds = len(cell.scene.parts)
     total = _total(cell, cell.scene.parts, rng)
     return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
 
 
 def _total(cell: Cell, parts: Sequence[Part], rng: np.random.Generator) -> int:
-    """As many parts as the configuration has, or as fill its share of the bin."""
+    """Return the total number of parts, from the configured count or share of the bin."""
     if cell.config.fill is None:
         low, high = cell.config.count_range
         return int(rng.integers(low, high + 1))

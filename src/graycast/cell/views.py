@@ -1,4 +1,4 @@
-"""Places (`T_world_cam`) from which a cell's scanners take their images, listed or drawn."""
+"""Poses (`T_world_cam`) from which a cell's scanners take their images, listed or random."""
 
 import itertools
 from typing import Annotated, Any, Literal
@@ -19,9 +19,9 @@ from ..world.scene import Bin
 
 Pose = Float[np.ndarray, "4 4"]
 MOST_VIEWS = 1000
-FARTHEST_SIGMAS = 3.0  # What lies beyond in a jitter is drawn again.
-_BEYOND = 0.05  # It is in rad beyond a picture's edge, whose middle a lens may bend out.
-_TURN = 13  # A dome's depth is asked for at so many azimuths.
+FARTHEST_SIGMAS = 3.0  # A jitter draws again beyond this.
+_BEYOND = 0.05  # in rad beyond a picture's edge, whose middle a lens may bend outwards
+_TURN = 13  # number of azimuths at which the depth of a dome is computed
 
 Tilt = SpanOf[Annotated[float, Field(ge=0, le=80)]]
 Angle = SpanOf[Annotated[float, Field(ge=-360, le=360)]]
@@ -61,7 +61,7 @@ class ViewSection(Settings):
     def _one_pose(self) -> "ViewSection":
         if self.T_world_cam is None:
             return self
-        # By value: what is read back from a manifest gives every key.
+        # Values are compared, since a configuration from a manifest has every key.
         own = {name: field.default for name, field in ViewSection.model_fields.items()}
         others = [n for n in own if n != "T_world_cam" and getattr(self, n) != own[n]]
         if others:
@@ -129,7 +129,7 @@ _SAMPLERS = ("dome", "path", "jitter")
 
 
 def _listed(value: Any) -> Any:
-    """Refuse what is neither a list nor a sampler in the words of a user."""
+    """Refuse a value that is neither a list nor a sampler, with an error for users."""
     kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
     if not isinstance(value, list | tuple) and kind not in _SAMPLERS:
         raise ValueError("give a list of places, or a mapping whose kind is dome, path or jitter")
@@ -156,7 +156,7 @@ Views = Annotated[
     ),
 ]
 
-# These words follow the type of camera or content in names of files: `mask_visib`, `depth_sl`.
+# These words follow the type of camera or content in file names: `mask_visib`, `depth_sl`.
 _TAKEN = ("sl", "visib", "info", "coco", "box3d", "sigma", "camera", "gt")
 
 
@@ -203,7 +203,7 @@ class ScannerEntry(ScannerSections):
 
 
 def hang(view: ViewSection, rig: Rig, box: Bin) -> Pose:
-    """`T_world_cam`: the one given, or the rig placed above the bin."""
+    """Return `T_world_cam`: the given one, or that of the rig placed above the bin."""
     if view.T_world_cam is not None:
         return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
     return _on(
@@ -220,7 +220,7 @@ Sampler = DomeSection | PathSection | JitterSection
 
 
 def how_many(views: tuple[ViewSection, ...] | Sampler | None) -> int:
-    """How many images of a scene they make."""
+    """Return the number of images of a scene."""
     if views is None:
         return 1
     return len(views) if isinstance(views, tuple) else views.count
@@ -237,8 +237,8 @@ def places(
     """Return `T_world_cam` of every image that a rig takes of one scene.
 
     Args:
-        view: the configuration's single view, about which a jitter draws.
-        rng: the random numbers of this scanner in this scene; a list and a path need none.
+        view: the configuration's single view, the centre of a jitter.
+        rng: random numbers of this scanner in this scene; a list and a path do not use them.
 
     Raises:
         ConfigError: camera or projector would be inside the bin, or under its floor.
@@ -279,7 +279,7 @@ def _on_dome(
 def _on(
     view: ViewSection, rig: Rig, box: Bin, *, distance_m: float, tilt_rad: float, azimuth_rad: float
 ) -> Pose:
-    """The rig above the target of a view, which a third of the bin's height stands in for."""
+    """Place the rig above the target of a view; by default, a third of the bin's height."""
     return place(
         rig,
         target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
@@ -315,7 +315,7 @@ def _about(jitter: JitterSection, T: Pose, rng: np.random.Generator) -> list[Pos
 
 
 def _within(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
-    """Three standard normal numbers, none beyond `FARTHEST_SIGMAS`."""
+    """Draw three standard normal numbers, each within `FARTHEST_SIGMAS`."""
     normal = rng.standard_normal(3)
     while (far := np.abs(normal) > FARTHEST_SIGMAS).any():
         normal[far] = rng.standard_normal(int(far.sum()))
@@ -325,7 +325,7 @@ def _within(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
 def farthest(
     views: tuple[ViewSection, ...] | Sampler, view: ViewSection, rig: Rig, box: Bin
 ) -> tuple[Pose, ...]:
-    """Places from which the bin is as deep before the camera as it may become in any scene."""
+    """Return poses that include the one with the bin's largest possible depth in any scene."""
     if isinstance(views, DomeSection):
         ends = itertools.product(set(views.tilt_deg), np.linspace(*views.azimuth_deg, _TURN))
         far_m = _distances(views, view, rig)[1]
@@ -353,10 +353,10 @@ def farthest(
 
 
 def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
-    """A camera or a projector between the bin's walls, or under its floor, sees no scene.
+    """Refuse a camera or a projector between the bin's walls or under its floor: it sees no scene.
 
     Raises:
-        ConfigError: it is there.
+        ConfigError: the camera or the projector is there.
     """
     half_m = np.array(box.inner_m[:2]) / 2 + box.wall_m
     for device, T in (("camera", T_world_cam), ("projector", T_world_cam @ rig.T_cam_proj)):
@@ -370,10 +370,10 @@ def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
 
 
 def refuse_outside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
-    """A camera that looks past the bin has no picture of it, however long it exposes.
+    """Refuse a camera or a projector whose picture does not contain the bin.
 
     Raises:
-        ConfigError: no part of the bin is in the picture of the camera, or of the projector.
+        ConfigError: the bin is not in the picture of the camera, or of the projector.
     """
     end_m = np.array([*(np.array(box.inner_m[:2]) / 2), box.inner_m[2]])
     corner = np.array([*itertools.product((-1, 1), (-1, 1), (0, 1))]) * end_m
@@ -391,7 +391,7 @@ def refuse_outside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
 
 
 def _is_beside(optics: Optics, point_m: Float[np.ndarray, "n 3"]) -> bool:
-    """Whether all points, given in the device's frame, are behind it or beyond one picture edge."""
+    """Whether all points, in the device's frame, are behind it or beyond one picture edge."""
     x, y = optics.width_px - 1.0, optics.height_px - 1.0
     ray = rays(optics, np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]]))
     inwards = np.cross(ray, np.roll(ray, -1, axis=0))

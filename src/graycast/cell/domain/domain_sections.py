@@ -1,4 +1,4 @@
-"""What a user writes about a domain: the cell as it is, or drawn at random.
+"""Configuration of a domain: the real cell with tolerances, or random scenes.
 
 Ranges are [lowest, highest] and drawn uniformly between them, or as the key says.
 """
@@ -22,7 +22,7 @@ Counts = SpanOf[Annotated[int, Field(ge=0, le=255)]]
 
 
 class CameraTolerance(Settings):
-    """How far the pose of the rig may deviate from the configured view."""
+    """Limits of how far the rig may deviate from the configured view."""
 
     position_m: Level = Field(
         default=1e-3,
@@ -36,7 +36,7 @@ class CameraTolerance(Settings):
 
 
 class BinTolerance(Settings):
-    """How far the bin may deviate from the middle of the cell, flat on the table."""
+    """Limits of how far the bin, flat on the table, may deviate from the middle of the cell."""
 
     position_m: Level = Field(
         default=2e-3, description="The largest shift of the bin along x and along y, in metres."
@@ -47,7 +47,7 @@ class BinTolerance(Settings):
 
 
 class LampTolerance(Settings):
-    """How far the lamps and the environment may deviate from the configured light."""
+    """Limits of how far lamps and environment may deviate from the configured light."""
 
     position_m: Level = Field(
         default=5e-3,
@@ -64,7 +64,7 @@ class LampTolerance(Settings):
 
 
 class PartTolerance(Settings):
-    """How far the look of a batch of parts may deviate. All parts of a kind look alike."""
+    """Limits of how far the look of a batch may deviate; parts of a kind share one look."""
 
     reflectance: Share = Field(
         default=0.03,
@@ -139,7 +139,7 @@ class BinRanges(SurfaceRanges):
 
 
 class CameraRanges(Settings):
-    """How the rig moves from its configured view, about the target of the view."""
+    """Ranges of the rig's deviation from its configured view, about the view's target."""
 
     distance_factor: SpanOf[Annotated[float, Field(ge=0.2, le=5)]] = Field(
         default=(0.9, 1.1),

@@ -1,4 +1,4 @@
-"""Random values of a domain: everything in which a scene differs from the cell, as JSON.
+"""Random values of a domain: all differences of a scene from the cell, as JSON.
 
 Each section has a random stream of its own, so that a change in one leaves the others as they were.
 """
@@ -31,7 +31,7 @@ from .domain_sections import (
 from .named_files import Domain
 from .vary import lamp_of, shared_out, with_rig_and_bin
 
-PARTS_MAX = 255  # A drop has no more.
+PARTS_MAX = 255  # the most parts of one drop
 LAMP_TRIES = 1000
 
 Streams = Mapping[str, np.random.Generator]
@@ -49,10 +49,10 @@ def draw(
 
     Args:
         scene: the cell.
-        counts: how many of each of its parts.
+        counts: number of parts of each kind.
         rng: a generator for this purpose only; it must be able to `spawn`.
-        scanners: the names of further scanners that stand by themselves, each of which has its own
-            deviation from its place: `cameras` in the record.
+        scanners: the names of further scanners that are not mounted on the first; each has its own
+            deviation, in `cameras` of the record.
 
     Raises:
         ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
@@ -192,7 +192,7 @@ def _color(ranges: ColorRanges, rng: np.random.Generator) -> dict[str, float]:
 def _distractors(
     ranges: DistractorRanges | None, domain: Domain, room: int, rng: np.random.Generator
 ) -> dict[str, int]:
-    """How many of each: the kinds are equally likely."""
+    """Draw the number of distractors of each kind; all kinds are equally likely."""
     kinds = domain.distractors
     if ranges is None or not kinds:
         return {}
@@ -214,7 +214,7 @@ class _Cone:
     half_angle_rad: float
 
     def meets(self, center_m: Float[np.ndarray, "3"], radius_m: float) -> bool:
-        """Whether a ball reaches into it."""
+        """Whether a ball overlaps the cone."""
         away_m = center_m - self.apex_m
         distance_m = float(np.linalg.norm(away_m))
         if distance_m <= radius_m:
@@ -224,7 +224,7 @@ class _Cone:
 
 
 def views(scene: Scene) -> tuple[_Cone, ...]:
-    """The cones around what camera and projector see."""
+    """Return the cones around the fields of view of camera and projector."""
     T_world_proj = scene.T_world_cam @ scene.rig.T_cam_proj
     both = ((scene.T_world_cam, scene.rig.camera), (T_world_proj, scene.rig.projector))
     return tuple(
@@ -233,14 +233,14 @@ def views(scene: Scene) -> tuple[_Cone, ...]:
 
 
 def _widest_rad(lens: Optics) -> float:
-    """Angle between the axis and the corner that is farthest from it."""
+    """Return the angle between the axis and the corner that is farthest from it."""
     x, y = (np.array([-0.5, n - 0.5]) for n in (lens.width_px, lens.height_px))
     corner = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return float(np.arctan(np.nanmax(np.linalg.norm(rays(lens, corner)[:, :2], axis=-1))))
 
 
 def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
-    """Whether the ball around a lamp meets the one around the bin, or a cone around a view."""
+    """Whether the ball around a lamp overlaps the ball around the bin or the cone of a view."""
     center_m, reach_m = np.array(lamp.center_m), lamp.size_m * math.sqrt(0.5)
     low_m, high_m = bin_of(scene).bounds_m
     bin_reach_m = np.linalg.norm(high_m - low_m) / 2
@@ -252,9 +252,9 @@ def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
 def _lamp(
     ranges: LampRanges, scene: Scene, cones: tuple[_Cone, ...], rng: np.random.Generator
 ) -> dict[str, float]:
-    """A lamp that is neither in the bin nor in the cones in which camera and projector see."""
+    """Draw a lamp that is outside the bin and outside the cones of camera and projector."""
     for _ in range(LAMP_TRIES):
-        height = rng.uniform(*np.sin(np.radians(ranges.elevation_deg)))  # uniform over the sphere
+        height = rng.uniform(*np.sin(np.radians(ranges.elevation_deg)))  # uniform on the sphere
         values = {
             "distance_m": _uniform(rng, ranges.distance_m),
             "elevation_rad": float(np.arcsin(height)),
@@ -279,14 +279,14 @@ def _uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    """A value that is uniform in the logarithm."""
+    """Draw a value that is uniform in its logarithm."""
     if span[0] == span[1]:
-        return float(span[0])  # exactly: exp(log(x)) is not
+        return float(span[0])  # exact, unlike exp(log(x))
     return float(np.exp(rng.uniform(*np.log(span))))
 
 
 def _off(rng: np.random.Generator, most: float, n: int) -> list[float]:
-    """A value that is uniform within plus and minus a tolerance."""
+    """Draw a value that is uniform between minus and plus a tolerance."""
     return rng.uniform(-most, most, n).tolist()
 
 

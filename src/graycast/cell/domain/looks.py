@@ -1,4 +1,4 @@
-"""Colours and surfaces from drawn values."""
+"""Colours and surfaces from random values."""
 
 import colorsys
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from ...base.color import linear, linear_share, srgb
 from ...world.parts import Material
 
-ROUGHNESS = (0.05, 1.0)  # A drawn one ends at these; one of a smoother material, at its own.
+ROUGHNESS = (0.05, 1.0)  # the limits, unless a material was smoother from the start
 
 Rgb = tuple[float, float, float]
 
@@ -21,18 +21,18 @@ _RGB_OF_XYZ = np.array(
         [-0.9692660, 1.8760108, 0.0415560],
         [0.0556434, -0.2040259, 1.0572252],
     ]
-)  # The matrix is that of IEC 61966-2-1 for white D65.
+)  # XYZ to sRGB with white D65, as in IEC 61966-2-1
 
 
 def color_of(values: Mapping[str, float]) -> Rgb:
-    """Linear reflectance of a hue [deg], saturation and value, which are of the sRGB encoding."""
+    """Return the linear reflectance of a hue [deg], saturation and value in the sRGB encoding."""
     encoded = colorsys.hsv_to_rgb(values["hue_deg"] / 360, values["saturation"], values["value"])
     red, green, blue = linear_share(np.array(encoded)).tolist()
     return red, green, blue
 
 
 def material_of(values: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None) -> Material:
-    """A surface of a drawn look; a texture takes the colour's place."""
+    """Return the surface of a random look; a texture replaces its colour."""
     return Material(
         base_color=color_of(values["color"]),
         texture=texture,
@@ -49,12 +49,12 @@ def retouched(
     metallic: float = 0.0,
     tint: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Material:
-    """A material somewhat brighter, rougher, more metallic.
+    """Return a material that is somewhat brighter, rougher or more metallic.
 
-    `brightness` is a factor of all reflectance, `tint` one more of each band, not of the
-    projector's line; of a texture each texel's linear value is multiplied. Reflectance ends at 1.
-    `roughness` and `metallic` are added, and end at what a material may have; only metal keeps its
-    grooves, and what is transparent becomes no metal.
+    `brightness` is a factor of all reflectances, `tint` another one of each band but the
+    projector's; of a texture, they multiply the linear value of each texel. Reflectance is clipped
+    to 1. `roughness` and `metallic` are added and clipped to their limits; grooves stay on metal
+    only, and a transparent material does not become metallic.
     """
     factor = [brightness * own for own in tint]
     line = material.projector_reflectance
@@ -80,17 +80,17 @@ def retouched(
 def _multiplied(
     texture: UInt8[np.ndarray, "h w 3"], factor: list[float]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A texture with each band's linear value multiplied; a factor of 1 changes no texel."""
+    """Multiply each band's linear value of a texture; a factor of 1 changes no texel."""
     level = linear(np.arange(256, dtype=np.uint8))
-    table = srgb(np.array(factor)[:, None] * level)  # which ends at 1
+    table = srgb(np.array(factor)[:, None] * level)  # clipped to 1
     return np.stack([table[band][texture[..., band]] for band in range(3)], axis=-1)
 
 
 def light_of(temperature_k: float) -> Rgb:
-    """Linear sRGB of a black body's light, its bands' mean 1.
+    """Return the linear sRGB of a black body's light, scaled to a mean of 1.
 
-    By a cubic fit of the Planckian locus from 1667 to 25000 K.
-    Source: B. Kim et al., US patent 7024034, 2006; colours beyond sRGB's blue are cut to 0.
+    The colour is from a cubic fit of the Planckian locus from 1667 to 25000 K. Source: B. Kim et
+    al., US patent 7024034, 2006; colours beyond sRGB's blue are cut to 0.
     """
     x, y = _chromaticity(temperature_k)
     bands = np.maximum(_RGB_OF_XYZ @ np.array([x / y, 1.0, (1 - x - y) / y]), 0)
@@ -99,7 +99,7 @@ def light_of(temperature_k: float) -> Rgb:
 
 
 def _chromaticity(temperature_k: float) -> tuple[float, float]:
-    """CIE 1931 x, y."""
+    """Return the chromaticity x, y (CIE 1931)."""
     t = 1e3 / temperature_k
     if temperature_k <= 4000:
         x = ((-0.2661239 * t - 0.2343589) * t + 0.8776956) * t + 0.179910

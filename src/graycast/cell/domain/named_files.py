@@ -14,13 +14,13 @@ from .domain_sections import AdaptedSection, DistractorRanges, RandomizedSection
 
 MAPS, PICTURES = (".exr", ".hdr"), (".png", ".jpg", ".jpeg")
 METAL_PARTS = ("metal_workpiece_1", "metal_workpiece_2")
-SMALL = 0.5  # Distractors longer than this share of the bin's shorter side are not put in unasked.
+SMALL = 0.5  # Default distractors are shorter than this share of the bin's shorter side.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Domain:
-    """A domain's settings and what they name. Files are in the order of their names."""
+    """Settings of a domain with the files that they name, sorted by name."""
 
     section: AdaptedSection | RandomizedSection
     maps: tuple[Path, ...] = ()
@@ -33,7 +33,7 @@ class Domain:
 def resolve_domain(
     section: AdaptedSection | RandomizedSection, folder: Path, *, scene: Scene
 ) -> Domain:
-    """A domain for the cell `scene`; `folder` is where the configuration's paths start.
+    """Return the domain of the cell `scene`; the configuration's paths are relative to `folder`.
 
     Raises:
         ConfigError: a folder without pictures, or a distractor that is one of the cell's parts.
@@ -52,7 +52,7 @@ def resolve_domain(
 def domain_files(
     section: AdaptedSection | RandomizedSection | None, folder: Path
 ) -> tuple[Path, ...]:
-    """Every file that a domain names, relative to `folder`.
+    """Return every file that a domain names, relative to `folder`.
 
     Raises:
         ConfigError: a folder does not exist or has no pictures.
@@ -68,7 +68,7 @@ def domain_files(
 
 
 def _folders(section: RandomizedSection, folder: Path) -> dict[str, tuple[Path, ...]]:
-    """The pictures of each folder, relative to `folder`, by field of `Domain`."""
+    """Return the pictures of each folder, relative to `folder`, by field of `Domain`."""
     light, box, table = section.environment, section.bin, section.table
     named = {
         "maps": (None if light is None else light.maps, MAPS, "environment.maps"),

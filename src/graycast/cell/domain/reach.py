@@ -16,7 +16,7 @@ _AZIMUTHS = 37  # In a whole turn, steps of 10 degrees cost up to 0.4 % of the b
 
 
 def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) -> float:
-    """z in the camera frame of the bin's deepest corner, over all that the domain may draw [m]."""
+    """Return the largest z, in the camera frame, of a corner of the bin in this domain [m]."""
     corner_m = np.array(list(itertools.product(*bin_of(scene).bounds_m.T)))
     if isinstance(section, AdaptedSection):
         return _within_tolerances(section, scene, corner_m)
@@ -31,7 +31,7 @@ def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) 
 
 
 def _hung(section: RandomizedSection, scene: Scene) -> Iterator[Float[np.ndarray, "4 4"]]:
-    """`T_world_cam` at the ends of each range: farthest off, most tilted, all around."""
+    """Yield `T_world_cam` at the ends of each range: farthest, most tilted, at each azimuth."""
     camera = section.camera
     assert camera is not None
     for tilt_deg, roll_deg, azimuth_deg in itertools.product(
@@ -58,7 +58,7 @@ def _within_tolerances(
         for turn_deg in np.linspace(-rotation_deg, rotation_deg, _AZIMUTHS)
     ]
     in_cam_m = transform_points(inverse(scene.T_world_cam), np.concatenate(turned))
-    aside_m = np.linalg.norm(in_cam_m[:, :2], axis=1).max()  # a small turn moves z by as much of it
+    aside_m = np.linalg.norm(in_cam_m[:, :2], axis=1).max()  # moves z under a small turn
     tilted_rad = math.radians(section.camera.rotation_deg) * math.sqrt(3)
     moved_m = section.camera.position_m * math.sqrt(3) + section.bin.position_m * math.sqrt(2)
     return float(in_cam_m[:, 2].max() + moved_m + tilted_rad * aside_m)

@@ -26,20 +26,20 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """One scene of a domain: what is dropped and rendered, and the record that it was made from."""
+    """One scene of a domain, ready to drop and render, and the record that it was made from."""
 
     scene: Scene
-    counts: tuple[int, ...]  # of each of the scene's parts
+    counts: tuple[int, ...]  # number of each of the scene's parts
     record: Record
 
 
 def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) -> Variation:
-    """The scene of a record, as `draw` writes it and a manifest holds it.
+    """Return the scene of a record, which `draw` writes and a manifest holds.
 
     Args:
-        domain: whose files the record names.
+        domain: the domain of the record; it has the files that the record names.
         scene: the cell.
-        counts: how many of each of its parts.
+        counts: number of parts of each kind.
 
     Raises:
         ConfigError: the rig is not above the bin, or a file is missing or cannot be read.
@@ -61,8 +61,8 @@ def moved_place(scene: Scene, record: Record, scanner: str) -> Float[np.ndarray,
     """Return `T_world_cam` of a scanner in a record's world.
 
     Args:
-        scene: the cell before the scanner as configured.
-        scanner: its name; the record has its own deviation, or it has that of the first scanner.
+        scene: the cell in front of this scanner, as configured.
+        scanner: its name; without a deviation of its own in the record, it has the first scanner's.
     """
     camera = record.get("cameras", {}).get(scanner, record.get("camera"))
     if record["kind"] == "adapted":
@@ -71,7 +71,7 @@ def moved_place(scene: Scene, record: Record, scanner: str) -> Float[np.ndarray,
 
 
 def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
-    """A share of each number, rounded, and at least 1 of what there is."""
+    """Return a share of each number, rounded; at least 1 if the number is not 0."""
     return tuple(max(1, round(share * n)) if n else 0 for n in counts)
 
 
@@ -124,7 +124,7 @@ def _tolerated(
 
 
 def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
-    """The world stands on the bin's floor: where the bin goes, all else goes the other way."""
+    """Move the world so that it stays on the bin's floor: the opposite of the bin's movement."""
     if not any(box["offset_m"]) and not box["turn_rad"]:
         return None
     return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
@@ -170,7 +170,7 @@ def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
 
 
 def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
-    """The cell with the rig and the bin of a record: where lamps may stand depends on them.
+    """Return the cell with the rig and the bin of a record; they limit where lamps may be.
 
     Raises:
         ConfigError: camera or projector is not above the bin's rim.
@@ -192,7 +192,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
 
 
 def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
-    """The rig about the point that it looks at: tilt and azimuth add to those of `rig.place`."""
+    """Turn the rig about its target; tilt and azimuth add to those of `rig.place`."""
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig
     rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]
@@ -207,9 +207,9 @@ def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
 
 
 def _aim_point(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
-    """Where the rig's axis meets the plane at a third of the bin's height, its usual target.
+    """Return where the rig's axis meets the plane at a third of the bin's height, its usual target.
 
-    Of a rig that does not look down there, the point where its axes come closest.
+    If the rig does not look down at it, return the point where its axes are closest to each other.
     """
     middle, axis = T_world_rig[:3, 3], T_world_rig[:3, 2]
     drop_m = bin_of(scene).inner_m[2] / 3 - middle[2]
@@ -235,7 +235,7 @@ def _changed_bin(box: Bin, values: Record, texture: np.ndarray | None) -> Bin:
 
 
 def lamp_of(values: Record, scene: Scene) -> Lamp:
-    """A lamp from its place as seen from the bin, and the irradiance that it gives there.
+    """Return a lamp of the given direction and distance from the bin, and irradiance there.
 
     The radiance is that of a small lamp: L = E d^2 / a^2. A lamp with an edge of half its distance
     gives 8 % less than stated.

@@ -1,4 +1,4 @@
-"""Scenes on a Ray cluster: Ray places them, we submit and gather."""
+"""Scenes on a Ray cluster: Ray distributes them; this process submits and gathers them."""
 
 import contextlib
 import math
@@ -15,13 +15,13 @@ from .job import Job, TaskResult, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed
 
-_AHEAD = 2  # So many scenes a place are submitted: no worker waits, no finished scenes pile up.
+_AHEAD = 2  # scenes submitted per place: no worker waits, and few finished scenes pile up
 
 
 class RayPool:
     """Tasks of Ray. The scenes' files come back to this process, so no disk need be shared.
 
-    What the cell names by path (environment maps) must be readable on every machine.
+    Files that the cell names by path (environment maps) must be readable on every machine.
     """
 
     def __init__(self, task: Job, *, workers: int, threads: int, address: str | None) -> None:
@@ -50,7 +50,7 @@ class RayPool:
 
     @property
     def free(self) -> int:
-        resources = self._ray.cluster_resources()  # machines may come and go
+        resources = self._ray.cluster_resources()  # machines may join and leave
         places = resources.get("CPU", 0) / self._threads
         if self._gpus:
             places = min(places, resources.get("GPU", 0) / self._gpus)
@@ -58,7 +58,7 @@ class RayPool:
         return max(0, room - len(self._running))
 
     def submit(self, scene_id: int) -> None:
-        # In a list Ray hands on the reference itself: the task is fetched once per worker.
+        # In a list, Ray passes on the reference itself, so each worker fetches the task only once.
         job = self._make.remote(self._run, [self._task], scene_id, self._threads)
         self._running[job] = scene_id
 
@@ -74,14 +74,14 @@ class RayPool:
             return Failed(scene_id=scene_id, error=WorkerDied(f"its Ray worker was lost ({why})"))
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
+        with contextlib.suppress(Exception):  # the cluster may be gone already
             for job in self._running:
                 self._ray.cancel(job, force=True)
         self._ray.shutdown()
 
 
 def gpu_share(resources: Mapping[str, float], threads: int) -> float:
-    """The share of a GPU that a scene takes, so that all processors have one to render on.
+    """Return the share of a GPU for each scene, so that it serves all processors.
 
     A scene needs the GPU for a small part of its time, and the drop needs a processor for most of
     it. Ray counts in steps of 1e-4.
@@ -94,8 +94,8 @@ def _knock(address: str) -> None:
     """Refuse an address without a server at once, because Ray itself would try for minutes.
 
     Raises:
-        OSError: nobody listens.
-        ValueError: the address is of Ray's client, whose tasks end when its connection does.
+        OSError: no server listens there.
+        ValueError: the address is one of Ray's client, whose tasks end with its connection.
     """
     if address.startswith("ray://"):
         raise ValueError("addresses with ray:// are not supported: give HOST:PORT of the head node")
@@ -117,7 +117,7 @@ def _import_ray() -> Any:
 
 # --- in a worker of Ray ------------------------------------------------------------------------
 
-_maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it.
+_maker: tuple[str, TaskRunner] | None = None  # Ray reuses a worker process, which keeps this value.
 
 
 def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> TaskResult:

@@ -1,4 +1,4 @@
-"""The tasks of workers, their results, and the renderer that a worker has from scene to scene."""
+"""The tasks of workers, their results, and the renderer that a worker keeps between scenes."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,12 +20,12 @@ from ..simulate import Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskResult:
-    """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
+    """A scene: files as (path in its folder, content), seconds, shares of pixels per reason.
 
-    `reason_px` and `part_reason_px` are the numbers of pixels per reason, among all and among those
-    that see parts, over all images. Of a bin that a robot emptied `reasons` are attempts per
-    outcome. `rss_bytes` is the memory of the process that made it, afterwards. `shots` are there
-    instead of files where the job keeps them.
+    `reason_px` and `part_reason_px` are the numbers of pixels per reason over all images: of all
+    pixels, and of those that see parts. For a bin of a robot, `reasons` are attempts per
+    outcome. `rss_bytes` is the memory of the process after the scene. A job that keeps its shots
+    has `shots` in place of files.
     """
 
     scene_id: int
@@ -39,7 +39,7 @@ class TaskResult:
 
     @property
     def part_reasons(self) -> dict[str, float]:
-        """The shares of the pixels that see parts; empty where none does."""
+        """Return the shares of reasons among the pixels that see parts; empty if no pixel does."""
         return pooled_shares([self.part_reason_px])
 
 
@@ -64,7 +64,7 @@ def is_foreseen(error: BaseException) -> bool:
 
 @final
 class WorkerRenderer:
-    """The renderer of a worker: opened when it is first used, and never kept after a surprise."""
+    """The renderer of a worker: opened at its first use, closed after an unforeseen error."""
 
     def __init__(self, *, device: str, threads: int | None, progress: ProgressMeter) -> None:
         self._device, self._threads, self._progress = device, threads, progress
@@ -72,10 +72,10 @@ class WorkerRenderer:
 
     @contextmanager
     def of(self, render: RenderSection) -> Iterator[Renderer]:
-        """While something is made with it. A worker is given the same section each time.
+        """Provide the renderer while a scene is made; a worker passes the same section each time.
 
-        After an error that is not the scene's own it is closed, since it may hold a lost device or
-        the half of a scene, and the next scene opens another.
+        An error that the scene itself does not cause closes it, since it may have a lost device or
+        half of a scene; the next scene opens another one.
         """
         try:
             if self._open is None:
@@ -97,7 +97,7 @@ class WorkerRenderer:
 
 @runtime_checkable
 class TaskRunner(Protocol):
-    """Makes one scene after the other, or one bin; close it after use."""
+    """Makes one scene, or one bin, after another; close it after use."""
 
     def make(self, scene_id: int) -> TaskResult: ...
 
@@ -108,9 +108,9 @@ class TaskRunner(Protocol):
 class Job:
     """A task that can be sent to a worker, which opens it to make its scenes.
 
-    `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
-    a cluster it may be 'auto'. `graycast` is the release. `RUNNER` is called
-    with the job and the arguments of `open`.
+    `device` exists here: 'auto' was resolved before, so that all workers use the same one; only for
+    a cluster may it be 'auto'. `graycast` is the release. `RUNNER` is called with the job and the
+    arguments of `open`.
     """
 
     RUNNER: ClassVar[Callable[..., TaskRunner]]
@@ -121,16 +121,16 @@ class Job:
 
     @property
     def parts(self) -> Sequence[Part]:
-        """The kinds of parts that fall."""
+        """Return the kinds of parts that fall."""
         return ()
 
     def compile_kernels(self) -> None:
-        """Compile once on this machine what every worker would compile; by default nothing."""
+        """Compile on this machine what every worker would compile otherwise; nothing by default."""
 
     def open(
         self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
     ) -> TaskRunner:
-        """A maker of the job's scenes in this process; close it after use.
+        """Open a maker of the job's scenes in this process; close it after use.
 
         Args:
             threads: processor threads that it may use; None leaves them as they are.

@@ -20,9 +20,9 @@ from .job import Job, TaskResult, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
 
-_MEMORY_SHARE = 0.8  # All workers together get this share of the machine's memory.
-# These libraries would each take all cores. Open Image Denoise also binds its threads to the first
-# cores, where those of the other workers sit already.
+_MEMORY_SHARE = 0.8  # The workers together may use this share of the machine's memory.
+# These libraries would each use all cores. Open Image Denoise also binds its threads to the first
+# cores, which threads of the other workers use already.
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -39,17 +39,17 @@ class LocalPool:
         self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
         self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
         self._has_warned = False
-        # What a killed worker leaves in its temporary folder goes when the run ends.
+        # This folder is deleted at the end of the run, with all that a killed worker leaves in it.
         self._temporary = tempfile.TemporaryDirectory(
             prefix="graycast-run-", ignore_cleanup_errors=True
         )
-        # Notes of the library's log hold for all workers alike, so only the first one prints them.
+        # The library logs the same notes in each worker, so only the first worker prints them.
         self._workers = [
             _Worker(task, self._threads, self._variables(i), quiet=i > 0) for i in range(workers)
         ]
 
     def _variables(self, index: int) -> dict[str, str]:
-        """Environment variables of one worker."""
+        """Return the environment variables of one worker."""
         variables = dict.fromkeys(_THREAD_VARIABLES, str(self._threads))
         variables |= {"OIDN_SET_AFFINITY": "0", "TMPDIR": self._temporary.name}
         gpus = list_gpus()
@@ -70,13 +70,13 @@ class LocalPool:
         worker = next(worker for worker in busy if worker.connection in heard)
         outcome = worker.result()
         if isinstance(outcome, TaskResult) and outcome.rss_bytes > self._memory_bytes:
-            worker.end()  # between two scenes, before the system kills it in the middle of one
-            if worker.scenes == 1:  # Another process would need as much.
+            worker.end()  # between two scenes, before the system kills it during one
+            if worker.scenes == 1:  # Another process would need as much memory.
                 self._warn(outcome.rss_bytes)
         return outcome
 
     def _warn(self, scene_bytes: int) -> None:
-        """Say once that a single scene needs more than a worker's share of the memory."""
+        """Warn once that a single scene needs more than a worker's share of the memory."""
         if self._has_warned:
             return
         self._has_warned = True
@@ -101,19 +101,18 @@ class LocalPool:
 
 
 class _Worker:
-    """One process that makes a scene at a time; it is started when it gets its first one.
+    """A process that makes one scene at a time; its first scene starts it.
 
-    All that is said to it and by it goes through one pipe, whose other end is the process's alone.
-    So a process that is killed while it writes its result ends the pipe in the middle, and nobody
-    waits for the rest. (In a pool of `concurrent.futures`, the parent holds that end, too, and
-    waits for ever.)
+    All messages go through one pipe, whose other end only the process has. So if the process is
+    killed while it writes its result, the pipe ends there and the parent does not wait for the
+    rest. (In a pool of `concurrent.futures`, the parent has that end, too, and waits for ever.)
     """
 
     def __init__(
         self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool = False
     ) -> None:
         self.busy = False
-        self.scenes = 0  # The process has made so many.
+        self.scenes = 0  # scenes that the process has made
         self.connection: Connection | None = None
         self._task, self._threads, self._variables = task, threads, variables
         self._quiet = quiet
@@ -121,16 +120,16 @@ class _Worker:
         self._process: BaseProcess | None = None
 
     def submit(self, scene_id: int) -> None:
-        # Busy before it hears of the scene: a run that is stopped meanwhile does not wait for it.
+        # Busy before it receives the scene, so that a run stopped meanwhile does not wait for it.
         self._scene_id, self.busy = scene_id, True
         if self.connection is None or not self._send(scene_id):
-            self.stop()  # it was killed while it waited
+            self.stop()  # it was killed while idle
             self._start()
             self.busy = True
-            self._send(scene_id)  # where it is dead already, `result` says so
+            self._send(scene_id)  # if the new process is dead, too, `result` reports it
 
     def _start(self) -> None:
-        # Python starts it with the first process, and lets Ctrl-C through again when it does.
+        # Python starts the tracker with the first process, and then unblocks Ctrl-C.
         resource_tracker.ensure_running()
         self.scenes = 0
         with _deaf_to_interrupts(), _environment(self._variables):
@@ -142,7 +141,7 @@ class _Worker:
         self._send((self._task, self._threads, self._quiet))
 
     def _send(self, message: object) -> bool:
-        """Whether the process was there to hear it."""
+        """Send a message; return whether the process received it."""
         if self.connection is None:
             raise RuntimeError("the worker was not started")
         try:
@@ -162,24 +161,24 @@ class _Worker:
             self._process.join()
             error = WorkerDied(_obituary(self._process.exitcode))
             self.stop()
-        except Exception as unreadable:  # an error whose class cannot be made from its words
+        except Exception as unreadable:  # an error whose class cannot be built from its message
             error = unreadable
             self.end()
         else:
-            self.busy = False  # not before: a process that is still heard is no idle one
+            self.busy = False  # only now: until here, the process is not idle
             self.scenes += 1
             if isinstance(outcome, TaskResult):
                 return outcome
             error = outcome
             if not is_the_scenes_own(error):
-                self.end()  # a lost driver does not come back in the same process
+                self.end()  # in the same process, a lost driver does not come back
         return Failed(scene_id=self._scene_id, error=error)
 
     def end(self) -> None:
         """Let the idle process end; the next scene starts another."""
         self.busy = False
         if self.connection is not None:
-            self.connection.close()  # it ends when it hears nothing more
+            self.connection.close()  # it ends when the pipe is closed
         if self._process is not None:
             self._process.join()
         self.connection = self._process = None
@@ -203,7 +202,7 @@ def _obituary(code: int | None) -> str:
 def _deaf_to_interrupts() -> Iterator[None]:
     """Start processes that ignore Ctrl-C, because their parent ends them.
 
-    Blocked, not ignored: a process hands its mask on, and what comes meanwhile is heard afterwards.
+    The signal is blocked, not ignored: processes inherit the mask; Ctrl-C works afterwards.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -214,7 +213,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Processes started inside have these variables; the user's own settings of them go first."""
+    """Give these variables to processes that are started inside; the user's own settings win."""
     shared_out = ("TMPDIR", "CUDA_VISIBLE_DEVICES")
     added = {k: v for k, v in variables.items() if k in shared_out or k not in os.environ}
     before = {name: os.environ.get(name) for name in added}
@@ -230,7 +229,7 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def list_gpus() -> list[str]:
-    """The NVIDIA GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
+    """Return the NVIDIA GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name.strip() for name in visible.split(",") if name.strip()]
@@ -239,7 +238,7 @@ def list_gpus() -> list[str]:
 
 
 def _machine_memory_bytes() -> int:
-    """Memory of this machine, or of the container that this process is in."""
+    """Return the memory of this machine, or of the container that this process is in."""
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
@@ -252,7 +251,7 @@ def _machine_memory_bytes() -> int:
 
 
 def _work(connection: Connection) -> None:
-    """Make the scenes that are asked for, until the parent closes its end of the pipe."""
+    """Make the requested scenes until the parent closes its end of the pipe."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, ConnectionError), ExitStack() as opened:
         task, threads, quiet = connection.recv()
@@ -266,7 +265,7 @@ def _work(connection: Connection) -> None:
                     maker = opened.enter_context(closing(task.open(threads=threads)))
                 outcome = maker.make(scene_id)
             except Exception as error:
-                error.add_note(traceback.format_exc())  # it does not travel with the error
+                error.add_note(traceback.format_exc())  # pickling loses the traceback of an error
                 outcome = error
             _tell(connection, outcome)
 
@@ -275,8 +274,8 @@ def _tell(connection: Connection, outcome: TaskResult | Exception) -> None:
     try:
         connection.send(outcome)
     except OSError:
-        os._exit(1)  # nobody listens any more
-    except Exception:  # an error that holds what cannot be sent
+        os._exit(1)  # the parent has closed the pipe
+    except Exception:  # the error contains a value that cannot be pickled
         connection.send(RuntimeError(f"{type(outcome).__name__}: {outcome}"))
 
 

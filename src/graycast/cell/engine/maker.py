@@ -34,7 +34,7 @@ class SceneMaker:
         self._renderer = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
-        """One scene.
+        """Make one scene.
 
         Raises:
             DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
@@ -72,7 +72,7 @@ class SceneMaker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneTask(Job):
-    """What a worker needs to know to make any scene of a dataset.
+    """All data that a worker needs to make any scene of a dataset.
 
     With `keep_shots` it hands over the images themselves, not their files.
     """
@@ -92,7 +92,7 @@ class SceneTask(Job):
 
 
 def _count(sample: Sample, reason_px: Counter[str], part_reason_px: Counter[str]) -> None:
-    """Add the pixels of an image that have each reason to those of all and of the parts' pixels."""
+    """Add the reasons of an image's pixels to the counts of all pixels and of the parts' pixels."""
     reason = sample.scanner_depth.reason
     reason_px.update(reason_counts(reason))
     of_parts = on_part(sample.scene, sample.layout, sample.truth)
@@ -102,11 +102,11 @@ def _count(sample: Sample, reason_px: Counter[str], part_reason_px: Counter[str]
 def _decoded(
     shots: Iterable[Shot], reason_px: Counter[str], part_reason_px: Counter[str]
 ) -> Iterator[Sample]:
-    """Yield the sample of each image, after its pixels were added to the counts.
+    """Add the pixels of each image to the counts, and yield its sample.
 
     Raises:
-        DecodeError: hardly a pixel of an image has a scanner depth, which `validate` would report;
-            says why most have none, and what helps.
+        DecodeError: almost no pixel of an image has scanner depth, which `validate` would report;
+            the error has the most frequent reason and the remedy.
     """
     for shot in shots:
         sample = shot.sample

@@ -12,15 +12,15 @@ from ...dataset.set_aside import SetAside
 from .job import Job, TaskResult, is_foreseen, is_the_scenes_own
 
 TRIES = 3
-# A machine that loses this many scenes one after another, besides those at work, is not well.
+# If this many scenes are lost in a row, besides those in work, the machine is faulty.
 _IN_VAIN = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """A scene that did not come out; `tries` counts up to now, and `final` says that none follow.
+    """A scene that failed after `tries` tries; if `final`, no other try follows.
 
-    A scene whose own values are the cause is not tried again: it would fail the same way.
+    A scene whose own values cause the error is not tried again, as it would fail the same way.
     """
 
     scene_id: int
@@ -29,7 +29,7 @@ class Failed:
     final: bool = False
 
     def set_aside(self) -> SetAside:
-        """Return what is recorded of the scene if it is given up."""
+        """Return the record of a scene that is given up."""
         foreseen = is_foreseen(self.error)
         trace = "" if foreseen else "".join(traceback.format_exception(self.error))
         return SetAside(
@@ -40,7 +40,7 @@ class Failed:
         )
 
     def for_users(self) -> Exception:
-        """Return its error for the user; the text of an unforeseen one says so, with its type."""
+        """Return the error for the user; an unforeseen one says that it is, with its type."""
         if is_foreseen(self.error):
             return self.error
         text = f"{_error_text(self.error)}: this is an error in Graycast or in the machine"
@@ -56,11 +56,11 @@ def _error_text(error: Exception) -> str:
 
 @runtime_checkable
 class Pool(Protocol):
-    """Workers that take scenes and give them back, in any order."""
+    """Workers that take scenes and return them in any order."""
 
     @property
     def free(self) -> int:
-        """How many scenes may be submitted now."""
+        """Number of scenes that may be submitted now."""
         ...
 
     def submit(self, scene_id: int) -> None:
@@ -106,11 +106,11 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Fai
     """Yield every finished scene. A failed one is retried later, up to `TRIES` times.
 
     Raises:
-        GraycastError: scene after scene was lost and not by its own fault, so that the rest of them
-            would be, too: a driver is gone, or the memory.
+        GraycastError: scene after scene was lost, not by its own fault, so that the others would be
+            lost, too: a driver has failed, or memory is full.
     """
     waiting, failures, running = deque(scene_ids), Counter[int](), 0
-    lost: set[int] = set()  # since the last that came out
+    lost: set[int] = set()  # since the last finished scene
     while waiting or running:
         while waiting and pool.free:
             pool.submit(waiting.popleft())

@@ -12,8 +12,8 @@ from ...world.drop import hull_notes, prepare
 from .job import Job, TaskResult
 from .pool import Failed, Here, Pool, make_all
 
-HOPELESS = 3  # If so many scenes are given up before any comes out, the rest would be, too.
-MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the process.
+HOPELESS = 3  # If this many scenes are given up before one is finished, the run stops.
+MOST_THREADS = 1024  # Blender's own limit; tens of thousands of threads end the process.
 
 
 @public_value
@@ -21,8 +21,8 @@ MOST_THREADS = 1024  # It is Blender's own limit; tens of thousands end the proc
 class Workers:
     """Who makes the scenes.
 
-    `engine` is 'local' or 'ray'. `count` scenes are made at a time: with 'local', 1 is this process
-    and more are processes of their own; with 'ray', 0 takes as many as the cluster has room for.
+    `engine` is 'local' or 'ray'. `count` scenes are made at a time. With 'local', 1 is this process
+    and more are processes of their own; with 'ray', 0 is as many as the cluster has room for.
     `threads` are processor threads per worker; None shares those of this machine among local
     workers, and is one on Ray. `address` is that of a Ray cluster's head; None starts Ray here.
     """
@@ -47,10 +47,10 @@ class Workers:
             )
 
     def device(self, backend: str, wanted: str) -> str:
-        """The device on which all of them render; a cluster finds its own for 'auto'.
+        """Return the device of all workers; for 'auto', each machine of a cluster chooses.
 
         Raises:
-            DeviceError: no such device here.
+            DeviceError: this machine has no such device.
         """
         return wanted if self.engine == "ray" else choose_device(backend, wanted)
 
@@ -61,14 +61,14 @@ ALONE = Workers()
 def open_pool(
     task: Job, workers: Workers = ALONE, *, scenes: int, progress: ProgressMeter = UNWATCHED
 ) -> Pool:
-    """Workers for the scenes of a task, at most one for each scene; close the pool after use.
+    """Open workers for the scenes of a task, at most one for each scene; close the pool after use.
 
     Args:
-        progress: hears of each scene what `make_scene` does, where this process makes all.
+        progress: hears the steps of `make_scene` if this process makes all scenes.
 
     Raises:
         GraycastError: Ray is not installed, or does not answer.
-        ValueError: no such engine.
+        ValueError: there is no such engine.
     """
     count, threads = min(workers.count, scenes), workers.threads
     match workers.engine:
@@ -98,14 +98,14 @@ def make_missing(
 ) -> tuple[Failed, ...]:
     """Make the scenes that are missing, and hand over each as it ends.
 
-    Every command that goes on where it was stopped does so here. A scene that is lost by the fault
-    of the machine is tried again, as in `make_all`; one that is given up is set aside and the
-    others are made. The collision hulls of the job's parts, and the kernels of several processes of
-    this machine, are made first, once and not by every worker.
+    Every command that continues a stopped run calls this function. A scene that is lost by the
+    machine's fault is tried again, as in `make_all`; one that is given up is set aside. The
+    collision hulls of the job's parts, and the kernels of several processes of this machine, are
+    made first, once and not by every worker.
 
     Args:
-        what: of which kind the scenes are, for `progress`.
-        total: how many there are with those that were there before.
+        what: the kind of scenes, for `progress`.
+        total: number of scenes, those of earlier runs included.
         on_result, on_failed: take the results, which are written and shown.
         progress: counts the scenes, and notes each part whose collision hulls are coarse.
 
@@ -113,9 +113,9 @@ def make_missing(
         The scenes that were given up, in the order of their numbers.
 
     Raises:
-        GraycastError: as of `make_all`.
-        Exception: that of a scene, where none was there before and none came out, and all, or the
-            first `HOPELESS`, were given up.
+        GraycastError: as in `make_all`.
+        Exception: the error of a scene, if there is no finished scene, and all scenes, or the first
+            `HOPELESS`, were given up.
     """
     done = total - len(missing)
     progress.count(what, done, total)

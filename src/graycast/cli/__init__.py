@@ -4,7 +4,7 @@ Each imports only from those above it:
 
     bars               progress and the time that is left
     doctor             what this machine has
-    readers            numbers, sizes and lengths as texts, and the refusal of others
+    readers            readers of numbers, sizes and lengths that refuse any other text
     arguments          the table of the flags that several commands share
     dataset_commands   the group dataset
     detector_commands  the group detector

@@ -1,4 +1,4 @@
-"""Arguments of commands: the table of the flags that several share."""
+"""Arguments of commands: the table of the flags that several commands share."""
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
@@ -34,7 +34,7 @@ NOTHING = "nothing was written"
 
 
 def add_group(commands, name: str, help: str):
-    """Add a group; return what its commands are added to. The group alone prints its help."""
+    """Add a group and return its parsers of commands. The group alone prints its help."""
     group = commands.add_parser(name, help=help, description=help)
     group.set_defaults(run=lambda _: group.print_help())
     group._positionals.title = "commands"
@@ -54,16 +54,16 @@ def add_command(
     """Add a command and return its parser.
 
     Args:
-        help: what the list of commands says of it.
-        example: the arguments that one gives most, with which its own help begins.
+        help: its text in the list of commands.
+        example: frequent arguments, with which its own help begins.
         more: sentences that its own help adds.
-        when_stopped: what Ctrl-C leaves.
+        when_stopped: what remains after Ctrl-C.
     """
     command = into.add_parser(name, help=help)
     words = " ".join(f"{help} {more}".split())
     line = f"{command.prog} {example}".rstrip()
     command.description = f"For example:\n  {line}\n\n{words}"
-    rest = command.add_argument_group("about errors")  # it stands below the options
+    rest = command.add_argument_group("about errors")  # printed below the options
     rest.add_argument("--debug", action="store_true", help=_DEBUG)
     command.set_defaults(run=run, when_stopped=when_stopped)
     return command
@@ -80,7 +80,7 @@ _METAVARS: Mapping[object, str] = {
     "--noise": "METRES",
 }  # fmt: skip
 
-SHARED: Mapping[str, tuple[Kind, str]] = {  # the kind and the help
+SHARED: Mapping[str, tuple[Kind, str]] = {  # kind and help
     "--seed": (whole, "The seed of all random numbers. The same seed gives the same result."),
     "--rig": (str,
         f"The rig: a path to a rig file, or a name such as {', '.join(PRESETS[:4])}; graycast rig "
@@ -158,8 +158,8 @@ def add_option(
 
     Args:
         kind: a function that reads the text, a tuple of choices, or None for a switch.
-        usual: the words for the default, where the value itself would tell nothing.
-        more: as of `add_argument`.
+        usual: a text for the default, if its value would explain nothing.
+        more: as in `add_argument`.
     """
     usual = str(default) if usual is None and default is not None else usual
     if usual is not None:
@@ -218,13 +218,13 @@ def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
 
 
 def add_division(parser: argparse.ArgumentParser, *, shares: str | None, usual: str = "") -> None:
-    """Add the options that divide a dataset; `usual` tells what None as `shares` means."""
+    """Add the options that divide a dataset; `usual` says what `shares` of None means."""
     add_shared(parser, "--shares", default=shares, usual=usual or None)
     add_shared(parser, "--split-seed", default=0)
 
 
 def add_scoring(parser: argparse.ArgumentParser, *, split: str) -> None:
-    """Add the options of scores against a dataset; `split` is the default set in words."""
+    """Add the options of scores against a dataset; `split` is the text for the default set."""
     add_shared(parser, "--on", required=True)
     add_out(parser, "The folder to write.")
     add_shared(parser, "--split", usual=split)
@@ -268,7 +268,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
 
 
 def division_of(options: argparse.Namespace):
-    """The division of the dataset by `--shares`; None without that option."""
+    """Return the division of the dataset by `--shares`; None without that option."""
     from ..dataset.export import Split, parse_shares
 
     if options.shares is None and options.split_seed:
@@ -310,7 +310,7 @@ def cell_of(options: argparse.Namespace):
 
 
 def resolve_config(config, name: Path, folder: Path):
-    """Build a cell of which relative paths start in `folder`; errors begin with `name`."""
+    """Build a cell whose relative paths start in `folder`; errors begin with `name`."""
     from ..cell.resolve import resolve_cell
 
     try:
@@ -324,7 +324,7 @@ def resolve_config(config, name: Path, folder: Path):
 
 
 def file_options(options: argparse.Namespace) -> "FileOptions":
-    """Return what the options of files of depth state, from `--intrinsics` to `--max-depth`."""
+    """Return the values of the options of depth files, from `--intrinsics` to `--max-depth`."""
     from ..real.depth_file import FileOptions, read_intrinsics
 
     return FileOptions(
@@ -344,13 +344,13 @@ def failed_line(name: str, failed: "Failed", *, if_final: str = "given up") -> s
 
 
 def print_missing(names: Iterable[str]) -> None:
-    """Print a line for each of what a run has given up."""
+    """Print a line for each scene or bin that a run has given up."""
     for name in names:
         print(f"  {name} is missing; run the same command again to retry it")
 
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
-    """A line for each reason, the parts' pixels first."""
+    """Print a line for each reason, with the share among the parts' pixels first."""
     for name, part_of_all in of_all.items():
         first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
         print(f"  {name:18} {first}{part_of_all:7.2%} of all pixels")

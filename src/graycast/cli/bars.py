@@ -1,4 +1,4 @@
-"""Bars with the time that is left: what the command line does with progress."""
+"""Progress bars of the command line, with the remaining time."""
 
 from types import TracebackType
 from typing import TYPE_CHECKING, final
@@ -9,19 +9,19 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress, TaskID
 
-# The rest of rich is imported by the command that draws, so that --help answers at once.
+# Only the command that draws loads the rest of rich, so that --help answers at once.
 
 
 @final
 class Bars:
-    """A `ProgressMeter` that draws a bar for each kind that is counted, and the present stage.
+    """A `ProgressMeter` that draws a bar for each counted kind, and the present stage.
 
-    A caller that prints within it uses `line`, so that text and bars do not overwrite each other.
+    Callers print with `line`, so that text and bars do not overwrite each other.
     """
 
     def __init__(self, progress: "Progress") -> None:
         self._progress = progress
-        self._tasks: dict[str | None, TaskID] = {}  # the stage is that of no kind
+        self._tasks: dict[str | None, TaskID] = {}  # stages have the kind ""
 
     def stage(self, text: str) -> None:
         self._progress.reset(self._task(None), description=escape(text), total=None, visible=True)
@@ -29,7 +29,7 @@ class Bars:
     def count(self, what: str, done: int, total: int) -> None:
         task = self._task(what)
         before = self._progress.tasks[self._progress.task_ids.index(task)]
-        if done < before.completed:  # the next of the same kind: its time begins anew
+        if done < before.completed:  # the next bar of the same kind; its time starts again
             self._progress.reset(task)
         self._progress.update(task, completed=done, total=total, visible=True)
 
@@ -57,13 +57,13 @@ class Bars:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if None in self._tasks:  # no stage is going on any more
+        if None in self._tasks:  # no stage is active
             self._progress.update(self._tasks[None], visible=False)
         self._progress.stop()
 
 
 def open_bars() -> Bars:
-    """Bars that stay when the task is done."""
+    """Open bars that stay visible when the task is done."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -77,7 +77,7 @@ def open_bars() -> Bars:
     from rich.text import Text
 
     class OfCounted(ProgressColumn):
-        """A column that is empty beside a stage, which has neither a number nor an end."""
+        """A column that is empty for a stage, which has neither a number nor an end."""
 
         def __init__(self, column: ProgressColumn) -> None:
             super().__init__()
@@ -99,7 +99,7 @@ def open_bars() -> Bars:
 
 
 def open_stages() -> Bars:
-    """One line with the present stage and its duration, which disappears at the end."""
+    """Show one line with the present stage and its duration, which disappears at the end."""
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()

@@ -43,7 +43,7 @@ examples:
 
 
 class Help(argparse.HelpFormatter):
-    """Help of which the usage has only what must be given, and which keeps indented lines."""
+    """Help whose usage line has only required arguments, and which keeps indented lines."""
 
     def _format_usage(
         self,
@@ -72,7 +72,7 @@ class Help(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose error names the word that was probably meant, and not thirty others."""
+    """A parser whose error names the word that was probably meant instead of all thirty."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**({"formatter_class": Help} | settings))
@@ -95,7 +95,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
-    """Each name of a command in a group, and the command: `dataset export` of `export`."""
+    """Map the name of each command in a group to its full name: `export` to `dataset export`."""
     return {
         name: f"{group} {name}"
         for group, parser in commands.choices.items()
@@ -108,9 +108,9 @@ def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return 0 for success, 1 for failure, 2 for wrong arguments."""
     options = _parser().parse_args(arguments)
-    if arguments is None:  # a process of its own
-        signal.signal(signal.SIGTERM, _stop)  # a batch system's way to say Ctrl-C
-        # A name that the terminal cannot show must not end a command that has done its work.
+    if arguments is None:  # in its own process
+        signal.signal(signal.SIGTERM, _stop)  # sent by batch systems in place of Ctrl-C
+        # A command that has done its work must not fail because the terminal cannot show a name.
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         code = options.run(options) or 0
@@ -130,8 +130,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _note_lack_of_cache() -> None:
-    """Say that this command compiled what the next one will compile again."""
-    kernels = sys.modules.get("graycast.base.kernels")  # Loading it takes a while.
+    """Warn that the next command will have to compile again what this command compiled."""
+    kernels = sys.modules.get("graycast.base.kernels")  # loading it takes a while
     problem = None if kernels is None else kernels.uncached_note()
     if problem is not None:
         print(
@@ -143,12 +143,12 @@ def _note_lack_of_cache() -> None:
 
 
 def _nobody_reads() -> bool:
-    """Whether the reader of the output is gone, as `head` is after its lines: that is no error."""
+    """Whether the reader of the output has ended, as `head` does; that is no error."""
     output = select.poll()
     output.register(sys.stdout.fileno(), 0)
     if not any(event & select.POLLERR for _, event in output.poll(0)):
         return False
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
     return True
 
 
@@ -156,7 +156,7 @@ def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-@cache  # a process that runs several commands, as the tests do, builds it once
+@cache  # built once in a process that runs several commands, as the tests do
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="graycast",
@@ -181,7 +181,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _documentation() -> str:
-    """Return where the pages are: in the clone that this program comes from, if it does."""
+    """Return the folder of the documentation in the clone that this program comes from, if any."""
     pages = Path(__file__).parents[3] / "docs" / "index.md"
     if pages.is_file():
         return f"documentation:\n  {pages}; `make docs` makes a site of it"
@@ -189,7 +189,7 @@ def _documentation() -> str:
 
 
 def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """The program without a command: its help, or the script of `--print-completion`."""
+    """Run the program without a command: print its help, or the script of `--print-completion`."""
     if options.print_completion is None:
         parser.print_help()
         return
@@ -200,7 +200,7 @@ def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 def _complete_files(parser: argparse.ArgumentParser) -> None:
-    """Tell shtab which arguments are files."""
+    """Mark for shtab the arguments that are files."""
     import shtab
 
     for action in parser._actions:

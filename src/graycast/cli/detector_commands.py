@@ -137,7 +137,7 @@ def _add_train(group) -> None:
 
 
 def _add_training(train: argparse.ArgumentParser) -> None:
-    """How the network learns, from which scenes, and how it sees them."""
+    """Add options of how the network learns, from which scenes, and how it sees them."""
     epochs = "The number of epochs, which are passes over all pictures of the train set."
     add_option(train, "--epochs", positive, epochs, 40)
     add_option(

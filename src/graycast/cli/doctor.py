@@ -1,4 +1,4 @@
-"""What is installed on this machine, and what each missing piece is for."""
+"""The installed libraries and devices of this machine, and the use of each missing one."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ from ..rendering.device import OLDEST_LLVM, choose_device, examine_cuda, find_ll
 from ..rendering.trial import try_device
 
 _OLDEST_PYTHON = (3, 11)
-_PACKAGES = {  # Each distribution has a text on what it gives.
+_PACKAGES = {  # each distribution, and what it adds
     "numpy": "arrays, which every command needs",
     "mitsuba": "rendering",
     "drjit": "rendering",
@@ -25,7 +25,7 @@ _PACKAGES = {  # Each distribution has a text on what it gives.
     "manifold3d": "convex decomposition of parts",
     "pyoidn": "denoised colour pictures on a processor",
 }
-_OPTIONAL = {  # Each distribution has the command that installs it, and what it gives.
+_OPTIONAL = {  # each distribution, the command that installs it, and what it adds
     "torch": ("pip install 'graycast[detect]'", "detectors: detector train, find and study"),
     "torchvision": ("pip install 'graycast[detect]'", "detectors: --model mask-rcnn"),
     "onnx": ("pip install 'graycast[detect]'", "detectors: detector onnx"),
@@ -43,7 +43,7 @@ _OPTIONAL = {  # Each distribution has the command that installs it, and what it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What came of the search for one piece; `gives` is what it is for."""
+    """Result of the search for one library or device; `gives` is its use."""
 
     name: str
     text: str
@@ -53,12 +53,12 @@ class Finding:
 
 
 def examine() -> tuple[Finding, ...]:
-    """Look for everything that Graycast can use; what may end a process is tried in a child."""
+    """Look for everything that Graycast can use; checks that may end a process run in a child."""
     return (*_software(), *_machine(), *_devices())
 
 
 def describe(findings: Sequence[Finding]) -> str:
-    """One line for each finding, below a missing piece what it is for, and the verdict."""
+    """Return a line for each finding, the use of each missing one, and the verdict."""
     width = max(len(finding.name) for finding in findings)
     lines = []
     for finding in findings:
@@ -170,7 +170,7 @@ def _devices() -> Iterator[Finding]:
 
 
 def _trial(device: str) -> Finding:
-    """What came of a small picture, rendered and denoised in a process of its own."""
+    """Render and denoise a small picture in its own process, and return the result."""
     trial = try_device(device)
     where = {"cpu": "the processor", "cuda": "the GPU", None: ""}[trial.denoiser]
     return Finding(
@@ -182,7 +182,7 @@ def _trial(device: str) -> Finding:
 
 
 def _field(path: Path, key: str) -> str | None:
-    """The value of the first `key : value` line; None where the system has no such file."""
+    """Return the value of the first `key : value` line; None if the system has no such file."""
     try:
         lines = path.read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Readers of the values of arguments: numbers, sizes and lengths; each refuses what is no such."""
+"""Readers of the values of arguments: numbers, sizes and lengths; each refuses any other text."""
 
 import argparse
 import math
@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 def reader(
     read: Callable[[str], Value], allowed: Callable[[Value], bool], what: str
 ) -> Callable[[str], Value]:
-    """Return a function that reads a text and refuses one that is not `what`."""
+    """Return a function that reads a text and refuses one that is not a `what`."""
 
     def checked(text: str) -> Value:
         try:
@@ -55,11 +55,11 @@ size = reader(
 def metres(
     read: Callable[[str], Any], most_m: float, *, separator: str = ","
 ) -> Callable[[str], Any]:
-    """Return a reader of lengths that refuses one that can only be in millimetres.
+    """Return a reader of lengths that refuses a length that must have been meant in millimetres.
 
     Args:
         read: the reader of one length, or of several with the separator between them.
-        most_m: no longer length makes sense there.
+        most_m: the greatest plausible length.
     """
 
     def checked(text: str) -> Any:

@@ -190,7 +190,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _noted(scans, notes: list[str]):
-    """The scans themselves; notes about their depth are added to the list."""
+    """Return the scans, and add notes about their depth to the list."""
     from ..real.depth_sense import filled_holes
 
     for scan in scans:
@@ -240,7 +240,7 @@ def _two_sample(options: argparse.Namespace) -> tuple:
 
 
 def _spread(scans: list, most: int) -> list:
-    """At most `most` items, evenly spaced over the set."""
+    """Return at most `most` items, evenly spaced over the set."""
     count = min(most, len(scans))
     return [scans[k * len(scans) // count] for k in range(count)]
 
@@ -262,7 +262,7 @@ def _record(path: Path, options: argparse.Namespace):
 
 
 def _scans(path: Path, options: argparse.Namespace) -> Iterator:
-    """The depth maps of one of two sets."""
+    """Return the depth maps of one of two sets."""
     from ..real.realism import read_scans
 
     return read_scans([path], options=file_options(options))

@@ -96,7 +96,7 @@ def _add_list(group) -> None:
 
 
 def _add_files(group) -> None:
-    """The commands that make a rig file from what a real scanner gives."""
+    """Add the commands that make a rig file from the data of a real scanner."""
     load = add_command(
         group, "import", _import, "Make a rig file from a stereo calibration of OpenCV.",
         example="stereo.yml --out rig.yaml",
@@ -149,7 +149,7 @@ def _add_files(group) -> None:
 
 
 def _add_pictures(group) -> None:
-    """The commands of a projector's patterns and of a camera's pictures of them."""
+    """Add the commands of a projector's patterns and of a camera's pictures of them."""
     patterns = add_command(
         group, "patterns", _patterns, "Write the patterns of a rig for a projector.",
         example="rig.yaml --out out/patterns",

@@ -26,7 +26,7 @@ from .scene_commands import WIDTH_PX
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-FILM_WIDTH_PX = 480  # A test compares it with that of the film.
+FILM_WIDTH_PX = 480  # a test compares it with the number in `film`
 PICK = """\
 Each bin is filled by a physics simulation and scanned, and the robot then removes part after part.
 Each attempt is recorded with one outcome of a fixed list and with a picture. If the command is
@@ -172,7 +172,7 @@ def _pick(options: argparse.Namespace) -> int:
 
 
 def _with_options(config, options: argparse.Namespace):
-    """The configuration with the options of the command line, checked like a file."""
+    """Return the configuration with the options of the command line, checked like a file."""
     from ..base.settings import check_settings
     from ..robot.pick.pick_sections import PickConfig
 

@@ -30,7 +30,7 @@ from .rescan_command import add_rescan
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 PORT = 8337
-WIDTH_PX = 1300  # A test compares it with that of the page.
+WIDTH_PX = 1300  # a test compares it with the page's number
 GENERATE = """\
 If the command is stopped or killed, the same command continues the dataset, because a scene depends
 only on the configuration, the seed and the number of the scene. If a worker dies, it is replaced
@@ -92,7 +92,7 @@ def add_commands(commands) -> None:
 
 
 def _add_reading(commands) -> None:
-    """The commands that read what is there."""
+    """Add the commands that read existing data."""
     validate = add_command(
         commands, "validate", _validate, "Check that the files of a dataset are sound.",
         example="out/demo", more="They are complete and consistent with each other.",
@@ -158,13 +158,13 @@ def _preview(options: argparse.Namespace) -> int:
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     if note := depth_note(shot, scanner):
         print(f"note: {note}")
-    draw_preview(shot, scanner.light_code(), options.out)  # last, so that Ctrl-C leaves nothing
+    draw_preview(shot, scanner.light_code(), options.out)  # last, so that Ctrl-C leaves no file
     print(options.out)
     return 0
 
 
 def _which(cell, number: int) -> str:
-    """Which of a scene's images is shown, where there are several."""
+    """Return which image of a scene is shown, if there are several."""
     if len(cell.images) == 1:
         return ""
     sensor, image = cell.images[number]
@@ -173,7 +173,7 @@ def _which(cell, number: int) -> str:
 
 
 def _tell_coarse(shot) -> None:
-    """Print which of the dropped parts have coarse collision hulls."""
+    """Print the names of the dropped parts that have coarse collision hulls."""
     from ..world.drop import hull_notes, prepare
 
     sample = shot.sample
@@ -230,7 +230,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_result=report,
             on_failed=failed,
         )
-    # A card of these scenes may have the figures of all; a stopped run leaves one of fewer scenes.
+    # A card may already have the figures of all these scenes; a stopped run leaves one of fewer.
     if summary.written or not counts_all_scenes(options.out):
         write_card(options.out)
     _tell(summary, options.out)
@@ -240,9 +240,9 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _ahead(scene, left: int, workers: int, out: Path) -> str:
-    """Return what the other scenes take if they are like this one.
+    """Return the time and space that the other scenes take if they are like this one.
 
-    The time is stated for a number of workers that is not 0.
+    The time is included if the number of workers is not 0.
     """
     size_gb = 1e-9 * left * sum(len(data) for _, data in scene.files)
     free_gb = 1e-9 * shutil.disk_usage(out).free
@@ -334,7 +334,7 @@ def _report(options: argparse.Namespace) -> int:
     if is_rescanned(options.dataset):
         if options.detections is not None:
             raise GraycastError("--detections applies to a dataset of Graycast: remove it")
-        options.when_stopped = NOTHING  # This page is not made piece by piece.
+        options.when_stopped = NOTHING  # the page is not written in pieces
         with open_bars() as bars:
             result = write_rescan_page(
                 options.dataset, options.out, width_px=options.width, progress=bars

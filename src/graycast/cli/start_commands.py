@@ -1,4 +1,4 @@
-"""Commands of the first minute: demo, new; and about this machine: doctor, schema."""
+"""Commands for beginners, demo and new; and about this machine, doctor and schema."""
 
 import argparse
 import json
@@ -121,7 +121,7 @@ def _write_cell(
     if mesh is None:
         if unit is not None:
             raise GraycastError("--unit belongs to a mesh file: remove it, or give --part")
-        assert builtin is not None  # one of the two is given
+        assert builtin is not None  # exactly one of the two is given
         part, source, own = builtin_part(builtin), {"builtin": builtin}, None
     else:
         material = None if surface is None else material_preset(surface).material

@@ -1,4 +1,4 @@
-"""Whatever a script gives to the door in the place of something else is named."""
+"""A wrong argument of a public function is named in the error."""
 
 import inspect
 import pickle
@@ -20,9 +20,9 @@ from graycast.base import argument_check
 from graycast.base.argument_check import checked
 from graycast.base.settings import check_fields
 
-NOTHING = object()  # No annotation of the door means it.
+NOTHING = object()  # no annotation accepts it
 
-# Values that the library makes: a script reads them, and their arrays are checked where they go.
+# Classes that only the library makes: their arrays are checked in the functions that use them.
 RESULTS = {
     "Capture", "Cell", "CodeMap", "DepthMap", "Detections", "Example", "GroundTruth", "Layout",
     "Radiance", "Rendering", "SceneResult", "Shot",
@@ -31,13 +31,13 @@ RESULTS = {
 
 @pytest.fixture
 def unchecked(request):
-    """Skip a test where all annotations are checked: that check answers before the door's own."""
+    """Skip a test if all annotations are checked, because that check comes first."""
     if request.config.getoption("jaxtyping_packages", None):
         pytest.skip("the check of all annotations answers before that of the door")
 
 
 def right(hint):
-    """A value of the kind that an annotation names."""
+    """Return a valid value for an annotation."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return right(inner[0])
@@ -64,7 +64,7 @@ def doors():
             yield value, value
 
 
-def test_every_argument_of_the_door_is_named_with_its_value_if_it_is_of_a_wrong_kind(unchecked):
+def test_an_argument_of_a_wrong_type_is_named_with_its_value(unchecked):
     count = 0
     for door, source in doors():
         hints = typing.get_type_hints(source)
@@ -100,7 +100,7 @@ def test_every_argument_of_the_door_is_named_with_its_value_if_it_is_of_a_wrong_
         (lambda: gc.preset(["x" * 100]), "preset: name is ['" + "x" * 55 + "... (type list)"),
     ],
 )  # fmt: skip
-def test_what_a_script_gets_wrong_is_said_with_its_remedy(unchecked, call, words):
+def test_the_error_for_a_wrong_argument_has_its_remedy(unchecked, call, words):
     with pytest.raises(ValueError) as error:
         call()
     assert words in str(error.value)
@@ -108,8 +108,8 @@ def test_what_a_script_gets_wrong_is_said_with_its_remedy(unchecked, call, words
 
 @pytest.mark.parametrize("engine", ["local", "ray"])
 @pytest.mark.parametrize("count", [-3, 0, 1])
-def test_workers_are_one_or_more_and_a_cluster_may_count_its_own(engine, count):
-    """-3 waited for ever, and 0 was divided by."""
+def test_the_number_of_workers_is_at_least_one_and_0_only_on_a_cluster(engine, count):
+    """-3 workers waited for ever, and 0 caused a division by zero."""
     if count < (engine == "local"):
         with pytest.raises(ValueError, match=f"count is {count}: give "):
             gc.Workers(engine=engine, count=count)
@@ -117,7 +117,7 @@ def test_workers_are_one_or_more_and_a_cluster_may_count_its_own(engine, count):
         assert gc.Workers(engine=engine, count=count).count == count
 
 
-def test_numbers_of_other_libraries_and_lists_for_tuples_are_taken():
+def test_numbers_of_other_libraries_and_lists_instead_of_tuples_are_accepted():
     @dataclass(frozen=True)
     class Values:
         pair: tuple[float, float]
@@ -135,19 +135,19 @@ def test_numbers_of_other_libraries_and_lists_for_tuples_are_taken():
             Values(*values)
 
 
-def test_what_is_missing_is_said_by_the_call_itself_and_what_is_unknown_by_its_nearest(unchecked):
+def test_a_missing_argument_is_python_s_own_error_and_an_unknown_one_names_the_nearest(unchecked):
     with pytest.raises(TypeError, match=r"scenes\(\) missing"):
         gc.scenes()
     with pytest.raises(gc.GraycastError, match=r"^scenes: unknown argument sed: did you mean seed"):
         gc.scenes(None, 1, sed=1)
 
 
-def test_a_function_of_the_door_is_one_object_that_processes_can_hand_on():
+def test_a_public_function_can_be_pickled_and_is_the_same_object_afterwards():
     assert gc.take is gc.take and pickle.loads(pickle.dumps(gc.take)) is gc.take
     assert inspect.signature(gc.take) == inspect.signature(inspect.unwrap(gc.take))
     assert checked(inspect.unwrap(gc.take)).__doc__ == gc.take.__doc__
 
 
-def test_each_remedy_names_what_the_door_has():
+def test_remedies_name_public_functions_only():
     for text in argument_check._MAKERS.values():
-        assert set(re.findall(r"graycast\.(\w+)", text)) <= set(dir(gc))  # loads no PyTorch
+        assert set(re.findall(r"graycast\.(\w+)", text)) <= set(dir(gc))  # does not load PyTorch

@@ -1,4 +1,4 @@
-"""Compiled kernels are kept for as long as nothing that they contain has changed."""
+"""Compiled kernels are reused only while their whole source is unchanged."""
 
 import ast
 import os
@@ -30,7 +30,7 @@ WITH_KERNELS = sorted(
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of three modules: a kernel, what it takes from a second one, and a third one."""
+    """Write a package of three modules: a kernel, one that it imports, and one that it does not."""
     files = {
         "toy.shape": "from .sizes import area\n\ndef volume(x):\n    return x * area(x)\n",
         "toy.sizes": "from graycast.toy import factors\n\ndef area(x):\n    return factors.K * x\n",
@@ -56,7 +56,7 @@ def forget():
     ("changed", "same"),
     [("shape", False), ("sizes", False), ("factors", False), ("other", True)],
 )
-def test_a_changed_constant_of_any_file_that_a_kernel_takes_gives_another_digest(
+def test_a_changed_constant_of_any_imported_file_changes_the_digest_of_a_kernel(
     package, changed, same
 ):
     before = sources_digest("graycast.toy.shape")
@@ -65,8 +65,8 @@ def test_a_changed_constant_of_any_file_that_a_kernel_takes_gives_another_digest
     assert (sources_digest("graycast.toy.shape") == before) is same
 
 
-def test_no_kernel_is_kept_if_a_source_has_changed_since_the_process_began(package, monkeypatch):
-    """The process computes with the old text: under the new text's digest it would lie."""
+def test_no_kernel_is_stored_if_a_source_has_changed_since_the_process_began(package, monkeypatch):
+    """The process still has the old code, which must not be stored under the new text's digest."""
     began_ns = max(os.stat(file).st_ctime_ns for file in package.values())
     monkeypatch.setattr(kernels, "_START_NS", began_ns)
     assert sources_digest("graycast.toy.shape") is not None
@@ -77,7 +77,7 @@ def test_no_kernel_is_kept_if_a_source_has_changed_since_the_process_began(packa
 
 
 def imports_of_syntax(module: str) -> set[str]:
-    """The modules of the package that a module imports, read from its tree of syntax."""
+    """Return the modules of the package that a module imports, from its syntax tree."""
     file, names = package_files()[module], set()
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
     for node in nodes_of(file):
@@ -92,7 +92,7 @@ def imports_of_syntax(module: str) -> set[str]:
     return names & package_files().keys()
 
 
-def test_the_sources_of_kernels_have_all_imports_that_python_reads_in_them():
+def test_the_imports_that_a_digest_uses_are_those_that_python_parses():
     """Oracle: Python's own parser."""
     assert len(WITH_KERNELS) > 25
     sources = {name for module in WITH_KERNELS for name in all_imported_modules(module)}
@@ -100,7 +100,7 @@ def test_the_sources_of_kernels_have_all_imports_that_python_reads_in_them():
         assert kernels.imported_modules(module) >= imports_of_syntax(module), module
 
 
-def test_a_kernel_that_takes_a_constant_depends_on_its_file():
+def test_the_digest_of_a_kernel_includes_the_file_of_an_imported_constant():
     sources = all_imported_modules("graycast.camera.decode.outliers")
     assert {"graycast.base.robust", "graycast.camera.decode.median"} <= {*sources}
 
@@ -111,7 +111,7 @@ def _doubled(x):
 
 
 class Opened:
-    """A kernel's cache in a folder of its own, as a process of the package has it."""
+    """A kernel's cache in its own folder, as a process of the package has it."""
 
     def __init__(self, monkeypatch, folder, digest="0" * 16):
         monkeypatch.setattr(kernels.numba.config, "CACHE_DIR", str(folder))
@@ -138,7 +138,7 @@ def test_a_kernel_is_loaded_from_the_folder_of_its_digest(monkeypatch, tmp_path)
 
 @pytest.mark.parametrize("pattern", ["*.nbc", "*.nbi"])
 @pytest.mark.parametrize("content", [b"", b"no pickle", None])
-def test_a_damaged_file_of_a_kernel_is_made_anew(monkeypatch, tmp_path, pattern, content):
+def test_a_damaged_file_of_a_kernel_is_compiled_again(monkeypatch, tmp_path, pattern, content):
     Opened(monkeypatch, tmp_path)(3)
     (file,) = files(tmp_path, pattern)
     file.write_bytes(file.read_bytes()[:40] if content is None else content)
@@ -146,10 +146,10 @@ def test_a_damaged_file_of_a_kernel_is_made_anew(monkeypatch, tmp_path, pattern,
     assert Opened(monkeypatch, tmp_path)(3) == (6, 1)
 
 
-def test_two_processes_that_store_at_once_never_give_one_file_to_two_signatures(
+def test_two_processes_that_store_at_once_never_use_one_file_for_two_signatures(
     monkeypatch, tmp_path
 ):
-    """Both read the index when it was empty; each signature finds its own code or none."""
+    """Both processes read the empty index; each signature then finds its own code or none."""
     first, second = Opened(monkeypatch, tmp_path), Opened(monkeypatch, tmp_path)
     for opened in (first, second):
         monkeypatch.setattr(opened.function._cache._disk._cache_file, "_load_index", dict)
@@ -160,7 +160,7 @@ def test_two_processes_that_store_at_once_never_give_one_file_to_two_signatures(
         assert result == 2 * x and type(result) is type(x) and hits <= 1
 
 
-def test_old_versions_of_kernels_are_removed_and_the_last_ones_stay(monkeypatch, tmp_path):
+def test_only_the_most_recent_versions_of_kernels_are_kept(monkeypatch, tmp_path):
     folders = [tmp_path / f"{__name__}-{number:016x}" for number in range(MOST_VERSIONS + 3)]
     others = [tmp_path / f"{__name__}s-{0:016x}", tmp_path / "mine"]
     for age, folder in enumerate(folders + others):
@@ -172,7 +172,7 @@ def test_old_versions_of_kernels_are_removed_and_the_last_ones_stay(monkeypatch,
     assert {*tmp_path.iterdir()} == {*folders[: MOST_VERSIONS - 1], *others, new}
 
 
-def test_a_kernel_is_compiled_where_no_folder_can_be_written(monkeypatch, tmp_path):
+def test_a_kernel_is_compiled_even_if_no_folder_is_writable(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("in the place of a folder")
     assert Opened(monkeypatch, tmp_path / "file" / "kernels")(3) == (6, 0)
     monkeypatch.setattr(kernels, "kernel_folder", lambda: None)
@@ -180,7 +180,7 @@ def test_a_kernel_is_compiled_where_no_folder_can_be_written(monkeypatch, tmp_pa
     assert files(tmp_path) == []
 
 
-def test_a_folder_that_goes_or_a_disk_that_is_full_ends_no_run(monkeypatch, tmp_path):
+def test_a_deleted_cache_folder_or_a_full_disk_does_not_stop_a_run(monkeypatch, tmp_path):
     opened = Opened(monkeypatch, tmp_path)
     opened(3)
     shutil.rmtree(tmp_path)
@@ -194,7 +194,7 @@ def test_a_folder_that_goes_or_a_disk_that_is_full_ends_no_run(monkeypatch, tmp_
     assert opened(3) == (6, 0)
 
 
-def test_kernels_lie_where_numba_or_else_xdg_says(monkeypatch, tmp_path):
+def test_the_kernel_cache_is_in_the_folder_of_numba_or_else_of_xdg(monkeypatch, tmp_path):
     monkeypatch.setattr(kernels.numba.config, "CACHE_DIR", str(tmp_path / "numba"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert kernel_folder() == tmp_path / "numba"
@@ -213,8 +213,8 @@ print(*_outlies(*maps, 2, 2, 2.0, 0.0), *_outlies.py_func(*maps, 2, 2, 2.0, 0.0)
 
 
 @pytest.mark.slow
-def test_a_tree_with_another_constant_in_another_file_computes_with_that_constant(tmp_path):
-    """Oracle: the same function as Python runs it. Numba's own cache gives the old constant."""
+def test_a_changed_constant_in_an_imported_file_changes_the_result(tmp_path):
+    """Oracle: the same function run by Python. Numba's own cache would use the old constant."""
     tree = tmp_path / "graycast"
     shutil.copytree(PACKAGE, tree, ignore=shutil.ignore_patterns("__pycache__"))
     env = os.environ | {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}

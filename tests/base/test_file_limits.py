@@ -1,4 +1,4 @@
-"""Files of users that would fill the memory or the stack are refused from their beginning."""
+"""Users' files that would fill the memory or the stack are refused when their beginning is read."""
 
 import io
 import json
@@ -32,8 +32,8 @@ from graycast.real.picture_pairs import RealPicture, read_shot
 from graycast.world.parts.part_sections import read_texture
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "graycast"
-SIDE = 12_000  # of a picture that is too large
-# Lines between our own processes, which no user writes.
+SIDE = 12_000  # for a picture that is too large
+# Messages between our own processes, which no user writes.
 OWN_CHILDREN = {
     "world/drop/decomposition/hull_process.py",
     "rendering/cycles/process.py",
@@ -46,13 +46,13 @@ OWN_CHILDREN = {
 
 
 def test_json_is_read_as_the_standard_library_reads_it():
-    """Oracle: another parser, to the last bit of random doubles."""
+    """Oracle: the standard library's parser, compared to the last bit of random doubles."""
     rng = np.random.default_rng(36)
     value = rng.integers(0, 2**64, 20_000, dtype=np.uint64).view(np.float64)
     content = {"value": value[np.isfinite(value)].tolist(), "text": 'é"\\\n', "none": [None, True]}
     text = json.dumps(content)
     assert parse_json(text) == parse_json(text.encode()) == json.loads(text) == content
-    assert parse_json(b"\xef\xbb\xbf[1]") == [1]  # some editors begin a file so
+    assert parse_json(b"\xef\xbb\xbf[1]") == [1]  # some editors write a byte-order mark
 
 
 def test_json_that_is_nested_too_deeply_is_a_value_error():
@@ -62,7 +62,7 @@ def test_json_that_is_nested_too_deeply_is_a_value_error():
     assert parse_json("[" * 150 + "]" * 150)
 
 
-def test_every_json_file_is_read_in_one_place():
+def test_all_json_files_are_read_by_one_function():
     readers = {
         str(file.relative_to(SOURCE))
         for file in SOURCE.rglob("*.py")
@@ -73,7 +73,7 @@ def test_every_json_file_is_read_in_one_place():
 
 @pytest.fixture(scope="module")
 def deep(tmp_path_factory):
-    """A dataset, a deeply nested file, and a copy of the dataset that has it as its claim."""
+    """Write a dataset, a deeply nested file, and a copy of the dataset with that file as claim."""
     folder = tmp_path_factory.mktemp("deep")
     write_dataset(folder / "whole", (0,))
     write_dataset(folder / "broken", (0,))
@@ -97,7 +97,7 @@ def deep(tmp_path_factory):
         ("dataset export broken --format coco --out o", "graycast.json"),
     ],
 )
-def test_no_command_ends_in_a_traceback_over_deep_json(deep, capsys, monkeypatch, command, words):
+def test_no_command_prints_a_traceback_for_deep_json(deep, capsys, monkeypatch, command, words):
     monkeypatch.chdir(deep)
     assert main(command.split()) == 1
     printed = capsys.readouterr()
@@ -109,7 +109,7 @@ def test_no_command_ends_in_a_traceback_over_deep_json(deep, capsys, monkeypatch
 
 
 def bomb(side=SIDE):
-    """A PNG of 0s with one bit a pixel, whole and valid: some 20 kB for 18 MB."""
+    """Return a valid PNG of zeros with one bit per pixel: some 20 kB that unpack to 18 MB."""
 
     def chunk(kind, data):
         return (
@@ -122,7 +122,7 @@ def bomb(side=SIDE):
 
 
 def encoded(kind):
-    """A picture of 48 x 32 pixels, and how its header states columns and rows."""
+    """Return a picture of 48 x 32 pixels, and the bytes of its size before and after a change."""
     data = io.BytesIO()
     grey = np.full((32, 48), 7, np.uint8)
     if kind == "exr":
@@ -145,7 +145,7 @@ def encoded(kind):
         return whole, (struct.pack(">2H", 32, 48), struct.pack(">2H", SIDE, SIDE))
     if kind == "bmp":
         return whole, (struct.pack("<2i", 48, 32), struct.pack("<2i", SIDE, SIDE))
-    between = 10 if kind == "big tiff" else 6  # bytes of a tag's kind and count
+    between = 10 if kind == "big tiff" else 6  # type and count of a tag, in bytes
     changed = bytearray(whole)
     for tag in (256, 257):
         at = whole.index(struct.pack(order + "H", tag), 8) + 2
@@ -166,7 +166,7 @@ def test_a_picture_is_refused_by_the_size_that_its_header_states(kind, tmp_path)
         refuse_large_picture(tmp_path / "large", "x", ValueError)
 
 
-def test_the_limit_is_a_number_of_pixels_and_not_a_side():
+def test_the_limit_of_a_picture_is_its_number_of_pixels_not_its_width():
     head = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
     refuse_large_picture(head + struct.pack(">2I", 100_000, 1000), "x", ValueError)
     with pytest.raises(ValueError, match="100000 x 1001 pixels"):
@@ -176,7 +176,7 @@ def test_the_limit_is_a_number_of_pixels_and_not_a_side():
 
 @pytest.fixture
 def no_decoder(monkeypatch):
-    """Every decoder fails the test that calls it."""
+    """Let every decoder fail the test that calls it."""
 
     def decode(*_, **__):
         pytest.fail("the picture was decoded")
@@ -213,7 +213,7 @@ def test_no_reader_decodes_a_picture_that_is_too_large(read, error, tmp_path, no
 # --- sizes of arrays and masks -------------------------------------------------------------------
 
 
-def test_an_array_whose_header_states_more_than_its_file_has_is_no_array(tmp_path):
+def test_an_array_file_shorter_than_its_header_states_is_refused(tmp_path):
     fine = np.arange(12.0).reshape(3, 4)
     np.save(tmp_path / "a.npy", fine)
     assert np.array_equal(load_array(tmp_path / "a.npy"), fine)
@@ -242,7 +242,7 @@ def test_a_calibration_that_unpacks_to_gigabytes_is_refused(tmp_path):
 
 @pytest.mark.parametrize("counts", [[10**10], [10**10 - 1, 1]])
 def test_run_lengths_of_a_huge_picture_are_refused(counts):
-    """They fill their picture, so that only its size is wrong."""
+    """The run lengths fill their picture, so that only its size is wrong."""
     with pytest.raises(GraycastError, match="entry 0: has 100000 x 100000 pixels"):
         check_runs({"size": [10**5, 10**5], "counts": counts}, "entry 0", GraycastError)
     with pytest.raises(GraycastError, match="do not fill"):

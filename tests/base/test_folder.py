@@ -1,4 +1,4 @@
-"""Folders of results are whole or not there, and what killed runs left goes."""
+"""A folder of results is complete or absent, and the remains of killed runs are deleted."""
 
 import subprocess
 import sys
@@ -30,8 +30,8 @@ def names(folder):
 
 
 @pytest.mark.parametrize("make", [new_folder, whole_folder])
-def test_what_a_killed_run_left_goes_with_the_next(tmp_path, make):
-    out = tmp_path / "a[b]*"  # a name that is a pattern, too
+def test_the_next_run_deletes_what_a_killed_run_left(tmp_path, make):
+    out = tmp_path / "a[b]*"  # the name contains characters of a glob pattern
     run = [sys.executable, "-c", KILLED, make.__name__, str(out)]
     assert subprocess.run(run).returncode == -9
     assert any("part-" in name and name.endswith("/half") for name in names(tmp_path))
@@ -41,7 +41,7 @@ def test_what_a_killed_run_left_goes_with_the_next(tmp_path, make):
 
 
 @pytest.mark.parametrize("make", [new_folder, whole_folder])
-def test_the_folder_of_a_run_that_is_going_on_stays(tmp_path, make):
+def test_the_folder_of_another_active_run_is_not_deleted(tmp_path, make):
     with make(tmp_path / "out") as first:
         (first / "a").write_text("a")
         with pytest.raises(RuntimeError), make(tmp_path / "out"):
@@ -50,7 +50,7 @@ def test_the_folder_of_a_run_that_is_going_on_stays(tmp_path, make):
     assert names(tmp_path) == ["out", "out/a"]
 
 
-def test_of_two_runs_the_first_to_end_has_the_new_folder(tmp_path):
+def test_of_two_runs_the_first_to_finish_writes_the_folder(tmp_path):
     with pytest.raises(GraycastError, match="out: cannot be written"):
         with new_folder(tmp_path / "out") as slow:
             (slow / "slow").write_text("slow")
@@ -74,7 +74,7 @@ with claimed_folder(Path(sys.argv[1]), "inside", ".lock"):
 
 
 @pytest.mark.parametrize("file", ["table.md", "inside/claim.json", "inside/setting/000.json"])
-def test_what_a_run_was_killed_writing_goes_with_the_next_that_claims_its_folder(tmp_path, file):
+def test_a_run_that_claims_a_folder_deletes_half_written_files_of_a_killed_run(tmp_path, file):
     out = tmp_path / "out"
     run = [sys.executable, "-c", KILLED_WRITING, str(out), str(out / file)]
     assert subprocess.run(run).returncode == -9
@@ -90,7 +90,7 @@ def test_what_a_run_was_killed_writing_goes_with_the_next_that_claims_its_folder
         assert {*names(out)} == before
 
 
-def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, monkeypatch):
+def test_a_file_is_unchanged_if_its_replacement_fails(tmp_path, monkeypatch):
     file = tmp_path / "figures.json"
     write_whole(file, b"old")
     write_whole(file, b"new")
@@ -108,8 +108,8 @@ def refuse(*paths):
     raise OSError("no room")
 
 
-def test_what_is_made_beside_its_place_is_there_whole_or_not_at_all(tmp_path):
-    """A file takes the place of an earlier one, a folder that of an empty one alone."""
+def test_a_file_or_folder_written_elsewhere_first_appears_complete_or_not_at_all(tmp_path):
+    """A file replaces an earlier file; a folder replaces an empty folder only."""
     with beside(tmp_path / "scene") as folder:
         folder.mkdir()
         (folder / "a").write_text("a")
@@ -127,8 +127,8 @@ def test_what_is_made_beside_its_place_is_there_whole_or_not_at_all(tmp_path):
     assert names(tmp_path) == ["scene", "scene/a"]
 
 
-def test_a_folder_inside_takes_the_place_of_an_earlier_one(tmp_path):
-    """All of the earlier one goes, and it is there until the new one is whole."""
+def test_a_folder_inside_another_replaces_an_earlier_one(tmp_path):
+    """The earlier folder stays until the new one is complete, and then disappears completely."""
     for picture in ("old", "new"):
         with whole_folder(tmp_path / "out") as folder:
             (folder / "pictures").mkdir()
@@ -150,7 +150,7 @@ sys.stdin.read()
 """
 
 
-def test_a_lock_is_one_process_s_and_dies_with_it(tmp_path):
+def test_a_lock_belongs_to_one_process_and_ends_with_it(tmp_path):
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path / "lock")],
         stdin=subprocess.PIPE,

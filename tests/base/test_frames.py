@@ -1,4 +1,4 @@
-"""Rigid transforms keep the laws of their group, and random rotations are uniform."""
+"""Rigid transforms obey the laws of their group, and random rotations are uniform."""
 
 import math
 
@@ -27,21 +27,21 @@ def random_rigid(n, seed):
     return np.stack([rigid(R, t) for R, t in zip(rotation, rng.normal(size=(n, 3)), strict=True)])
 
 
-def test_the_inverse_of_many_transforms_undoes_each():
+def test_the_inverse_of_each_of_many_transforms_undoes_it():
     T = random_rigid(20, seed=0)
     assert np.abs(inverse(T) @ T - np.eye(4)).max() < 1e-14
     assert np.abs(inverse(T) - np.linalg.inv(T)).max() < 1e-14
 
 
-def test_neighbouring_frames_cancel():
-    """`T_a_b @ T_b_c` moves points as one step after the other does."""
+def test_equal_neighbouring_frames_cancel_in_a_product():
+    """`T_a_b @ T_b_c` moves points as the two transforms do one after the other."""
     T_a_b, T_b_c = random_rigid(2, seed=1)
     point_c = np.random.default_rng(2).normal(size=(7, 3))
     in_steps = transform_points(T_a_b, transform_points(T_b_c, point_c))
     assert np.allclose(transform_points(T_a_b @ T_b_c, point_c), in_steps, rtol=0, atol=1e-13)
 
 
-def test_a_point_turns_before_it_moves():
+def test_a_transform_rotates_a_point_before_it_translates_it():
     quarter_turn = rigid(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([10.0, 0, 0]))
     assert np.array_equal(transform_points(quarter_turn, np.array([[1.0, 2, 3]])), [[8, 1, 3]])
 
@@ -51,14 +51,14 @@ def test_axis_rotations_agree_with_scipy(axis):
     assert np.allclose(axis_rotation(axis, 0.7), Rotation.from_euler(axis, 0.7).as_matrix())
 
 
-def test_quaternions_agree_with_scipy_and_need_no_unit_length():
+def test_quaternions_agree_with_scipy_and_may_have_any_length():
     q = np.random.default_rng(3).normal(size=(5, 2, 4))
     expected = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(5, 2, 3, 3)
     assert np.allclose(rotation_from_quaternion(q), expected, rtol=0, atol=1e-14)
 
 
 def worst_moment_in_standard_errors(R):
-    """How far sample moments of rotation matrices are from those of the uniform (Haar) measure.
+    """Return the largest deviation of sample moments from those of the uniform (Haar) measure.
 
     Every entry is a coordinate of a uniform unit vector: mean 0, variance 1/3, mean square 1/3,
     variance of the square 1/5 - 1/9. The angle's density is (1 - cos a) / pi on [0, pi]:
@@ -75,7 +75,7 @@ def worst_moment_in_standard_errors(R):
 
 
 def test_random_rotations_are_uniform():
-    """19 statistics: 5 standard errors are exceeded by chance once in 90,000 seeds."""
+    """With 19 statistics, chance exceeds 5 standard errors for one seed in 90,000."""
     R = rotation_from_quaternion(random_quaternions(SAMPLES, np.random.default_rng(4)))
     assert worst_moment_in_standard_errors(R) < 5
 
@@ -92,7 +92,7 @@ def test_quaternions_from_a_cube_would_fail_the_uniformity_check():
     assert worst_moment_in_standard_errors(rotation_from_quaternion(q)) > 5
 
 
-def test_a_reflection_or_a_scale_is_not_rigid():
+def test_a_reflection_or_a_scaling_is_not_rigid():
     assert is_rigid(random_rigid(1, seed=7)[0])
     assert not is_rigid(np.diag([1.0, 1, -1, 1]))
     assert not is_rigid(np.diag([1.001, 1, 1, 1]))
@@ -107,11 +107,11 @@ def test_a_camera_looks_at_its_target_with_y_down():
     distance = np.linalg.norm(target - eye)
     in_cam = transform_points(inverse(T_world_cam), target[None])[0]
     assert np.allclose(in_cam, [0, 0, distance], atol=1e-14)
-    assert T_world_cam[2, 1] < 0  # the image's y axis sinks in the world
-    assert abs(T_world_cam[2, 0]) < 1e-15  # and its x axis is level
+    assert T_world_cam[2, 1] < 0  # the image's y axis points down in the world
+    assert abs(T_world_cam[2, 0]) < 1e-15  # and its x axis is horizontal
 
 
-def test_a_camera_cannot_look_along_its_own_down():
+def test_a_camera_whose_view_is_parallel_to_its_down_direction_is_refused():
     with pytest.raises(ValueError, match="y axis along"):
         look_at(np.zeros(3), np.array([0.0, 0, -1]), np.array([0.0, 0, -1]))
 

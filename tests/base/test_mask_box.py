@@ -1,4 +1,4 @@
-"""The box of a mask against another program's."""
+"""The bounding box of a mask, compared with pycocotools."""
 
 import numpy as np
 from pycocotools import mask as coco_mask
@@ -6,7 +6,7 @@ from pycocotools import mask as coco_mask
 from graycast.base.mask_box import mask_box
 
 
-def test_boxes_are_those_of_pycocotools():
+def test_bounding_boxes_agree_with_pycocotools():
     rng = np.random.default_rng(0)
     for count in (1, 2, 3, 3, 3, 8):
         mask = np.zeros((40, 60), dtype=bool)
@@ -15,5 +15,5 @@ def test_boxes_are_those_of_pycocotools():
         assert mask_box(mask) == tuple(box.astype(int))
 
 
-def test_no_pixel_is_no_box():
+def test_an_empty_mask_has_no_box():
     assert mask_box(np.zeros((5, 4), dtype=bool)) == (0, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""Pictures of figures: the same bytes each time, and whole or not there."""
+"""Figures have the same bytes in each run, and a picture file is complete or absent."""
 
 import itertools
 
@@ -12,7 +12,7 @@ from graycast.base.plotting import caption, legend_below, plain_figure, save_png
 
 
 class Broken(Figure):
-    """A figure whose disk is full after a few bytes."""
+    """A figure for which the disk is full after a few bytes."""
 
     def savefig(self, file, **options):
         file.write(b"\x89PNG")
@@ -28,7 +28,7 @@ def test_a_figure_is_written_at_its_resolution_and_has_the_same_bytes_each_time(
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", "b.png"}
 
 
-def test_a_picture_that_cannot_be_written_leaves_the_old_one_and_nothing_else(tmp_path):
+def test_a_picture_that_cannot_be_written_leaves_the_old_one_and_no_other_file(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"old")
     with pytest.raises(GraycastError, match=r"plot\.png: cannot be written \(No space left"):
@@ -42,14 +42,14 @@ def test_a_missing_folder_is_named(tmp_path):
         save_png(Figure(), tmp_path / "nowhere" / "plot.png", dpi=50)
 
 
-def test_columns_share_the_width_as_asked():
-    """Oracle: with a plain layout, axes of width ratio 1 to 3 are 1 to 3 wide."""
+def test_columns_of_a_figure_have_the_requested_width_ratios():
+    """Oracle: in a plain layout, axes of width ratio 1 to 3 have this ratio of widths."""
     figure, (left, right) = plain_figure(8.0, 2.0, (1, 3))
     figure.set_layout_engine("none")
     assert right.get_position().width == pytest.approx(3 * left.get_position().width)
 
 
-def test_a_legend_below_lies_outside_the_axes_and_under_their_label():
+def test_a_legend_below_is_outside_the_axes_and_under_their_label():
     figure, (ax,) = plain_figure(4.0, 3.0, (1,))
     for name in ("one", "two", "three"):
         ax.plot([0, 1], [0, 1], label=name)
@@ -62,8 +62,8 @@ def test_a_legend_below_lies_outside_the_axes_and_under_their_label():
     assert box.y0 >= 0 and box.x1 <= figure.bbox.x1
 
 
-def test_names_of_near_points_do_not_overlap_and_the_first_ones_are_written():
-    """Thirty points in a small heap: boxes of the names are compared as they are drawn."""
+def test_labels_of_close_points_do_not_overlap_and_the_first_points_are_labelled():
+    """Thirty points lie close together; the boxes of the labels are compared as they are drawn."""
     figure, (ax,) = plain_figure(5.0, 4.0, (1,))
     points = np.random.default_rng(1).uniform(0.4, 0.6, (30, 2))
     ax.set(xlim=(0, 1), ylim=(0, 1))
@@ -74,7 +74,7 @@ def test_names_of_near_points_do_not_overlap_and_the_first_ones_are_written():
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
-def test_a_point_that_is_not_a_number_gets_no_name():
+def test_a_point_that_is_not_a_number_has_no_label():
     _, (ax,) = plain_figure(5.0, 4.0, (1,))
     write_names(ax, ["there", "nowhere"], np.array([[0.5, 0.5], [np.nan, 0.5]]), ["black"] * 2)
     assert [text.get_text() for text in ax.texts] == ["there"]

@@ -1,4 +1,4 @@
-"""The line that a function of the door keeps in a terminal or a notebook."""
+"""The line of progress that public functions show in a terminal or a notebook."""
 
 import io
 import sys
@@ -15,7 +15,7 @@ class Terminal(io.StringIO):
 
 
 class OutStream(io.StringIO):
-    """Stream of a notebook, which is no terminal."""
+    """Output stream of a notebook, which is not a terminal."""
 
 
 OutStream.__module__ = "ipykernel.iostream"
@@ -43,7 +43,7 @@ def last_row(text):
 
 
 @pytest.mark.parametrize("stream", [Terminal(), OutStream()], ids=["terminal", "notebook"])
-def test_a_line_is_shown_where_somebody_reads_it_and_is_gone_at_the_end(stream, monkeypatch):
+def test_a_line_of_progress_is_shown_in_a_terminal_and_removed_at_the_end(stream, monkeypatch):
     monkeypatch.setattr(sys, "stderr", stream)
     assert checked(work)() == "done"
     text = stream.getvalue()
@@ -52,7 +52,7 @@ def test_a_line_is_shown_where_somebody_reads_it_and_is_gone_at_the_end(stream, 
     assert max(map(len, text.split("\r"))) <= MOST_COLUMNS
 
 
-def test_nothing_is_written_into_a_pipe_or_beside_a_meter_of_the_caller(monkeypatch):
+def test_no_progress_is_written_to_a_pipe_or_if_the_caller_has_a_meter(monkeypatch):
     pipe, heard = io.StringIO(), []
     monkeypatch.setattr(sys, "stderr", pipe)
     checked(work)()
@@ -62,7 +62,7 @@ def test_nothing_is_written_into_a_pipe_or_beside_a_meter_of_the_caller(monkeypa
     assert pipe.getvalue() == terminal.getvalue() == "" and len(heard) == 2
 
 
-def test_what_a_loop_prints_finds_an_empty_row(monkeypatch):
+def test_a_print_inside_a_loop_starts_in_an_empty_row(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     for k in checked(each)(3):
         assert f"graycast: scene {k} ..." in terminal.getvalue()
@@ -71,7 +71,7 @@ def test_what_a_loop_prints_finds_an_empty_row(monkeypatch):
     assert last_row(terminal.getvalue()) == ""
 
 
-def test_a_loop_that_is_left_closes_what_it_runs_through(monkeypatch):
+def test_a_loop_that_is_left_early_closes_its_iterator(monkeypatch):
     closed = []
 
     def scenes(*, progress: ProgressMeter = UNWATCHED):
@@ -88,7 +88,7 @@ def test_a_loop_that_is_left_closes_what_it_runs_through(monkeypatch):
     assert closed == [True]
 
 
-def test_a_note_stays_above_the_line():
+def test_a_note_stays_above_the_line_of_progress():
     terminal = Terminal()
     line = StatusLine(terminal)
     line.stage("falling")

@@ -1,4 +1,4 @@
-"""Public values: their line of text, their help, and unknown keywords."""
+"""Public values: their text in one line, their help, and unknown keywords."""
 
 import inspect
 import pydoc
@@ -18,12 +18,12 @@ from graycast.base.settings import Settings
 def hints_of(thing):
     try:
         return typing.get_type_hints(thing)
-    except NameError:  # A type that only checkers import.
+    except NameError:  # types that only type checkers import
         return {}
 
 
 def reachable():
-    """Every class of values that a script meets: at the door, or inside of such a value."""
+    """Return each class of value that a public function takes or returns, also as a field."""
     kinds = {}
 
     def add(hint):
@@ -56,7 +56,7 @@ LONG = "a line\n" * 5000
 
 
 def monster(kind, depth=3):
-    """A value of a class, all of whose fields are far too long for a line."""
+    """Return a value of a class whose fields are all much too long for a line."""
     value = object.__new__(kind)
     inner = [monster(one, depth - 1) for one in (gc.SensorSpec, gc.Config)] if depth else []
     long = (*inner, np.zeros((900, 700)), LONG, tuple(range(999)), {LONG: LONG})
@@ -83,12 +83,12 @@ def test_the_text_of_a_public_value_is_one_line(kind):
     assert is_dataclass(kind) or str(monster(kind)) == text
 
 
-def test_values_of_all_kinds_are_public():
+def test_public_values_are_of_many_kinds():
     assert len(KINDS) > 60
     assert {gc.Config, gc.Cell, gc.Example, gc.DepthMap, gc.MaterialSection, gc.Scene} <= set(KINDS)
 
 
-def test_a_text_leaves_out_what_is_the_default_and_can_be_evaluated_where_it_is_short():
+def test_the_text_of_a_value_omits_defaults_and_can_be_evaluated_if_it_is_short():
     for value in (
         gc.SensorSpec(read_noise_e=9.5, bit_depth=8),
         gc.MaterialSection(roughness=0.4, base_color=(0.1, 0.2, 0.3)),
@@ -101,25 +101,25 @@ def test_a_text_leaves_out_what_is_the_default_and_can_be_evaluated_where_it_is_
     assert repr(gc.SensorSpec(bit_depth=8)) == "SensorSpec(bit_depth=8)"
 
 
-def test_an_array_is_its_kind_of_numbers_and_its_shape():
+def test_the_text_of_an_array_is_its_type_and_its_shape():
     example = gc.Example(scene_id=3, depth_m=np.zeros((386, 516), np.float32))
     assert repr(example) == "Example(scene_id=3, depth_m=float32[386, 516])"
 
 
-def test_what_does_not_fit_in_full_keeps_the_names_of_its_fields():
-    """The cell of README has hundreds of numbers; its text names what is in it."""
+def test_a_value_too_long_for_a_line_is_shown_with_the_names_of_its_fields():
+    """The cell of README has hundreds of numbers; its text names its fields."""
     scanner = gc.preset("like-phoxi-m", "small")
     text = repr(scanner)
     assert len(text) <= MOST_CHARACTERS
     assert re.findall(r"(\w+)=", text)[:2] == ["rig", "code"] and "Rig(" in text
 
 
-def test_a_misspelt_keyword_of_a_value_is_named_with_the_one_that_is_meant():
+def test_a_misspelt_keyword_of_a_value_is_named_with_the_most_similar_one():
     with pytest.raises(
         gc.GraycastError, match=r"^SensorSpec: unknown argument read_nois_e: did you"
     ):
         gc.SensorSpec(read_nois_e=3.0)
-    with pytest.raises(TypeError, match="width_px"):  # What is missing is Python's own to say.
+    with pytest.raises(TypeError, match="width_px"):  # Python's own error
         gc.Code(frames=())
 
 
@@ -134,7 +134,7 @@ def test_the_help_of_a_value_has_a_line_for_each_field_with_its_unit():
     assert max(map(len, text.splitlines())) < 700
 
 
-def test_arrays_are_said_in_words():
+def test_the_help_of_a_value_describes_arrays_in_words():
     hints = hints_of(gc.Example)
     assert type_text(hints["rgb"]) == "array of uint8 [h, w, 3] or None"
     assert type_text(hints["K"]) == "array of floats [3, 3] or None"

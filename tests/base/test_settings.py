@@ -1,4 +1,4 @@
-"""One declaration of a setting serves the value and the file."""
+"""A setting that is declared once serves both the Python value and the file."""
 
 import json
 import math
@@ -72,12 +72,12 @@ class Lens:
         ({"zones_m": (1.0, 0.0)}, r"^zones_m is \(1.0, 0.0\): it should be greater than 0$"),
     ],
 )
-def test_a_value_is_refused_by_its_field_s_own_annotation(change, message):
+def test_a_value_is_refused_by_the_annotation_of_its_field(change, message):
     with pytest.raises(ValueError, match=message):
         replace(Lens(width_px=4), **change)
 
 
-def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
+def test_a_section_of_a_file_has_the_limits_and_the_defaults_of_the_value():
     section = section_of(
         Lens, "Lens", module=__name__, about="A lens.", base=Settings, more={"name": None}
     )
@@ -92,7 +92,7 @@ def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
     assert section.model_json_schema()["properties"]["width_px"]["description"] == "Image width."
 
 
-def test_in_a_section_of_changes_nothing_must_be_said():
+def test_a_section_of_changes_has_no_required_key():
     section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
     assert set(section().model_dump().values()) == {None}
     assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}
@@ -101,7 +101,7 @@ def test_in_a_section_of_changes_nothing_must_be_said():
 
 
 def just_outside(schema):
-    """Numbers that a property's JSON Schema forbids by a limit."""
+    """Return numbers that are just outside the limits in a property's JSON Schema."""
     for option in schema.get("anyOf", [schema]):
         number = int if option.get("type") == "integer" else float
         for limit, off in (("minimum", -1), ("maximum", 1)):
@@ -112,19 +112,19 @@ def just_outside(schema):
                 yield number(option[limit])
 
 
-def test_what_a_file_said_goes_to_other_processes():
-    """Workers get the configuration by pickle, which looks a class up where it says it is."""
+def test_settings_read_from_a_file_can_be_pickled():
+    """Workers receive the configuration by pickle, which finds a class by its module and name."""
     config = load_config(CONFIGS / "demo.yaml")
     assert pickle.loads(pickle.dumps(config)) == config
     lens = Lens(width_px=4)
-    assert pickle.loads(pickle.dumps(lens)) == lens  # its focus is another infinity
+    assert pickle.loads(pickle.dumps(lens)) == lens  # the infinity of its focus is another object
     for section in (OpticsModel, RigModel, StackSection):
         assert pickle.loads(pickle.dumps(section)) is section
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_what_a_file_may_not_say_of_a_scanner_python_may_not_either(name):
-    """Also of the fields that had other limits in files: pixel_pitch_m, wavelength_m."""
+def test_values_that_a_file_may_not_have_are_refused_in_python_too(name):
+    """This includes the fields that had other limits in files: pixel_pitch_m, wavelength_m."""
     spec, limits = SPECS[name](), 0
     properties = type(getattr(ScannerSections(), name)).model_json_schema()["properties"]
     assert list(properties) == [field.name for field in fields(spec)]
@@ -137,7 +137,7 @@ def test_what_a_file_may_not_say_of_a_scanner_python_may_not_either(name):
 
 
 def laughs(levels, line):
-    """A document whose last key stands for ten to the power of `levels` words."""
+    """Return a document whose last key expands to ten to the power of `levels` words."""
     rows = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
     rows += [line.format(k=k, aliases=", ".join([f"*a{k - 1}"] * 10)) for k in range(1, levels)]
     return "\n".join(rows) + "\n"
@@ -162,7 +162,7 @@ def laughs(levels, line):
     ids=["lists", "mappings", "merges", "a long text", "a list in itself", "a mapping in itself"],
 )
 def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, why):
-    """Ten billion words of 700 bytes; the check itself takes milliseconds and little memory."""
+    """The aliases expand to ten billion words of 700 bytes; the check takes milliseconds."""
     path = tmp_path / "bomb.yaml"
     path.write_text(text)
     tracemalloc.start()
@@ -175,17 +175,17 @@ def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, 
     assert seconds < 0.5 and bytes_ < 10_000_000
 
 
-def test_honest_aliases_and_long_files_are_read():
+def test_ordinary_aliases_and_long_files_are_read():
     text = "a: &a {x: 1, y: [1, 2]}\nb: *a\nc: {<<: *a, x: 3}\nd: [*a, *a]\n"
     a = {"x": 1, "y": [1, 2]}
     expected = {"a": a, "b": a, "c": a | {"x": 3}, "d": [a, a]}
     assert parse_yaml(text, Path("a.yaml")) == expected
     texts = [100_000 * letter for letter in "abcdefghijkl"]
     content = parse_yaml("t: [" + ", ".join(texts) + "]", Path("t.yaml"))
-    assert content["t"] == texts  # without aliases there is no limit
+    assert content["t"] == texts  # files without aliases have no limit
 
 
-def test_the_description_of_a_key_is_that_of_its_annotation_also_behind_lists_and_choices():
+def test_the_description_of_a_key_is_that_of_its_annotation_even_inside_lists_and_unions():
     class Box(Settings):
         kind: Literal["box"]
         side_m: float = Field(description="Side of the box.")
@@ -223,8 +223,8 @@ def test_the_description_of_a_key_is_that_of_its_annotation_also_behind_lists_an
         ({"seed": -1}, "seed is -1: it should be greater than or equal to 0"),
     ],
 )
-def test_a_wrong_keyword_in_python_is_said_as_in_a_file(settings, message, tmp_path):
-    """One complaint for both: only the name in front differs, and whose keys it is about."""
+def test_a_wrong_keyword_in_python_has_the_same_error_as_in_a_file(settings, message, tmp_path):
+    """The two errors differ only in the name in front and in whose keys they are."""
     settings = {"parts": ({"builtin": "toothpaste"},)} | settings
     with pytest.raises(GraycastError) as script:
         Config(**settings)

@@ -1,4 +1,4 @@
-"""Processes do not run the script that starts them."""
+"""Worker processes do not run the script that starts them."""
 
 import subprocess
 import sys
@@ -18,8 +18,8 @@ print(sys.modules["__main__"].SCRIPT_IS_HERE)
 """
 
 
-def test_a_script_without_a_guard_runs_once_and_is_there_afterwards(tmp_path):
-    """`spawn` by itself refuses: a process would start others before it is ready."""
+def test_a_script_without_a_main_guard_runs_only_once(tmp_path):
+    """Plain `spawn` fails: each process would start others before it is ready."""
     script = tmp_path / "script.py"
     script.write_text(f"import sys\nSCRIPT_IS_HERE = True\n{SCRIPT}")
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)

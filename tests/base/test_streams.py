@@ -1,4 +1,4 @@
-"""Seeds of stages: datasets that were begun go on with the same ones, and no two are related."""
+"""Seeds of stages: they stay the same for datasets that were begun, and no two are related."""
 
 from itertools import product
 
@@ -14,8 +14,8 @@ from graycast.base.streams import (
 )
 
 
-def test_a_dataset_that_was_begun_goes_on_with_its_seeds():
-    """Stored: what the first datasets' manifests hold of seed 7, scene 3. New streams go last."""
+def test_a_dataset_begun_earlier_continues_with_the_same_seeds():
+    """Stored result: seeds of seed 7, scene 3, in the first datasets. New streams come last."""
     assert scene_seeds(7, 3, domain=True) == {
         "counts": 6823953754371609207,
         "drop": 15549341456297449710,
@@ -26,7 +26,7 @@ def test_a_dataset_that_was_begun_goes_on_with_its_seeds():
     }
 
 
-def test_no_two_stages_scenes_or_datasets_share_a_seed():
+def test_no_two_stages_scenes_or_datasets_have_the_same_seed():
     every = [
         value
         for seed, scene_id in product(range(20), range(20))
@@ -35,13 +35,13 @@ def test_no_two_stages_scenes_or_datasets_share_a_seed():
     assert len(set(every)) == len(every) == 400 * len(SCENE)
 
 
-def test_without_a_domain_the_other_seeds_stay():
+def test_without_a_domain_the_other_seeds_are_unchanged():
     seeds = scene_seeds(7, 3, domain=True)
     assert scene_seeds(7, 3, domain=False) == {k: v for k, v in seeds.items() if k != "domain"}
 
 
-def test_a_rescan_has_the_seeds_of_no_image_of_its_source_and_of_no_other_scanner():
-    """By default a dataset and its rescan have one seed, so their noise was the same."""
+def test_a_rescan_shares_no_seed_with_its_source_or_with_another_scanner():
+    """A dataset and its rescan have the same seed by default, which gave them the same noise."""
     images = [
         image_seeds(0, scene, station=station, image=image)
         for scene, station, image in product(range(5), range(3), range(3))
@@ -54,7 +54,7 @@ def test_a_rescan_has_the_seeds_of_no_image_of_its_source_and_of_no_other_scanne
     assert len(set(every)) == len(every)
 
 
-def test_scanners_and_devices_have_numbers_of_their_own():
+def test_each_scanner_and_each_device_has_its_own_number():
     streams = [np.random.default_rng(5), *(station_stream(5, k) for k in range(1, 4))]
     first = station_stream(5, 0).uniform(size=3).tolist()
     draws = [stream.uniform(size=3).tolist() for stream in streams]

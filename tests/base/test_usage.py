@@ -1,4 +1,4 @@
-"""The memory of this process against what it was made to use, and how busy GPUs are."""
+"""The memory that this process is known to use, and the load of GPUs."""
 
 import mmap
 import sys
@@ -10,8 +10,8 @@ import pytest
 from graycast.base.usage import GpuWatch, rss_bytes
 
 
-def test_memory_that_was_just_taken_is_there():
-    """Mapped, not allocated: an allocator may hand out pages that are resident already."""
+def test_newly_used_memory_is_counted():
+    """The memory is mapped, because an allocator may return pages that are already resident."""
     before = rss_bytes()
     with mmap.mmap(-1, 50_000_000) as block:
         block.write(b"x" * len(block))
@@ -23,7 +23,7 @@ class NoDriver(Exception):
 
 
 def fake_driver(busy):
-    """The functions of NVML that are used, for GPUs that are busy by these percentages."""
+    """Return the functions of NVML that are used, for GPUs with these loads in percent."""
     return SimpleNamespace(
         NVMLError=NoDriver,
         nvmlInit=lambda: None,
@@ -34,8 +34,8 @@ def fake_driver(busy):
     )
 
 
-def test_the_share_is_the_mean_over_gpus_and_samples(monkeypatch):
-    """Oracle: by hand, (100 + 0) / 2 and (50 + 30) / 2, then 0.45 again and again."""
+def test_the_load_is_the_mean_over_gpus_and_samples(monkeypatch):
+    """Oracle, by hand: (100 + 0) / 2, (50 + 30) / 2, and then 0.45 repeatedly."""
     first, second = iter([100, 50, *[45] * 1000]), iter([0, 30, *[45] * 1000])
     monkeypatch.setitem(sys.modules, "pynvml", fake_driver([first, second]))
     with GpuWatch(period_s=0.001) as gpu:
@@ -45,7 +45,7 @@ def test_the_share_is_the_mean_over_gpus_and_samples(monkeypatch):
     assert gpu.share == pytest.approx(0.45)
 
 
-def test_without_a_driver_nothing_is_watched(monkeypatch):
+def test_without_a_driver_no_gpu_is_watched(monkeypatch):
     def missing():
         raise NoDriver
 

@@ -1,6 +1,6 @@
-"""What is known of the device before it is switched on: optics, codes, camera and projector.
+"""The description of a scanner: its optics, its codes, and the pair of camera and projector.
 
-Each imports only from those above it:
+Each module imports only from those above it:
 
     lens_inverse     the inverse of lens distortion, compiled
     optics           camera and projector: distortion and its inverse, thin lens, vignetting

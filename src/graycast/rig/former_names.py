@@ -1,4 +1,4 @@
-"""Names that scanners of the shelf had in earlier versions, and the names that they have now."""
+"""Current names of scanners that had another name in an earlier version."""
 
 import logging
 import re
@@ -7,16 +7,16 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-# They were a maker's own names. They are understood until version 1.0.
+# These were product names of a maker. They are accepted until version 1.0.
 FORMER_NAMES = {f"phoxi-{size}": f"like-phoxi-{size}" for size in "sml"}
 _WORD = re.compile(rf"(?<![\w-])({'|'.join(FORMER_NAMES)})(?![\w-])")
 
 
-@cache  # One process writes the note of a name once.
+@cache  # A process logs the note about a name only once.
 def current_name(name: str) -> str:
-    """Return the name that a scanner has now; any other name comes back as it is.
+    """Return the current name of a scanner; any other name is returned unchanged.
 
-    The log has one line for each former name that a process meets.
+    A process logs one line for each former name.
     """
     if name not in FORMER_NAMES:
         return name
@@ -28,9 +28,9 @@ def current_name(name: str) -> str:
     return FORMER_NAMES[name]
 
 
-RigName = Annotated[str, AfterValidator(current_name)]  # of a key that names a preset or a file
+RigName = Annotated[str, AfterValidator(current_name)]  # for keys that name a preset or a file
 
 
 def with_current_names(text: str) -> str:
-    """Return a stored text in which each former name is the current one, to compare two texts."""
+    """Replace each former name in a stored text by the current one, to compare texts."""
     return _WORD.sub(lambda match: FORMER_NAMES[match[0]], text)

@@ -1,18 +1,18 @@
-"""The inverse of Brown-Conrady distortion, point by point, compiled."""
+"""Compiled inverse of Brown-Conrady distortion, point by point."""
 
 import numba
 
 from ..base.kernels import kernel
 
-ITERATIONS = 20  # Newton's method needs four or five where there is an inverse.
-RESIDUAL = 1e-14  # Newton's steps end at this error in normalised image coordinates.
+ITERATIONS = 20  # Newton's method needs four or five where an inverse exists.
+RESIDUAL = 1e-14  # Newton's method stops at this error in normalised image coordinates.
 
 
 @kernel(parallel=True, error_model="numpy")
 def undistort_in_place(xy, k1, k2, p1, p2, k3):
-    """Turn distorted points into ideal ones, in normalised image coordinates; say if all have one.
+    """Undistort points in normalised image coordinates; return whether this succeeded for all.
 
-    `xy` has a row for each point, whose first two numbers are changed.
+    `xy` has a row for each point; the first two numbers of a row are changed.
     """
     lost = 0
     for i in numba.prange(len(xy)):
@@ -24,7 +24,7 @@ def undistort_in_place(xy, k1, k2, p1, p2, k3):
 
 @kernel(error_model="numpy")
 def undistorted(goal_x, goal_y, distortion):
-    """Return the ideal point of a distorted one, and whether there is one."""
+    """Return the ideal point that belongs to a distorted one, and whether it exists."""
     k1, k2, p1, p2, k3 = distortion
     x, y = goal_x, goal_y
     for _ in range(ITERATIONS):
@@ -41,5 +41,5 @@ def undistorted(goal_x, goal_y, distortion):
             break
         x -= (d * error_x - b * error_y) / determinant
         y -= (a * error_y - b * error_x) / determinant
-    # NaN must fail too; a fold-over shows as a non-positive Jacobian at the solution.
+    # NaN must fail too. Where the distortion folds over, the determinant is not positive.
     return x, y, abs(error_x) < 1e-9 and abs(error_y) < 1e-9 and determinant > 0

@@ -1,4 +1,4 @@
-"""Depth of a mesh at pixel centres, for checking; it shares no code with any renderer."""
+"""Depth of a mesh at pixel centres, as a check of the renderers: it shares no code with them."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ from .optics import Optics, project, rays
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raster:
-    """z of the nearest surface per pixel, NaN where there is none; [0, 0] is (left_px, top_px).
+    """The nearest surface at each pixel of a rectangle, whose first pixel is (left_px, top_px).
 
-    `face` is the nearest face, -1 where there is none.
+    `z` is its depth, or NaN without a surface; `face` is the index of its face, or -1.
     """
 
     left_px: int
@@ -28,7 +28,7 @@ class Raster:
         self.face.flags.writeable = False
 
     def over(self, camera: Optics) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-        """Face and z over the whole image and no more."""
+        """Return `face` and `z` for exactly the pixels of the camera's image."""
         face = np.full((camera.height_px, camera.width_px), -1)
         z = np.full(face.shape, np.nan)
         image, own = overlap(self.top_px, self.left_px, self.z.shape, face.shape)
@@ -45,7 +45,7 @@ def visible_surface(
     faces: Int[np.ndarray, "f 3"],
     camera: Optics,
 ) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Face and z-depth [m] over the image of a mesh in the world frame; see `Raster.over`."""
+    """Return the face and the z-depth [m] at each pixel, for a mesh in world coordinates."""
     vertices_cam = transform_points(inverse(T_world_cam), vertices_m)
     return rasterize(vertices_cam, faces, camera).over(camera)
 
@@ -53,15 +53,15 @@ def visible_surface(
 def rasterize(
     vertices_cam: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Optics
 ) -> Raster:
-    """What the rays through the pixel centres meet of a mesh in the camera frame, either side.
+    """Return the nearest face at each pixel centre, for a mesh in the camera frame.
 
-    Pixels up to one image size beyond each border count as well, if the lens has no distortion;
-    with distortion the raster ends at the image. Triangles that reach behind the camera are left
-    out. Unit of z: that of the vertices.
+    Both sides of a face count. Without lens distortion the raster extends up to one image size
+    beyond each border; with distortion it ends at the image. Triangles that reach behind the
+    camera are left out. z has the unit of the vertices.
 
-    For ray d and triangle a, b, c the edge functions d.(b x c), d.(c x a), d.(a x b) have one
-    sign inside, and z = a.(b x c) over their sum, as d has unit z.
-    Source: J. Pineda, "A parallel algorithm for polygon rasterization", 1988, in 3D.
+    For ray d and triangle a, b, c the edge functions d.(b x c), d.(c x a), d.(a x b) have the
+    same sign inside, and z is a.(b x c) divided by their sum, because d has unit z.
+    Source: J. Pineda, "A parallel algorithm for polygon rasterization", 1988; here in 3D.
     """
     corner = vertices_cam[faces]
     number = np.flatnonzero((corner[..., 2] > 0).all(axis=1))
@@ -70,7 +70,7 @@ def rasterize(
         return NOTHING
     pixel = project(camera, corner)
     low, high = pixel.min(axis=1), pixel.max(axis=1)
-    # A straight edge bends under distortion, by far less than a tenth of its own length.
+    # Distortion bends a straight edge, but by far less than a tenth of its length.
     margin = 0.01 + (2 + 0.1 * (high - low) if camera.has_distortion else 0.0)
     beyond = 0 if camera.has_distortion else 1
     size = np.array([camera.width_px, camera.height_px])

@@ -16,7 +16,7 @@ from ..base.frames import pixel_grid
 from ..base.public_value import public_value
 from ..base.settings import Finite, Level, Positive, check_fields
 
-MAX_SIDE_PX = 32_768  # It is twice the longest sensors; beyond it a number is no size in pixels.
+MAX_SIDE_PX = 32_768  # Twice the side of the largest sensors; a larger value must be a mistake.
 
 
 def _side(pixels: int) -> int:
@@ -40,19 +40,19 @@ Distortion = tuple[Finite, Finite, Finite, Finite, Finite]  # (k1, k2, p1, p2, k
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
-    """Intrinsics of a camera or projector, in pixels; pixel (0, 0) is a centre.
+    """Intrinsics of a camera or projector in pixels; (0, 0) is the centre of the first pixel.
 
     `distortion` is (k1, k2, p1, p2, k3) of Brown-Conrady in OpenCV's order:
     with `r2 = x^2 + y^2` and `radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3`,
     `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
 
-    The entrance pupil lies at z = 0. The blur `psf_px` stands for aberrations and diffraction.
-    `natural_vignetting` dims a camera by the fourth power of the cosine to its axis, a projector's
-    intensity by the first (see `relative_illumination`); `falloff` has any cause (see
-    `corner_share`). What senses or shines of a pixel (`fill_factor`) is a centred square.
+    The entrance pupil is at z = 0. The blur `psf_px` models aberrations and diffraction.
+    `natural_vignetting` multiplies a camera's image by the fourth power of the cosine of the field
+    angle, and a projector's intensity by the first (see `relative_illumination`). `falloff` is any
+    other darkening (see `corner_share`). The active area of a pixel (`fill_factor`) is a centred
+    square. Distortion that is not monotonic over the image is refused.
 
-    Leaves out: skew; what vignetting by the lens's own rims does to blur; what `blur_radius_px`
-    says. Distortion beyond the monotonic range is refused.
+    Leaves out: skew; the effect of mechanical vignetting on blur; see also `blur_radius_px`.
     """
 
     width_px: Annotated[Side, Field(description="Width of the image in pixels.")]
@@ -121,12 +121,12 @@ class Optics:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether every point is sharp."""
+        """Whether every point is sharp, at any distance."""
         return self.aperture_m == 0 and self.psf_px == 0
 
     @property
     def field_of_view_rad(self) -> tuple[float, float]:
-        """Full horizontal and vertical angle between the outer pixel borders, undistorted."""
+        """Horizontal and vertical angle between the outer pixel borders, without distortion."""
         left, right = -0.5 - self.cx_px, self.width_px - 0.5 - self.cx_px
         top, bottom = -0.5 - self.cy_px, self.height_px - 0.5 - self.cy_px
         horizontal = np.arctan(right / self.fx_px) - np.arctan(left / self.fx_px)
@@ -139,10 +139,10 @@ def optics_of(
     size_px: tuple[int, int],
     distortion: Sequence[float] = (0.0,) * 5,
 ) -> Optics:
-    """The lens of a camera matrix, by rows; `size_px` is height and width.
+    """Return the optics with a camera matrix (row by row); `size_px` is (height, width).
 
     Raises:
-        ValueError: as in `Optics`, and where there are not five terms of distortion.
+        ValueError: `Optics` refuses a value, or `distortion` has not five coefficients.
     """
     (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
     k1, k2, p1, p2, k3 = distortion
@@ -158,7 +158,7 @@ def optics_of(
 
 
 def pinhole(width_px: int, height_px: int, f_px: float) -> Optics:
-    """Ideal optics whose axis meets the middle of the picture."""
+    """Return ideal optics whose principal point is the middle of the picture."""
     return Optics(
         width_px=width_px,
         height_px=height_px,
@@ -170,7 +170,7 @@ def pinhole(width_px: int, height_px: int, f_px: float) -> Optics:
 
 
 def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
-    """Ideal normalised image coordinates to distorted ones.
+    """Map ideal normalised image coordinates to distorted ones.
 
     Source: D. C. Brown, "Close-range camera calibration", 1971; OpenCV's coefficient order.
     """
@@ -188,10 +188,10 @@ def distort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.n
 
 
 def undistort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np.ndarray, "*n 2"]:
-    """Return the inverse of `distort`, by Newton's method to 1e-9.
+    """Map distorted coordinates to ideal ones: the inverse of `distort`, accurate to 1e-9.
 
     Raises:
-        ValueError: the distortion folds over within the given points, so it has no inverse.
+        ValueError: the distortion folds over at one of the points, so it has no inverse there.
     """
     ideal = np.array(xy, dtype=np.float64)
     _undistort_rows(ideal.reshape(-1, 2), distortion)
@@ -199,17 +199,17 @@ def undistort(xy: Float[np.ndarray, "*n 2"], distortion: Distortion) -> Float[np
 
 
 def _undistort_rows(table: Float[np.ndarray, "n columns"], distortion: Distortion) -> None:
-    """Undistort the first two numbers of each row where they are; raises as `undistort` does."""
+    """Undistort the first two numbers of each row in place; raise the errors of `undistort`."""
     if not any(distortion):
         return
-    from .lens_inverse import undistort_in_place  # numba takes a while to import, --help should not
+    from .lens_inverse import undistort_in_place  # Numba is slow to import; `--help` must be fast.
 
     if not undistort_in_place(table, *map(float, distortion)):
         raise ValueError(no_inverse(distortion))
 
 
 def no_inverse(distortion: Distortion) -> str:
-    """Return the error of a distortion that folds over within a picture."""
+    """Return the error message for a distortion that folds over inside the picture."""
     return (
         f"distortion {distortion} has no inverse over this image: give coefficients in the "
         "order (k1, k2, p1, p2, k3) that were fitted to it"
@@ -217,16 +217,16 @@ def no_inverse(distortion: Distortion) -> str:
 
 
 def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-    """Whether positions lie on the picture, whose pixels are squares; NaN does not."""
+    """Return whether positions are inside the outer pixel borders of a picture; NaN is not."""
     end = np.array([optics.width_px, optics.height_px]) - 0.5
     return np.all((pixel >= -0.5) & (pixel <= end), axis=-1)
 
 
 def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Pixel coordinates (x, y) of points in the camera frame; NaN where the lens model ends.
+    """Return pixel coordinates (x, y) of points in the camera frame; NaN beyond the lens model.
 
-    It ends at and behind the lens, and beyond the field angle at which radial distortion folds
-    over: there the polynomial would put points far outside the field back into the image.
+    The model holds for points before the lens, up to the field angle at which radial distortion
+    folds over: beyond it the polynomial would map points far outside the field into the image.
     """
     z = np.where(point[..., 2:] > 0, point[..., 2:], np.nan)
     ideal = point[..., :2] / z
@@ -240,9 +240,9 @@ def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 def pixels_of(
     optics: Optics, point: Float[np.ndarray, "*n 3"]
 ) -> tuple[Int[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
-    """The pixel that sees each point of the camera frame, row and column, and whether one does.
+    """Return the pixel (row, column) that sees each point, and whether any pixel does.
 
-    Row and column are 0 where none does.
+    Points are in the camera frame. Row and column are 0 for a point outside the picture.
     """
     column, row = np.moveaxis(np.rint(np.nan_to_num(project(optics, point), nan=-1.0)), -1, 0)
     inside = (column >= 0) & (column < optics.width_px) & (row >= 0) & (row < optics.height_px)
@@ -251,7 +251,7 @@ def pixels_of(
 
 
 def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-    """Return ideal ray directions of pixels, camera frame, scaled to unit z."""
+    """Return the undistorted ray directions of pixels in the camera frame, scaled to unit z."""
     return _rays(optics, pixel[..., 0], pixel[..., 1])
 
 
@@ -277,10 +277,10 @@ def _rays(optics: Optics, x: np.ndarray, y: np.ndarray) -> Float[np.ndarray, "*n
 
 
 def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """The point [m] that each pixel of a depth map sees, camera frame; NaN where it has no depth.
+    """Return the point [m] that each pixel sees, in the camera frame; NaN without a depth.
 
     Args:
-        depth_m: z of the whole picture, which has the size of the optics.
+        depth_m: z of every pixel of the picture; NaN without a depth.
     """
     point_m = picture_rays(optics)
     point_m *= depth_m[..., None]
@@ -297,9 +297,9 @@ def mask_points(
 
 
 def fold_radius2(distortion: Distortion) -> float:
-    """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
+    """Return the squared ideal radius at which radial distortion folds over; inf if it never does.
 
-    The smallest positive root of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3, s = r^2.
+    It is the smallest root s = r^2 > 0 of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3.
     Leaves out the tangential terms, which move the fold by about their own size.
     """
     k1, k2, _, _, k3 = distortion
@@ -309,14 +309,14 @@ def fold_radius2(distortion: Distortion) -> float:
 
 
 def blur_radius_px(optics: Optics, z_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Radius of the disc over which a thin lens spreads a point at depth `z_m` [pixels along x].
+    """Return the blur radius of a thin lens for a point at depth `z_m` [pixels along x].
 
-    Rays from all over the pupil, of diameter A, to a point at z cross the plane in focus, at f, in
-    a disc; seen from the lens its radius is `A / 2 |1 / f - 1 / z|` in normalised coordinates. The
-    constant disc `psf_px` is added in quadrature, as the second moments of blurs add.
+    The rays from a pupil of diameter A to a point at depth z cross the plane in focus, at depth f,
+    in a disc. Its radius is `A / 2 |1 / f - 1 / z|` in normalised coordinates. The constant disc
+    `psf_px` is added in quadrature, because the second moments of blurs add up.
 
-    Leaves out: the shape of diffraction and of aberrations, and that they grow over the field; the
-    pupil's foreshortening at the border of the field; focus breathing.
+    Leaves out: the shape of diffraction and aberrations, and their growth towards the corners; the
+    foreshortening of the pupil there; focus breathing.
 
     Source: geometrical optics; e.g. Potmesil & Chakravarty, "A Lens and Aperture Camera Model for
     Synthetic Image Generation", SIGGRAPH 1981.
@@ -326,10 +326,10 @@ def blur_radius_px(optics: Optics, z_m: Float[np.ndarray, "*n"]) -> Float[np.nda
 
 
 def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
-    """What vignetting and falloff leave of a camera's light at each pixel's centre.
+    """Return the share of a camera's light that vignetting and falloff leave at each pixel.
 
-    With `natural_vignetting`, the image's irradiance is `L cos^4` of the angle to the axis: two
-    factors by the longer way to the sensor, one by the pupil's and one by the sensor's slant.
+    With `natural_vignetting`, irradiance is proportional to `cos^4` of the field angle: two factors
+    for the longer distance to the sensor, one each for the tilt of the pupil and of the sensor.
     Source: e.g. R. Kingslake, "Optics in Photography", 1992.
     """
     pixel = pixel_grid(optics.height_px, optics.width_px)
@@ -342,9 +342,9 @@ def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
 
 
 def corner_share(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    """How much of `falloff` acts at places of the picture: 0 in its middle, 1 in its corners.
+    """Return the factor of `falloff` at pixel positions: 0 in the middle, 1 in the corners.
 
-    It is `(x^2 + y^2) / 2` where x and y are -1 and 1 at the borders: 1/2 in the borders' middles.
+    It is `(x^2 + y^2) / 2`, with x and y scaled to -1 and 1 at the borders.
     """
     place = (2 * pixel + 1) / np.array([optics.width_px, optics.height_px]) - 1
     return np.square(place).sum(axis=-1) / 2

@@ -1,4 +1,4 @@
-"""A camera and a projector that hold still to each other: presets and what they can see."""
+"""A camera and a projector with fixed relative pose: presets, working range and placement."""
 
 import math
 from collections.abc import Mapping
@@ -44,18 +44,18 @@ class Rig:
     """One camera and one projector.
 
     `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel
-    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, shared out
-    over the red, green and blue band by `band_weights`. The measuring camera is monochrome and has
-    a filter that passes the bands in which the projector shines, and no other.
+    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, divided
+    among the red, green and blue band by `band_weights`. The measuring camera is monochrome and
+    has a filter that passes only the bands in which the projector emits light.
 
-    The `response` is that at grey levels from 0 to 255, linear between them. What leaks through a
-    black picture is white's light over `contrast_ratio`; it is in every picture. `speckle_contrast`
-    is standard deviation over mean of the light of a rough surface: up to 1 of a laser, 0.71 where
-    the surface depolarises it; `speckle_volume` is that of `speckle.material_contrast`.
-    `line_noise` is one standard deviation of each projected line's light in each picture.
+    `response` is sampled at equal steps of grey level from 0 to 255 and linear between them. Every
+    picture contains the projector's black level, which is white divided by `contrast_ratio`.
+    `speckle_contrast` is the ratio of standard deviation to mean of the light of a rough surface:
+    up to 1 for a laser, 0.71 if the surface depolarises it. `speckle_volume` is explained in
+    `speckle.material_contrast`. `line_noise` is the relative standard deviation of the light of
+    each projected line in each picture.
 
-    Leaves out: spectra finer than three bands and the projector's line; a response that depends on
-    place, time or the picture.
+    Leaves out: any spectrum within a band; a response that depends on place, time or the picture.
     """
 
     name: Annotated[
@@ -143,7 +143,7 @@ class Rig:
 
     @property
     def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
-        """Maps camera coordinates to projector coordinates [m]."""
+        """Pose of the camera in projector coordinates: maps camera to projector points [m]."""
         return inverse(self.T_cam_proj)
 
     def __post_init__(self) -> None:
@@ -175,23 +175,23 @@ class Rig:
 
     @property
     def passed_bands(self) -> tuple[float, float, float]:
-        """What the measuring camera's filter lets through per band, 0 or 1."""
+        """Transmission of the measuring camera's filter for red, green and blue, each 0 or 1."""
         red, green, blue = (float(weight > 0) for weight in self.band_weights)
         return red, green, blue
 
     @property
     def axes_angle_rad(self) -> float:
-        """Angle between the two optical axes: the toe-in of both devices together."""
+        """Angle between the two optical axes, which is the sum of the two toe-in angles."""
         return float(np.arccos(np.clip(self.T_cam_proj[2, 2], -1.0, 1.0)))
 
 
 def emission(rig: Rig, level: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """What the projector emits at a grey level, as a share of white's, above its black level."""
+    """Return the light of the projector at grey levels, relative to white, without black level."""
     return _emission_table(rig)[level]
 
 
 def grey_levels(rig: Rig, share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
-    """The grey level whose emission comes nearest to each share of white's: undoes `emission`."""
+    """Return the grey level whose `emission` is nearest to each share of white: its inverse."""
     table = _emission_table(rig)
     return np.searchsorted((table[1:] + table[:-1]) / 2, share).astype(np.uint8)
 
@@ -201,24 +201,24 @@ def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
 
 
 PRESETS = NAMES
-# So many sensor pixels lie across one of the picture. Summing squares of pixels speeds a camera up.
+# Sensor pixels along each side of an image pixel. Real cameras also bin pixels to be faster.
 BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
 RESOLUTIONS = tuple(BINNING)
 
 
 def preset_rig(name: str, resolution: str = "low") -> Rig:
-    """Return a rig known by name, with sharp lenses.
+    """Return a preset rig, with sharp lenses.
 
-    `paper` is a PhoXi M's camera and baseline with a white Gray-code projector: the paper prints
-    neither intrinsics nor resolution; it names the PhoXi M and L.
+    `paper` has the camera and baseline of a PhoXi M and a white Gray-code projector. The paper
+    names the PhoXi M and L, but states neither intrinsics nor resolution.
 
     Args:
         name: one of `PRESETS`, or a name that one of them had in an earlier version.
         resolution: 'full' has all pixels of the camera, 'low' a quarter of them and 'small' a
-            sixteenth: of a PhoXi 2064 x 1544, 1032 x 772 and 516 x 386.
+            sixteenth; for a PhoXi these are 2064 x 1544, 1032 x 772 and 516 x 386 pixels.
 
     Raises:
-        ValueError: no such preset or resolution.
+        ValueError: there is no such preset or resolution.
     """
     if resolution not in RESOLUTIONS:
         raise ValueError(f"no resolution {resolution!r}: choose one of {', '.join(RESOLUTIONS)}")
@@ -241,10 +241,10 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
 
 
 def depth_per_line_m(rig: Rig, z_m: float, axis: Axis) -> float:
-    """Change of depth on the camera's axis per projector column, or row, at depth `z_m`.
+    """Return the change of depth per projector column (or row) on the camera's axis at `z_m`.
 
-    NaN where that point is unlit, inf where columns (rows) do not move with depth.
-    Derived numerically from the projection, so it holds for any pose and distortion.
+    It is NaN if the projector does not light that point, and inf if columns (or rows) do not move
+    with depth. It is a numerical derivative, so it holds for any pose and distortion.
     """
     across = AXES.index(axis)
     step_m = 1e-4 * z_m
@@ -257,7 +257,7 @@ def depth_per_line_m(rig: Rig, z_m: float, axis: Axis) -> float:
     lit = -0.5 <= line.mean() <= size_px - 0.5
     if not lit:
         return math.nan
-    shift = float(abs(line[1] - line[0]))  # 0 where the baseline runs along the lines
+    shift = float(abs(line[1] - line[0]))  # 0 if the baseline is parallel to the lines
     return 2 * step_m / shift if shift > 0 else math.inf
 
 
@@ -267,9 +267,9 @@ def common_depths_m(
     T_cam_proj: Float[np.ndarray, "4 4"],
     depth_m: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " m"]:
-    """Those of the depths at which the camera sees a place that the projector lights.
+    """Return the depths at which the fields of camera and projector overlap.
 
-    Of the camera's pixels 33 x 33 are asked, so an overlap of less than 3 % may be missed.
+    Only 33 x 33 camera pixels are tested, so an overlap of less than 3 % may be missed.
     """
     grid = pixel_grid(33, 33) / 32 * [camera.width_px - 1, camera.height_px - 1]
     ray = rays(camera, grid)
@@ -288,12 +288,11 @@ def place(
     tilt_rad: float,
     azimuth_rad: float,
 ) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam` of a rig that looks at a target from above, as its housing would hang there.
+    """Return `T_world_cam` of a rig that hangs above a target and points at it.
 
-    The middle of the baseline is `distance_m` from the target; the bisector of the rays in the
-    middle of the two pictures points at it, `tilt_rad` from the vertical. At azimuth 0 the baseline
-    is along world x and a tilted rig stands towards -y; the azimuth turns all of it about the
-    world's z.
+    The middle of the baseline is `distance_m` from the target. The bisector of the two pictures'
+    middle rays points at the target, `tilt_rad` from the vertical. At azimuth 0 the baseline is
+    parallel to world x and a tilted rig is on the -y side; the azimuth turns the rig about world z.
     """
     turn = axis_rotation("z", azimuth_rad)
     away = turn @ np.array([0.0, -np.sin(tilt_rad), np.cos(tilt_rad)])
@@ -303,10 +302,10 @@ def place(
 
 
 def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
-    """`T_cam_rig` of the rig's own frame.
+    """Return `T_cam_rig`, the pose of the rig's own frame in the camera frame.
 
-    Its origin is mid-baseline, z the bisector of the two devices' middle rays, which are the
-    optical axes of lenses without shift, and y the camera's as near as may be.
+    Its origin is the middle of the baseline. z is the bisector of the two devices' middle rays
+    (the optical axes, if there is no lens shift), and y is as near to the camera's y as possible.
     """
     bisector = _middle_ray(rig.camera) + rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
     middle = rig.T_cam_proj[:3, 3] / 2
@@ -314,10 +313,10 @@ def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
 
 
 def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
-    """The same camera and projector another distance apart, and both turned to one target.
+    """Return the rig with another baseline, and with both devices turned to one target.
 
-    The middle rays of their pictures then cross `distance_m` before the middle of the baseline, on
-    what was their bisector. The working range, which lenses and focus set, stays as it was.
+    The target is on the former bisector of their middle rays, `distance_m` from the middle of the
+    baseline. The working range does not change, because it depends on lenses and focus.
     """
     T_rig_cam = inverse(frame_in_camera(rig))
     target = np.array([0.0, 0.0, distance_m])
@@ -332,10 +331,10 @@ def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
 def _least_turn(
     start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
-    """The rotation by the least angle that turns one direction to another, less than 180 degrees.
+    """Return the rotation by the smallest angle, below 180 degrees, from one direction to another.
 
-    Rodrigues' formula: `I + K + K K / (1 + c)` with the cross product's matrix K of the unit
-    directions, and c their product.
+    Rodrigues' formula is `I + K + K K / (1 + c)`, where K is the matrix of the cross product of the
+    two unit directions and c is their scalar product.
     """
     a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
     x, y, z = np.cross(a, b)
@@ -344,9 +343,9 @@ def _least_turn(
 
 
 def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
-    """Unit direction of the middle of a device's picture: what it is aimed by.
+    """Return the unit direction of the middle of a device's picture, by which the device is aimed.
 
-    A projector with lens shift has its optical axis at the edge of its picture or beside it.
+    With lens shift, a projector's optical axis is at the edge of its picture or outside it.
     """
     middle = np.array([[(optics.width_px - 1) / 2, (optics.height_px - 1) / 2]])
     ray = rays(optics, middle)[0]
@@ -354,7 +353,7 @@ def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
 
 
 def best_depth_m(rig: Rig) -> float:
-    """Depth at which the middle rays of both pictures come closest, within the working range."""
+    """Return the depth at which the two middle rays are closest, clipped to the working range."""
     camera, projector = _middle_ray(rig.camera), rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
     origin = rig.T_cam_proj[:3, 3]
     # Closest point of the lines s * camera and origin + t * projector.
@@ -366,9 +365,9 @@ def best_depth_m(rig: Rig) -> float:
 
 
 def standoff_m(rig: Rig) -> float:
-    """Distance from the middle of the baseline to the camera's middle ray at `best_depth_m`.
+    """Return the distance from the middle of the baseline to the best working point.
 
-    For a rig whose middle rays cross in its range that is where they cross.
+    This is the camera's middle ray at `best_depth_m`: the crossing of both rays, if in range.
     """
     ray = _middle_ray(rig.camera)
     point = best_depth_m(rig) / ray[2] * ray

@@ -1,7 +1,7 @@
 """Codes: lists of frames that identify the pixels of a projector.
 
-A pattern is what a projector is given: 8-bit grey levels, 255 is white. The list of frames is all
-that a decoder needs, so a code of one's own is a list of one's own.
+A pattern is the projector's input: 8-bit grey levels, 255 is white. A decoder needs nothing but the
+list of frames, so a user's own code is just another list.
 """
 
 import math
@@ -25,7 +25,7 @@ GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
 class Code:
     """The frames of a stack in the order in which they are shown.
 
-    Code value 0 of a Gray code lies at projector pixel `offset_px` (column, row), and one value
+    Code value 0 of a Gray code begins at projector pixel `offset_px` (column, row), and each value
     is `stride_px` pixels wide.
     """
 
@@ -50,10 +50,10 @@ class Code:
             raise ValueError(f"stride_px is {self.stride_px}; projector pixels per code, above 0")
 
     def code(self, width_px: int, height_px: int) -> "Code":
-        """Return this code for a projector of its size, as `CodeSpec` makes one for any size.
+        """Return this code; the same method of `CodeSpec` makes a code for any size.
 
         Raises:
-            ValueError: the projector has another size.
+            ValueError: the projector has another size than this code.
         """
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise ValueError(
@@ -64,7 +64,7 @@ class Code:
 
     @property
     def codec(self) -> str:
-        """The word for a code that is a list of frames and has no name."""
+        """Name of a codec that is only a list of frames."""
         return "own"
 
     @property
@@ -74,24 +74,24 @@ class Code:
 
     @property
     def subpixel(self) -> bool:
-        """Whether positions come finer than whole projector pixels."""
+        """Whether decoded positions are finer than whole projector pixels."""
         return any(f.kind in ("phase", "line") for f in self.frames)
 
     @property
     def brightest(self) -> int:
-        """Index of the white frame, or of the first where there is none."""
+        """Index of the white frame, or 0 without a white frame."""
         return next((k for k, frame in enumerate(self.frames) if frame.kind == "white"), 0)
 
     def size_px(self, axis: Axis) -> int:
-        """How many pixels the projector has along an axis."""
+        """Return the number of projector pixels along an axis."""
         return {"column": self.width_px, "row": self.height_px}[axis]
 
     def render(self, grey_levels: GreyLevels | None = None) -> UInt8[np.ndarray, "n ph pw"]:
-        """The pictures to project, in the order of `frames`.
+        """Return the pictures to project, in the order of `frames`.
 
         Args:
-            grey_levels: grey level for a wanted share of white light, the inverse of the
-                projector's response; left out: proportional.
+            grey_levels: maps a share of white light to a grey level, as the inverse of the
+                projector's response; None: grey level proportional to the share.
         """
         to_levels = _proportional if grey_levels is None else grey_levels
         image = np.empty((len(self.frames), self.height_px, self.width_px), dtype=np.uint8)
@@ -100,7 +100,7 @@ class Code:
         return image
 
     def _line(self, frame: Frame, to_levels: GreyLevels) -> UInt8[np.ndarray, "h w"]:
-        """What a frame repeats: one row for columns, one column for rows, one pixel for neither."""
+        """Return the part of a frame that repeats: a row, a column, or (without axis) a pixel."""
         if frame.axis is None:
             return to_levels(level_share(frame, 1))[None]
         i = AXES.index(frame.axis)
@@ -115,7 +115,7 @@ class Code:
 
 
 def _check_even_steps(frames: tuple[Frame, ...]) -> None:
-    """Three or more frames of one period give a phase of their own, from evenly spread steps."""
+    """Refuse uneven steps where three or more frames of one period give a phase of their own."""
     groups: dict[tuple, list[Frame]] = {}
     for frame in frames:
         if frame.steps:
@@ -137,7 +137,7 @@ def _proportional(share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
 def write_pngs(
     code: Code, folder: Path, *, grey_levels: GreyLevels | None = None
 ) -> Iterator[Path]:
-    """Write every pattern as an 8-bit PNG, numbered in the order in which they are to be shown."""
+    """Write each pattern as an 8-bit PNG, numbered in the order of projection; yield its path."""
     folder.mkdir(parents=True, exist_ok=True)
     for k, (frame, image) in enumerate(zip(code.frames, code.render(grey_levels), strict=True)):
         path = folder / f"{k:02d}_{frame.name}.png"
@@ -155,7 +155,7 @@ def gray(
     axes: tuple[Axis, ...] = AXES,
     inverses: bool = False,
 ) -> Code:
-    """Binary-reflected Gray code over single projector pixels, coarsest bit first."""
+    """Make a binary-reflected Gray code of single projector pixels, coarsest bit first."""
     sizes = _sizes(axes, width_px, height_px)
     frames = [frame for axis in axes for frame in _gray_bits(axis, sizes[axis], inverses)]
     return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
@@ -171,12 +171,12 @@ def gray_phase(
     fine_period_px: float | None = None,
     steps: int = 8,
 ) -> Code:
-    """Gray code that counts periods, a complementary bit, and a cosine in `steps` steps.
+    """Make a Gray code that counts periods, a complementary bit, and a cosine in `steps` steps.
 
-    The complementary bit tells the halves of a period apart, so that a Gray edge misread by a
-    quarter of a period does no harm: no jumps by 2 pi. A second cosine of `fine_period_px` makes
-    positions finer; light that comes by way of another surface shifts the two by different
-    distances, which tells it from direct light.
+    The complementary bit distinguishes the halves of a period, so that a Gray edge that is wrong
+    by up to a quarter of a period does not cause a jump by 2 pi. A second cosine of
+    `fine_period_px` makes positions finer. Light that arrives by way of another surface shifts the
+    two cosines by different distances, so it can be distinguished from direct light.
     """
     if fine_period_px is not None and not fine_period_px < period_px:
         raise ValueError(
@@ -209,11 +209,11 @@ def gray_line_shift(
     inverses: bool = False,
     period_px: float = 8.0,
 ) -> Code:
-    """Gray code that counts periods, and a comb of lines shifted pixel by pixel (Guehring, 2001).
+    """Make a Gray code that counts periods, and a comb of lines shifted pixel by pixel.
 
-    Guehring finds each line's peak in the camera picture; here the first harmonic of the shifts
-    gives the position at every camera pixel. Lines of one pixel in eight have half the amplitude of
-    a cosine at a quarter of its light: less photon noise, more read noise.
+    Guehring (2001) finds each line's peak in the camera image; here the first harmonic of the
+    shifts gives the position at every camera pixel. With lines of one pixel in eight the amplitude
+    is half that of a cosine, with a quarter of the light: less photon noise, more read noise.
     """
     if period_px != int(period_px):
         raise ValueError(
@@ -234,11 +234,11 @@ def multi_frequency(
     period_px: float = 16.0,
     steps: int = 4,
 ) -> Code:
-    """Three cosines whose beats count the periods: heterodyne unwrapping.
+    """Make a code of three cosines whose beats count the periods (heterodyne unwrapping).
 
-    With N periods over the axis and one period beside it, so that its ends do not look alike, the
-    others have N - sqrt(N) and N - 1, which shares the noise best between the two beats (C. Towers,
-    D. Towers, J. Jones, Optics Letters 28, 2003).
+    The axis is extended by one period, so that its two ends have different phases, and then has N
+    periods. The other cosines have N - sqrt(N) and N - 1 periods, which balances the noise of the
+    two beats best (C. Towers, D. Towers, J. Jones, Optics Letters 28, 2003).
     """
     sizes = _sizes(axes, width_px, height_px)
     frames: list[Frame] = []
@@ -262,10 +262,10 @@ def micro_phase(
     axes: tuple[Axis, ...] = ("column",),
     period_px: float = 16.0,
 ) -> Code:
-    """Micro phase shifting: six nearly equal, short periods; three steps of one, one of each other.
+    """Make a code for micro phase shifting: six short periods that are nearly equal.
 
-    All periods blur and interreflect alike, so they share mean and amplitude, and
-    interreflections, which no short period survives, do no harm.
+    The first has three steps, each other one step. Nearly equal periods have the same mean and
+    amplitude, and interreflections average out such short periods, so that they do no harm.
 
     Source: M. Gupta, S. Nayar, "Micro Phase Shifting", CVPR 2012; the periods are our own.
     """
@@ -277,7 +277,7 @@ def micro_phase(
     return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
 
 
-# They are from a random search: of 80 periods no two have cosines within 0.24, of 120 within 0.12.
+# From a random search: the cosines of any two of 80 periods differ by over 0.24, of 120 by 0.12.
 _MICRO_RATIOS = (0.9432, 0.9077, 1.0869, 1.1273, 1.1023)
 
 
@@ -289,10 +289,10 @@ def xor_gray(
     inverses: bool = True,
     base_bit: int = 1,
 ) -> Code:
-    """Gray code whose coarse bits are combined by exclusive-or with a fine one: all stripes narrow.
+    """Make a Gray code whose coarse bits are XORed with a fine bit, so that all stripes are narrow.
 
-    Light from elsewhere then reaches a point from as many lit as unlit stripes, in a pattern as in
-    its inverse. `base_bit` 0 gives the stripes of XOR-02, 1 of XOR-04.
+    Indirect light then reaches a point from as many lit as unlit stripes, both in a pattern and in
+    its inverse. `base_bit` 0 gives the stripes of XOR-02 in the source, and 1 those of XOR-04.
 
     Source: M. Gupta, A. Agrawal, A. Veeraraghavan, S. Narasimhan, "Structured Light 3D Scanning
     in the Presence of Global Illumination", CVPR 2011.
@@ -312,7 +312,7 @@ _ENDS = (Frame(kind="white"), Frame(kind="black"))
 
 
 def _sizes(axes: tuple[Axis, ...], width_px: int, height_px: int) -> dict[Axis, int]:
-    """Pixels along each axis that is to be coded."""
+    """Return the number of pixels along each coded axis."""
     if not axes or len(set(axes)) != len(axes):
         raise ValueError(f"axes are {axes}; give column, row or both, each once")
     if width_px < 2 or height_px < 2:

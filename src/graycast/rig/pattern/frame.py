@@ -1,6 +1,6 @@
-"""One picture of a coded stack, with the terms in which real stacks are described.
+"""The description of one picture of a coded stack; it fits the stacks of real scanners too.
 
-A frame says all that is needed to make it and to read it; a code is a list of frames.
+A frame holds all that is needed to project it and to decode it; a code is a list of frames.
 """
 
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ Kind = Literal["white", "black", "gray", "complementary", "phase", "line"]
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One picture. Along its axis, at projector pixel `u`, it is
+    """One picture. Its kind defines the brightness at projector pixel `u` along its axis:
 
     - `gray`: bit `bit` (0 is the finest) of the Gray code of the code value at u; with
-      `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
-    - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
-      halves of a period apart;
-    - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; a foreign scanner's cosine may
-      begin between whole steps;
+      `xor_bit >= 0`, the exclusive-or of this bit and bit `xor_bit` (M. Gupta et al., CVPR 2011);
+    - `complementary`: one bit finer than a Gray code that counts periods, which distinguishes the
+      halves of a period;
+    - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; the cosine of a real scanner may
+      have a `step` that is not whole;
     - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;
-    - `white`, `black`: all or nothing.
+    - `white`, `black`: every pixel on, or every pixel off.
 
-    `inverse` swaps dark and bright of a binary frame.
+    `inverse` swaps dark and bright in a binary frame.
     """
 
     kind: Kind
@@ -80,7 +80,7 @@ class Frame:
 
     @property
     def name(self) -> str:
-        """A name for files, unique within a code."""
+        """Name for files, unique within a code."""
         if self.kind in ("white", "black"):
             return self.kind
         if self.kind == "gray":
@@ -91,14 +91,14 @@ class Frame:
         else:
             whole, part = divmod(self.step, 1)
             text = f"{self.axis}_{self.kind}_{self.period_px:g}px_step{int(whole):02d}"
-            text += f"{part:.6f}".rstrip("0")[1:] if part else ""  # 1.25 is step01.25
+            text += f"{part:.6f}".rstrip("0")[1:] if part else ""  # Step 1.25 becomes "step01.25".
         return text + ("_inverse" if self.inverse else "")
 
 
 def level_share(
     frame: Frame, size_px: int, *, offset_px: float = 0.0, stride_px: float = 1.0
 ) -> Float[np.ndarray, " size"]:
-    """The brightness of a frame along its axis, from 0 to 1, one number per projector pixel.
+    """Return the brightness of a frame, from 0 to 1, at each projector pixel along its axis.
 
     Args:
         size_px: projector pixels along the frame's axis; 1 for white and black.
@@ -128,13 +128,13 @@ def level_share(
 def code_value(
     u: Float[np.ndarray, "*n"], *, offset_px: float, stride_px: float
 ) -> Int[np.ndarray, "*n"]:
-    """Code value of projector positions: `stride_px` pixels share one, the first from `offset_px`.
+    """Return the code values of projector positions; each value is `stride_px` pixels wide.
 
-    A pixel is a square about its centre, so value 0 begins at `offset_px - 1/2`.
+    Value 0 begins at the border of pixel `offset_px`, which is at `offset_px - 1/2`.
     """
     return np.floor((u + 0.5 - offset_px) / stride_px + 1e-9).astype(np.int64)
 
 
 def gray_from_binary(value: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """Gray code of integers: neighbours differ in one bit (F. Gray, US patent 2632058, 1953)."""
+    """Return the Gray code of integers: neighbours differ in one bit (US patent 2632058, 1953)."""
     return value ^ (value >> 1)

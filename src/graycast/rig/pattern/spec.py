@@ -1,4 +1,4 @@
-"""A code as its name and parameters, independent of the size of a projector."""
+"""A code described by its name and parameters, for a projector of any size."""
 
 import inspect
 from collections.abc import Callable
@@ -29,9 +29,9 @@ _MAKERS: dict[Codec, Callable[..., Code]] = {
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeSpec:
-    """Which code a scanner shows. What is None is the codec's own default.
+    """The code that a scanner projects. A parameter that is None has the default of the codec.
 
-    `base_bit` is the bit that `xor_gray` combines the coarser ones with.
+    `base_bit` is the bit with which `xor_gray` combines the coarser bits.
     """
 
     codec: Annotated[Codec, Field(description="How projector positions are coded.")] = "gray"
@@ -78,10 +78,10 @@ class CodeSpec:
             raise ValueError(f"{self.codec} has no {foreign[0]}; it takes {theirs}")
 
     def code(self, width_px: int, height_px: int) -> Code:
-        """The code for a projector's size.
+        """Make the code for a projector of a given size.
 
         Raises:
-            ValueError: the numbers make no code on a projector of that size.
+            ValueError: the parameters do not fit a projector of that size.
         """
         return _MAKERS[self.codec](width_px, height_px, axes=self.axes, **self._settings())
 

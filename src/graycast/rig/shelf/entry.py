@@ -1,4 +1,4 @@
-"""What the files of the shelf say of scanners, and why a name is not on the shelf."""
+"""Contents of the shelf's files, and the reasons why other scanners are not on the shelf."""
 
 import math
 import re
@@ -24,7 +24,7 @@ SHELF = (
     *("like-mech-eye-pro-m", "lab-lightcrafter-4500", "office-projector"),
 )
 MEASURED = "measured.yaml"
-NAMES = ("paper", *SHELF)  # the paper's rig is like-phoxi-m in another light
+NAMES = ("paper", *SHELF)  # The paper's rig is like-phoxi-m with white light.
 _OTHER_PRINCIPLES: Mapping[str, tuple[str, ...]] = {
     "stereo of two cameras": (
         *("realsense", "d405", "d415", "d435", "d455", "ensenso", "orbbec", "gemini", "zed", "oak"),
@@ -37,11 +37,11 @@ _TOO_LITTLE_PUBLIC = ("motioncam", "cognex", "keyence")
 
 
 class DeviceSection(Settings):
-    """A camera or a projector with square or other pixels; its axis is in the middle, or not."""
+    """A camera or a projector; by default it has square pixels and its axis is in the middle."""
 
     size_px: tuple[int, int]
     fx_px: Positive | None = None
-    fy_px: Positive | None = None  # None: as fx_px
+    fy_px: Positive | None = None  # None: equal to fx_px
     field_deg: tuple[Positive, Positive] | None = None
     cy_px: Finite | None = None  # None: in the middle
 
@@ -52,9 +52,9 @@ class DeviceSection(Settings):
         return self
 
     def optics(self, binning: int = 1) -> Optics:
-        """A pinhole with `binning` of the pixels summed along each side.
+        """Return a pinhole in which `binning` x `binning` pixels are summed.
 
-        Pixel borders stay where they were, so `c + 0.5` becomes `(c + 0.5) / binning`.
+        Positions count from pixel centres, so `c + 0.5` becomes `(c + 0.5) / binning`.
         """
         width_px, height_px = (side // binning for side in self.size_px)
         if self.field_deg is not None:
@@ -76,35 +76,35 @@ class DeviceSection(Settings):
 
 
 class FieldClaim(Settings):
-    """The width and height that a maker states at a distance."""
+    """Width and height of the field of view that a maker states for a distance."""
 
     at_m: Positive
     size_m: tuple[Positive, Positive]
 
 
 class FigureClaim(Settings):
-    """A length that a maker states at a distance."""
+    """A length, such as a noise, that a maker states for a distance."""
 
     at_m: Positive
     value_m: Positive
 
 
 class Claims(Settings):
-    """What a maker states of its device, in its own terms; what is absent is unknown to us."""
+    """The figures that a maker states for its device; None where we know of none."""
 
     fields: tuple[FieldClaim, ...] = ()
     noise: FigureClaim | None = None  # temporal noise, point precision or Z repeatability, 1 sigma
-    spacing: FigureClaim | None = None  # of neighbouring points
+    spacing: FigureClaim | None = None  # between neighbouring points
     trueness: FigureClaim | None = None
-    trueness_share: Positive | None = None  # of a length that is measured
+    trueness_share: Positive | None = None  # relative to the measured length
     capture_s: PositiveSpan | None = None
 
 
 class ShelfEntry(Settings):
     """A scanner of the shelf.
 
-    The pose is that of both devices turned to each other about a baseline along x, or that of the
-    projector in the camera's frame, turned about x first and then about y.
+    The relative pose is given in one of two ways: a baseline along x and the toe-in of each device,
+    or the projector's pose in the camera frame, with its turn about x first and then about y.
     """
 
     likeness: str
@@ -113,12 +113,12 @@ class ShelfEntry(Settings):
     pixel_pitch_m: Positive
     f_number: Positive
     baseline_m: Positive | None = None
-    toe_in_deg: tuple[float, float] | None = None  # of the camera, of the projector
+    toe_in_deg: tuple[float, float] | None = None  # camera, projector
     t_cam_proj_m: tuple[float, float, float] | None = None
     turn_cam_proj_rad: tuple[float, float] | None = None
     near_m: Positive
     far_m: Positive
-    focus_m: Positive | None = None  # None: where blur is alike at both ends of the range
+    focus_m: Positive | None = None  # None: blur is equal at both ends of the range
     laser: bool = False
     light: Literal["red", "white", "blue"]
     wavelength_m: Annotated[float, Field(gt=0, lt=1e-5)]
@@ -131,7 +131,7 @@ class ShelfEntry(Settings):
 
     @property
     def T_cam_proj(self) -> Float[np.ndarray, "4 4"]:
-        """Maps projector coordinates to camera coordinates [m]."""
+        """Pose of the projector in camera coordinates: maps projector to camera points [m]."""
         if self.t_cam_proj_m is not None and self.turn_cam_proj_rad is not None:
             x_rad, y_rad = self.turn_cam_proj_rad
             turn = axis_rotation("y", y_rad) @ axis_rotation("x", x_rad)
@@ -145,13 +145,13 @@ class ShelfEntry(Settings):
 
 
 class ShelfFigures(Settings):
-    """What `python -m benchmarks shelf` measured of a scanner of the shelf, at the distances `z_m`.
+    """Figures that `python -m benchmarks shelf` measured for one scanner at the distances `z_m`.
 
-    These are figures of `graycast rig certify` with a small scope.
+    They come from `graycast rig certify` with a small scope.
 
-    `noise_m` is the temporal standard deviation of depth, `spacing_m` the distance of neighbouring
-    points, `plane_std_m` the standard deviation about the best plane, all of facing planes.
-    `length_error` is the error of a ball bar's length, as a share of it.
+    On planes that face the scanner, `noise_m` is the temporal standard deviation of depth,
+    `spacing_m` the distance between neighbouring points, and `plane_std_m` the standard deviation
+    from the best-fit plane. `length_error` is the relative error of a ball bar's length.
     """
 
     z_m: tuple[Positive, ...]
@@ -173,13 +173,13 @@ Model = TypeVar("Model", bound=Settings)
 
 @cache
 def shelf_entry(name: str) -> ShelfEntry:
-    """What the file of a name in `SHELF` says."""
+    """Load the file of a scanner whose name is in `SHELF`."""
     return _of_shelf(f"{name}.yaml", ShelfEntry)
 
 
 @cache
 def measured() -> _Table:
-    """The stored table: by which command it was made, at which resolution, and the figures."""
+    """Load the stored table: the command that made it, the resolution, and the figures."""
     return _of_shelf(MEASURED, _Table)
 
 
@@ -189,7 +189,7 @@ def _of_shelf(file: str, model: type[Model]) -> Model:
 
 
 def no_rig(name: str, folder: Path | None = None) -> str:
-    """The words of an error about a name that is not in `NAMES`, nor a file of a folder."""
+    """Return the error message for a name that is neither in `NAMES` nor a file of the folder."""
     words = re.split(r"[^a-z0-9]+", name.lower())
     for principle, others in _OTHER_PRINCIPLES.items():
         if any(word.startswith(others) for word in words):

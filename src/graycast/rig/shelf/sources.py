@@ -1,4 +1,4 @@
-"""Sources of the numbers of a scanner's file: the class of each, and the words behind it."""
+"""Sources of the numbers in a scanner's file: the comment behind each number, and its class."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import yaml
 
 from ..former_names import current_name
 
-# The comment behind a number begins with the words of its class; this order is from the best on.
+# The comment behind a number begins with the words of its class; the best class comes first.
 CLASSES: Mapping[str, str] = {
     "source": "source: ",
     "quoted": "quoted: ",
@@ -27,7 +27,7 @@ _WORDS = ("likeness", "laser")  # Keys that hold no number and no choice of ligh
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedNumber:
-    """A number of a scanner's file: its key, its text, its class, and the comment behind it."""
+    """A number of a scanner's file with its key, text and class, and the comment behind it."""
 
     key: str
     text: str
@@ -37,12 +37,12 @@ class StatedNumber:
 
 @cache
 def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
-    """Return each number of a scanner of the shelf by its key, such as `claims.fields.0.at_m`.
+    """Return the numbers of a scanner's file by their keys, such as `claims.fields.0.at_m`.
 
-    The rig `paper` has the geometry of `like-phoxi-m`, and so its numbers.
+    The rig `paper` has the geometry of `like-phoxi-m`, so its numbers come from that file.
 
     Raises:
-        ValueError: a number has no class.
+        ValueError: the comment behind a number names no class.
     """
     text = _file_text(name)
     lines = text.splitlines()
@@ -58,7 +58,7 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
 
 
 def _file_text(name: str) -> str:
-    """Return the text of the file that has the numbers of a scanner of the shelf."""
+    """Return the text of the file that contains a scanner's numbers."""
     file = "like-phoxi-m" if name == "paper" else current_name(name)
     return files(__package__).joinpath(f"{file}.yaml").read_text(encoding="utf-8")
 
@@ -78,17 +78,17 @@ def _leaves(node: yaml.Node, key: str) -> Iterator[tuple[str, yaml.Node]]:
 
 
 def class_of(name: str, *keys: str) -> str:
-    """Return the weakest class of those of the keys that a scanner's file has."""
+    """Return the weakest class among the given keys; keys that the file lacks are ignored."""
     stated = stated_numbers(name)
     kinds = [stated[key].kind for key in keys if key in stated]
     return max(kinds, key=list(CLASSES).index)
 
 
 def source_lines(name: str) -> list[str]:
-    """Return a line for each number of a scanner's file, which ends with its class and source.
+    """Return a line for each number of a scanner's file; it ends with the class and the source.
 
-    The comment at the head of the file explains the names of sources and comes first. Of the rig
-    `paper`, only the geometry is that of a file.
+    The comment at the head of the file, which explains the names of the sources, comes first. For
+    the rig `paper`, only the geometry comes from a file.
     """
     lines = _file_text(name).splitlines()
     head = [line[2:] for line in takewhile(lambda line: line[:1] == "#", lines)]

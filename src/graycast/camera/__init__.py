@@ -1,17 +1,17 @@
 """From the light on the sensor to depth, for simulated pictures and for real ones.
 
-Each imports only from those above it:
+Each module imports only from those above it:
 
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
     exposure    exposure times: fixed, or chosen from the light
     speckle     laser speckle, its patches, and its effect on decoded positions
-    decode      from pictures to projector positions and depth: Capture -> DepthMap; the reason of
-                each pixel without depth (`maps.Reason`); periods that are in doubt (`phases`,
-                `settling`, `positions`)
+    decode      from pictures to projector positions and depth: Capture -> DepthMap; the reason why
+                a pixel has no depth (`maps.Reason`); ambiguous periods (`phases`, `settling`,
+                `positions`)
     line_noise  projector lines that are brighter or darker in each picture
-    sigma       standard deviation of depth: all of its terms in one list
-    faults      errors of depth that grow with the slope of the surface and stay from scan to scan
+    sigma       standard deviation of depth, with a list of all its terms
+    faults      errors of depth that grow with the slope of a surface and are the same in each scan
     scanner     a rig with its code, sensor, exposure, decoder, filters and faults
     picture     the colour picture and the grey picture of the measuring camera
     rig_file    scanners in files, and imported calibrations

@@ -11,24 +11,24 @@ from ..base.mask_box import mask_box
 from ..base.robust import robust_sigma
 from ..rig.optics import Optics, rays
 
-OUTLIER_SIGMAS = 2.5  # The second fit of a plane leaves out neighbours farther off the first.
-LEAST_SHARE = 0.4  # A window has a normal only if this share of it is of one surface.
-ROUNDING = 1e-6  # Neighbours off a plane by less than this share of the depth are no outliers.
-STEEP = 3.0  # A surface's depth may grow by this over its width: 72 degrees to the ray.
+OUTLIER_SIGMAS = 2.5  # The second fit of a plane leaves out neighbours this far from the first.
+LEAST_SHARE = 0.4  # A window has a normal only if this share of its pixels is on one surface.
+ROUNDING = 1e-6  # Neighbours nearer to the plane than this share of the depth are no outliers.
+STEEP = 3.0  # The steepest surface: change of depth per width, which is 72 degrees to the ray.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crop:
-    """A window of a depth map; [0, 0] is (left_px, top_px) of the picture.
+    """A window of a depth map, whose first pixel is (left_px, top_px) of the picture.
 
     Attributes:
-        ray: x and y of the ray with unit z of each pixel.
-        z: measured [m], NaN where there is none.
-        smooth: z of the plane through the neighbours [m], NaN where there is none.
-        normal: of that plane, towards the camera.
-        inside: the pixels of the detection.
-        tight: whether they are its outline, and not a box around it.
-        noise_m: how far measurements are off those planes (1 sigma, robust).
+        ray: x and y of the ray of each pixel, scaled to unit z.
+        z: measured depth [m]; NaN without a measurement.
+        smooth: depth of the plane that fits the neighbours [m]; NaN without a plane.
+        normal: unit normal of that plane, towards the camera.
+        inside: mask of the detection's pixels.
+        tight: whether the mask is the outline of the part and not only a box around it.
+        noise_m: robust standard deviation of the measured depth from these planes.
     """
 
     left_px: int
@@ -56,11 +56,11 @@ def crop(
     reach_m: float,
     window_m: float,
 ) -> Crop | None:
-    """The surroundings of a detection; None where it has no pixel with depth.
+    """Return the surroundings of a detection; None if no pixel of it has a depth.
 
     Args:
-        reach_m: how far around the detection the part may reach.
-        window_m: half the width of the windows in which planes are laid.
+        reach_m: distance to which the part may extend beyond the detection.
+        window_m: half the width of the windows in which planes are fitted.
     """
     x, y, columns, rows = mask_box(inside)
     box = np.s_[y : y + rows, x : x + columns]
@@ -98,10 +98,10 @@ def crop(
 
 @kernel(nogil=True, error_model="numpy")
 def _planes(z, ray, radius, jump_m):
-    """Planes by least squares of inverse depth, which is linear in the image on a plane.
+    """Fit a plane around each pixel by least squares of inverse depth.
 
-    `1 / z = a x + b y + c` on the plane `a X + b Y + c Z = 1`; noise along the ray is the same in
-    all directions there. A second fit leaves out what is off the first.
+    On the plane `a X + b Y + c Z = 1`, inverse depth is linear in the image: `a x + b y + c`.
+    A second fit leaves out the outliers of the first.
     """
     h, w = z.shape
     smooth, off = np.full((h, w), np.nan), np.full((h, w), np.nan)
@@ -154,7 +154,7 @@ def _planes(z, ray, radius, jump_m):
 
 @kernel(nogil=True, error_model="numpy")
 def _fit(q, x, y, n):
-    """a, b, c of q = a x + b y + c, about the means."""
+    """Return a, b and c of the best fit `q = a x + b y + c`; c is -1 if there is none."""
     qm, xm, ym = 0.0, 0.0, 0.0
     for k in range(n):
         qm, xm, ym = qm + q[k], xm + x[k], ym + y[k]
@@ -165,7 +165,7 @@ def _fit(q, x, y, n):
         xx, xy, yy, xq, yq = xx + u * u, xy + u * v, yy + v * v, xq + u * p, yq + v * p
     determinant = xx * yy - xy * xy
     if not determinant > 1e-6 * xx * yy:
-        return 0.0, 0.0, -1.0  # all in a line: no plane
+        return 0.0, 0.0, -1.0  # Points on one line define no plane.
     a = (xq * yy - yq * xy) / determinant
     b = (yq * xx - xq * xy) / determinant
     return a, b, qm - a * xm - b * ym

@@ -1,4 +1,4 @@
-"""Exposure times: fixed ones, or those that the light of the metered pixels asks for."""
+"""Exposure times, which are either fixed or chosen from the light of the metered pixels."""
 
 import math
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ from ..base.public_value import public_value
 from ..base.settings import Positive, check_fields
 from .sensor import SensorSpec, auto_exposure_s
 
-# Of the metered pixels, so many percent may be too dark and too bright: our choice. A few pixels
-# that mirror the projector do not shorten the exposures.
+# Percentiles of the metered pixels that are to be exposed well (our choice). With a limit below
+# 100 %, a few pixels that mirror the projector do not shorten the exposures.
 DARKEST, BRIGHTEST = 1.0, 99.8
-# A pixel is well exposed between a tenth of the range and `target` (at its default); our choice.
+# A pixel is well exposed from this share of the range up to `target`; this is our choice.
 WELL_EXPOSED = 0.1
-# Mech-Eye exposes from 0.1 to 99 ms (docs.mech-mind.net, Scanning3DSettings), a ratio of 1000. It
-# takes up to 3 exposures, and LMI's GoPxL up to 5 (am.lmi3d.com, Multiple Exposure).
+# A Mech-Eye has exposure times from 0.1 to 99 ms (docs.mech-mind.net, Scanning3DSettings), a ratio
+# of 1000. It takes up to 3 exposures; LMI's GoPxL takes up to 5 (am.lmi3d.com, Multiple Exposure).
 SPAN_MAX, MOST = 1000.0, 5
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureSpec:
-    """A fixed exposure time, or times that follow from the white frame."""
+    """A fixed exposure time, or rules to choose times from the white frame."""
 
     exposure_s: Annotated[
         Positive | None,
@@ -68,7 +68,7 @@ class ExposureSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureTimes:
-    """The times of all exposures, and the one on whose scale their light is compared."""
+    """The times of all exposures, and the reference time to which their light is scaled."""
 
     reference_s: float
     times_s: tuple[float, ...]
@@ -77,10 +77,10 @@ class ExposureTimes:
 def exposure_times(
     white: Float[np.ndarray, "*pixels"], sensor: SensorSpec, exposure: ExposureSpec
 ) -> ExposureTimes:
-    """Return the exposure times for a white frame.
+    """Return the exposure times for a scene with the given white frame.
 
     Args:
-        white: all light of the metered pixels in the brightest frame [W sr^-1 m^-2].
+        white: radiance of the metered pixels in the brightest frame [W sr^-1 m^-2].
 
     Raises:
         ValueError: the metered pixels are dark.
@@ -99,12 +99,12 @@ def exposure_times(
 def _bracket(
     white: Float[np.ndarray, "*pixels"], sensor: SensorSpec, exposure: ExposureSpec
 ) -> ExposureTimes:
-    """Return times in equal ratios that expose the lit pixels well, in as few as possible.
+    """Return the fewest exposure times, in equal ratios, that expose all lit pixels well.
 
-    The shortest puts the brightest light at `target`. n exposures have the ratio r = R^(1/n), where
-    R is the ratio of the brightest light to the darkest. Each light is then between target / r and
-    target in one of them. n is the least for which r is at most target / WELL_EXPOSED, and no more
-    than `most`. The longest is at most SPAN_MAX times the shortest; darker pixels are given up.
+    The shortest time puts the brightest light at `target`. The n times have the ratio r = R^(1/n),
+    where R is the ratio of the brightest to the darkest light. Each pixel is then between
+    target / r and target in one of them. n is the smallest number with r <= target / WELL_EXPOSED,
+    but at most `most`. The longest time is at most SPAN_MAX times the shortest, for any scene.
     """
     lit = white[white > 0]
     if not lit.size:

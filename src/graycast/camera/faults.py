@@ -1,19 +1,19 @@
-"""A fault of a device's depth that its measuring principle does not explain, for simulated scans.
+"""A depth error of real devices that their measuring principle does not explain, for simulations.
 
 A scanner that outputs a smaller or rectified map selects one of several measured points for each
 pixel. The point is right, but on a sloping surface its depth differs from the depth at the centre
-of the pixel. On a steep surface such a scanner leaves out points whose depth is too different, so
-the error ends at a limit: in five real scans of a PhoXi it does (docs/measurements/twin.md).
+of the pixel. On a steep surface such a scanner leaves out points whose depth differs too much, so
+the error has a limit, as in five real scans of a PhoXi (docs/measurements/twin.md).
 
-The positions are fixed, because they belong to the raster of a device and not to a shot.
+The positions of the points are fixed: they belong to the device's raster and not to a scan.
 
-A real picture has its device's faults already, so `scanner.measure`, which measures simulated
-pictures, is the only function that adds them.
+Pictures of a real device already contain this error, so only `scanner.measure`, which measures
+simulated pictures, adds it.
 
-Leaves out: lines of a projector that lies above or below the camera, which are rows; places that
-neighbouring pixels have in common, as the means over windows that overlap have; light that changes
-from shot to shot, as speckle does. In the five scans, about half of this noise is another one in
-every scan.
+Leaves out: the rows of a projector above or below the camera (only columns have their own error);
+positions that neighbouring pixels share, as means over overlapping windows do; errors that change
+from scan to scan, as speckle does. In the five scans, about half of this noise changes from scan
+to scan.
 """
 
 import math
@@ -30,9 +30,9 @@ from ..base.settings import check_fields
 from .decode import DepthMap
 from .sigma import with_depth_term
 
-STEEPEST = 0.02  # A surface rises by less than this share of its depth over two pixels.
-_SEED = 15  # Any number would do. A device with the seed 0 has the numbers of this seed alone.
-_SMOOTHED = (4 * math.pi) ** -0.25  # A Gaussian of one pixel leaves this of white noise's sigma.
+STEEPEST = 0.02  # A change of depth over two pixels by more than this share is a step.
+_SEED = 15  # An arbitrary number that separates these random numbers from all others of a seed.
+_SMOOTHED = (4 * math.pi) ** -0.25  # Standard deviation of white noise after a Gaussian of 1 px.
 
 
 @public_value
@@ -80,25 +80,24 @@ def with_faults(
     seed: int,
     light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
 ) -> DepthMap:
-    """Return the depth that a device with these faults gives for a filtered depth map.
+    """Return the depth that a device with these faults outputs for a filtered depth map.
 
-    It is that of a point `raster_px` (one sigma along each axis) from the pixel's centre, on the
-    plane, in inverse depth, through both neighbours of a pixel along each axis; beside steps and
-    holes that is flat.
+    It is the depth at a point that is `raster_px` (one standard deviation along each axis) from
+    the pixel's centre. Between pixels, inverse depth is interpolated by a plane through a pixel's
+    neighbours; next to steps and holes the slope is taken as 0.
 
     With a `raster_limit_m`, the error of depth on a surface that rises by s per pixel is not
-    `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / raster_limit_m^2)`. So it is unchanged on
-    gentle slopes and ends at the limit on the steepest.
+    `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / raster_limit_m^2)`: it is unchanged on
+    gentle slopes and tends to the limit on steep ones.
 
     Args:
         depth: z and its standard deviation [m].
-        seed: of the device's raster.
-        light_contrast: how uneven the light in each pixel is, as a share of that on a black
-            surface: where a surface has an even light, as white paper has, the point lies nearer
-            to the centre.
+        seed: seed of the device's raster.
+        light_contrast: unevenness of the light within each pixel, relative to a black surface.
+            Where the light is more even, as on white paper, the point is nearer to the centre.
 
     Returns:
-        A depth map whose `sigma_m` holds what `raster_px` adds; the same map where it is off.
+        A depth map whose `sigma_m` includes the error; the same map without a `raster_px`.
     """
     if not spec.raster_px:
         return depth
@@ -115,9 +114,9 @@ def with_faults(
 
 
 def places(shape: tuple[int, ...], *, seed: int) -> Float[np.ndarray, "2 h w"]:
-    """Return where each pixel's point lies, to the right and downwards, with a variance of one.
+    """Return the offset of each pixel's point to the right and downwards, with a variance of 1.
 
-    They are independent and even over a square.
+    The offsets are independent and uniformly distributed.
     """
     return np.sqrt(3) * np.random.default_rng([_SEED, seed]).uniform(-1, 1, (2, *shape))
 
@@ -125,11 +124,11 @@ def places(shape: tuple[int, ...], *, seed: int) -> Float[np.ndarray, "2 h w"]:
 def line_amplitude(
     shape: tuple[int, ...], unevenness: float, *, seed: int
 ) -> Float[np.ndarray, "h w"]:
-    """Return a factor of each pixel's place, by a log-normal law whose mean square is 1.
+    """Return a log-normal factor, with a mean square of 1, for the offset of each pixel's point.
 
-    Its logarithm has the standard deviation `unevenness`. It is independent between columns; along
-    a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans,
-    the sizes of errors are alike in this way: what makes them lies along the projector's lines.
+    Its logarithm has the standard deviation `unevenness`. Columns are independent; two pixels of a
+    column at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans the sizes of
+    errors correlate in this way, so their cause must follow the projector's lines.
     """
     field = np.random.default_rng([_SEED + 1, seed]).standard_normal(shape)
     field = ndimage.gaussian_filter1d(field, 1.0, axis=0, mode="wrap")
@@ -137,11 +136,11 @@ def line_amplitude(
 
 
 def _slope(inverse: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:
-    """Change of inverse depth per pixel; 0 where a neighbour is missing or another surface."""
+    """Return the change of inverse depth per pixel; 0 next to a hole or another surface."""
     slope = np.zeros(inverse.shape)
     inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
     rise = (np.roll(inverse, -1, axis) - np.roll(inverse, 1, axis))[inner]
     with np.errstate(invalid="ignore"):
-        same = np.abs(rise) < STEEPEST * inverse[inner]  # NaN is not <
+        same = np.abs(rise) < STEEPEST * inverse[inner]  # False for NaN
     slope[inner] = np.where(same, 0.5 * rise, 0.0)
     return slope

@@ -1,4 +1,4 @@
-"""From the renderer's light to the light on the measuring camera's sensor: black level and veil."""
+"""Light on the measuring camera's sensor: rendered light with black level and stray light."""
 
 import cv2
 import numpy as np
@@ -8,20 +8,20 @@ from scipy import fft
 from ..rendering.radiance import Radiance
 from ..rig.pair import Rig
 
-OCTAVES = 6  # The veil has sigmas of 1/64, 1/32 .. 1/2 of the image's width.
-LOW_WIDTH_PX = 128  # The veil is computed on a picture this wide: the finest octave spans 2 pixels.
+OCTAVES = 6  # The Gaussians of the veil have sigmas of 1/64, 1/32 .. 1/2 of the image's width.
+LOW_WIDTH_PX = 128  # The veil is computed at this width, where the smallest sigma is 2 pixels.
 
 
 def camera_light(
     radiance: Radiance, rig: Rig
 ) -> tuple[Float[np.ndarray, "n h w"], Float[np.ndarray, "h w"]]:
-    """The light of each frame's projector on the sensor, and all other light (float32, radiance).
+    """Return the projector's light on the sensor for each frame, and all other light (radiance).
 
-    The projector leaks `b = 1 / contrast_ratio` of its white through every picture, so pattern k
-    becomes `(1 - b) pattern_k + b white`; then the camera's lens spreads `rig.veil` of all light
-    far over the image (see `veiled`). Where neither happens the renderer's own array comes back.
+    Every projected picture contains `b = 1 / contrast_ratio` of white, so pattern k becomes
+    `(1 - b) pattern_k + b white`. Then the camera's lens spreads the share `rig.veil` of all light
+    over the image (see `veiled`). Without either effect, the renderer's own array is returned.
 
-    Leaves out: what the veil takes from outside the image; ghosts of single lights.
+    Leaves out: stray light from outside the image; ghost images of single lights.
     """
     black = 1 / rig.contrast_ratio
     stack, background = radiance.pattern, radiance.ambient
@@ -37,14 +37,14 @@ def camera_light(
 
 
 def veiled(image: Float[np.ndarray, "h w"], share: float) -> Float[np.ndarray, "h w"]:
-    """An image of which a share of the light is spread far and wide, as stray light in a lens is.
+    """Return the image with a share of its light spread widely, as stray light in a lens is.
 
     `I' = (1 - share) I + share * mean_k(G_k I)` with Gaussians `G_k` whose standard deviations are
-    1/64, 1/32 .. 1/2 of the image's width: equal energy in each octave of distance is a halo that
-    falls with its square. Borders mirror, so no light is lost.
+    1/64, 1/32 .. 1/2 of the image's width. Each octave of distance has equal energy, so the halo
+    falls with the square of the distance. Borders are mirrored, so no light is lost.
 
-    The halo is computed on a small picture, where a cosine transform (whose pictures are mirrored
-    at their borders) turns all Gaussians into one factor per frequency.
+    The halo is computed on a small picture. There a cosine transform, which implies mirrored
+    borders, turns all Gaussians into one factor per frequency.
     """
     h, w = image.shape
     low_w = min(w, LOW_WIDTH_PX)
@@ -63,7 +63,7 @@ def veiled(image: Float[np.ndarray, "h w"], share: float) -> Float[np.ndarray, "
 
 
 def _halo_spectrum(low_h: int, low_w: int, aspect: float) -> Float[np.ndarray, "low_h low_w"]:
-    """What all octaves together leave of each cosine over the image; wavelengths in its widths."""
+    """Return the factor by which all Gaussians together reduce each cosine of the transform."""
     wy = np.pi * np.arange(low_h) / aspect  # radians per image width
     wx = np.pi * np.arange(low_w)
     frequency2 = wy[:, None] ** 2 + wx[None, :] ** 2

@@ -1,4 +1,4 @@
-"""The pictures that go into a dataset: in colour, and what the measuring camera saw."""
+"""The pictures of a dataset: the colour picture, and the grey picture of the measuring camera."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -16,13 +16,13 @@ PERCENTILE, TARGET = 98.0, 0.85  # The exposure puts this percentile at this sha
 def color_picture(
     scanner: Scanner, rendering: Rendering, *, denoiser: Denoiser | None, seed: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the picture of lamps, environment and the projector's idle level, in 8-bit sRGB.
+    """Return a picture lit by lamps, environment and the idle projector, in 8-bit sRGB.
 
-    The measuring sensor takes the bands one after the other.
+    The measuring sensor takes the three bands one after the other.
 
     Args:
-        denoiser: what takes the light's sampling noise off; None leaves it.
-        seed: of the sensor's noise, which differs between the bands.
+        denoiser: removes the sampling noise of the rendered light; None leaves the noise.
+        seed: seed of the sensor's noise, which differs between the bands.
 
     Raises:
         ValueError: there is no light in the picture.
@@ -33,7 +33,7 @@ def color_picture(
 def color_light(
     rig: Rig, rendering: Rendering, *, denoiser: Denoiser | None
 ) -> Float[np.ndarray, "h w 3"]:
-    """The light of the colour picture, which no setting of the sensor changes; see there."""
+    """Return the light of the colour picture, before the sensor; see `color_picture`."""
     radiance = rendering.radiance
     linear = radiance.ambient_rgb + np.float32(idle_share(rig)) * radiance.white_rgb
     if denoiser is None:
@@ -44,7 +44,7 @@ def color_light(
 def developed(
     linear: Float[np.ndarray, "h w 3"], scanner: Scanner, *, seed: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour picture that the scanner's sensor takes of a light; see `color_picture`."""
+    """Return the colour picture that the scanner's sensor takes of a light; see `color_picture`."""
     sensor = scanner.sensor
     if not linear.max() > 0:
         raise ValueError(
@@ -58,36 +58,36 @@ def developed(
 
 
 def idle_share(rig: Rig) -> float:
-    """What the projector shines while the colour picture is taken, as a share of its white."""
+    """Return the projector's light during the colour picture, relative to its white."""
     black = 1 / rig.contrast_ratio
     return (1 - black) * rig.picture_level + black
 
 
 def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """The first frame, white, as `relative_light`: linear, 8 bit, 255 is one and more."""
+    """Return the first frame, which is white, as `relative_light` in 8 bits; 255 is 1 or more."""
     return np.round(np.minimum(relative_light(capture, 0), 1) * 255).astype(np.uint8)
 
 
 def relative_light(capture: Capture, index: int) -> Float[np.ndarray, "h w"]:
-    """The light of a frame, in shares of what fills the sensor's range in the reference exposure.
+    """Return the light of a frame; 1 saturates the sensor in the reference exposure.
 
-    A pixel of another exposure is scaled by the ratio of the times, so equal surfaces have equal
-    values whatever exposures they are taken from; some are greater than one.
+    A pixel of another exposure is scaled by the ratio of the times, so that equal light has equal
+    values in all exposures; values can be greater than 1.
     """
     share = _share(capture.frames[index], capture.sensor)
     return share * np.float32(capture.reference_s / capture.exposure_s)
 
 
 def srgb_frame(capture: Capture, index: int) -> UInt8[np.ndarray, "h w"]:
-    """A frame for people to look at: its `relative_light` in 8-bit sRGB."""
+    """Return a frame for display: its `relative_light` in 8-bit sRGB."""
     share = np.minimum(relative_light(capture, index), 1)
     return _SRGB[np.round(share * (len(_SRGB) - 1)).astype(np.uint16)]
 
 
-_SRGB = srgb(np.linspace(0, 1, 2**16))  # A table is faster than a power for each pixel.
+_SRGB = srgb(np.linspace(0, 1, 2**16))  # A table is faster than computing a power per pixel.
 
 
 def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:
-    """Digital numbers as a share of the sensor's range, 0 to 1."""
+    """Return digital numbers as a share of the sensor's range, from 0 to 1."""
     offset_dn = np.float32(sensor.offset_dn)
     return np.clip((dn - offset_dn) / np.float32(sensor.saturation_dn - sensor.offset_dn), 0, 1)

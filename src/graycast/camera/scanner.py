@@ -1,6 +1,6 @@
-"""A scanner: a rig with its code, sensor, exposure, filters and faults; presets of them.
+"""A scanner: a rig with its code, sensor, exposure, filters and faults; preset scanners.
 
-The whole way from light to depth is two functions: `take` and `measure`.
+Two functions go all the way from light to depth: `take` and `measure`.
 """
 
 import math
@@ -54,15 +54,15 @@ from .speckle import (
     uneven,
 )
 
-APERTURE_SLACK = 0.05  # The camera's own aperture may differ by this share from sensor.f_number.
+APERTURE_SLACK = 0.05  # Relative difference allowed between camera.aperture_m and sensor.f_number.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scanner:
-    """Everything about a virtual camera: what `certify` measures and `generate` uses.
+    """All settings of a virtual scanner.
 
-    `code` is one that has a name, or a list of frames of the user's own for this projector.
+    `code` is a named code or, for this projector only, the user's own list of frames.
     """
 
     rig: Rig
@@ -86,11 +86,11 @@ class Scanner:
                 )
 
     def light_code(self) -> Code:
-        """The code for this rig's projector."""
+        """Return the code for this rig's projector."""
         return self.code.code(self.rig.projector.width_px, self.rig.projector.height_px)
 
     def named_code(self) -> CodeSpec:
-        """Return the code where it has a name, which files and the twin's fit need.
+        """Return the code, which must have a name for files and for the fit of a twin.
 
         Raises:
             ConfigError: the code is a list of frames.
@@ -102,7 +102,7 @@ class Scanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """One shot of a scanner: pictures, projector positions, depth."""
+    """One scan: pictures, projector positions and depth."""
 
     capture: Capture
     codes: CodeMap
@@ -110,7 +110,7 @@ class Scan:
 
 
 def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
-    """Take the pictures of a scanner and measure them: all the way from light to depth."""
+    """Take the pictures of a scanner and measure them: the way from light to depth."""
     capture = take(scanner, radiance, seed=seed)
     codes, depth = measure(scanner, capture, path_noise=radiance.path_noise)
     return Scan(capture=capture, codes=codes, depth=depth)
@@ -123,16 +123,16 @@ def take(
     seed: int,
     metered: Bool[np.ndarray, "h w"] | None = None,
 ) -> Capture:
-    """Return the measuring camera's stack, one picture per pattern, several exposures merged.
+    """Return the measuring camera's stack: one picture per pattern, with exposures merged.
 
-    All exposures are taken through the same optics, so one pattern of speckle is in all of them.
+    All exposures are taken through the same optics, so they have the same speckle pattern.
 
     Args:
-        metered: the pixels from which `exposure.auto` chooses its times, as a user draws a region
-            of interest; None is all of them. Other exposures do not depend on it.
+        metered: mask of the pixels from which `exposure.auto` chooses its times, like a user's
+            region of interest; None is all pixels. Without `exposure.auto` it is ignored.
 
     Raises:
-        ValueError: the scene is dark, or lit beyond all numbers.
+        ValueError: the scene is dark, or its light is not finite.
     """
     stack, background = camera_light(radiance, scanner.rig)
     exposure = scanner.exposure
@@ -173,10 +173,10 @@ def take(
 def _pictures(
     scanner: Scanner, radiance: Radiance, stack: Float[np.ndarray, "n h w"]
 ) -> Callable[[int], Float[np.ndarray, "n h w"]]:
-    """Return a function from a seed to the light of one exposure.
+    """Return a function that maps a seed to the light of one exposure.
 
-    The projector shines anew in each exposure.
-    `stack` is the light of the radiance's patterns on the sensor.
+    The projector's lines have new random errors in each exposure.
+    `stack` is the light of the patterns on the sensor, without these errors.
     """
     share = scanner.rig.line_noise
     if not share:
@@ -196,9 +196,9 @@ def _pictures(
 
 
 def scan_seconds(capture: Capture, *, readout_s: float) -> float:
-    """Return how long taking a stack lasts: each frame is exposed and read out, at every exposure.
+    """Return the duration of a stack: each frame is exposed and read out once per exposure time.
 
-    Leaves out: computing, which scanners do during the next scan, and pauses between frames.
+    Leaves out: pauses between frames, and computing, which scanners do during the next scan.
     """
     return len(capture.frames) * (sum(capture.times_s) + len(capture.times_s) * readout_s)
 
@@ -206,13 +206,13 @@ def scan_seconds(capture: Capture, *, readout_s: float) -> float:
 def measure(
     scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
 ) -> tuple[CodeMap, DepthMap]:
-    """Simulated pictures to projector positions to depth, with the scanner's filters and faults.
+    """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
 
-    `sigma.TERMS` lists what is in the standard deviations. `stack.decode_stack` is the function for
-    real pictures.
+    `sigma.TERMS` lists the terms of the standard deviations. For real pictures, use
+    `stack.decode_stack`.
 
     Args:
-        path_noise: that of the radiance that the pictures were taken of; None where it has none.
+        path_noise: `path_noise` of the radiance from which the pictures were taken.
     """
     rig, code = scanner.rig, scanner.light_code()
     axis = triangulation_axis(rig)
@@ -226,7 +226,7 @@ def measure(
     if rig.speckle_contrast:
         own_reflectance = _effective_reflectance(scanner, capture, depth)
         light_contrast = material_contrast(own_reflectance, rig.speckle_volume)
-        # This is how far speckle puts a black pixel's light off its centre (one sigma).
+        # Speckle shifts the centre of a black pixel's light by this distance (one sigma).
         off_px = footprint_px(scanner.sensor, side=_side(scanner)) * _of_black(scanner)
         off_map_px = np.float32(off_px) * light_contrast
         depth = with_depth_term(depth, speckle_m(depth, codes, rig, off_map_px))
@@ -240,31 +240,31 @@ def measure(
 
 
 def _of_black(scanner: Scanner) -> float:
-    """Contrast of speckle in a pixel that shows a black surface."""
+    """Return the speckle contrast of a pixel that sees a black surface."""
     return scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
 
 
 def _in_picture_px(rig: Rig, length_m: float) -> float:
-    """A length on a surface that faces the camera in the middle of the working range."""
+    """Return the size in pixels of a length on a facing surface in the middle of the range."""
     return rig.camera.fx_px * length_m / ((rig.near_m + rig.far_m) / 2)
 
 
 def _side(scanner: Scanner) -> float:
-    """Of the square that a camera's pixel senses with [px]."""
+    """Return the side of the active square of a camera pixel [px]."""
     return math.sqrt(scanner.rig.camera.fill_factor)
 
 
 def _effective_reflectance(
     scanner: Scanner, capture: Capture, depth: DepthMap
 ) -> Float[np.ndarray, "h w"]:
-    """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
+    """Return the diffuse reflectance that would explain each pixel's brightness; 0 without depth.
 
-    Of the projector's light a surface at the distance d gives back `R I / (pi d^2)` [radiance].
-    A slanted surface has more, and so has one that the projector's falloff dims: they are taken for
-    darker, and their speckle for stronger.
+    A facing surface at distance d reflects the radiance `R I / (pi d^2)`. The reflectance of a
+    slanted surface, or of one where the projector is dim, is higher than this estimate, so its
+    speckle is overestimated.
     """
     rig, sensor = scanner.rig, scanner.sensor
-    # From the darkest frame to the brightest; a code's own modulation may be of thin lines.
+    # Use darkest and brightest frame, because the modulation of thin lines would be too small.
     span_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
     electrons = span_dn / sensor.gain_dn_per_e
     light = electrons / (sensor.responsivity * capture.exposure_s)
@@ -277,21 +277,21 @@ def _effective_reflectance(
 
 
 def preset(name: str, resolution: str = "low") -> Scanner:
-    """Return a scanner known by name.
+    """Return a preset scanner.
 
-    `paper` is the paper's: plain Gray code, no filter. The others show a phase code, filter their
-    depth and smooth it. They know most light that came by way of another surface: by two periods
-    that disagree, by a point off its epipolar line (which takes the code of both axes), and by
-    stripes without contrast; pixels beside edges, which may see two surfaces, have no depth.
-    docs/measurements/materials.md has the shares of wrong depth on eight materials. A laser's line
-    is blurred a little, and it has speckle and the faults of a real device.
+    `paper` is the scanner of the paper, with a plain Gray code and no filter. The others project a
+    phase code, then filter and smooth the depth. They reject most indirect light, because its two
+    periods disagree, its point is off the epipolar line (if both axes are coded), or its stripes
+    have little contrast. Pixels next to edges, which may see two surfaces, have no depth.
+    docs/measurements/materials.md has the shares of wrong depth on eight materials. Scanners with a
+    laser have a slight blur of the line, speckle, and the faults of a real device.
 
     Args:
         name: one of `rig.pair.PRESETS`, or a former name of one.
         resolution: 'small', 'low' or 'full', see `rig.pair.preset_rig`.
 
     Raises:
-        ValueError: no such preset or resolution.
+        ValueError: there is no such preset or resolution.
     """
     name = current_name(name)
     rig = preset_rig(name, resolution)
@@ -346,14 +346,14 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     )
 
 
-_LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # our choice: a mirror's picture has sharper borders
-# Five real scans show them by their noise on black, white and slopes (docs/measurements/rigs.md).
+_LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # Our choice: a micromirror's pixels have sharper borders.
+# These follow from the noise on black, white and slopes in five scans (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# In the middle of its range, at 1.51 m, it gives like-phoxi-l the temporal noise that the maker
-# states without a distance (docs/measurements/accuracy.md); at 1.24 m it gives two thirds of that.
-# Over this length it is independent from pixel to pixel, as most noise of those scans is.
+# In the middle of its range, at 1.51 m, like-phoxi-l then has the temporal noise that the maker
+# states without a distance (docs/measurements/accuracy.md); at 1.24 m it has two thirds of that.
+# With this short length the noise is independent between pixels, like most noise of those scans.
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
-# It is 0.2 mm, as small maps of a real device have; nothing is known of full ones.
+# On the surface this is 0.2 mm, as in small maps of a real device; for full maps it is unknown.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
 
 __all__ = [

@@ -1,15 +1,14 @@
 """From radiance to digital numbers: exposure, noise, saturation, quantisation.
 
-A linear monochrome sensor in EMVA 1288 terms, in the order of the hardware: photons and dark
-current are counted (Poisson), the well clips the electrons, the read-out adds its noise, the
-converter rounds and clips. Every pixel of every frame draws from its own counter-based random
-stream (a hash of seed, frame and pixel), so the result depends on the seed alone, not on the
-number of threads. The fixed pattern has a seed of its own: it belongs to the sensor, not to a shot.
+The sensor is linear and monochrome, in the terms of EMVA 1288. The steps follow the hardware:
+photons and dark current are counted (Poisson), the well clips the electrons, the read-out adds
+noise, the converter rounds and clips. Each pixel of each frame has its own counter-based random
+stream (a hash of seed, frame and pixel), so the result depends on the seed and not on the number
+of threads. The fixed pattern has its own seed, because it belongs to the sensor and not to a shot.
 
 Leaves out: non-linearity, blooming, lag, rows or columns in the fixed pattern, hot pixels, a dark
-current that differs from pixel to pixel, colour filters (the sensor takes the bands of the colour
-picture one after the other, so all of them have its fixed pattern). The falloff of the lens is part
-of the optics.
+current that differs between pixels, colour filters (the bands of the colour picture are taken one
+after the other and share the fixed pattern). The falloff of the lens is part of the optics.
 """
 
 import math
@@ -29,18 +28,18 @@ from ..base.streams import CaptureStream
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
-EXACT_POISSON_BELOW_E = 64.0  # Above, a normal law leaves out a skewness of under 1 / 8.
-# A full well still shows read noise: a value this many standard deviations under it counts as full.
+EXACT_POISSON_BELOW_E = 64.0  # Above, the skewness is below 1 / 8, and a normal law is used.
+# A full well still has read noise, so a value up to this many standard deviations below is full.
 SATURATION_SIGMAS = 4.0
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSpec:
-    """A linear sensor and the stop of the lens before it; the default is a 5-megapixel CMOS chip.
+    """A linear sensor with the aperture of its lens; the default is a 5-megapixel CMOS chip.
 
-    The fixed patterns (`dsnu_e`, `prnu`) are white and follow from `fpn_seed` alone, so they are
-    the same in every capture. Two devices have two seeds.
+    The fixed patterns (`dsnu_e`, `prnu`) are white and depend only on `fpn_seed`, so they are
+    the same in every capture. Give two devices two seeds.
     """
 
     pixel_pitch_m: Annotated[
@@ -114,8 +113,8 @@ class SensorSpec:
     def responsivity(self) -> float:
         """Electrons per second for a radiance of 1 W sr^-1 m^-2.
 
-        The camera equation of a lens focused far away gives the irradiance `E = pi L T / (4 N^2)`;
-        a pixel of the area `p^2` turns it into `E p^2 eta wavelength / (h c)` electrons a second.
+        With a lens focused far away, the camera equation gives the irradiance
+        `E = pi L T / (4 N^2)`, and a pixel of area `p^2` yields `E p^2 eta wavelength / (h c)`.
         """
         irradiance = math.pi * self.lens_transmission / (4 * self.f_number**2)
         photons = self.pixel_pitch_m**2 * self.wavelength_m / (PLANCK_J_S * LIGHT_SPEED_M_S)
@@ -129,8 +128,8 @@ class SensorSpec:
     def saturation_dn(self) -> float:
         """The digital number from which a stored value counts as saturated.
 
-        The top of the converter, or the full well where that is lower, less the
-        `SATURATION_SIGMAS` by which read noise (and `dsnu_e`) may hide it.
+        It is the converter's maximum or, if lower, the full well minus `SATURATION_SIGMAS` of
+        read noise (with `dsnu_e`).
         """
         well_e = self.full_well_e - self._full_well_margin_e
         return min(float(self.max_dn), self.offset_dn + self.gain_dn_per_e * well_e)
@@ -142,13 +141,13 @@ class SensorSpec:
     def variance_dn2(
         self, stored_dn: Num[np.ndarray, "*n"] | float
     ) -> Float[np.ndarray, "*n"] | float:
-        """Temporal noise variance of a stored value [DN^2], by the photon transfer law.
+        """Return the temporal noise variance of a stored value y [DN^2].
 
-        `K (y - offset) + K^2 read^2 + 1/12`. What lies above the offset is light and dark current
-        alike, and both are counted electrons, so dark current needs no term of its own.
+        The photon transfer law is `K (y - offset) + K^2 read^2 + 1/12`. Both light and dark current
+        are electrons that are counted above the offset, so dark current needs no separate term.
 
         Args:
-            stored_dn: expected value y, offset included; one frame's own value is an estimate.
+            stored_dn: expected value, with offset; the value of a single frame is an estimate.
 
         Source: EMVA Standard 1288, release 4.0, equation of the photon transfer method.
         """
@@ -161,16 +160,16 @@ class SensorSpec:
 class Capture:
     """A stack of pictures as the sensor stored them [DN].
 
-    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`). The
-    light of all pixels is then compared on the scale of one of the exposures, `reference_s`.
-    `times_s` are the times of all exposures that were taken, also of those that no pixel has.
+    `exposure_s` is a map if each pixel has its own exposure time (`merge_exposures`). Light is then
+    scaled to one of the times, `reference_s`, for comparison. `times_s` has the times of all
+    exposures that were taken, even those that no pixel uses.
     """
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     sensor: SensorSpec
     exposure_s: float | Float[np.ndarray, "h w"]
-    reference_s: float = math.nan  # If it is not given, it is the shortest exposure.
-    times_s: tuple[float, ...] = ()  # If they are not given, they are those that pixels have.
+    reference_s: float = math.nan  # NaN becomes the shortest exposure time.
+    times_s: tuple[float, ...] = ()  # An empty tuple becomes the times that pixels have.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):
@@ -185,15 +184,15 @@ class Capture:
 def auto_exposure_s(
     brightest: Float[np.ndarray, "*n"], sensor: SensorSpec, *, percentile: float, target: float
 ) -> float:
-    """The exposure that puts a percentile of the brightest frame at a share of saturation.
+    """Return the exposure time that puts a percentile of the brightest frame at `target`.
 
     Args:
         brightest: radiance of the brightest frame, any shape [W sr^-1 m^-2].
-        percentile: 0 to 100, of all its pixels.
+        percentile: percentile of all its pixels, 0 to 100.
         target: share of the range between offset and saturation, 0 to 1.
 
     Raises:
-        ValueError: nothing in the frame is lit at that percentile.
+        ValueError: the frame is dark at that percentile.
     """
     level = float(np.percentile(brightest, percentile))
     if not level > 0:
@@ -218,8 +217,8 @@ def expose(
 
     Args:
         radiance: one image per frame [W sr^-1 m^-2].
-        background: light that is in every frame beside it [W sr^-1 m^-2].
-        seed: of the noise; frames and pixels are independent of one another.
+        background: light that is added to every frame [W sr^-1 m^-2].
+        seed: seed of the noise, which is independent between frames and pixels.
 
     Raises:
         ValueError: the exposure is not positive, or radiance is negative or not finite.
@@ -236,7 +235,7 @@ def expose(
     dark = np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w)
     light = np.ascontiguousarray(radiance.reshape(n, h * w)).view(), dark.view()
     for values in light:
-        values.flags.writeable = False  # the kernel is compiled for each kind of array: one here
+        values.flags.writeable = False  # One kind of array, so the kernel is compiled only once.
     shot = _Shot(
         scale=sensor.responsivity * exposure_s,
         dark_e=sensor.dark_current_e_s * exposure_s,
@@ -255,24 +254,24 @@ def expose(
 
 
 def merge_exposures(captures: Sequence[Capture]) -> Capture:
-    """One stack of several exposures of a still scene, each pixel in the one that suits it (HDR).
+    """Merge several exposures of a still scene to one stack, with one exposure per pixel (HDR).
 
-    A pixel is taken, in all frames, from the longest exposure in which no frame of it is
-    saturated; where even the shortest saturates, from the shortest. Numbers stay as they were
-    stored, so a pixel's noise is that of a single exposure and its frames can be compared.
+    All frames of a pixel come from the longest exposure in which none of them is saturated, or
+    from the shortest exposure if all are saturated. The stored numbers do not change, so a pixel
+    has the noise of a single exposure and its frames can be compared.
 
     Args:
-        captures: of one sensor and one scene, frame by frame; in any order.
+        captures: captures of the same scene with the same sensor and code, in any order.
 
     Returns:
         A capture whose `exposure_s` is a float32 map, whose `reference_s` is the shortest time and
-        whose `times_s` has all times, the shortest first; of a single capture, that capture.
+        whose `times_s` has all times, the shortest first. A single capture is returned unchanged.
 
     Raises:
-        ValueError: no captures, different sensors or sizes, or one that is merged already.
+        ValueError: no captures, different sensors or sizes, or a capture that is already merged.
 
-    Leaves out: weighting of several exposures, which would gain a little noise and lose its law.
-    A pixel within its noise of saturation is chosen by its noise, which lowers its mean a little.
+    Leaves out: weighting of several exposures, which would reduce noise slightly but break its law.
+    Near saturation, noise decides which exposure a pixel gets, which lowers its mean slightly.
     """
     if not captures:
         raise ValueError("no captures are given to merge; give at least one")
@@ -297,7 +296,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
 
 
 def stored_saturation_dn(sensor: SensorSpec) -> int:
-    """`saturation_dn` as the converter rounds: a stored value of this or more is saturated."""
+    """Return the smallest stored value that is saturated: `saturation_dn`, rounded."""
     return math.floor(sensor.saturation_dn + 0.5)
 
 
@@ -318,13 +317,13 @@ def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s
 
 
 def _key(seed: int, *stream: int) -> np.uint64:
-    """A seed hashed by numpy, so that near seeds and other streams are unrelated."""
+    """Return a hash of seed and stream, so that similar seeds and other streams are unrelated."""
     return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 
 
 @kernel()
 def _mix(z: np.uint64) -> np.uint64:
-    """Finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014): 64 well-mixed bits."""
+    """Mix 64 bits by the finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014)."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
@@ -332,9 +331,9 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @kernel()
 def _polar(bits: np.uint64):
-    """Radius and angle of two normal numbers (Box and Muller, 1958) from one draw.
+    """Return radius and angle of two normal numbers (Box and Muller, 1958) from 64 random bits.
 
-    The two uniforms have 32 bits each and are never 0.
+    Each of the two uniform numbers has 32 bits and is never 0.
     """
     u = (np.float64(bits >> np.uint64(32)) + 0.5) * 2.0**-32
     v = (np.float64(bits & np.uint64(0xFFFFFFFF)) + 0.5) * 2.0**-32
@@ -342,7 +341,7 @@ def _polar(bits: np.uint64):
 
 
 class _Shot(NamedTuple):
-    """A sensor at one exposure: fields of `SensorSpec`, electrons per radiance, streams' keys."""
+    """A sensor at one exposure time: fields of `SensorSpec`, scale, and keys of random streams."""
 
     scale: float
     dark_e: float
@@ -378,7 +377,7 @@ def _expose(radiance, background, frames, shot):
                 counted_e = np.float64(_poisson(mean_e, _mix(bits)))
                 signal_e = min(counted_e, shot.full_well_e) + read_noise_e * first
             elif mean_e + 7.0 * math.sqrt(mean_e) < shot.full_well_e:
-                # No draw reaches the well (32 bits end at 6.8 sigma): one number serves for both.
+                # No draw reaches the well (32 bits end at 6.8 sigma), so one number is enough.
                 signal_e = mean_e + math.sqrt(mean_e + read_noise_e * read_noise_e) * first
             else:
                 counted_e = min(mean_e + math.sqrt(mean_e) * first, shot.full_well_e)
@@ -389,11 +388,11 @@ def _expose(radiance, background, frames, shot):
 
 @kernel()
 def _poisson(mean: float, bits: np.uint64) -> int:
-    """A Poisson number by inversion of its distribution function at one uniform draw."""
+    """Return a Poisson number by inversion of the distribution function at one uniform number."""
     u = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     k, probability = 0, math.exp(-mean)
     cumulative = probability
-    while u > cumulative and k < 1000:  # the bound is met only by rounding at u -> 1
+    while u > cumulative and k < 1000:  # Only rounding at u near 1 can reach the bound.
         k += 1
         probability *= mean / k
         cumulative += probability

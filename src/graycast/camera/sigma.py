@@ -1,16 +1,16 @@
 """Standard deviation of a decoded depth: all of its terms, each with its law and its switch.
 
-A depth is uncertain for the reasons in `TERMS`, in the order in which they are added. Terms of a
-position are standard deviations of the decoded column or row [projector px]; `triangulate` carries
-them to depth by |dz/du|. Terms of a depth are standard deviations of z [m]. Terms are independent,
-so their variances add. Filters act between them: smoothing lowers what is white from pixel to
-pixel, and is applied before the terms `raster` and `bend`.
+`TERMS` lists the causes of uncertain depth in the order in which they are added. Terms of a
+position are standard deviations of the decoded column or row [projector px]; `triangulate` converts
+them to depth by |dz/du|. Terms of a depth are standard deviations of z [m]. Terms are taken as
+independent, so their variances add up. Filters are applied between them: smoothing reduces the
+noise that is white from pixel to pixel, and comes before the terms `raster` and `bend`.
 
-The decoder has the terms that follow from a pixel's own frames in its kernels; all others are
-functions of this module.
+The decoder's kernels compute the terms that follow from a pixel's own frames; functions of this
+module compute all others.
 
-Leaves out: errors of the calibration, which move many pixels alike; interreflected light, which
-makes wrong depth rather than uncertain depth; errors of two terms that are not independent.
+Leaves out: errors of the calibration, which move many pixels together; interreflected light, which
+makes depth wrong rather than uncertain; correlation between terms.
 """
 
 import math
@@ -33,10 +33,10 @@ from .decode.plan import AxisPlan, plan_axes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """One reason for which a depth is uncertain.
+    """One cause of uncertain depth.
 
     `law` is its standard deviation in the symbols of `docs/explanation`, `source` the function that
-    computes it, and `zero` says where, or by which setting, it is zero.
+    computes it, and `zero` the cases or the setting for which it is zero.
     """
 
     name: str
@@ -119,21 +119,21 @@ TERMS = (
     ),
 )
 
-RIPPLE_OVER_FLOOR = 2.0  # A ripple of less than this many times its background is chance.
-_MOST_RIPPLE = 1.84  # The Bessel function J_1 rises up to here.
-_PHASES = 4096  # So many phases are told apart in their histogram.
+RIPPLE_OVER_FLOOR = 2.0  # A ripple below this many times its background is taken for chance.
+_MOST_RIPPLE = 1.84  # The Bessel function J_1 has its maximum here.
+_PHASES = 4096  # The number of bins in the histogram of phases.
 BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be noise.
-# A pixel that a step divides at random is off by a root mean square of 0.29 of the step, of which
-# the largest of the bends at it and beside it is 0.75; a fold through it is off by an eighth at
-# most. This share is between the two. docs/measurements/materials.md has what it makes of sigma.
+# If a step divides a pixel at random, the error has a root mean square of 0.29 of the step, and the
+# largest bend at the pixel or its neighbours is 0.75 of the step. A fold makes an error of at most
+# 1/8 of the bend. This share is between the two; see docs/measurements/materials.md.
 BEND_SHARE = 0.25
-STEP_RATIO = 4.0  # A position that rises this much faster than on a facing surface is a step.
+STEP_RATIO = 4.0  # A change of position this many times that on a facing surface is a step.
 
 
 def with_position_term(
     codes: CodeMap, sigma_px: Mapping[Axis, Float[np.ndarray, "h w"] | float]
 ) -> CodeMap:
-    """Return the same positions with one more term [projector px] in the sigma of some axes."""
+    """Return the same positions with a term [projector px] added to the sigma of some axes."""
     sums = {
         f"sigma_{axis}": np.hypot(getattr(codes, f"sigma_{axis}"), np.float32(own))
         for axis, own in sigma_px.items()
@@ -143,7 +143,7 @@ def with_position_term(
 
 
 def with_depth_term(depth: DepthMap, sigma_m: Float[np.ndarray, "h w"]) -> DepthMap:
-    """Return the same depth with one more term [m] in its sigma."""
+    """Return the same depth with a term [m] added to its sigma."""
     return replace(depth, sigma_m=np.hypot(depth.sigma_m, sigma_m).astype(np.float32))
 
 
@@ -156,13 +156,13 @@ def with_ripple(codes: CodeMap, code: Code) -> CodeMap:
 
 
 def ripple_px(codes: CodeMap, code: Code) -> dict[Axis, float]:
-    """Return the ripple of codes of one period: light that is not linear in the grey level.
+    """Return the ripple of phases in codes with one period, caused by a non-linear projector.
 
-    Such light moves a phase by `a sin(N phi + b)` with N steps. A picture of many periods shows all
-    phases equally often, so the ripple is seen in how often the decoded ones occur: the mean of
-    `exp(i N phi)` has the absolute value `J_1(N a)`. The means for N - 1 and N + 1, which no ripple
-    makes, are its background: what is not clearly above it is taken for chance. Codes of several
-    periods have this error in the term `disagreement`.
+    Light that is not linear in the grey level moves a phase by `a sin(N phi + b)` with N steps. In
+    a picture of many periods all true phases are equally frequent, so the histogram of the decoded
+    phases shows the ripple: the mean of `exp(i N phi)` has the absolute value `J_1(N a)`. A ripple
+    does not affect the means for N - 1 and N + 1, which serve as background; a value that is not
+    clearly above it is taken for chance. With several periods, `disagreement` has this error.
 
     Leaves out: pictures of about one period, where the background hides a ripple.
 
@@ -195,13 +195,13 @@ def _ripple_px(codes: CodeMap, code: Code, axis: Axis, plan: AxisPlan) -> float:
 
 
 def light_path_px(code: Code, noise: PathNoise) -> dict[Axis, Float[np.ndarray, "h w"]]:
-    """Return what a finite number of paths makes of decoded positions, one sigma [projector px].
+    """Return the standard deviation of positions from the noise of rendered light [projector px].
 
-    A phase has the error of the mean place of straight light. Stray stripes of a share s turn it by
-    up to s, at random, which is `s / sqrt(2) * period / (2 pi)` of place. Several periods share
-    the stray light of near places and not that of distant ones: half of its variance is taken as
-    common to them, and of the other half their mean has what independent ones leave. A Gray code's
-    own sigma has the width of a cell, which the mean place has, too.
+    A phase has the error of the mean position of the direct light. A share s of stray light turns a
+    phase by up to s at random, which is `s / sqrt(2) * period / (2 pi)` as a position. Periods have
+    the stray light from near positions in common, but not that from distant ones: half of the
+    variance is taken as common, and half as independent and reduced by averaging. The sigma of a
+    Gray code already contains the width of a cell, so the width is subtracted here.
     """
     sigma_px = {}
     for axis, plan in plan_axes(code, fine_bits=0).items():
@@ -219,13 +219,13 @@ def light_path_px(code: Code, noise: PathNoise) -> dict[Axis, Float[np.ndarray, 
 
 
 def line_noise_px(code: Code, axis: Axis, share: float) -> float:
-    """Return what uneven projector lines make of a decoded position, one sigma [projector px].
+    """Return the standard deviation of positions from uneven projector lines [projector px].
 
-    With N steps of a period p the phase is off by `-2/N sum e_k (1 + cos t_k) sin t_k`, t_k evenly
-    spread and e_k the errors: `(p / 2 pi) share sqrt(5 / (2 N))`. Several periods are averaged,
-    each with a weight of one over this squared. Codes without phases have 0.
+    With N steps of a period p, line errors e_k change the phase by
+    `-2/N sum e_k (1 + cos t_k) sin t_k` with evenly spaced t_k, so the standard deviation is
+    `(p / 2 pi) share sqrt(5 / (2 N))`. Periods are averaged by inverse variance. Without phases: 0.
 
-    Leaves out: combs of lines, which lose a little, too.
+    Leaves out: combs of lines, which have a small error, too.
     """
     plan = plan_axes(code, fine_bits=0).get(axis)
     precision = sum(
@@ -242,11 +242,11 @@ def line_noise_px(code: Code, axis: Axis, share: float) -> float:
 def speckle_m(
     depth: DepthMap, codes: CodeMap, rig: Rig, off_px: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w"]:
-    """Return the standard deviation of depth [m] by light that is off the centre of its pixel.
+    """Return the standard deviation of depth [m] from light that is off the centre of its pixel.
 
-    A centre that lies `off_px` aside (one sigma along either axis) shows the position decoded
-    there, `grad u . off`, and depth is wrong by `dz/du` times that. The gradient is taken between
-    both neighbours; beside steps and holes it is that of a surface that faces the rig.
+    If the centre of light is `off_px` away (one sigma along each axis), the decoded position is
+    wrong by `grad u . off`, and depth by `dz/du` times that. The gradient is taken between
+    both neighbours; next to steps and holes, that of a surface facing the rig is used.
     """
     column = triangulation_axis(rig) == "column"
     u, sigma_px = (codes.column, codes.sigma_column) if column else (codes.row, codes.sigma_row)
@@ -262,25 +262,25 @@ def speckle_m(
 def _gradient(
     u: Float[np.ndarray, "h w"], axis: int, facing: float, most: float
 ) -> Float[np.ndarray, "h w"]:
-    """Return a position's change per pixel along one axis.
+    """Return the change of a position per pixel along one axis.
 
-    It is `facing` where the neighbours have no position or lie on another surface.
+    It is `facing` where a neighbour has no position or is on another surface.
     """
     slope = np.full(u.shape, facing, dtype=np.float32)
     inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
     middle = 0.5 * (np.roll(u, -1, axis) - np.roll(u, 1, axis))[inner]
     with np.errstate(invalid="ignore"):
-        slope[inner] = np.where(np.abs(middle) <= most, middle, slope[inner])  # NaN is not <=
+        slope[inner] = np.where(np.abs(middle) <= most, middle, slope[inner])  # False for NaN
     return slope
 
 
 def bend_m(depth: DepthMap) -> Float[np.ndarray, "h w"]:
-    """Return the standard deviation of depth [m] by a surface that bends within a pixel.
+    """Return the standard deviation of depth [m] from a surface that bends within a pixel.
 
-    A pixel sees an area, and the depth at its centre differs from what it sees where a fold or a
-    small step crosses it. The bend is the second difference of inverse depth along a row or column,
-    which is 0 on a plane: the largest one of the pixel and its two neighbours, beyond noise.
-    Beside a pixel without depth the bend is not known and adds nothing.
+    A pixel sees an area. If a fold or a small step crosses it, the measured depth differs from the
+    depth at its centre. A bend is the second difference of inverse depth along a row or column,
+    which is 0 on a plane. The largest bend of the pixel and its neighbours counts, less the noise.
+    Next to a pixel without depth the bend is unknown and adds nothing.
     """
     inverse = 1 / depth.depth_m
     noise2 = np.square(depth.sigma_m * np.square(inverse))
@@ -293,7 +293,7 @@ def bend_m(depth: DepthMap) -> Float[np.ndarray, "h w"]:
 
 @kernel(parallel=True)
 def _find_bends(inverse, noise2, sigmas2, bend2):
-    """Write the square of the bend along the row and the column at each pixel, less noise."""
+    """Write the squared bend along the row and the column at each pixel, minus the noise."""
     h, w = inverse.shape
     for y in numba.prange(h):
         for axis, down, right in ((0, 0, 1), (1, 1, 0)):

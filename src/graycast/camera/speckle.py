@@ -1,25 +1,25 @@
-"""Laser speckle on the sensor: light that is uneven within each pixel, and so seen off its centre.
+"""Laser speckle on the sensor: light is uneven within a pixel, so its centre is off the pixel's.
 
 Coherent light from a rough surface makes a pattern of speckles on the sensor, as fine as the lens
-resolves. A pixel sums several of them: its light varies by a contrast, and its centre of light lies
-off its own centre by a part of the pixel. Every frame is taken through the same optics, so all have
-the same pattern: averaging frames does not help, and a slope of the pattern in the picture becomes
-an error of the decoded position (R. G. Dorsch, G. Haeusler, J. M. Herrmann, "Laser triangulation:
-fundamental uncertainty in distance measurement", Applied Optics 33, 1994).
+resolves. A pixel sums several speckles: its light varies by a contrast, and its centre of light is
+off the centre of the pixel by a fraction of a pixel. All frames have the same pattern, as they are
+taken through the same optics, so averaging does not help. Where the light changes across the
+picture, this offset becomes an error of the decoded position (R. G. Dorsch, G. Haeusler,
+J. M. Herrmann, "Laser triangulation: fundamental uncertainty in distance measurement", Applied
+Optics 33, 1994).
 
-The pattern is another one in every capture: a few micrometres that a surface moved, a few
-picometres of the laser's wavelength, change it wholly.
+The speckle pattern differs in every capture, because a surface that moves by a few micrometres, or
+a laser wavelength that drifts by a few picometres, changes it completely.
 
 The finish of a surface differs from patch to patch, and so does the contrast (`uneven`). In scans
 of a real bin and its parts, the amplitude of the depth noise differs between patches of about
-10 mm. It belongs to the surface: it is the same in every scan of a surface, and neither the same
-pixel nor the same ray of the projector has it on another surface. Brightness does not explain it
-(docs/measurements/twin.md).
+10 mm. This is a property of the surface: it is the same in every scan of the surface and follows
+neither pixel nor projector ray. Brightness does not explain it (docs/measurements/twin.md).
 
-Leaves out: the rings of Airy's pattern, 6 % of the contrast at two speckles across a pixel; a
-contrast that changes with a metal's finish or with defocus; speckle of light that came over other
-surfaces; the correlation of brightness with displacement beyond their quotient; patches that move
-with their surface, since a capture has patches of its own; their size in the picture by distance.
+Leaves out: the rings of the Airy pattern, 6 % of the contrast at two speckles across a pixel; the
+effect of a metal's finish or of defocus on contrast; speckle of indirect light; any correlation of
+brightness and displacement beyond their quotient; patches that move with their surface (each
+capture has its own); the effect of distance on the size of patches in the picture.
 """
 
 import math
@@ -34,17 +34,17 @@ from ..base.kernels import kernel
 from ..base.streams import CaptureStream, stream
 from .sensor import SensorSpec
 
-LAGS = 3  # Pixels farther apart have independent speckle, because a speckle is smaller.
-MOST_REFLECTANCE = 0.95  # A mean path in matter without any absorption has no end.
-# At this distance on a surface, the finish of two places has a correlation of 1/e. It was measured
-# on five scans of one bin of plastic, the parts in it included.
+LAGS = 3  # Speckle is smaller than this many pixels, so pixels farther apart are independent.
+MOST_REFLECTANCE = 0.95  # Without absorption the mean path of light in a material is infinite.
+# Correlation length (1/e) of the finish on a surface, measured in five scans of a plastic bin and
+# the parts in it.
 PATCH_M = 0.010
-FURTHEST_PX = 0.5  # Light that a pixel gathers has its centre within what the pixel senses with.
+FURTHEST_PX = 0.5  # The centre of a pixel's light is within the active area of the pixel.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speckle:
-    """What speckle does to each pixel: a factor of its light, and the place of its centre [px]."""
+    """Effect of speckle on each pixel: a factor of its light, and the offset of its centre [px]."""
 
     brightness: Float[np.ndarray, "h w"]
     right_px: Float[np.ndarray, "h w"]
@@ -56,17 +56,16 @@ class Speckle:
 
 
 def shared_light(sensor: SensorSpec, lag_px: int, *, side: float = 1.0) -> float:
-    """Covariance of two pixels' light, `lag_px` apart along a line, for speckle of contrast 1.
+    """Return the covariance of two pixels' light, `lag_px` apart, for speckle of contrast 1.
 
-    It is one axis's factor: of two pixels apart along both axes, the product. With the intensity's
-    autocorrelation `exp(-pi r^2 / A)`, a Gaussian of the area `A = (4 / pi) (lambda N)^2` that the
-    round pupil's has, and pixels of the side p it is
+    This is the factor of one axis; for two pixels apart along both axes, multiply two factors. The
+    autocorrelation of intensity is taken as a Gaussian `exp(-pi r^2 / A)` with the area of a round
+    pupil's, `A = (4 / pi) (lambda N)^2`. For pixels of side p the covariance is
 
         1/p integral (1 - |t| / p) exp(-pi (t + lag p)^2 / A) dt   from -p to p.
 
-    At lag 0 its square is one over the number of speckles in a pixel. A pixel that senses with a
-    square in its middle alone has that square's `side` times p for p, and its neighbours lie
-    farther apart in it.
+    At lag 0 its square is 1 over the number of speckles in a pixel. For a pixel with a smaller
+    active square, p is multiplied by its `side` and the lag is divided by it.
 
     Source: J. W. Goodman, "Speckle Phenomena in Optics", 2007, section 4.5 (integrated speckle).
     """
@@ -75,7 +74,7 @@ def shared_light(sensor: SensorSpec, lag_px: int, *, side: float = 1.0) -> float
     root = math.sqrt(math.pi / pixels2)
 
     def twice_integrated(t: float) -> float:
-        """Of the Gaussian; second differences of it are the integral with the triangle."""
+        """Return the second integral of the Gaussian, whose second difference is the covariance."""
         return t * math.erf(root * t) / (2 * root / math.sqrt(math.pi)) + pixels2 / (
             2 * math.pi
         ) * math.exp(-((root * t) ** 2))
@@ -87,14 +86,14 @@ def shared_light(sensor: SensorSpec, lag_px: int, *, side: float = 1.0) -> float
 def material_contrast(
     reflectance: Float[np.ndarray, "*n"], volume: float
 ) -> Float[np.ndarray, "*n"]:
-    """Contrast of a surface's speckle as a share of a black one's.
+    """Return the speckle contrast of a surface, relative to a black surface.
 
-    Light that a material gives back has wandered through it: by the theory of Kubelka and Munk over
-    the mean path `2 R / (1 - R^2)` in units of one over its scattering coefficient, R being its
-    diffuse reflectance. Paths that differ by more than the light is coherent over do not interfere.
-    With exponentially spread paths and a Lorentzian line `C^2 = 1 / (1 + volume 2 R / (1 - R^2))`,
-    `volume` being twice the scattering length over the coherence length. So a black surface
-    speckles more than a white one.
+    Light that a material reflects has been scattered inside it. In the theory of Kubelka and Munk
+    its mean path is `2 R / (1 - R^2)` scattering lengths, where R is the diffuse reflectance. Paths
+    whose lengths differ by more than the coherence length do not interfere. For an exponential
+    distribution of paths and a Lorentzian line, `C^2 = 1 / (1 + volume 2 R / (1 - R^2))`, where
+    `volume` is twice the scattering length divided by the coherence length. So a black surface has
+    more speckle than a white one.
     """
     R = np.clip(reflectance, 0.0, MOST_REFLECTANCE)
     return 1 / np.sqrt(1 + volume * 2 * R / (1 - R * R))
@@ -103,15 +102,15 @@ def material_contrast(
 def uneven(
     amplitude: Float[np.ndarray, "h w"], unevenness: float, *, patch_px: float, seed: int
 ) -> Float[np.ndarray, "h w"]:
-    """An amplitude of noise, at most 1, on surfaces whose finish differs from patch to patch.
+    """Return an amplitude of noise that varies with the finish of surfaces; it is at most 1.
 
-    It is multiplied by a field with a log-normal law, whose logarithm has the standard deviation
-    `unevenness` and the correlation `exp(-(r / patch_px)^2)`. The mean square of the amplitude
-    stays what it was, and so does the mean power of the noise.
+    The given amplitude is multiplied by a log-normal field, whose logarithm has the standard
+    deviation `unevenness` and the correlation `exp(-(r / patch_px)^2)`. The mean square of the
+    amplitude, and so the mean power of the noise, does not change.
 
     Args:
-        patch_px: `PATCH_M` in the picture.
-        seed: of the field.
+        patch_px: size of `PATCH_M` in the picture.
+        seed: seed of the field.
     """
     rng = stream(seed, CaptureStream.FINISH)
     field = rng.standard_normal(amplitude.shape, dtype=np.float32)
@@ -121,15 +120,15 @@ def uneven(
 
 
 def pixel_contrast(sensor: SensorSpec, *, side: float = 1.0) -> float:
-    """What summing over a pixel leaves of the contrast at a point of the sensor."""
+    """Return the speckle contrast of a whole pixel, relative to that at a point of the sensor."""
     return shared_light(sensor, 0, side=side)
 
 
 def footprint_px(sensor: SensorSpec, *, side: float = 1.0) -> float:
-    """By how much speckle of contrast 1 over a pixel would move its centre of light (one sigma).
+    """Return the standard deviation of a pixel's centre of light for a pixel contrast of 1 [px].
 
-    `1 / 12` of the square that a pixel senses with, and the `lambda N / pi` of a point (Dorsch et
-    al.), which is what a pixel much smaller than a speckle has.
+    Its variance is 1/12 of the pixel's active square plus the square of `lambda N / pi`, the value
+    for a point (Dorsch et al.) or for a pixel much smaller than a speckle.
     """
     point_px = sensor.wavelength_m * sensor.f_number / sensor.pixel_pitch_m / math.pi
     return math.hypot(side / math.sqrt(12), point_px)
@@ -138,11 +137,11 @@ def footprint_px(sensor: SensorSpec, *, side: float = 1.0) -> float:
 def draw_speckle(
     contrast: Float[np.ndarray, "h w"], sensor: SensorSpec, *, seed: int, side: float = 1.0
 ) -> Speckle:
-    """A pattern for pixels of a given contrast each, that sense with a square of a `side` [px].
+    """Draw speckle for pixels that each have a contrast and an active square of a `side` [px].
 
-    Brightness has a gamma law of mean 1 (integrated speckle, Goodman), by the cube of a normal
-    number (E. B. Wilson, M. M. Hilferty, 1931). The moment of light about the pixel's centre is
-    normal and independent of it; the centre is their quotient, so dark pixels are moved farthest.
+    Brightness has a gamma distribution of mean 1 (integrated speckle, Goodman), computed as the
+    cube of a normal number (E. B. Wilson, M. M. Hilferty, 1931). The first moment of light is
+    independent and normal. The centre is moment over brightness, so dark pixels move farthest.
     """
     rng = stream(seed, CaptureStream.SPECKLE)
     fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)
@@ -161,7 +160,7 @@ def draw_speckle(
 def _correlated(
     white: Float[np.ndarray, "n h w"], sensor: SensorSpec, side: float
 ) -> Float[np.ndarray, "n h w"]:
-    """White noise of unit variance with the correlation that neighbouring pixels' speckle has."""
+    """Give white noise of unit variance the correlation of speckle in neighbouring pixels."""
     lags = [shared_light(sensor, lag, side=side) for lag in range(LAGS + 1)]
     share = [lag / lags[0] for lag in lags]
     spectrum = [_spectrum(size, share) for size in white.shape[1:]]
@@ -171,7 +170,7 @@ def _correlated(
 
 
 def _spectrum(size: int, share: list[float]) -> Float[np.ndarray, " size"]:
-    """Power at each frequency of a line of pixels with that autocorrelation; its mean is 1."""
+    """Return the power spectrum, of mean 1, of a line of pixels with that autocorrelation."""
     angle = 2 * np.pi * np.arange(size) / size
     power = 1 + sum(2 * rho * np.cos(lag * angle) for lag, rho in enumerate(share) if lag)
     power = np.maximum(power, 0.0)
@@ -179,11 +178,11 @@ def _spectrum(size: int, share: list[float]) -> Float[np.ndarray, " size"]:
 
 
 def speckled(stack: Float[np.ndarray, "n h w"], speckle: Speckle) -> Float[np.ndarray, "n h w"]:
-    """Pictures as speckle weighs the light within each pixel: brighter or darker, and displaced.
+    """Apply speckle to pictures: each pixel becomes brighter or darker, and its centre moves.
 
-    A picture's slope across a pixel is the middle of its neighbours', at most twice either: at a
-    silhouette, where one neighbour's light is another surface's, it is the pixel's own. So no light
-    is negative, and none comes from beyond the pixel.
+    The slope of a picture across a pixel is the mean of the two differences to its neighbours, but
+    at most twice the smaller one, and 0 if they have different signs. So another surface next to a
+    silhouette has little influence, and no light becomes negative.
 
     Source of the slope: B. van Leer, "Towards the ultimate conservative difference scheme IV",
     1977 (monotonised central differences).
@@ -192,7 +191,7 @@ def speckled(stack: Float[np.ndarray, "n h w"], speckle: Speckle) -> Float[np.nd
     maps = (stack, speckle.brightness, speckle.right_px, speckle.down_px)
     seen = [np.ascontiguousarray(each, dtype=np.float32).view() for each in maps]
     for each in seen:
-        each.flags.writeable = False  # one kind of array to compile for, whoever made it
+        each.flags.writeable = False  # One kind of array, so the kernel is compiled only once.
     _weigh(*seen, out)
     return out
 

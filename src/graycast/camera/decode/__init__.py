@@ -1,16 +1,16 @@
-"""From a stack of pictures to projector positions to depth, with a reason where there is none.
+"""From a stack of pictures to projector positions and depth; the reason if a pixel has no depth.
 
 maps           inputs and results: settings, maps, and the reasons of pixels without depth
-plan           which frames are the bits and the phases of each axis
+plan           the assignment of frames to bits and phases of each axis
 bits, phases   the values of bits and of phases; phases that disagree
-positions      all frames into positions: where a pixel is decoded or gets its reason
+positions      from all frames to positions; each pixel is decoded or gets a reason
 settling       ambiguous periods, which neighbours resolve
 visibility     pixels that a nearer surface must hide
 separation     direct and global light
-meeting        where rays of the camera meet planes of the projector, compiled
+meeting        intersections of camera rays and projector planes, compiled
 field          pixels that the projector's picture cannot reach
 triangulation  from positions to depth
-outliers, median, filters   what a device removes from its depth
+outliers, median, filters   filters that remove or smooth depth, as devices do
 """
 
 from .filters import filter_depth

@@ -1,4 +1,4 @@
-"""Gray bits, row by row: their values, and the variance from uncertain bits."""
+"""Gray bits, decoded row by row: their values, and the variance from uncertain bits."""
 
 import math
 from typing import NamedTuple
@@ -10,27 +10,27 @@ from jaxtyping import Float32, Int
 from ...base.kernels import kernel
 from .maps import Reason
 
-# An edge of the base bit flips all bits that are combined with it, so several weak bits are no
-# contradiction there: noise decides. Scattered light leaves little signal, and errors beyond noise
-# then turn bits over anywhere. So a bit whose misreading is costly must also have `XOR_DOUBT` of
-# the signal that other bits must have; it is less than 1 because the base bit decides at an edge.
+# An edge of the base bit flips all bits that are combined with it. Several weak bits are therefore
+# no contradiction there, and only noise makes them doubtful. But scattered light leaves little
+# signal, and then other errors flip bits anywhere. So a bit whose error is costly must also have
+# `XOR_DOUBT` of the signal that is required of other bits; below 1, as the base bit has edges, too.
 XOR_SIGMAS = 3.0
 XOR_DOUBT = 2 / 3
-# A fine bit's signal is off beyond its noise by this share of the contrast. The reasons are light
-# from elsewhere that differs between pattern and inverse, texture under the pixel, and compression.
-# Of a real scan (the sea shell) a bit whose signal is 0.03, 0.08, 0.12 and 0.20 of the contrast is
-# wrong in 37, 20, 6 and 2 of 100 pixels of its columns, in 25, 8, 3 and 1 of its rows, whichever of
-# the finest four it is: a normal error of this share.
+# The signal of a fine bit has an error of this share of the contrast in addition to its noise. Its
+# causes are indirect light that differs between pattern and inverse, texture within the pixel, and
+# compression. In a real scan (the sea shell), a bit with a signal of 0.03, 0.08, 0.12 and 0.20 of
+# the contrast is wrong in 37, 20, 6 and 2 % of the pixels for columns, and in 25, 8, 3 and 1 % for
+# rows, for each of the four finest bits. A normal error of this share explains these numbers.
 FINE_ERROR = 0.06
-# The next coarser bit has these signals, as shares of the contrast. Under the first, blur leaves
-# this bit nothing; over the second, this bit's signal is small next to its edges only.
+# Signals of the next coarser bit, as shares of the contrast. Below the first, blur has removed the
+# signal of this bit; above the second, the signal of this bit is small only next to its edges.
 BLURRED, SHARP = 0.5, 0.8
 
 
 class GrayBits(NamedTuple):
-    """The bits of an axis and how they are read: numbers of `AxisPlan`, `DecodeSpec` and `decode`.
+    """The bits of an axis, with the values of `AxisPlan` and `DecodeSpec` that decoding needs.
 
-    `bits` has the fields of each `Bit` in a row.
+    Each row of `bits` has the fields of a `Bit`.
     """
 
     bits: Int[np.ndarray, "bits 4"]
@@ -42,18 +42,18 @@ class GrayBits(NamedTuple):
 
 
 class Light(NamedTuple):
-    """The brightest and the darkest value of each pixel [DN], of a picture or a row of it."""
+    """The brightest and the darkest value of each pixel [DN], for a picture or one row."""
 
     high: Float32[np.ndarray, "*pixels"]
     low: Float32[np.ndarray, "*pixels"]
 
 
 class Places(NamedTuple):
-    """Places of pixels along an axis [px], which kernels write.
+    """Projector positions of pixels along an axis [px], which kernels write.
 
-    `sigma` holds the variance from uncertain bits [px^2] until all of the deviation is known.
-    `rival` is the distance to the place that results if the uncertain bit, if there is one, is
-    inverted.
+    At first, `sigma` holds only the variance from uncertain bits [px^2]; the standard deviation
+    replaces it. `rival` is the distance to the position that results if the uncertain bit (if
+    any) is inverted.
     """
 
     place: Float32[np.ndarray, "h w"]
@@ -63,13 +63,13 @@ class Places(NamedTuple):
 
 @kernel(parallel=True, error_model="numpy")
 def read_gray(stack, code, law, light, places, why):
-    """Decode bits to the middle of the cell of the code value, with its uncertainty."""
+    """Decode bits to the middle of the code value's cell; write its uncertainty."""
     bits, coarse, variance, rival = code.bits, places.place, places.sigma, places.rival
     count, w = len(bits), coarse.shape[1]
     for y in numba.prange(len(coarse)):
         margin = np.empty((count, w), dtype=np.int32)
         value = np.zeros(w, dtype=np.int32)
-        row = np.int64(y)  # parallel loops count without a sign: two versions would be compiled
+        row = np.int64(y)  # Parallel loops have unsigned counters, for which numba recompiles.
         of_row = Light(light.high[y], light.low[y])
         _read_bits(stack, row, bits, of_row, margin, value)
         _weigh_doubts(code, law, of_row, margin, value, variance[y], rival[y], why[y])
@@ -82,9 +82,9 @@ def read_gray(stack, code, law, light, places, why):
 def lose_bits(stack, bits, light, top, saturation_dn, why):
     """Mark pixels where a bit is lost because it and its inverse or threshold are saturated.
 
-    A pattern at the top whose inverse is not is brighter by at least what is seen. The threshold
-    without inverse lies higher than it seems where lit stripes are at the top: a wide stripe is
-    told from a dark one all the same; of a narrow one, greyed by blur, only that it is dark.
+    If only the pattern is saturated and not its inverse, the bit is certain. Without an inverse, a
+    saturated bright frame makes the threshold too low. The bits of wide stripes are still certain;
+    of narrow stripes, which blur turns grey, only dark ones are.
     """
     high, low = light.high, light.low
     for y in numba.prange(len(why)):
@@ -115,9 +115,9 @@ def lose_bits(stack, bits, light, top, saturation_dn, why):
 
 @kernel()
 def _read_bits(stack, y, bits, light, margin, value):
-    """Each bit's signal, pattern minus inverse or twice its distance to the middle, and the value.
+    """Write the signal of each bit to `margin`, and add the bits to `value`, which starts at 0.
 
-    `value` starts at 0.
+    A signal is pattern minus inverse or, without inverse, twice the distance to the threshold.
     """
     high, low = light.high, light.low
     count, w = margin.shape
@@ -148,7 +148,7 @@ def _read_bits(stack, y, bits, light, margin, value):
 
 @kernel(error_model="numpy")
 def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
-    """The effect of uncertain bits: a variance [px^2], or a contradiction."""
+    """Write the effect of uncertain bits: a variance [px^2], or a contradiction in `why`."""
     offset_dn, floor_dn2, slope_dn = law
     bits, cell_px, reach = code.bits, code.cell_px, code.reach
     doubt, fine_error, high, low = code.doubt, code.fine_error, light.high, light.low
@@ -169,7 +169,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
     scale_of_sure = zero
     for b in range(count):
         of_bit = margin[b]
-        # Without an inverse the threshold is noisy too: (2 I) - (high + low) has 3 times the noise.
+        # Without an inverse the threshold is noisy: 2 I - (high + low) has 3 times the variance.
         paired = bits[b, 1] >= 0
         scale = one if paired else np.float32(1 / math.sqrt(3.0))
         flip = np.int32((2 << (count - 1 - b)) - 1)
@@ -205,7 +205,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
             rival[x] = cell_px * apart if doubtful else rival[x]
     coarse, fine = doubts[0], doubts[1]
     for x in range(w):
-        # Light from elsewhere spoils the coarse bits alone.
+        # Indirect light makes only coarse bits doubtful.
         spoilt, wrong = np.uint8(Reason.INTERREFLECTION), np.uint8(Reason.CONTRADICTORY)
         reason = spoilt if fine[x] == 0 else wrong
         free = why[x] == Reason.DECODED
@@ -214,7 +214,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
 
 @kernel(error_model="numpy")
 def _fine_limits(noise, contrast, fine_error, scale, sure):
-    """A third of a fine bit's error, inverted [1/DN], and the contrast over its span of blur."""
+    """Write two scales of fine bits: 1 / (3 sigma) of a signal [1/DN], and that of its blur."""
     for x in range(len(noise)):
         noise_dn, off_dn = noise[x] / scale, fine_error * contrast[x]
         sure[0, x] = np.float32(1 / 3) / math.sqrt(noise_dn * noise_dn + off_dn * off_dn)
@@ -223,11 +223,11 @@ def _fine_limits(noise, contrast, fine_error, scale, sure):
 
 @kernel(error_model="numpy")
 def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
-    """The variance from a fine bit [px^2]; `coarser` is empty if the blur is not known.
+    """Add the variance from a fine bit [px^2]; `coarser` is empty if the blur is unknown.
 
-    If stripes are sharp, a small signal means that the edge of the bit is near, and the true
-    position is between both values. If blur has removed the signal, the true position is in one
-    of the two cells.
+    If stripes are sharp, a small signal means that an edge of the bit is near, and the true
+    position is between the two possible values. If blur has removed the signal, the true position
+    is anywhere in one of the two cells.
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     cell2 = half * cell_px * cell_px

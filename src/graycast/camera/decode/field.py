@@ -1,4 +1,4 @@
-"""Pixels that the projector's picture cannot reach, by the geometry of the rig alone."""
+"""Camera pixels that the projector cannot reach, computed from the geometry of the rig."""
 
 from functools import lru_cache
 
@@ -12,14 +12,14 @@ from .meeting import lens_of, place_px, rows_of
 
 
 def beside_projector(rig: Rig) -> Bool[np.ndarray, "h w"]:
-    """Return the camera pixels that see nothing within the working range that the projector lights.
+    """Return a mask of the camera pixels that the projector cannot light in the working range.
 
-    What a pixel can see lies on its ray between `near_m` and `far_m`, whose image in the projector
-    is nearly a straight line. Where both ends lie beyond one side of the projector's picture, so
-    does the whole line. The result is read-only, and the last rigs' are kept.
+    A pixel sees the part of its ray between `near_m` and `far_m`, whose image in the projector is
+    nearly a straight line. If both ends are beyond the same side of the projector's picture, so is
+    the whole line. The mask is read-only and is cached for the latest rigs.
 
-    Leaves out: lines that pass a corner of the picture, and what lies beside the picture only at
-    the depth where the surface is. The decoder does not know that depth, and cannot tell such a
+    Leaves out: lines that pass a corner outside the picture, and rays that are outside it only at
+    the depth of the surface. The decoder does not know that depth, so it cannot distinguish such a
     pixel from one in shadow.
     """
     T_proj_cam = tuple(map(tuple, rig.T_proj_cam.tolist()))
@@ -44,9 +44,9 @@ def _beside(
 
 @kernel(error_model="numpy")
 def _mark_beside(ray, near_m, far_m, T, lens, beside):
-    """Write whether both ends of each ray lie beyond the same side of the projector's picture.
+    """Write whether both ends of each ray are beyond the same side of the projector's picture.
 
-    A point behind the lens, or beyond the end of its model, is NaN and lies beyond none.
+    A point behind the lens, or outside the lens model, is NaN, and the result is then false.
     """
     for n in range(len(ray)):
         u, v = place_px(ray, n, near_m, T, lens)

@@ -1,10 +1,10 @@
-"""Filters of a depth map: flying pixels, outliers, edges, islands, smoothing, order.
+"""Filters of a depth map: flying pixels, outliers, edges, islands, smoothing, hidden pixels.
 
-They run in that order; each sees what the ones before it left. None makes depth where there was
-none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
-on a plane: a plane's pixel is the mean of two opposite neighbours, however steep the plane.
+They run in this order, each on the result of the one before. No filter gives depth to a pixel
+without depth. Smoothing and the outlier test use inverse depth, which is linear along a line of
+pixels on a plane: a pixel is the mean of two opposite neighbours, even on a steep plane.
 
-Leaves out: lens distortion, whose share in the angle between neighbouring rays is small.
+Leaves out: lens distortion, which hardly changes the angle between neighbouring rays.
 """
 
 import math
@@ -22,10 +22,10 @@ from .maps import DepthMap, FilterSpec, Reason
 from .outliers import find_outliers
 from .visibility import without_hidden
 
-STEP_SIGMAS = 3.0  # Noise up to here neither tears a surface nor makes it steep.
-LINE_SIGMAS = 4.0  # A pixel farther off the line of two neighbours is not smoothed with them.
-FLYING_REACH_PX = 3  # A fall that takes more pixels than this to a side is a surface, not a step.
-NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel ends at this share of its middle's weight.
+STEP_SIGMAS = 3.0  # A change of depth of less than this many sigmas is neither a step nor steep.
+LINE_SIGMAS = 4.0  # A pixel this far from the line of two neighbours is not smoothed with them.
+FLYING_REACH_PX = 3  # A slope that extends farther than this to a side is a surface, not a step.
+NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel is cut off at this share of its central weight.
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
@@ -33,15 +33,15 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
-        rig: the camera whose pixels these are, and the projector that may not light all of them.
+        rig: the rig with which the depth was measured.
 
     Returns:
-        A depth map in which filtered pixels are NaN with `Reason.OUTLIER`, and `sigma_m` is that
-        of the smoothed depth; the same map where no filter is on.
+        A depth map in which removed pixels are NaN with `Reason.OUTLIER`, and `sigma_m` is that
+        of the smoothed depth; the same map if no filter is on.
 
     Raises:
-        ValueError: the map has another size than the camera's picture, or depth without a standard
-            deviation.
+        ValueError: the map has another size than the camera's picture, or a pixel has a depth but
+            no standard deviation.
     """
     filtered = _filter_surfaces(depth, spec, rig.camera)
     if spec.hidden_sigmas:
@@ -50,7 +50,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
 
 
 class _Framed(NamedTuple):
-    """A depth map with a border of NaN, so that no loop needs a special case.
+    """A depth map with a border of NaN, so that loops need no special case at the border.
 
     `ray_x` and `ray_y` are the ray slopes x / z of its columns and y / z of its rows.
     """
@@ -62,14 +62,14 @@ class _Framed(NamedTuple):
     margin: int
 
     def inside(self, image: Float32[np.ndarray, "H W"]) -> Float32[np.ndarray, "h w"]:
-        """An image in the frame without its border, not copied."""
+        """Return a view of an image without its border."""
         return image[self.margin : -self.margin, self.margin : -self.margin]
 
     def erase(self, removed: Bool[np.ndarray, "h w"]) -> None:
         self.inside(self.z)[removed] = np.nan
 
     def inverse(self) -> tuple[Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
-        """Inverse depth [1/m] and its standard deviation."""
+        """Return inverse depth [1/m] and its standard deviation."""
         inverse = np.float32(1) / self.z
         return inverse, self.sigma * inverse * inverse
 
@@ -91,7 +91,7 @@ def _framed(depth: DepthMap, camera: Optics, margin_px: int) -> _Framed:
 
 
 def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
-    """What each pixel's surroundings in the map tell: flying pixels to smoothing."""
+    """Apply the filters that use only the map, from flying pixels to smoothing."""
     h, w = depth.depth_m.shape
     if (h, w) != (camera.height_px, camera.width_px):
         size = f"{camera.width_px} x {camera.height_px}"
@@ -135,7 +135,7 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
 
 
 def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
-    """(dy, dx) of one of each two opposite neighbours within a distance."""
+    """Return (dy, dx) of the neighbours within a distance, one of each opposite pair."""
     side = range(-int(radius_px), int(radius_px) + 1)
     offsets = [
         (dy, dx)
@@ -147,7 +147,7 @@ def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
 
 
 def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
-    """(dy, dx, weight) of one of each two opposite neighbours; the middle, not in it, has 1."""
+    """Return (dy, dx, weight) of one of each opposite pair, relative to a central weight of 1."""
     offsets = _half_disc(smoothing_px * math.sqrt(-2 * math.log(NEGLIGIBLE_WEIGHT)))
     weight = np.exp(-np.square(offsets).sum(axis=1) / (2 * smoothing_px**2))
     return np.column_stack([offsets, weight])
@@ -155,10 +155,10 @@ def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
 
 @kernel()
 def _steepness(framed, y, x, v, u, limit_tan):
-    """-1 or 1 where pixel (v, u) lies before or behind (y, x) at more than that incidence, else 0.
+    """Return -1 or 1 if pixel (v, u) is before or behind (y, x) by a steep slope, else 0.
 
-    The way between the two has a part along the first one's ray and one across it, here both
-    times the ray's length; `along > limit_tan across` by more than noise is steep. NaN is 0.
+    The vector between the two points has a component along the first ray and one across it, here
+    both times the ray's length. If `along > limit_tan across` by more than noise, it is steep.
     """
     z, sigma = framed.z, framed.sigma
     ray_x, ray_y = framed.ray_x[x], framed.ray_y[y]
@@ -168,7 +168,7 @@ def _steepness(framed, y, x, v, u, limit_tan):
     other = np.float64(z[v, u])
     along = other * toward + (other - z[y, x]) * length2
     across2 = other * other * ((dx * dx + dy * dy) * length2 - toward * toward)
-    if not along * along > limit_tan * limit_tan * across2:  # almost always, and without a root
+    if not along * along > limit_tan * limit_tan * across2:  # True for most pixels, and for NaN
         return 0
     noise = math.sqrt(sigma[y, x] * sigma[y, x] + sigma[v, u] * sigma[v, u]) * length2
     if abs(along) > limit_tan * math.sqrt(across2) + STEP_SIGMAS * noise:
@@ -180,7 +180,7 @@ def _steepness(framed, y, x, v, u, limit_tan):
 
 
 def _falls_of(framed: _Framed, limit_tan: float) -> Int8[np.ndarray, "2 H W"]:
-    """Steepness from each pixel of the frame to the next one, rightwards and downwards."""
+    """Return `_steepness` from each pixel to the next one, rightwards and downwards."""
     fall = np.zeros((2, *framed.z.shape), dtype=np.int8)
     _falls(framed, limit_tan, fall)
     return fall
@@ -189,7 +189,7 @@ def _falls_of(framed: _Framed, limit_tan: float) -> Int8[np.ndarray, "2 H W"]:
 @kernel(parallel=True)
 def _falls(framed, limit_tan, fall):
     for row in numba.prange(fall.shape[1] - 1):
-        y = np.int64(row)  # parallel loops count without a sign: more versions would be compiled
+        y = np.int64(row)  # Parallel loops have unsigned counters, for which numba recompiles.
         for x in range(fall.shape[2] - 1):
             fall[0, y, x] = _steepness(framed, y, x, y, x + 1, limit_tan)
             fall[1, y, x] = _steepness(framed, y, x, y + 1, x, limit_tan)
@@ -224,7 +224,7 @@ def _hanging(framed, flying_tan, fall, removed):
 
 @kernel()
 def _goes_on(framed, flying_tan, y, x, down, right):
-    """Whether the surface of a pixel continues beyond a small hole."""
+    """Return whether the surface of a pixel continues beyond a small hole."""
     for k in range(2, FLYING_REACH_PX + 1):
         v, u = y + k * down, x + k * right
         if not np.isnan(framed.z[v, u]):
@@ -234,10 +234,10 @@ def _goes_on(framed, flying_tan, y, x, down, right):
 
 @kernel()
 def _within_step(z, fall, y, x, down, right, first, last):
-    """Whether the fall around a pixel is a step: it ends soon, between much flatter surfaces.
+    """Return whether the slope around a pixel is a step: short, between much flatter surfaces.
 
-    A smooth surface stays, then, even where it is steeper than the limit. `first` and `last` are
-    the pixels that the fall is known to reach to either side; an empty side (0) has no surface.
+    So a smooth surface stays even where it is steeper than the limit. `first` and `last` are the
+    known extent of the slope to each side, in pixels; 0 is a side without a surface.
     """
     sense = fall[y, x] if last else fall[y - down, x - right]
     while 0 < first <= FLYING_REACH_PX:
@@ -254,7 +254,7 @@ def _within_step(z, fall, y, x, down, right, first, last):
     flat = 0.5 * abs(end - start) / (first + last)
     outer_start = z[y - (first + 1) * down, x - (first + 1) * right]
     outer_end = z[y + (last + 1) * down, x + (last + 1) * right]
-    # What is empty is NaN, which is not steep.
+    # A pixel without depth is NaN, which compares as not steep.
     return not (abs(start - outer_start) > flat or abs(end - outer_end) > flat)
 
 
@@ -263,7 +263,7 @@ def _within_step(z, fall, y, x, down, right, first, last):
 
 @kernel(parallel=True)
 def _edges(framed, step_tan, around, removed):
-    """Mark pixels beside a step or a pixel without depth; the picture's own border is none."""
+    """Mark pixels next to a step or to a pixel without depth, but not at the picture's border."""
     z, margin = framed.z, framed.margin
     h, w = removed.shape
     for row in numba.prange(h):
@@ -284,7 +284,7 @@ def _edges(framed, step_tan, around, removed):
 
 
 def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
-    """Remove surfaces smaller than `island_px`, connected over the four sides of a pixel."""
+    """Mark surfaces of fewer than `island_px` pixels, which connect over the sides of pixels."""
     h, w = removed.shape
     parent = np.arange(h * w, dtype=np.int32)
     _unite(framed.z, _falls_of(framed, step_tan), framed.margin, w, parent)
@@ -294,7 +294,7 @@ def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
 
 @kernel()
 def _unite(z, torn, margin, w, parent):
-    """Every pixel gets the lowest index of its island: union-find (Tarjan, 1975)."""
+    """Write the lowest index of its island to each pixel, by union-find (Tarjan, 1975)."""
     for i in range(len(parent)):
         y, x = i // w + margin, i % w + margin
         if np.isnan(z[y, x]):
@@ -305,7 +305,7 @@ def _unite(z, torn, margin, w, parent):
             a, b = _root(parent, i), _root(parent, i - w)
             parent[max(a, b)] = min(a, b)
     for i in range(len(parent)):
-        parent[i] = parent[parent[i]]  # parents have lower indices: they are roots by now
+        parent[i] = parent[parent[i]]  # A parent has a lower index, so its parent is a root now.
 
 
 @kernel()
@@ -321,7 +321,7 @@ def _root(parent, i):
 
 @kernel(parallel=True)
 def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
-    """Opposite neighbours enter in pairs, so that a plane's border is not pulled inwards."""
+    """Smooth inverse depth with pairs of opposite neighbours, so that a plane stays a plane."""
     margin = framed.margin
     h, w = smooth.shape
     for row in numba.prange(h):
@@ -335,7 +335,7 @@ def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
                 first, second = noise[y - dy, x - dx], noise[y + dy, x + dx]
                 pair = first * first + second * second
                 off = line - middle
-                # On the line of both, a pixel is as steep to one as to the other. NaN is not <=.
+                # A pixel on the line of both is equally steep to each. NaN compares as false.
                 if off * off <= LINE_SIGMAS**2 * (own + 0.25 * pair) and (
                     _steepness(framed, y, x, y + dy, x + dx, step_tan) == 0
                 ):

@@ -17,7 +17,7 @@ from ..sensor import SensorSpec, stored_saturation_dn
 
 
 class Reason(IntEnum):
-    """Why a pixel has no depth; 0 is a pixel that has one."""
+    """The reason why a pixel has no depth; 0 is a pixel that has depth."""
 
     DECODED = 0
     SHADOW = 1
@@ -31,17 +31,17 @@ class Reason(IntEnum):
 
     @property
     def color(self) -> str:
-        """The colour of the reason in all maps of reasons."""
+        """Colour of the reason in all maps of reasons."""
         return _APPEARANCE[self][0]
 
     @property
     def meaning(self) -> str:
-        """The explanation of the reason on web pages."""
+        """Explanation of the reason on web pages."""
         return _APPEARANCE[self][1]
 
     @property
     def label(self) -> str:
-        """The name of the reason in figures and files."""
+        """Name of the reason in figures and files."""
         return self.name.lower()
 
     @property
@@ -78,24 +78,23 @@ REASON_COLOR = {reason.label: reason.color for reason in Reason}
 
 
 def reason_counts(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, int]:
-    """Return how many of the pixels have each reason."""
+    """Return the number of pixels with each reason."""
     return {known.label: int((reason == known).sum()) for known in Reason}
 
 
 def reason_shares(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, float]:
-    """Return the share of the pixels that has each reason; empty without pixels."""
+    """Return the share of pixels with each reason; empty without pixels."""
     return pooled_shares([reason_counts(reason)])
 
 
 def pooled_shares(counts: Iterable[Mapping[str, int]]) -> dict[str, float]:
-    """Return the share of each reason in the pixels of all pictures; empty without pixels.
+    """Return the share of each reason among the pixels of all pictures; empty without pixels.
 
-    How much of the parts is seen is the share `decoded` of the parts' visible pixels, in every
-    summary, table and page. A picture counts by its pixels, so that this is not the mean of the
-    pictures' shares.
+    Every summary, table and page reports the share `decoded` of the parts' visible pixels. Each
+    picture has the weight of its pixels, so this is not the mean of the pictures' shares.
 
     Args:
-        counts: the pixels of each picture that have each reason, as `reason_counts` gives them.
+        counts: `reason_counts` of each picture.
     """
     total: Counter[str] = Counter()
     for each in counts:
@@ -104,11 +103,11 @@ def pooled_shares(counts: Iterable[Mapping[str, int]]) -> dict[str, float]:
     return {name: count / pixels for name, count in total.items()} if pixels else {}
 
 
-LITTLE_DEPTH = 0.5  # A detector learns holes from parts of which less has depth; our choice.
+LITTLE_DEPTH = 0.5  # With less depth on the parts, a detector learns holes. This is our choice.
 
 
 def little_depth_note(of_parts: Mapping[str, float]) -> str:
-    """Return a sentence if under half of the parts' pixels have depth, with the main reason."""
+    """Return a note with the main reason if fewer than half of the parts' pixels have depth."""
     if "decoded" not in of_parts or of_parts["decoded"] >= LITTLE_DEPTH:
         return ""
     missing = {reason: of_parts.get(reason.label, 0.0) for reason in Reason if reason}
@@ -122,8 +121,8 @@ def little_depth_note(of_parts: Mapping[str, float]) -> str:
 class Mark(IntFlag):
     """Properties of a pixel in addition to its reason."""
 
-    CLIPPED = 1  # a frame that its place is read from is at the top of the range
-    SETTLED = 2  # its own phases allow several places; its neighbours chose among them
+    CLIPPED = 1  # A frame that determines its position is saturated.
+    SETTLED = 2  # Its phases allow several positions, and its neighbours chose one of them.
 
 
 @public_value
@@ -131,8 +130,8 @@ class Mark(IntFlag):
 class Levels:
     """The offset, the saturation and the noise of a sensor's digital numbers.
 
-    The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2]: read noise
-    and quantisation, and photons (EMVA 1288).
+    The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2] (EMVA 1288):
+    the first term is read noise and quantisation, the second is photon noise.
     """
 
     offset_dn: float
@@ -155,7 +154,7 @@ class Levels:
 
 
 def levels_of(sensor: SensorSpec) -> Levels:
-    """The levels of a sensor whose specification is known."""
+    """Return the levels of a sensor with a known specification."""
     return Levels(
         offset_dn=sensor.offset_dn,
         saturation_dn=float(stored_saturation_dn(sensor)),
@@ -169,20 +168,19 @@ def levels_of(sensor: SensorSpec) -> Levels:
 class DecodeSpec:
     """The conditions under which a pixel is decoded.
 
-    `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
-    of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest
-    frame's noise: a pixel must pass both. A bit is doubtful where its signal is under `doubt`
-    times that contrast. At any place of a Gray code at most one bit is changing, so two doubtful
-    bits of an axis contradict each other; its `fine_bits` finest bits do not count: there a pixel
-    may see several stripes and still be right, and doubt only widens `sigma`. A single doubtful bit
-    contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
-    half a period, and `fine_bits` is not used. The phase of a pixel whose bits contradict is known
-    all the same: its period is taken from its neighbours where `settling_votes` of them agree.
-    Under a phase code, a pixel that sees two surfaces, or one by way of another, has stripes of
-    less contrast than its brightest and darkest frame: below `min_visibility` of it, the pixel has
-    the reason INTERREFLECTION.
-    Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
-    three standard deviations is an outlier; 0 lets all pass.
+    The contrast of a pixel is its brightest minus its darkest frame or, for a phase code, twice
+    the amplitude. It must reach `min_contrast`, a share of the sensor's range, and `min_sigmas`,
+    in standard deviations of the noise of the darkest frame. A bit is doubtful if its signal is
+    below `doubt` times the contrast. At any position of a Gray code only one bit changes, so two
+    doubtful bits of an axis are a contradiction. The `fine_bits` finest bits do not count: a pixel
+    may see several of their stripes and still be right, so doubt only widens `sigma`. One doubtful
+    bit is a contradiction if its error would cost more than 2^fine_bits values or, with a phase
+    code (where `fine_bits` is not used), half a period. A pixel with contradictory bits still has a
+    phase: it gets its period from its neighbours if `settling_votes` of them agree.
+    With a phase code, stripes have a low contrast in a pixel that sees two surfaces or indirect
+    light: below `min_visibility` of brightest minus darkest frame, the reason is INTERREFLECTION.
+    If both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
+    three standard deviations is an outlier; 0 switches this test off.
     """
 
     min_contrast: Annotated[
@@ -256,9 +254,10 @@ class DecodeSpec:
 class FilterSpec:
     """The settings of the filters; None or 0 switches a filter off, and all are off by default.
 
-    `edge_px` of 1 takes the four sides of a pixel, 1.5 its corners too. `smoothing_px` of 0.55 lets
-    0.56 of white noise pass and correlates neighbours by 0.36. `without_hidden` uses
-    `hidden_sigmas`; an outlier is judged by the deviations that its neighbours have or show.
+    An `edge_px` of 1 includes the four neighbours of a pixel, 1.5 also the diagonal ones. A
+    `smoothing_px` of 0.55 reduces white noise to 0.56 and correlates neighbours by 0.36.
+    `hidden_sigmas` is for `without_hidden`. `outlier_sigmas` counts `sigma_m` or, if larger, the
+    scatter of the neighbours.
     """
 
     flying_angle_deg: Annotated[
@@ -336,12 +335,12 @@ class FilterSpec:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeMap:
-    """Which projector pixel each camera pixel sees.
+    """The projector position that each camera pixel sees.
 
     `column`, `row` and their standard deviations [projector px] are NaN where `reason` is not
-    DECODED and where the code has no such axis. `modulation` is brightest minus darkest frame, of
-    a phase code twice its amplitude, as a share of the sensor's range. `mark` are bits of `Mark`;
-    None where they were not kept.
+    DECODED, and for an axis that is not coded. `modulation` is brightest minus darkest frame or,
+    for a phase code, twice the amplitude, as a share of the sensor's range. `mark` has the bits of
+    `Mark`; it is None if they were not stored.
     """
 
     column: Float[np.ndarray, "h w"]
@@ -361,9 +360,9 @@ class CodeMap:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMap:
-    """What the scanner measured: z of the camera frame and its standard deviation [m].
+    """A measured depth map: z in the camera frame and its standard deviation [m].
 
-    Both are NaN where `reason` is not DECODED. `camera` is the one whose picture this is.
+    Both are NaN where `reason` is not DECODED. `camera` has the optics of the map's pixels.
     """
 
     depth_m: Float[np.ndarray, "h w"]
@@ -376,5 +375,5 @@ class DepthMap:
             map_of_pixels.flags.writeable = False
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Return the measured points [m] in the camera frame, row by row of the picture."""
+        """Return the measured points [m] in the camera frame, row by row."""
         return mask_points(self.camera, self.depth_m, np.isfinite(self.depth_m))

@@ -1,4 +1,4 @@
-"""The median of a window's few values, inside kernels."""
+"""The median of a few values, for use in kernels."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from ...base.kernels import kernel
 
 @kernel()
 def median(values, least):
-    """The median of the values that are not NaN; NaN for fewer than `least` values.
+    """Return the median of the values that are not NaN, or NaN if they are fewer than `least`.
 
-    They are sorted as they come: NumPy's own median takes numba two seconds to compile.
+    It uses an insertion sort, because numba takes two seconds to compile NumPy's median.
     """
     known = np.empty(len(values))
     count = 0

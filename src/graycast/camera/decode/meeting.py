@@ -1,8 +1,8 @@
-"""Points in which rays of the camera meet planes of the projector, pixel by pixel, compiled.
+"""Compiled intersection of camera rays with projector planes, pixel by pixel.
 
-`triangulation` has the equations; the plain NumPy of `tests/camera/decode/plain_meeting.py` says
-the same. The kernels run on one thread: a picture of 5 million pixels takes a quarter of a second,
-and loops for several threads take longer than that to compile.
+`triangulation` has the equations; `tests/camera/decode/plain_meeting.py` has the same computation
+in NumPy. The kernels use one thread: 5 million pixels take a quarter of a second, and numba takes
+longer than that to compile loops for several threads.
 """
 
 import math
@@ -22,8 +22,8 @@ class Lens(NamedTuple):
     """The numbers of `Optics` that kernels use, in a frame whose first axis is the coded one.
 
     `u` is along the first axis and `v` along the second. `end_u` and `end_v` are the far borders of
-    the picture; `fold2` is the squared radius where the lens model ends; `swapped` is true where
-    the first axis is that of the rows.
+    the picture; `fold2` is the squared radius at which the lens model ends; `swapped` is true if
+    rows are the coded axis.
     """
 
     focal_u: float
@@ -69,16 +69,16 @@ def lens_of(optics: Optics, coded: int) -> Lens:
 
 
 def rows_of(T_proj_cam: Float[np.ndarray, "4 4"], coded: int) -> Float[np.ndarray, "3 4"]:
-    """Return the rows of a pose that give the coded axis, the other axis and z."""
+    """Return the rows of a pose for the coded axis, the other axis and z."""
     return np.ascontiguousarray(T_proj_cam[[coded, 1 - coded, 2]], dtype=np.float64)
 
 
 @kernel(error_model="numpy")
 def meet(ray, across, along, T, lens, depth_m, slope_m):
-    """Write the depth of each ray and its change with the position across [m/px].
+    """Write the depth of each ray and its derivative by the coded position `across` [m/px].
 
-    `along` is NaN where it is not decoded: then it follows from the depth, in a few rounds.
-    Returns false if a projector position has no ideal position, so that the lens is no model.
+    `along` is NaN if it was not decoded; it is then found from the depth by iteration.
+    Return false if the lens distortion has no inverse at one of the projector positions.
     """
     sound = True
     for n in range(len(ray)):
@@ -89,14 +89,14 @@ def meet(ray, across, along, T, lens, depth_m, slope_m):
 
 @kernel(error_model="numpy")
 def off_the_line_px(ray, depth_m, along, T, lens, off_px):
-    """Write how far the position along the planes lies from where the depth puts it [px]."""
+    """Write the difference between decoded position along the planes and that of the depth [px]."""
     for n in range(len(ray)):
         off_px[n] = along[n] - place_px(ray, n, depth_m[n], T, lens)[1]
 
 
 @kernel(error_model="numpy")
 def _meet_ray(ray, n, across, along, T, lens):
-    """Return depth and slope of one ray, and whether its position has an ideal position."""
+    """Return depth and slope of one ray, and whether the distortion has an inverse there."""
     terms = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
     u = (across - lens.centre_u) / lens.focal_u
     v = (along - lens.centre_v) / lens.focal_v
@@ -108,8 +108,8 @@ def _meet_ray(ray, n, across, along, T, lens):
     z = (ideal * T[2, 3] - T[0, 3]) / facing
     for _ in range(rounds):
         if not decoded:
-            # What is lit lies in the picture; beyond it, where wrong codes lead, a lens may fold
-            # over.
+            # A lit point is in the picture. Wrong codes can lead outside, where the distortion may
+            # fold over, so the position is clamped.
             guess = place_px(ray, n, z, T, lens)[1]
             guess = min(max(guess, -0.5), lens.end_v) if guess == guess else guess
             v = (guess - lens.centre_v) / lens.focal_v
@@ -126,7 +126,7 @@ def _meet_ray(ray, n, across, along, T, lens):
 
 @kernel(error_model="numpy")
 def _faces(ray, n, ideal, T):
-    """Return how fast a plane and z of the projector change along a ray."""
+    """Return the change of the plane's equation and of the projector's z along a ray."""
     x, y, z = ray[n, 0], ray[n, 1], ray[n, 2]
     ahead = x * T[2, 0] + y * T[2, 1] + z * T[2, 2]
     return x * T[0, 0] + y * T[0, 1] + z * T[0, 2] - ideal * ahead, ahead
@@ -134,7 +134,7 @@ def _faces(ray, n, ideal, T):
 
 @kernel(error_model="numpy")
 def place_px(ray, n, depth_m, T, lens):
-    """Return the projector's position (u, v) of a point on a ray; NaN where the lens model ends."""
+    """Return the projector position (u, v) of a point on a ray; NaN outside the lens model."""
     x, y, z = ray[n, 0] * depth_m, ray[n, 1] * depth_m, ray[n, 2] * depth_m
     far = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
     if not far > 0:

@@ -1,4 +1,4 @@
-"""Detection of pixels that are off the surface around them, and the depth of that surface."""
+"""Detection of pixels that are off the surrounding surface, and the depth of that surface."""
 
 import numba
 import numpy as np
@@ -8,23 +8,23 @@ from ...base.robust import MAD_SIGMA
 from .median import median
 
 LEAST = 4  # A median needs this many values.
-SUPPORT_PX = 3  # So many of 24 neighbours near an outlying pixel's depth make it a detail.
-WHOLE_PX = 20  # So many of 24 neighbours near their median are a surface without an edge.
+SUPPORT_PX = 3  # With this many of 24 neighbours near its depth, a pixel is a detail, no outlier.
+WHOLE_PX = 20  # With this many of 24 neighbours near their median, a surface has no edge.
 
 
 @kernel(parallel=True)
 def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surface):
-    """Mark outlying pixels of framed maps of inverse depth in `removed`.
+    """Mark outliers in maps of inverse depth, which have a border of NaN, in `removed`.
 
     Args:
-        repair: those within a whole surface are not marked but get its depth.
-        surface: inverse depth and its standard deviation are written for pixels to be repaired.
+        repair: whether outliers inside a surface without an edge are repaired and not marked.
+        surface: output, the surface's inverse depth and standard deviation at repaired pixels.
     """
     h, w = removed.shape
     for row in numba.prange(h):
         for column in range(w):
             y, x = row + margin, column + margin
-            # Almost every pixel lies near the line of two opposite neighbours: a quick way out.
+            # Almost every pixel is near the line of two opposite neighbours; this test is fast.
             if np.isnan(inverse[y, x]):
                 continue
             if not _in_line(inverse, noise, y, x, 0.5 * sigmas, 0.5 * share):
@@ -52,7 +52,7 @@ def _in_line(inverse, noise, y, x, sigmas, share):
 def _outlies(inverse, noise, y, x, sigmas, share):
     """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
 
-    Beside the verdict: that median, and the pixels' deviation about it; 0 if they are no surface.
+    Return whether it is an outlier, the median, and the scatter about it (0 next to an edge).
     """
     window = inverse[y - 2 : y + 3, x - 2 : x + 3].astype(np.float64)
     middle = window[2, 2]
@@ -60,7 +60,7 @@ def _outlies(inverse, noise, y, x, sigmas, share):
     slope_x = median((window[:, 1:] - window[:, :-1]).ravel(), LEAST)
     slope_y = median((window[1:] - window[:-1]).ravel(), LEAST)
     if np.isnan(slope_x) or np.isnan(slope_y):
-        return False, 0.0, 0.0  # too few neighbours to judge: `island_px` does
+        return False, 0.0, 0.0  # Too few neighbours to decide; `island_px` removes such pixels.
     for dy in range(-2, 3):
         for dx in range(-2, 3):
             window[dy + 2, dx + 2] -= slope_y * dy + slope_x * dx

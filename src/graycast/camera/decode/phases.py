@@ -1,4 +1,4 @@
-"""Phases, row by row: computing phases from levels, and counting their periods."""
+"""Phases, decoded row by row: phases from levels, and the counting of their periods."""
 
 import math
 from typing import NamedTuple
@@ -12,25 +12,25 @@ from .maps import Reason
 from .plan import MODEL_RAD, OFF_CELL
 from .settling import CLEAR, OPEN, REFUSED
 
-MAX_MISFIT = 9.0  # A place with a greater mean square of residuals, in their sigmas, is refused.
-# The best place must lead the next by this sum of squares, 4 sigma of noise: else it is open.
+MAX_MISFIT = 9.0  # A position is refused if the mean square of its residuals, in sigmas, is larger.
+# The cost of the second-best position must be higher by this (4 sigma), else the choice is open.
 MIN_LEAD = 16.0
-APART_SIGMAS = 4.0  # A phase that differs from the finest by more is not averaged with it.
-USUAL_SIGMAS = 2.0  # Phases may differ by this many sigmas of noise without a wider sigma.
-SLACK_SIGMAS = 4.0  # A place may lie beside where it must be by this much of its phase's noise.
-NOWHERE = 1e30  # This is the cost of a place that is out of bounds.
+APART_SIGMAS = 4.0  # A phase that differs more from the finest one is not averaged with it.
+USUAL_SIGMAS = 2.0  # Up to this many sigmas, a difference between phases does not widen sigma.
+SLACK_SIGMAS = 4.0  # A position may exceed its bounds by this many sigmas of its phase's noise.
+NOWHERE = 1e30  # Cost of a position that is out of bounds.
 
 
 class Phases(NamedTuple):
-    """The phases of an axis that were measured, of a picture or a row of it.
+    """The measured phases of an axis, for a picture or one row.
 
     Attributes:
-        periods: of each its length [px], the index of its first frame, how many it has, and the
-            variance of its phase beyond noise [rad^2].
-        delta: the phase of each frame [rad].
-        half_px: a place lies this near to the middle of its cell, but for noise.
-        bounds: the lowest place [periods] and a limit of the highest [px]; `bound` writes them.
-        turn: phases [periods], cosines of lone frames.
+        periods: for each period its length [px], the index of its first frame, the number of its
+            frames, and the variance of its phase in addition to noise [rad^2].
+        delta: the phase at which each frame is brightest [rad].
+        half_px: largest distance of a position from the middle of its cell, without noise.
+        bounds: lowest position [periods] and upper limit [px]; `bound` writes them.
+        turn: phases [periods]; for a single frame, the cosine of the phase.
         noise2: variances of `turn` [rad^2].
     """
 
@@ -44,10 +44,10 @@ class Phases(NamedTuple):
 
 @kernel(parallel=True, error_model="numpy")
 def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
-    """Phase of each full period [periods], cosine of each lone frame, and their variances."""
+    """Write the phase of each full period [periods], the cosine of single frames, and variances."""
     w = strength.shape[1]
     for y in numba.prange(len(strength)):
-        first = np.empty((3, w), dtype=np.float32)  # mean, amplitude, variance of the first period
+        first = np.empty((3, w), dtype=np.float32)  # Mean, amplitude, variance of the first period
         for g in range(len(periods)):
             start, count = int(periods[g, 1]), int(periods[g, 2])
             if count < 3:
@@ -78,10 +78,10 @@ def _add_frame(frame, wave, sums):
 
 @kernel(error_model="numpy")
 def _phase(sums, count, law, turn, noise2):
-    """Phase [periods] and variance [rad^2] from sums of level times 1, cos, sin, cos 2, sin 2.
+    """Write phase [periods] and variance [rad^2], from sums of level * (1, cos, sin, cos 2, sin 2).
 
-    The least-squares phase of N even steps has the variance 4 / (N A)^2 times the sum of
-    var_j sin^2(phase - delta_j), and var_j is linear in the level j.
+    The least-squares phase of N even steps with amplitude A has the variance 4 / (N A)^2 times the
+    sum of var_j sin^2(phase - delta_j), and var_j is linear in the level of frame j.
     """
     offset_dn, floor_dn2, slope_dn = law
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
@@ -98,7 +98,7 @@ def _phase(sums, count, law, turn, noise2):
 
 @kernel(error_model="numpy")
 def _amplitude(sums, count, law, first, strength):
-    """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
+    """Write mean, amplitude [DN] and variance of a frame [DN^2]; limit strength to the contrast."""
     offset_dn, floor_dn2, slope_dn = law
     total, c, s = sums[0], sums[1], sums[2]
     mean, amplitude, variance = first[0], first[1], first[2]
@@ -116,7 +116,7 @@ def _lone_frame(frame, first, model2, cosine, noise2):
     model2, two = np.float32(model2), np.float32(2)
     for x in range(len(frame)):
         cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
-        # Twice a frame's variance: mean, amplitude and phase of the three steps have as much.
+        # Twice a frame's variance, as mean, amplitude and phase of the three steps are noisy, too.
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
 
 
@@ -136,9 +136,9 @@ def lose_phases(stack, index, top, saturation_dn, why):
 
 @kernel(parallel=True, error_model="numpy")
 def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
-    """The period that brings the first phase next to the Gray code's cell; `place` is both.
+    """Count periods so that the first phase is nearest to the Gray code's cell; update `place`.
 
-    An uncertain bit has no effect if the period is the same with either value.
+    An uncertain bit has no effect if both of its values lead to the same period.
     """
     period, half, two = np.float32(periods[0, 0]), np.float32(0.5), np.float32(2)
     slack = half * cell_px + np.float32(OFF_CELL) * period
@@ -155,13 +155,13 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
 
 @kernel(parallel=True, error_model="numpy")
 def bound(phases, middle):
-    """Of each pixel's places the lowest [periods] and a limit of the highest [px].
+    """Write the bounds of each pixel's positions: the lowest [periods] and an upper limit [px].
 
-    A place lies within `half_px` of the middle, but for its phase's noise.
+    A position is within `half_px` of the middle, plus a margin for the noise of its phase.
     """
     periods, bounds, turn, noise2 = phases.periods, phases.bounds, phases.turn, phases.noise2
     half_px = np.float32(phases.half_px)
-    period, most = np.float32(periods[0, 0]), np.float32(math.pi)  # no phase is farther off
+    period, most = np.float32(periods[0, 0]), np.float32(math.pi)  # The largest error of a phase
     per_rad, sigmas = period / np.float32(2 * math.pi), np.float32(SLACK_SIGMAS)
     for y in numba.prange(len(middle)):
         for x in range(middle.shape[1]):
@@ -174,9 +174,9 @@ def bound(phases, middle):
 
 @kernel(parallel=True, error_model="numpy")
 def count_by_phases(phases, place, state):
-    """The period of the first group with which all others agree, by a search within the bounds.
+    """Find the period of the first group that fits all other groups, by a search in the bounds.
 
-    The count is refused if no period agrees, and open if two agree.
+    The count is refused if no period fits, and open if two fit.
     """
     periods, delta, half_px, bounds, turn, noise2 = phases
     for y in numba.prange(len(place)):
@@ -186,7 +186,7 @@ def count_by_phases(phases, place, state):
 
 @kernel(error_model="numpy")
 def _most_places(row):
-    """How many periods may fit between a pixel's bounds."""
+    """Return the largest number of periods between a pixel's bounds."""
     return math.floor(2 * row.half_px / row.periods[0, 0] + 1) + 1
 
 
@@ -216,7 +216,7 @@ def _search_row(row, place, state):
 
 @kernel(parallel=True, error_model="numpy")
 def open_choices(phases, state, choice, cost):
-    """The best periods of open counts with their costs; best first."""
+    """Write the best periods of open counts and their costs, the best first."""
     periods, delta, half_px, bounds, turn, noise2 = phases
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
@@ -236,7 +236,7 @@ def open_choices(phases, state, choice, cost):
 
 @kernel(error_model="numpy")
 def _search_all(row, choice, cost):
-    """The cheapest periods of each pixel in order, as many as `choice` has rows."""
+    """Write the periods of lowest cost for each pixel, in order, one to each row of `choice`."""
     groups, w = row.turn.shape
     costs = np.empty(w, dtype=np.float32)
     number = np.empty(w, dtype=np.int32)
@@ -247,7 +247,7 @@ def _search_all(row, choice, cost):
         _cost(k, row, expected, costs)
         for x in range(w):
             number[x] = k + np.int32(np.rint(row.bounds[0, x] - row.turn[0, x]))
-        for n in range(len(choice)):  # what it displaces goes on to the next row
+        for n in range(len(choice)):  # A displaced entry is compared with the next row.
             best, price = choice[n], cost[n]
             for x in range(w):
                 better = costs[x] < price[x]
@@ -260,7 +260,7 @@ def _search_all(row, choice, cost):
 
 @kernel(error_model="numpy")
 def _cost(k, row, expected, costs):
-    """The cost of the place `k` periods above the lowest; what is out of bounds is excluded."""
+    """Write the cost of the position `k` periods above the lowest; `NOWHERE` if out of bounds."""
     periods, lowest, highest = row.periods, row.bounds[0], row.bounds[1]
     period, at = np.float32(periods[0, 0]), np.float32(k)
     for x in range(len(costs)):
@@ -277,8 +277,8 @@ def _cost(k, row, expected, costs):
 
 @kernel(error_model="numpy")
 def _expect(row, g, expected):
-    """What a group shows at the lowest place: how far its own phase is off that place's, of a
-    lone frame the place's cosine and sine; and a weight."""
+    """Write what is expected of a group at the lowest position, and its weight: the difference of
+    its phase from that of the position or, for a single frame, the position's cosine and sine."""
     periods, first, noise2 = row.periods, row.bounds[0], row.noise2
     ratio = periods[0, 0] / periods[g, 0]
     here, aside, weight = expected[0], expected[1], expected[2]
@@ -316,12 +316,12 @@ def _add_cosine_cost(cosine, c, s, expected, costs):
 
 @kernel(parallel=True, error_model="numpy")
 def fuse(periods, turn, noise2, place, sigma):
-    """The mean of all full periods' places, each next to that of the first, by their variance.
+    """Average the positions of all full periods, weighted by inverse variance.
 
-    Light that is not linear in the grey level moves a place by a share of its period, and so does
-    light that came by way of another surface. What a period is off by beyond its noise widens
-    `sigma`, as if the errors of both were in proportion to their lengths; one that is far off is
-    left out.
+    Each phase takes its position nearest to that of the first. A non-linear projector and indirect
+    light move a position by a share of its period. A difference between two periods that exceeds
+    their noise widens `sigma`, under the assumption that their errors are proportional to their
+    lengths. A period that differs too much is left out.
     """
     w = place.shape[1]
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
@@ -357,7 +357,7 @@ def fuse(periods, turn, noise2, place, sigma):
 
 @kernel(error_model="numpy")
 def _turn(s, c):
-    """atan2 in turns, -1/2 to 1/2; the library's own is not SIMD.
+    """Return atan2 in turns, -1/2 to 1/2, by a polynomial that compiles to SIMD.
 
     Source: Abramowitz and Stegun, Handbook of Mathematical Functions, 4.4.49 (within 2e-8 rad).
     """

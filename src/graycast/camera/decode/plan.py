@@ -1,6 +1,6 @@
 """The interpretation of a list of frames: the bits and the phases of each axis.
 
-All errors in a list of frames are found here, before any pixel is decoded.
+All errors in a list of frames are detected here, before any pixel is decoded.
 """
 
 import math
@@ -13,36 +13,36 @@ from ...base.errors import DecodeError
 from ...rig.pattern import AXES, Axis, Code, Frame
 
 NO_FRAME = -1
-# A cell of a Gray code is at most this share of the length over which phases are unique, because
-# an edge may be misread by half of what is left.
+# A cell of a Gray code is at most this share of the length over which phases are unique: half of
+# the rest is the margin for errors at each edge of a cell.
 MAX_CELL = 0.75
-# A place may lie outside of the Gray code's cell by this share of the length of unique phases.
+# A position may be outside the Gray code's cell by this share of the length of unique phases.
 OFF_CELL = 0.125
-SAME_PERIODS = 0.002  # Rounded lengths of periods move their common repetition by at most this.
-# Phases have errors beyond noise: three steps of a projector whose light is not linear in the grey
-# level are off by some tenths of a radian, which matters where places differ as little.
+SAME_PERIODS = 0.002  # Tolerance [periods] for a common repetition of periods of rounded length.
+# Phases have errors in addition to noise: with three steps and a non-linear projector they reach
+# some tenths of a radian, which matters if the phases of two positions differ that little.
 MODEL_RAD = 0.05
-# Where Gray bits leave few places, the error may be this share of what these differ by: three times
-# this error is halfway to where the next place would fit better.
+# If Gray bits leave few positions, the error may be this share of their difference in phase: three
+# times this error is just half of the way to the point where the next position fits better.
 MODEL_SHARE = 1 / 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bit:
-    """One bit: its frame, that of its inverse, and which bit of the list it is XORed with."""
+    """One bit: its frame, the frame of its inverse, and the index of the bit it is XORed with."""
 
     frame: int
     inverse: int = NO_FRAME
     xor: int = NO_FRAME
-    counts: int = 1  # how much doubt in it counts; two make a contradiction
+    counts: int = 1  # Weight of doubt in this bit; a sum of two is a contradiction.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Period:
-    """Frames of one period: indices, and the phase at which each is brightest [rad].
+    """The frames of one period: their indices, and the phase at which each is brightest [rad].
 
-    Three or more, evenly spread, give a phase of their own; fewer lean on the axis's first period
-    for mean and amplitude.
+    Three or more frames, evenly spread, determine a phase; fewer need the mean and amplitude of
+    the first period of the axis.
     """
 
     period_px: float
@@ -56,20 +56,20 @@ class Period:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisPlan:
-    """One axis. Bits from coarse to fine; a value of the Gray code is `cell_px` pixels wide.
+    """The plan of one axis, with bits from coarse to fine.
 
-    Next to an edge of its stripes a bit may be misread, which costs few code values. A doubtful bit
-    that would cost more than `reach` values lies far from its edges: that is a contradiction.
+    Next to an edge of its stripes a bit may be misread, which changes the code value only a little.
+    A doubtful bit that would change it by more than `reach` is a contradiction.
     """
 
     size_px: int
     bits: tuple[Bit, ...]
-    first_px: float  # where value 0 begins, a pixel's border
-    cell_px: float
+    first_px: float  # The pixel border at which value 0 begins
+    cell_px: float  # The width of a value of the Gray code
     reach: int
-    periods: tuple[Period, ...]  # the shortest full one first
-    half_px: float  # A place lies this near the middle of its cell, or of the projector.
-    model_rad: float  # Phases of one place may differ by this beyond their noise.
+    periods: tuple[Period, ...]  # Full periods first, the shortest at the beginning
+    half_px: float  # Largest distance of a position from the middle of its cell or the projector
+    model_rad: float  # Error of phases in addition to their noise
 
     @property
     def gray_counts(self) -> bool:
@@ -78,7 +78,7 @@ class AxisPlan:
 
 
 def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
-    """The frames that determine positions; a bit without an inverse uses all of them."""
+    """Return a mask of the frames that determine positions; a bit without inverse uses all."""
     read = np.zeros(count, dtype=bool)
     for plan in plans.values():
         for bit in plan.bits:
@@ -91,10 +91,10 @@ def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n
 
 
 def plan_axes(code: Code, fine_bits: int) -> dict[Axis, AxisPlan]:
-    """The plan of each coded axis.
+    """Return the plan of each coded axis.
 
     Raises:
-        DecodeError: frames are missing or do not fit together; the text names them.
+        DecodeError: frames are missing or do not fit together; the message names them.
     """
     return {axis: _plan_axis(code, axis, fine_bits) for axis in code.axes}
 
@@ -105,7 +105,7 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
     periods = _periods(axis, indexed)
     lowest = min((f.bit for _, f in indexed if f.kind == "gray"), default=0)
     cell_px = code.stride_px[i] * 2.0**lowest
-    if periods:  # of the bits only those narrower than half a period do not count periods
+    if periods:  # Bits are fine if their stripes are narrower than half a period.
         fine_bits = max(0, math.floor(math.log2(0.5 * periods[0].period_px / cell_px) + 1e-9))
     bits = _gray_bits(axis, indexed, fine_bits)
     bits, cell_px = _with_complementary(axis, indexed, bits, cell_px)
@@ -132,9 +132,9 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
 def _search(
     code: Code, axis: Axis, cell_px: float, periods: tuple[Period, ...]
 ) -> tuple[float, float]:
-    """How far from the middle of its cell a place may lie, and the errors of its phases.
+    """Return the largest distance of a position from its cell's middle, and its phases' error.
 
-    Gray code, of cells of 0 px if there is none, and phases together must leave one place.
+    Gray code and phases together must leave only one position; `cell_px` is 0 without Gray code.
     """
     size_px = float(code.size_px(axis))
     if not periods:
@@ -159,7 +159,7 @@ def _search(
 
 
 def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> tuple[Bit, ...]:
-    """Bits coarse to fine; the finest that is there may not be bit 0."""
+    """Return the bits from coarse to fine; the finest one need not be bit 0."""
     frame_of = {f.bit: (k, f) for k, f in indexed if f.kind == "gray" and not f.inverse}
     inverse = {f.bit: k for k, f in indexed if f.kind == "gray" and f.inverse}
     lone = sorted(set(inverse) - set(frame_of))
@@ -184,7 +184,7 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
                 )
             base = numbers.index(frame.xor_bit)
         counts = int(number - numbers[-1] >= fine_bits or frame.xor_bit >= 0)
-        if number in bases:  # misread, it inverts all bits that are combined with it
+        if number in bases:  # If it is misread, all bits that are combined with it are wrong.
             counts = 2
         bits.append(Bit(frame=k, inverse=inverse.get(number, NO_FRAME), xor=base, counts=counts))
     return tuple(bits)
@@ -196,9 +196,9 @@ def _with_complementary(
     bits: tuple[Bit, ...],
     cell_px: float,
 ) -> tuple[tuple[Bit, ...], float]:
-    """The bits followed by the complementary bit, if the Gray code counts periods.
+    """Append the complementary bit if the cells of the Gray code are whole periods.
 
-    A Gray code finer than that does not need it.
+    A finer Gray code does not need it. Return the bits and the width of a cell [px].
     """
     frame_of = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
     if len([1 for _, f in indexed if f.kind == "complementary"]) > len(frame_of):
@@ -253,21 +253,21 @@ def _periods(axis: Axis, indexed: list[tuple[int, Frame]]) -> tuple[Period, ...]
 
 
 def _unique_px(full_px: Float[np.ndarray, " n"], size_px: float) -> float:
-    """The shortest distance at which phases of all periods repeat, at most the projector's size."""
+    """Return the distance after which the phases of all periods repeat, at most `size_px`."""
     apart_px, turns = _same_first_phase(full_px, size_px)
     repeats = (np.abs(turns) <= SAME_PERIODS).all(axis=1)
     return float(apart_px[repeats].min(initial=size_px))
 
 
 def _model_rad(full_px: Float[np.ndarray, " n"], span_px: float) -> float:
-    """Errors of phases that leave all places within the span distinct, at least `MODEL_RAD`."""
+    """Return the error of phases for which positions in the span stay distinct, or `MODEL_RAD`."""
     _, turns = _same_first_phase(full_px, span_px)
     nearest = float(np.linalg.norm(turns, axis=1).min(initial=0.5))
     return max(MODEL_RAD, MODEL_SHARE * 2 * math.pi * nearest)
 
 
 def _same_first_phase(full_px: Float[np.ndarray, " n"], span_px: float):
-    """Distances with equal phases of the first period, and the other phases' differences there."""
+    """Return the multiples of the first period, and each period's difference in phase [turns]."""
     apart_px = full_px[0] * np.arange(1, math.floor(span_px / full_px[0]) + 1)
     turns = apart_px[:, None] / full_px
     return apart_px, turns - np.rint(turns)

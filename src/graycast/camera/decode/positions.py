@@ -1,8 +1,8 @@
 """From a stack of pictures to projector positions: all frames in one pass over the pixels.
 
-`tests/camera/decode/plain_decoder.py` says the same in NumPy, frame by frame. Here every loop runs
-along a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it.
-Each step is a kernel of its own, compiled when a code first needs it.
+`tests/camera/decode/plain_decoder.py` has the same computation in NumPy, frame by frame. Here every
+loop runs along a row of pixels over few arrays and without branches, so that it compiles to SIMD
+code. Each step is a separate kernel, which is compiled when a code first needs it.
 """
 
 import math
@@ -31,7 +31,7 @@ from .phases import (
 from .plan import AxisPlan, plan_axes, read_frames
 from .settling import CHOICES, CLEAR, OPEN, Pixels, settle, settle_refused
 
-SHADOW_SIGMAS = 6.0  # The range of some twenty noisy frames of equal light seldom exceeds it.
+SHADOW_SIGMAS = 6.0  # The range of about twenty frames of equal light seldom exceeds this.
 
 
 def decode(
@@ -42,25 +42,23 @@ def decode(
     *,
     fine_error: float = FINE_ERROR,
 ) -> CodeMap:
-    """Read a stack.
+    """Decode a stack to the projector position of each camera pixel.
 
-    A Gray bit is the sign of pattern minus inverse; without inverse it tells whether the pixel is
-    above the middle of its own darkest and brightest frame, as in K. Bai et al. 2024. Phases are
-    counted by the Gray code or by one another; the place is their mean, weighted by their noise.
+    A Gray bit is the sign of pattern minus inverse. Without an inverse, the threshold is the mean
+    of the pixel's darkest and brightest frame, as in K. Bai et al. 2024. Periods are counted by the
+    Gray code or by other phases; the position is the mean of the phases, weighted by noise. See
     docs/explanation/decoding.md, "Bits" and "Phases".
 
-    Leaves out: what the projector's square pixels do to a camera that resolves them. A cosine or a
-    comb on a grid of pixels is a staircase, of however many pixels a line is made. Its error (peak,
-    projector px) for a camera pixel that covers 1 or 1.5 of them, and a projector blurred to a disc
-    of some radius, is far under `sigma` once stripes are blurred by a pixel:
+    Leaves out: the square pixels of the projector. A cosine or a comb of lines on a grid of pixels
+    is a staircase. This is its peak error [projector px] if a camera pixel covers 1 or 1.5 of its
+    pixels, for discs of blur of several radii; with a blur of one pixel it is far below `sigma`:
 
         period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
         period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
 
     Args:
-        fine_error: by how much a fine bit's signal is off beyond its noise, as a share of the
-            pixel's contrast; it widens `sigma` alone. 0 leaves noise, as if each bit were wrong by
-            itself.
+        fine_error: error of a fine bit's signal in addition to its noise, as a share of the
+            pixel's contrast. It only widens `sigma`. With 0, only independent noise counts.
 
     Raises:
         DecodeError: the stack has another number of frames than the code, or frames are missing.
@@ -72,7 +70,7 @@ def decode(
         )
     plans = plan_axes(code, spec.fine_bits)
     stack = np.ascontiguousarray(frames).view()
-    stack.flags.writeable = False  # kernels are compiled for each kind of array: this is one
+    stack.flags.writeable = False  # One kind of array, so kernels are compiled only once.
     cues = _cues(stack, plans, spec, levels)
     places = {axis: _read(cues, plan, spec, fine_error) for axis, plan in plans.items()}
     why, strength = cues.why, cues.strength
@@ -97,23 +95,23 @@ def decode(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Cues:
-    """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
+    """A stack, and maps of its pixels; the decoder writes to `strength`, `why` and `mark`."""
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn
-    # Shows too little: min_contrast [DN], min_sigmas, min_visibility.
+    # Limits of contrast: min_contrast [DN], min_sigmas, min_visibility.
     dark: tuple[np.float32, np.float32, np.float32]
-    votes: int  # of neighbours that settle the period of a contradictory pixel; 0 is none
+    votes: int  # Votes that settle the period of a contradictory pixel; 0 switches this off.
     saturation_dn: np.float32
     light: Light
-    top: Bool[np.ndarray, "h w"]  # a frame that is read is at the top
+    top: Bool[np.ndarray, "h w"]  # A frame that determines the position is saturated.
     strength: Float32[np.ndarray, "h w"]
     why: UInt8[np.ndarray, "h w"]
     mark: UInt8[np.ndarray, "h w"]
 
 
 def _cues(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels) -> _Cues:
-    """Brightest and darkest value of each pixel, and where the top is reached."""
+    """Return the brightest and darkest value of each pixel, and the saturated pixels."""
     shape = frames.shape[1:]
     high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
     numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn)
@@ -143,14 +141,14 @@ def _cues(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels)
 
 
 def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> tuple:
-    """Places and their standard deviations along one axis; `Reason`s go to `cues.why`."""
+    """Return positions and standard deviations along one axis; write reasons to `cues.why`."""
     shape = cues.why.shape
     place = np.empty(shape, dtype=np.float32)
-    # Only a phase asks for rivals; without one they may go where the place will be written.
+    # Only phases need rivals. Without phases, `place` serves as memory and is overwritten later.
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
     places = Places(place=place, sigma=np.zeros(shape, dtype=np.float32), rival=rival)
     clipped = bool(cues.top.any())
-    free = cues.why == Reason.DECODED if cues.votes else None  # of what another axis says
+    free = cues.why == Reason.DECODED if cues.votes else None  # No other axis has a reason.
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         numbers = (plan.first_px, plan.cell_px, plan.reach, spec.doubt, fine_error)
@@ -196,10 +194,10 @@ def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, places: Place
 
 
 def _count(cues: _Cues, phases: Phases, place, by_gray: bool) -> None:
-    """Count periods by the phases themselves; what they leave open is the neighbours' to settle.
+    """Count periods by the phases themselves; neighbours settle the counts that stay open.
 
-    `by_gray`: a Gray code says about where, so a pixel whose phases do not agree there has light
-    from elsewhere.
+    `by_gray` is true if a Gray code gives a coarse position. Phases that do not fit it are then
+    a sign of indirect light, else a contradiction.
     """
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(phases, place, state)
@@ -219,14 +217,14 @@ def _count(cues: _Cues, phases: Phases, place, by_gray: bool) -> None:
 
 
 def _reasons_so_far(cues: _Cues) -> UInt8[np.ndarray, "h w"]:
-    """Each pixel's reason so far, by its light as well as by its code."""
+    """Return each pixel's reason after the checks of its light and its code."""
     reason = cues.why.copy()
     _judge(cues.light, cues.strength, cues.top, reason, cues.law, cues.dark)
     return reason
 
 
 def _settle_refused(cues: _Cues, period_px: float, turn, free, place) -> None:
-    """Give pixels whose bits contradict each other the period that their neighbours lead to."""
+    """Give pixels with contradictory bits the period that their neighbours agree on."""
     reason = _reasons_so_far(cues)
     refused = free & ((reason == Reason.CONTRADICTORY) | (reason == Reason.INTERREFLECTION))
     if refused.any():
@@ -240,7 +238,7 @@ def _settle_refused(cues: _Cues, period_px: float, turn, free, place) -> None:
 
 @kernel(parallel=True, error_model="numpy")
 def _range(stack, high, low, strength, peak):
-    """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
+    """Write the extremes of each pixel [DN], their difference, and the maximum of each row."""
     for y in numba.prange(stack.shape[1]):
         peak[y] = _range_row(stack, np.int64(y), high[y], low[y], strength[y])
 
@@ -266,7 +264,7 @@ def _range_row(stack, y, high, low, strength):
 
 @kernel(parallel=True)
 def _reach(stack, read, peak, saturation_dn, top):
-    """Where one of the frames that are read is at the top."""
+    """Mark pixels where one of the frames that determine positions is saturated."""
     for y in numba.prange(len(top)):
         if peak[y] < saturation_dn:
             continue
@@ -278,9 +276,9 @@ def _reach(stack, read, peak, saturation_dn, top):
 
 @kernel(parallel=True, error_model="numpy")
 def _judge(light, strength, top, why, law, dark):
-    """What is wrong with a pixel's light goes before what is wrong with its code.
+    """Write the reasons that follow from a pixel's light, which replace reasons of its code.
 
-    Whatever it is, it was found in frames that do not say all where one is at the top.
+    If one of its frames is saturated, SATURATED replaces any other reason.
     """
     high, low = light.high, light.low
     for y in numba.prange(len(high)):

@@ -1,4 +1,4 @@
-"""Separation of the projector's direct light from global light, which comes by other surfaces."""
+"""Separation of the projector's direct light from global light, which is reflected repeatedly."""
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
@@ -14,18 +14,18 @@ NARROW_PX = 32.0  # Gray stripes of at most this period count as narrow.
 def separate(
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"], code: Code, levels: Levels
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Direct and global light of each pixel under a white picture [DN above offset].
+    """Return the direct and the global light of each pixel under a white picture [DN above offset].
 
-    Under narrow stripes, half of them lit, every point gets half of the global light `g` and its
-    own direct light `d` or none: the frames go from `g / 2` to `d + g / 2`. Of a phase code that
-    is mean and amplitude of the shortest period, of a Gray code the extremes of its narrow stripes
-    with their inverses. The black frame is taken off as light that does not come from the
-    projector; without one the offset is.
+    Under narrow stripes, half of which are lit, each point receives half of the global light `g`,
+    and either its full direct light `d` or none, so frames vary from `g / 2` to `d + g / 2`. For a
+    phase code these follow from mean and amplitude of the shortest period, for a Gray code from the
+    extremes of the narrow stripes and their inverses. The black frame (or, without one, the offset)
+    is subtracted, as light that does not come from the projector.
 
-    Leaves out: blur. Stripes that are out of focus or under a camera pixel's size lack contrast,
-    which is counted as global: `d` is too low by it and `g` too high by as much. Global light that
-    itself has stripes (mirrors, grazing light into a nearby wall) is counted as direct. Nothing is
-    clamped: noise takes `g` below 0 where there is none.
+    Leaves out: blur. Stripes that are out of focus or finer than a camera pixel lack contrast, so
+    `d` is too low and `g` too high by the same amount. Global light that itself has stripes
+    (mirrors, grazing light on a nearby wall) counts as direct. Nothing is clamped: with noise, `g`
+    can be below 0.
 
     Raises:
         DecodeError: the code has neither phases nor narrow stripes with inverses.
@@ -45,7 +45,7 @@ def separate(
 
 
 def _of_phases(frames, period: Period, lit: float, comb: bool, unlit):
-    """Mean `lit (d + g)`, `lit` a share of white light; amplitude `lit d`, of a comb twice that."""
+    """Solve for d and g: mean is `lit (d + g)`, amplitude is `lit d` (twice that for a comb)."""
     mean, c, s = np.zeros((3, *frames.shape[1:]), dtype=np.float32)
     for k, delta in zip(period.frames, period.delta_rad, strict=True):
         mean += frames[k]
@@ -64,7 +64,7 @@ def _of_stripes(frames, narrow: list[int], unlit):
 
 
 def _narrow(code: Code) -> list[int]:
-    """Frames of narrow stripes whose inverses are there too, so that each pixel is lit in one."""
+    """Return the frames of narrow stripes that have an inverse, so each pixel is lit in one."""
     narrow = []
     bits = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
     for k, frame in enumerate(code.frames):

@@ -1,4 +1,4 @@
-"""Ambiguous periods of a pixel, which its neighbours on the same surface resolve."""
+"""Resolution of a pixel's ambiguous period by its neighbours on the same surface."""
 
 from typing import NamedTuple
 
@@ -9,30 +9,30 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from ...base.kernels import kernel
 from .median import median
 
-CLEAR, OPEN, REFUSED = 0, 1, 2  # A pixel's own phases say this of its count of periods.
-CHOICES = 4  # Only the best places of a pixel in doubt are kept.
-REACH_PX = 2  # The neighbours are those of a window of 5 x 5 pixels.
-# Neighbours on one surface may differ by this share of a period: beyond it the step between them
-# may be either way, so they say nothing.
+CLEAR, OPEN, REFUSED = 0, 1, 2  # State of a pixel's count of periods, from its own phases
+CHOICES = 4  # The number of candidate positions of a pixel with an open count.
+REACH_PX = 2  # The neighbours are in a window of 5 x 5 pixels.
+# Phases of neighbours on one surface may differ by this share of a period. If they differ more, the
+# sign of the step is ambiguous and the neighbour has no vote.
 STEP_PERIODS = 0.3
-MOST_AGAINST = 6.0  # A neighbour says at most this sum of squares, as MIN_LEAD is, against a place.
+MOST_AGAINST = 6.0  # The largest cost that a neighbour adds to a position, in units of MIN_LEAD.
 MIN_NEIGHBOURS = 8
-# A place is taken if neighbours say at most this share of what they could say against it: a third
-# of them, for instance, may see no such surface.
+# A position is accepted if neighbours add at most this share of the largest possible cost. So about
+# a third of them may see another surface.
 MAX_AGAINST = 0.34
-PASSES = 8  # What one pass settles speaks in the next.
-AGAINST_SHARE = 0.25  # More neighbours against a period, as a share of those for it, leave it open.
+PASSES = 8  # Pixels that one pass settles have a vote in the next pass.
+AGAINST_SHARE = 0.25  # With more votes against a period than this share of those for it: open.
 
 
 class Pixels(NamedTuple):
-    """What neighbours say of one another.
+    """Maps of the pixels that vote for one another.
 
     Attributes:
         first: phase of the first period [periods].
-        choice, cost: of pixels in doubt the best periods, and their sums of squares.
-        state: CLEAR, OPEN or REFUSED; settled ones are written as CLEAR.
-        lit: pixels whose light is believed; others say nothing.
-        number: of the period of clear pixels, which `settle` writes; -1 elsewhere.
+        choice, cost: the best periods of open pixels, and their sums of squares.
+        state: CLEAR, OPEN or REFUSED; `settle` writes CLEAR for settled pixels.
+        lit: pixels with reliable light; others have no vote.
+        number: number of the period of clear pixels, which `settle` writes; -1 elsewhere.
     """
 
     first: Float32[np.ndarray, "h w"]
@@ -44,19 +44,19 @@ class Pixels(NamedTuple):
 
 
 def settle(pixels, place, period, *, min_lead):
-    """Resolve `OPEN` counts by the neighbours; without an agreement they stay open.
+    """Resolve `OPEN` counts by the neighbours; without agreement they stay open.
 
-    A neighbour on the same surface sees the period that the step between both phases leads to, for
-    each of a pixel's places another one. Against a place speaks its own cost and, of each
-    neighbour, what that period costs there beyond its best; where one of them leads the others by
-    `min_lead` and enough of the neighbours agree, it is taken. A clear pixel is never changed.
+    The step between two phases gives, for each candidate position of a pixel, the period that a
+    neighbour on the same surface would have. The total cost of a candidate is its own cost plus,
+    for each neighbour, the cost of that period there minus its lowest cost. The best candidate is
+    accepted if it leads by `min_lead` and enough neighbours agree. Clear pixels never change.
 
     Args:
-        place: place of clear pixels [px]; those of settled ones are written.
-        period: the first one's length [px], a float32.
+        place: positions of clear pixels [px]; those of settled pixels are written.
+        period: length of the first period [px], a float32.
 
     Returns:
-        which were settled.
+        A mask of the settled pixels.
     """
     _counts(pixels, period, place)
     before = pixels.state == OPEN
@@ -79,7 +79,7 @@ def _counts(pixels, period, place):
 
 @kernel(parallel=True)
 def _take(pixels, period, pick, place):
-    """Write the agreed periods; return which rows have any."""
+    """Write the agreed periods; return a mask of the rows that changed."""
     first, state, count = pixels.first, pixels.state, pixels.number
     any_taken = np.zeros(len(pick), dtype=np.bool_)
     for y in numba.prange(len(pick)):
@@ -104,7 +104,7 @@ def _agree(pixels, min_lead, pick):
 
 @kernel()
 def _agreed(pixels, y, x, against, min_lead):
-    """The period that this pixel and its neighbours agree on; -1 where they do not."""
+    """Return the period on which this pixel and its neighbours agree, or -1."""
     first, choice, cost, state, lit, count = pixels
     h, w = first.shape
     against[:] = 0
@@ -147,19 +147,19 @@ def _agreed(pixels, y, x, against, min_lead):
 
 
 def settle_refused(period_px, turn, place, refused, clear, *, votes):
-    """Count the periods of pixels whose own code contradicts itself, by their neighbours.
+    """Settle the periods of pixels with a contradictory code by votes of their neighbours.
 
-    The phase of such a pixel is known; what is not is its period. Each clear neighbour on the same
-    surface says one. The period is taken that at least `votes` neighbours say, if hardly any says
-    another one. What is settled does not speak for others, so large regions are not filled.
+    The phase of such a pixel is known, but not its period. Each clear neighbour on the same surface
+    votes for one. A period with at least `votes` votes is accepted if hardly any neighbour votes
+    for another. Settled pixels do not vote for others, so large regions are not filled.
 
     Args:
         turn: phase [periods], (h, w).
-        place: place of clear pixels [px]; those of settled ones are written.
-        refused, clear: which pixels are to be settled and which speak, (h, w).
+        place: positions of clear pixels [px]; those of settled pixels are written.
+        refused, clear: masks of the pixels to be settled and of those that vote, (h, w).
 
     Returns:
-        which were settled.
+        A mask of the settled pixels.
     """
     settled = np.zeros(place.shape, dtype=np.bool_)
     _vote(np.float32(period_px), turn, place, refused, clear, votes, settled)
@@ -186,7 +186,7 @@ def _vote(period, turn, place, refused, clear, votes, settled):
                         count += 1
             if count < votes:
                 continue
-            k = np.int32(median(offset[:count], 1))  # most say it, or there is no agreement
+            k = np.int32(median(offset[:count], 1))  # The only period that can have a majority
             agreed = (offset[:count] == k).sum()
             if agreed >= votes and count - agreed <= AGAINST_SHARE * agreed:
                 settled[y, x] = True

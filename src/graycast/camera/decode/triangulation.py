@@ -1,4 +1,4 @@
-"""From projector positions to depth, where camera rays meet projector planes."""
+"""From projector positions to depth: the intersection of camera rays and projector planes."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,28 +14,28 @@ EPIPOLAR_SIGMAS = 3.0
 
 
 def triangulation_axis(rig: Rig) -> Axis:
-    """The projector axis parallel to the baseline; only the code of this axis gives depth."""
+    """Return the projector axis along the baseline; only the code of this axis gives depth."""
     camera_in_proj = rig.T_proj_cam[:3, 3]
     return "column" if abs(camera_in_proj[0]) >= abs(camera_in_proj[1]) else "row"
 
 
 def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> DepthMap:
-    """Return depth where each camera ray meets its projector plane.
+    """Return the depth at which each camera ray meets its projector plane.
 
-    The three linear equations of design: two say that the point is on the pixel's ray,
-    `X = x Z`, `Y = y Z`; with them the third, the projector's `(P1 - u P3) (X, Y, Z, 1) = 0`, has
-    the one unknown Z (docs/explanation/depth.md, "Triangulation"). Distortion is taken off
-    first: the camera's from its rays, the projector's from (u, v), v decoded or else iterated.
-    The standard deviation is that of the code, carried through dZ/du; the rig is taken as exact.
-    Pixels without a code that the projector cannot light within the working range have the reason
+    There are three linear equations. Two say that the point is on the pixel's ray, `X = x Z`,
+    `Y = y Z`. With them the third, `(P1 - u P3) (X, Y, Z, 1) = 0` of the projector, has only the
+    unknown Z (docs/explanation/depth.md, "Triangulation"). Distortion is removed first: from the
+    camera's rays, and from the projector's (u, v), where v is decoded or else found by iteration.
+    The standard deviation of the code is converted by dZ/du; the rig is taken as exact.
+    Pixels without a code that the projector cannot light within the working range get the reason
     OUTSIDE_PROJECTOR.
 
     Args:
-        max_epipolar_px: where both axes are coded, a point whose other coordinate lies farther
-            from the epipolar line than this and three of its standard deviations is an outlier.
+        max_epipolar_px: if both axes are coded, a point whose other coordinate is farther from the
+            epipolar line than this plus three of its standard deviations is an outlier.
 
     Raises:
-        ValueError: the code lacks the axis along the baseline, or the sizes do not fit.
+        ValueError: the axis along the baseline is not coded, or the sizes do not fit.
 
     Source: K. Bai et al. 2024, equation of its section III, with u_p in the third row.
     """
@@ -77,13 +77,13 @@ def meet_planes(
     row: Float[np.ndarray, " n"],
     rig: Rig,
 ) -> Float[np.ndarray, "n 3"]:
-    """Return where rays of camera pixels (x, y) meet projector planes, in the camera frame [m].
+    """Return the points where rays of camera pixels (x, y) meet projector planes [m].
 
-    The equations are those of `triangulate`. NaN where ray and plane do not meet before the camera.
+    They are in the camera frame (see `triangulate`); NaN if ray and plane do not meet before it.
 
     Args:
-        column: projector column of each pixel; NaN throughout if it is not coded.
-        row: likewise the row. One of the two, that along the baseline, is needed.
+        column: projector column of each pixel; all NaN if columns are not coded.
+        row: projector row of each pixel, likewise. The axis along the baseline is needed.
     """
     axis = triangulation_axis(rig)
     across, along = (column, row) if axis == "column" else (row, column)
@@ -93,10 +93,10 @@ def meet_planes(
 
 
 def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.ndarray, "h w"]:
-    """Return how far the other coordinate lies from where the depth puts it [px].
+    """Return the difference between the other decoded coordinate and that of the depth [px].
 
-    It is NaN where it is unknown. It measures calibration and decoding together, by what depth did
-    not use.
+    It is NaN if either is unknown. As depth does not use this coordinate, the difference is a check
+    of calibration and decoding.
     """
     camera = rig.camera
     axis = triangulation_axis(rig)
@@ -111,16 +111,16 @@ def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.
 def off_the_line(
     codes: CodeMap, residual_px: Float[np.ndarray, "h w"], rig: Rig, *, limit_px: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Which points lie farther off their epipolar line than a limit and their own noise.
+    """Return the points that are farther from their epipolar line than a limit plus noise.
 
-    The noise is that of the coordinate that depth does not use: the line is taken as exact.
+    The noise is that of the coordinate that depth does not use; the line is taken as exact.
     """
     sigma_along_px = _by_axis(codes, triangulation_axis(rig))[3]
     return np.abs(residual_px) > limit_px + EPIPOLAR_SIGMAS * sigma_along_px
 
 
 def _by_axis(codes: CodeMap, axis: Axis) -> tuple:
-    """Position across the planes of depth and along them, then their standard deviations."""
+    """Return the positions across and along the planes, then their standard deviations."""
     column, row = (codes.column, codes.sigma_column), (codes.row, codes.sigma_row)
     across, along = (column, row) if axis == "column" else (row, column)
     return across[0], along[0], across[1], along[1]
@@ -133,7 +133,7 @@ def _off_the_line_px(
     rig: Rig,
     axis: Axis,
 ) -> Float[np.ndarray, " n"]:
-    """Return how far the position along the planes lies from where rays and depth put it [px]."""
+    """Return the difference between the position along the planes and that of the depth [px]."""
     coded = 0 if axis == "column" else 1
     off_px = np.empty(len(ray))
     T, lens = rows_of(rig.T_proj_cam, coded), lens_of(rig.projector, coded)
@@ -148,11 +148,11 @@ def _meet(
     rig: Rig,
     axis: Axis,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return depth [m], and how it changes with the position across [m/px].
+    """Return depth [m] and its derivative by the position across the planes [m/px].
 
     With the rows 1 to 3 of the pose R, t and the ideal position u, Z solves
-    `(R_1 - u R_3) ray Z + (t_1 - u t_3) = 0`; no Z is NaN or not > 0. The slope leaves out how
-    distortion scales (u, v) locally, a few per cent.
+    `(R_1 - u R_3) ray Z + (t_1 - u t_3) = 0`; without a solution Z is NaN or not > 0. The
+    derivative leaves out the local scale of distortion, which is a few per cent.
     """
     coded = 0 if axis == "column" else 1
     depth_m, slope_m = np.empty((2, len(ray)))
@@ -163,5 +163,5 @@ def _meet(
 
 
 def _doubles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return a copy of the one kind of array for which the kernels are compiled."""
+    """Return a copy as the only kind of array for which the kernels are compiled."""
     return np.array(values, dtype=np.float64, order="C")

@@ -1,16 +1,15 @@
-"""Pixels out of order along their epipolar line, which a nearer surface must hide.
+"""Removal of pixels that a nearer surface hides: they are out of order along an epipolar line.
 
-The projector lights the first surface on each of its rays, so along an epipolar line positions rise
-from pixel to pixel wherever surfaces are wider than what they hide: between a near surface and what
-lies behind it, on the side away from the projector, there is a shadow and never a step. Where
-positions fall all the same, the farther pixels are taken for wrong, as far as they are out of order
-with the nearer surface's edge.
+The projector lights the first surface on each of its rays. So positions increase from pixel to
+pixel along an epipolar line: between a near surface and the background, on the side away from the
+projector, there is a shadow and not a step. Where positions decrease, the farther pixels must be
+wrong, up to the pixel that is in order with the edge of the nearer surface.
 
-Leaves out: things so thin that one sees past them what the projector lights past their other side.
-There the order is another one in truth, and a strip of the background goes beside them; real
-scanners (five scans of a Photoneo PhoXi) have no such steps either. Epipolar lines are taken as the
-camera's rows (columns, where the baseline runs down): over the few pixels beside an edge a toed-in
-rig's lines leave them by a fraction of a pixel.
+Leaves out: objects so thin that the camera sees, past one side, background that the projector
+lights past the other side. There the true order is reversed, and a strip of the background next to
+them is removed; five scans of a Photoneo PhoXi have no such background either. Rows of the
+camera (columns for a vertical baseline) are used as epipolar lines: in a rig with toe-in the two
+differ by a fraction of a pixel over the few pixels next to an edge.
 """
 
 from dataclasses import replace
@@ -27,10 +26,10 @@ from .triangulation import triangulation_axis
 
 
 def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
-    """The same depth without pixels out of order beside a nearer surface.
+    """Remove pixels that are out of order next to a nearer surface.
 
     Args:
-        sigmas: by how many standard deviations of both positions they must be out of order.
+        sigmas: only pixels that are out of order by this many standard deviations are removed.
 
     Returns:
         A depth map whose hidden pixels are NaN with `Reason.OUTLIER`.
@@ -48,7 +47,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     place[known] = place_at(z_m)
     noise[known] = np.abs(place_at(z_m + sigma_m) - place[known])
     sense = np.sign(rig.T_proj_cam[i, i])
-    # Copies, so that the kernel is compiled for one kind of array alone.
+    # Copies are one kind of array, so the kernel is compiled only once.
     maps = [
         np.array(m if column else m.T, order="C") for m in (sense * place, noise, depth.depth_m)
     ]
@@ -67,9 +66,9 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
 @kernel()
 def _hide(place, noise, z, sigmas, hidden):
     h, w = place.shape
-    right = np.int64(1)  # a number of its own would be compiled for by itself, as -1 would
+    right = np.int64(1)  # For literals 1 and -1, numba would compile two versions.
     for y in range(h):
-        last = np.int64(-1)  # the last pixel that has depth
+        last = np.int64(-1)  # The last pixel with depth
         for x in range(w):
             if np.isnan(place[y, x]):
                 continue
@@ -86,12 +85,12 @@ def _hide(place, noise, z, sigmas, hidden):
 def _hide_beside(place, noise, sigmas, near, far, way, hidden):
     """Mark pixels from `far` on, away from `near`, until they are in order with `near`.
 
-    `way` is 1 where the near surface lies to the right.
+    `way` is 1 if the near surface is to the right, else -1.
     """
     x = far
     while 0 <= x < len(place):
         if not np.isnan(place[x]):
             if way * (place[x] - place[near]) <= sigmas * (noise[x] + noise[near]):
-                break  # the shadow ends here
+                break  # The shadow ends here.
             hidden[x] = True
         x -= way

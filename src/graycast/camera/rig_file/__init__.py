@@ -1,4 +1,4 @@
-"""Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
+"""Files of scanners: reads and writes Graycast's YAML, and reads OpenCV stereo calibrations."""
 
 from .opencv import import_opencv, missing_distortions
 from .own import load_scanner, named_scanner, rig_schema, save_scanner, scanner_text

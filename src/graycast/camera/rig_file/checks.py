@@ -1,4 +1,4 @@
-"""The checks that both kinds of rig file share."""
+"""Checks that apply to both kinds of rig file."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from ...base.frames import is_rigid, rigid
 from ...rig.optics import Optics, rays
 from ...rig.pair import Rig, common_depths_m
 
-RANGE_STEPS = 33  # A place that both devices see is looked for at so many depths of the range.
+RANGE_STEPS = 33  # The number of depths at which the common field of view is tested.
 
 
 def is_file_storage(text: str) -> bool:
@@ -19,7 +19,7 @@ def is_file_storage(text: str) -> bool:
 
 
 def check_rotation(R: Float[np.ndarray, "3 3"], where: str) -> None:
-    """Refuse what is not a proper rotation to 1e-6; nothing is made orthonormal silently."""
+    """Refuse a matrix that is not a rotation to 1e-6; it is not made orthonormal silently."""
     if is_rigid(rigid(R, np.zeros(3))):
         return
     error = np.abs(R @ R.T - np.eye(3)).max()
@@ -30,10 +30,10 @@ def check_rotation(R: Float[np.ndarray, "3 3"], where: str) -> None:
 
 
 def build_rig(path: Path, **fields: Any) -> Rig:
-    """A `Rig` whose refusals name the file, and whose devices look at one place.
+    """Build a `Rig`, with errors that name the file.
 
     Raises:
-        ConfigError: it is no rig, or camera and projector see nothing in common in its range.
+        ConfigError: a value is wrong, or the fields of view do not overlap in the working range.
     """
     try:
         rig = Rig(**fields)
@@ -50,7 +50,7 @@ def build_rig(path: Path, **fields: Any) -> Rig:
 
 
 def build_optics(path: Path, device: str, **fields: Any) -> Optics:
-    """Optics whose distortion can be undone over the whole image."""
+    """Build `Optics`, and check that the distortion has an inverse over the whole image."""
     try:
         optics = Optics(**fields)
         x = np.linspace(-0.5, optics.width_px - 0.5, 33)

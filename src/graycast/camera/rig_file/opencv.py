@@ -1,7 +1,6 @@
-"""OpenCV stereo calibrations into rigs.
+"""Import of OpenCV stereo calibrations as rigs.
 
-OpenCV's convention `X_proj = R X_cam + T` is turned into `T_cam_proj` here and appears nowhere
-else.
+Only this module knows OpenCV's convention `X_proj = R X_cam + T`, and converts it to `T_cam_proj`.
 """
 
 import zipfile
@@ -21,12 +20,12 @@ from ...rig.optics import Optics
 from ...rig.pair import Rig, common_depths_m
 from .checks import build_optics, build_rig, check_rotation, is_file_storage
 
-MAX_SKEW = 1e-6  # `Optics` has no skew, so only this share of the focal length passes.
-MIN_BASELINE_M = 0.001  # Below it the unit is wrong, because no rig is that small.
+MAX_SKEW = 1e-6  # Largest accepted skew as a share of the focal length; `Optics` has no skew.
+MIN_BASELINE_M = 0.001  # A smaller baseline means that the unit is wrong.
 _MOST_BYTES = 100_000_000
 
-# OpenCV's samples and public camera-projector calibration programs have these spellings, less their
-# '_', '-' and spaces; in names of one or two letters case counts (Kc is a matrix, kc a distortion).
+# Spellings in OpenCV's samples and in public programs for camera-projector calibration, without
+# '_', '-' and spaces. Case matters in names of one or two letters (Kc: matrix, kc: distortion).
 _SPELLINGS = {
     "camera matrix": "camK cameraK Kcam Kcamera K1 M1 Kc cameraMatrix1 cameraMatrix camInt "
     "camIntrinsics cameraIntrinsics mtx1 camMtx cameraMtx camMatrix intrinsicMtx1 intrinsic1",
@@ -45,12 +44,12 @@ _SPELLINGS = {
     "projector size": "proSize projSize prjSize projectorSize projectorImageSize projImageSize "
     "imageSize2 projectorResolution",
 }
-# SLStudio writes sizes as two numbers.
+# SLStudio writes the size of a picture as two numbers.
 _SIDES = {
     "camera": (("frameWidth", "frameHeight"), ("cameraWidth", "cameraHeight")),
     "projector": (("screenResX", "screenResY"), ("projectorWidth", "projectorHeight")),
 }
-# SLMaster numbers its devices 1 left camera, 2 right camera, 3 colour camera, 4 projector.
+# SLMaster numbers its devices: 1 left camera, 2 right camera, 3 colour camera, 4 projector.
 _RIGHT_CAMERA = {"M4": "M2", "D4": "D2"}
 _EXAMPLES = {
     "camera matrix": "cam_K, K1, M1 or cameraMatrix1",
@@ -73,20 +72,20 @@ def import_opencv(
 ) -> Rig:
     """Read an OpenCV stereo calibration of a camera (first) and a projector (second).
 
-    Takes OpenCV's FileStorage (YAML, XML, JSON) and plain YAML, JSON or NPZ of nested lists, under
-    the usual spellings of K, D, R and T, with `X_proj = R X_cam + T`. Other keys are left alone.
+    The file is OpenCV's FileStorage (YAML, XML, JSON), or nested lists in YAML, JSON or NPZ, with
+    the usual spellings of K, D, R and T and `X_proj = R X_cam + T`. Other keys are ignored.
 
     Args:
-        unit: of T, one of `UNITS_M`; None takes mm where `|T| > 10`, metres where `|T| < 2`.
-        near_m: nearest depth of the working range; OpenCV states none. Left out: where camera and
-            projector begin to see a place in common, at least half a baseline away.
-        far_m: farthest depth of the working range; left out: where they cease to, at most twenty
-            baselines away.
-        camera_size_px: (width, height) in place of what the file says, if it says it.
+        unit: unit of T, one of `UNITS_M`; None is mm if `|T| > 10` and metres if `|T| < 2`.
+        near_m: nearest depth of the working range, which OpenCV does not state; None: the nearest
+            depth at which both fields of view overlap, at least half a baseline.
+        far_m: farthest depth of the working range; None: the farthest depth at which they
+            overlap, at most twenty baselines.
+        camera_size_px: (width, height), which replaces the size in the file.
         projector_size_px: likewise for the projector.
 
     Raises:
-        ConfigError: the file is no such calibration; the text names the file, the key, the remedy.
+        ConfigError: the file is no such calibration; the message names file, key and remedy.
     """
     content = _read_calibration(path)
     R = _array(content, "R", path, shapes=((3, 3),))
@@ -111,10 +110,10 @@ def import_opencv(
 
 
 def missing_distortions(path: Path) -> tuple[str, ...]:
-    """A sentence for each device whose distortion a calibration file does not state.
+    """Return a warning for each device whose distortion a calibration file does not state.
 
-    OpenCV means a lens without distortion by that; a file may also have it by another name. So the
-    keys that are not understood are told.
+    For OpenCV this means a lens without distortion, but the key may have another name. So the
+    warning lists the unknown keys.
 
     Raises:
         ConfigError: the file cannot be read.
@@ -135,7 +134,7 @@ def missing_distortions(path: Path) -> tuple[str, ...]:
 def _common_range_m(
     camera: Optics, projector: Optics, T_cam_proj: Float[np.ndarray, "4 4"], path: Path
 ) -> tuple[float, float]:
-    """Nearest and farthest depth at which the camera sees a place that the projector lights."""
+    """Return the nearest and farthest depth at which the fields of view overlap."""
     baseline_m = float(np.linalg.norm(T_cam_proj[:3, 3]))
     candidates_m = baseline_m * np.geomspace(0.5, 20, 200)
     lit_m = common_depths_m(camera, projector, T_cam_proj, candidates_m).tolist()
@@ -173,7 +172,7 @@ def _device(
 
 
 def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[float, ...]:
-    """(k1, k2, p1, p2, k3); zeros where the file states no distortion, as OpenCV means it."""
+    """Return (k1, k2, p1, p2, k3); zeros if the file states no distortion, as in OpenCV."""
     key = _find(content, role, path)
     if key is None:
         return (0.0,) * 5
@@ -187,7 +186,7 @@ def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[floa
 
 
 def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int]:
-    """(width, height) as the file states it."""
+    """Return the (width, height) that the file states."""
     key = _find(content, f"{device} size", path)
     sides = next((pair for pair in _SIDES[device] if set(pair) <= set(content)), None)
     if key is not None:
@@ -223,7 +222,7 @@ def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) ->
 
 
 def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
-    """The one key of the file that plays a role, or None."""
+    """Return the key of the file for a role, or None; two keys for one role are an error."""
     spellings = {_plain(word) for word in _SPELLINGS[role].split()}
     keys = [key for key in content if isinstance(key, str) and _plain(key) in spellings]
     keys = [key for key in keys if key not in {_RIGHT_CAMERA.get(other) for other in keys}]
@@ -254,7 +253,7 @@ def _array(
 
 def _numbers(value: Any, where: str) -> Float[np.ndarray, "..."]:
     try:
-        if isinstance(value, Mapping) and "data" in value:  # ROS writes rows, cols and flat data
+        if isinstance(value, Mapping) and "data" in value:  # ROS writes rows, cols and flat data.
             value = np.reshape(value["data"], (value.get("rows", -1), value.get("cols", 1)))
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -298,7 +297,7 @@ def _read_npz(path: Path) -> Mapping[str, Any]:
 
 
 def _read_file_storage(path: Path) -> Mapping[str, Any]:
-    """Matrices, numbers and lists of numbers at the top of an OpenCV FileStorage."""
+    """Return the matrices, numbers and lists of numbers at the top level of a FileStorage."""
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:

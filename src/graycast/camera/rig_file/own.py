@@ -1,4 +1,4 @@
-"""Graycast's own rig file: YAML that holds exactly what a `Scanner` holds."""
+"""Graycast's own rig file: YAML with exactly the content of a `Scanner`."""
 
 import math
 from dataclasses import asdict, fields
@@ -41,7 +41,7 @@ RigModel = section_of(
     more={
         "camera": (OpticsModel, ...),
         "projector": (OpticsModel, ...),
-        "T_cam_proj": None,  # A file has it in two keys.
+        "T_cam_proj": None,  # A file has two keys for it.
         "R_cam_proj": (
             tuple[Row, Row, Row],
             Field(description="The rotation from projector to camera coordinates, row by row."),
@@ -55,15 +55,15 @@ RigModel = section_of(
 
 
 def rig_schema() -> dict[str, Any]:
-    """JSON Schema of a rig file, from which editors complete."""
+    """Return the JSON Schema of a rig file, which editors use for completion."""
     return RigModel.model_json_schema()
 
 
 def save_scanner(scanner: Scanner, path: Path | str) -> None:
-    """Write a rig file; `load_scanner` gives the same numbers back to the last bit.
+    """Write a rig file; `load_scanner` returns exactly the same numbers.
 
     Raises:
-        ConfigError: the file cannot be written; a file that was there is left as it was.
+        ConfigError: the file cannot be written; an existing file is not changed.
     """
     path = Path(path)
     try:
@@ -73,7 +73,7 @@ def save_scanner(scanner: Scanner, path: Path | str) -> None:
 
 
 def scanner_text(scanner: Scanner) -> str:
-    """What a scanner's rig file holds."""
+    """Return the text of a scanner's rig file."""
     rig = scanner.rig
     scanner.named_code()
     content = {
@@ -94,7 +94,7 @@ def load_scanner(path: Path | str) -> Scanner:
     """Read a rig file.
 
     Raises:
-        ConfigError: the file is missing or not a rig; the text names the file, the key, the remedy.
+        ConfigError: the file is missing or not a rig; the message names file, key and remedy.
     """
     path = Path(path)
     text = read_text(path)
@@ -118,15 +118,15 @@ def load_scanner(path: Path | str) -> Scanner:
 
 
 def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanner:
-    """Return the scanner that a configuration means by `rig: text`.
+    """Return the scanner that a configuration names by `rig: text`.
 
     Args:
         text: a name in `PRESETS`, a former name of one, or a rig file, relative to `folder`.
-        folder: where the configuration lies.
-        resolution: of a preset; a file states its own.
+        folder: the folder of the configuration.
+        resolution: resolution of a preset; ignored for a file, which has its own.
 
     Raises:
-        ConfigError: neither a preset nor a readable rig file, or no such resolution.
+        ConfigError: it is no preset and no readable rig file, or the resolution is unknown.
     """
     if resolution not in RESOLUTIONS:
         choices = ", ".join(RESOLUTIONS)
@@ -141,7 +141,7 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """What a rig file holds: Python's own numbers, lists; nothing for None and for infinity."""
+    """Convert values to plain numbers and lists for YAML; leave out None and infinity."""
     plain = {}
     for key, value in values.items():
         if isinstance(value, tuple):

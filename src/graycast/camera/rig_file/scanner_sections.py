@@ -1,6 +1,6 @@
 """The sections of a scanner that a rig file and a dataset's configuration share.
 
-An absent key has the default in a rig file, and the rig's own value in a configuration.
+In a rig file an absent key has its default; in a configuration it keeps the value of the rig.
 """
 
 from dataclasses import MISSING, fields, replace
@@ -28,7 +28,7 @@ _ABOUT = {
     "that of real pictures; 0 switches a fault off.",
 }
 
-if TYPE_CHECKING:  # An editor completes a section by the fields of its dataclass.
+if TYPE_CHECKING:  # Editors then complete a section from the fields of its dataclass.
     CodeSection, ExposureSection, SensorSection = CodeSpec, ExposureSpec, SensorSpec
     DecodeSection, FilterSection, FaultSection = DecodeSpec, FilterSpec, FaultSpec
 else:
@@ -50,20 +50,20 @@ class ScannerSections(Settings):
 
 
 def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
-    """A scanner with what the sections change.
+    """Return a scanner with the changes that the sections state.
 
     Raises:
-        ConfigError: a value that does not fit the others; the text names the section.
+        ConfigError: a value does not fit the others; the message names the section.
     """
     parts = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
     return _scanner(scanner.rig, parts, sections)
 
 
 def own_device(scanner: Scanner, sections: ScannerSections, *, name: str) -> Scanner:
-    """Return a further scanner of a cell, whose fixed pattern and raster follow from its name.
+    """Return an additional scanner of a cell with its own fixed pattern and raster, by its name.
 
-    A scanner whose section states `fpn_seed` keeps that. One without fixed pattern and raster is
-    left as it is, so that a dataset that was begun may be continued.
+    A scanner keeps the `fpn_seed` that its section states. A scanner without fixed pattern and
+    raster is not changed, so that datasets made by earlier versions can be continued.
     """
     sensor = scanner.sensor
     uneven = sensor.prnu or sensor.dsnu_e or scanner.faults.raster_px
@@ -74,7 +74,7 @@ def own_device(scanner: Scanner, sections: ScannerSections, *, name: str) -> Sca
 
 
 def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
-    """A scanner of defaults around a rig, with what the sections change.
+    """Return a scanner with this rig and default settings, changed by the sections.
 
     Raises:
         ConfigError: see `with_sections`.
@@ -82,7 +82,7 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
     defaults = {
         f.name: f.default_factory()
         for f in fields(Scanner)
-        if f.default_factory is not MISSING  # all but the rig
+        if f.default_factory is not MISSING  # Every field except the rig
     }
     return _scanner(rig, defaults, sections)
 
@@ -95,7 +95,7 @@ def _scanner(rig: Rig, parts: dict[str, Any], sections: ScannerSections) -> Scan
         scanner = Scanner(rig=rig, **changes)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    try:  # Numbers that make no code on this projector are refused here, and not by the first scan.
+    try:  # A code that does not fit this projector is refused here and not by the first scan.
         scanner.light_code()
     except ValueError as error:
         raise ConfigError(f"code: {error}") from error
@@ -108,7 +108,7 @@ Spec = CodeSpec | Code | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | F
 def _changed(value: Spec, section: Settings, name: str) -> Spec:
     settings: dict[str, Any] = section.model_dump(exclude_none=True)
     if isinstance(value, CodeSpec) and settings.get("codec", value.codec) != value.codec:
-        value = type(value)(codec=settings["codec"], axes=value.axes)  # the numbers were another's
+        value = type(value)(codec=settings["codec"], axes=value.axes)  # Drop the old parameters.
     try:
         return replace(value, **settings)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""All camera pixels that see one projector pixel, joined to one point."""
+"""Averaging of all camera pixels that see the same projector pixel to one point."""
 
 from dataclasses import dataclass
 
@@ -13,19 +13,19 @@ from ...rig.pattern import AXES, Code
 from ..decode import CodeMap, Reason
 from ..decode.plan import plan_axes
 
-# A pixel belongs to the next cell with some chance: below the first it surely sees its own; where
-# no pixel of a cell is that sure, those below the second stand for it.
+# Limits of the probability that a pixel belongs to the adjacent cell. Pixels below the first limit
+# are used; a cell without such pixels uses those below the second.
 MAX_WRONG, MAX_WRONG_ALONE = 0.02, 0.2
-# Pixels of a cell scatter about their mean by sqrt(n / 2 pi) where they fill a disc; a slanted
-# surface makes that an ellipse. This many times as far, and half a pixel, is another surface's.
+# The n pixels of a cell scatter about their mean by sqrt(n / 2 pi) if they fill a disc, or more if
+# they fill an ellipse on a slanted surface. Beyond this factor plus offset, surfaces are several.
 MAX_SCATTER, SCATTER_PX = 2.0, 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
-    """Projector pixels that were seen: where in the camera, where on the projector.
+    """Cells of the projector that the camera sees, with their mean positions in both pictures.
 
-    `sure_pixels` counts the camera pixels that the means are of; 0 where all were in doubt.
+    `sure_pixels` is the number of camera pixels that were averaged; 0 if all are uncertain.
     """
 
     camera_px: Float[np.ndarray, "n 2"]
@@ -38,12 +38,12 @@ class Cells:
 
 
 def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
-    """The mean camera position of each projector pixel, over the pixels that surely see it.
+    """Average the positions of the camera pixels that see the same cell of the projector.
 
-    A cell is the finest that the code tells apart: a value of the Gray code, one projector pixel of
-    a phase code. Camera pixels whose finest bit is in doubt may be the next cell's; they count only
-    where a cell has no others. Cells whose pixels lie farther apart than one surface puts them are
-    left out.
+    A cell is the finest unit that the code resolves: a value of the Gray code, or one projector
+    pixel of a phase code. A camera pixel whose finest bit is uncertain may belong to the adjacent
+    cell; it counts only if its cell has no other pixels. Cells whose pixels are too far apart for
+    one surface are left out.
 
     Raises:
         DecodeError: only one axis is coded.
@@ -64,7 +64,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
         cells = int(np.ceil(plan.size_px / cell_px)) + 1
         value = np.floor((position[decoded] - plan.first_px) / cell_px).astype(np.int64)
         number = number * cells + np.clip(value, 0, cells - 1)
-        # A Gray value's variance is 1/12 and what doubt adds; a neighbour's is 1 away.
+        # A variance above 1/12 comes from doubt, and is the probability to be one value off.
         wrong = np.maximum(wrong, (sigma[decoded] / cell_px) ** 2 - 1 / 12)
     y, x = np.nonzero(decoded)
     values = np.stack([x, y, codes.column[decoded], codes.row[decoded]], axis=-1).astype(np.float64)
@@ -75,7 +75,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
 def _two_rounds(
     cell: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, " k"]
 ) -> Cells:
-    """Means over the sure pixels; then over the others, of the cells that had none."""
+    """Average the certain pixels of each cell, or the others in a cell without certain pixels."""
     count = int(cell.max(initial=-1)) + 1
     mean, sure_pixels, whole = _means(cell, values, wrong <= MAX_WRONG, count)
     others, other_pixels, other_whole = _means(cell, values, wrong <= MAX_WRONG_ALONE, count)
@@ -88,7 +88,7 @@ def _two_rounds(
 
 
 def _means(cell, values, subset: Bool[np.ndarray, " k"], count: int):
-    """Mean of each cell's chosen pixels, their number, and whether they lie together."""
+    """Return the mean of each cell's pixels, their number, and whether they are close together."""
     cell, values = cell[subset], values[subset]
     pixels = np.bincount(cell, minlength=count)
 
@@ -104,18 +104,18 @@ def _means(cell, values, subset: Bool[np.ndarray, " k"], count: int):
 def meet_rays(
     camera_px: Float[np.ndarray, "n 2"], projector_px: Float[np.ndarray, "n 2"], rig: Rig
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """The point halfway between two rays where they are nearest, and how far they miss.
+    """Return the midpoint of the shortest connection between two rays, and its length.
 
     Returns:
-        points in the camera frame [m], NaN where rays are parallel or meet behind a lens; the
-        distance between the rays as seen from the projector [projector px]: the epipolar residual.
+        Points in the camera frame [m], NaN if rays are parallel or meet behind a lens; and the
+        epipolar residual, which is the distance of the rays seen from the projector [projector px].
 
     Source: two-ray midpoint; e.g. Hartley & Sturm, "Triangulation", CVIU 68, 1997.
     """
     origin = rig.T_cam_proj[:3, 3]
     a = rays(rig.camera, camera_px)
     b = transform_points(rig.T_cam_proj, rays(rig.projector, projector_px)) - origin
-    # Nearest points s a and origin + t b: (s a - t b - origin) is at right angles to both.
+    # Nearest points are s a and origin + t b: (s a - t b - origin) is perpendicular to both rays.
     aa, bb, ab = (np.einsum("ni,ni->n", u, v) for u, v in ((a, a), (b, b), (a, b)))
     ao, bo = a @ origin, b @ origin
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Depth of a stack without outliers of the epipolar line, filtered if asked for."""
+"""Depth of a stack without points off their epipolar line, and with filters on request."""
 
 from dataclasses import replace
 
@@ -9,15 +9,15 @@ from ...rig.pair import Rig
 from ..decode import CodeMap, DepthMap, FilterSpec, Reason, filter_depth, off_the_line, triangulate
 from ..sigma import bend_m, with_depth_term
 
-# Where no limit is stated, a pixel is refused whose residual is this many times the median, and at
-# least 2 px: a calibration is off by more than its usual residual here and there.
+# Without a stated limit, the limit is this many times the median residual, and at least 2 px,
+# because a calibration has larger errors than usual in some places.
 EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
 
 
 def epipolar_limit_px(
     stated_px: float | None, residual_px: Float[np.ndarray, "h w"] | None
 ) -> float:
-    """Return the largest epipolar residual that is believed; infinite where there is no limit."""
+    """Return the largest accepted epipolar residual; infinite without a limit."""
     if stated_px is not None or residual_px is None:
         return stated_px or np.inf
     known = np.abs(residual_px[np.isfinite(residual_px)])
@@ -34,11 +34,11 @@ def believed_depth(
     stated_px: float | None,
     filters: FilterSpec | None,
 ) -> DepthMap:
-    """Return the depth without outliers, filtered if asked for, with the bend in its sigma."""
+    """Return the depth without outliers, filtered on request, with the term `bend` in its sigma."""
     if stated_px is None:
         limit_px = epipolar_limit_px(stated_px, residual_px)
         depth = less_outliers(codes, first, residual_px, rig, limit_px)
-    else:  # A scanner of this limit refuses these pixels.
+    else:  # A scanner with this limit removes the same pixels.
         depth = triangulate(codes, rig, max_epipolar_px=stated_px)
     if filters is not None:
         depth = filter_depth(depth, filters, rig)
@@ -52,7 +52,7 @@ def less_outliers(
     rig: Rig,
     limit_px: float,
 ) -> DepthMap:
-    """Return the depth map without pixels that are off the epipolar line beyond limit and noise."""
+    """Remove the pixels that are farther from their epipolar line than the limit plus noise."""
     if residual_px is None or not np.isfinite(limit_px):
         return depth
     far = off_the_line(codes, residual_px, rig, limit_px=limit_px)

@@ -1,4 +1,4 @@
-"""Orders of Gray bits, and swaps with inverses, that make neighbours lie beside one another."""
+"""Detection of Gray bits in wrong order, or swapped with inverses, by jumps between neighbours."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -9,21 +9,21 @@ from jaxtyping import Float
 from ...rig.pattern import Axis, Code
 from ..decode.plan import AxisPlan
 
-MENDED_OF = 30_000  # Changes of the order are tried on so many pairs.
-# Neighbours this far apart, or this many of their Gray values, do not belong together.
+MENDED_OF = 30_000  # The number of pairs on which changes of the order are tried.
+# Neighbours are far apart if they differ by this distance, and by this many Gray values.
 FAR_PX, FAR_VALUES = 8.0, 1.5
-# More than TORN of the neighbours far apart is a fault; its remedy leaves less than FEWER of them.
+# A share above TORN of distant neighbours is a fault; a remedy leaves less than FEWER of them.
 TORN, FEWER = 2e-3, 0.5
-LEAST = 50  # Fewer pairs say nothing.
+LEAST = 50  # Fewer pairs are no evidence.
 
 
 def bits_fault(
     pairs_px: Float[np.ndarray, "n 2"], code: Code, axis: Axis, plan: AxisPlan
 ) -> str | None:
-    """Return a warning with the change of the bits that makes most jumps go; None without one.
+    """Return a warning with the change of the bits that removes most jumps, or None.
 
     Args:
-        pairs_px: places of neighbouring pixels that the bits alone say.
+        pairs_px: positions of neighbouring pixels, decoded from the bits alone.
     """
     if len(pairs_px) < LEAST:
         return None
@@ -39,7 +39,7 @@ def bits_fault(
 
 
 def far_px(plan: AxisPlan) -> float:
-    """Return the distance above which neighbours are far apart; one edge of a value is not far."""
+    """Return the distance above which neighbours are far apart; adjacent Gray values are not."""
     return max(FAR_PX, FAR_VALUES * plan.cell_px) if plan.bits else FAR_PX
 
 
@@ -49,8 +49,8 @@ def far_share(pairs_px: Float[np.ndarray, "n 2"], plan: AxisPlan) -> float:
 
 
 def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, float] | None:
-    """The change of the bits that makes most jumps go, in words; and the jumps left."""
-    if plan.periods:  # only where two Gray values meet; these are few beside all neighbours
+    """Return a text for the change of the bits that removes most jumps, and the remaining share."""
+    if plan.periods:  # Use only pairs at an edge of a Gray value, which are few of all pairs.
         pairs_px = pairs_px[pairs_px[:, 0] != pairs_px[:, 1]]
     if len(pairs_px) < LEAST or far_share(pairs_px, plan) < TORN:
         return None
@@ -68,7 +68,7 @@ def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, floa
 
 
 def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]:
-    """Candidate errors of the bits: a text, the order of the bits, and the inverted ones."""
+    """Yield each candidate error: a text, the order of the bits, and a mask of inverted bits."""
     count = len(plan.bits)
     names = [code.frames[bit.frame].name for bit in plan.bits]
     as_is = [*range(count)]
@@ -90,14 +90,14 @@ def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]
 
 
 def _reordered(gray, order: list[int]):
-    """Gray values whose k-th bit from above is what the `order[k]`-th was."""
+    """Return Gray values whose k-th bit from the top is bit `order[k]` of the given values."""
     last = len(order) - 1
     bits = [((gray >> (last - source)) & 1) << (last - k) for k, source in enumerate(order)]
     return np.bitwise_or.reduce(bits)
 
 
 def _binary(gray):
-    """Values of a Gray code of up to 32 bits."""
+    """Decode a Gray code of up to 32 bits."""
     for shift in (16, 8, 4, 2, 1):
         gray = gray ^ (gray >> shift)
     return gray

@@ -1,4 +1,4 @@
-"""Single steps of a period that are brighter or darker than the others, which moves its phases."""
+"""Detection of single phase steps that are brighter or darker than the others of their period."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,17 +12,17 @@ from .frame_groups import full_periods, inverse_pairs
 from .levels import Stack
 from .stack_figures import samples
 
-LEAST = 0.05  # Less is not warned of: flicker of 1 % is usual.
-# A gain is uncertain by this error of the model over the condition of the equations: where few
-# phases are in view, cosine, sine and mean can be taken for one another.
+LEAST = 0.05  # A smaller difference causes no warning, because a flicker of 1 % is usual.
+# The uncertainty of a gain is this model error divided by the condition of the equations: if few
+# phases are visible, cosine, sine and mean cannot be distinguished.
 MODEL = 0.004
 SURE_SIGMAS = 5.0  # A gain must differ from 1 by this many times its sigma.
-# Steps that are in another order than the stack file says are off by more of their mean (median).
+# A larger median misfit, relative to the mean, is caused by steps in a wrong order.
 LEFT = 0.08
-CHUNKS = 24  # How these parts of the pixels disagree gives sigma.
-FEWEST, MOST = 500, 10_000  # Fewer pixels are too few; more say the same.
-BINS = 16  # Phases of all values count alike.
-ROUNDS, FAR = 4, 3.0
+CHUNKS = 24  # Sigma follows from the scatter between this many groups of pixels.
+FEWEST, MOST = 500, 10_000  # The fewest pixels that are enough, and the most that are used.
+BINS = 16  # Each bin of the phase histogram has the same weight.
+ROUNDS, FAR = 4, 3.0  # Rounds of the robust fit, and its scale in median residuals.
 
 
 def brightness_faults(
@@ -34,14 +34,14 @@ def brightness_faults(
     *,
     exchanged: frozenset[int] = frozenset(),
 ) -> Iterator[str]:
-    """Yield a warning for each step of a period that is not as bright as the period's others.
+    """Yield a warning for each step that is brighter or darker than the others of its period.
 
-    Leaves out: a period of which fewer than three steps are there; a lone period of three steps
-    without any other white picture, whose frames hold no fourth number that could tell; shifts of
+    Leaves out: periods with fewer than three steps; a single period of three steps without any
+    white picture, because three values determine a cosine exactly and leave no check; shifted
     lines, which are no cosines.
 
     Args:
-        exchanged: frames of periods that are left out since two of their pictures are exchanged,
+        exchanged: frames of periods to leave out because two of their pictures are exchanged,
             which looks like unequal brightness.
     """
     index = samples(well)
@@ -64,11 +64,11 @@ def brightness_faults(
 
 
 def _turns_off(excess: float, steps: int) -> float:
-    """The largest error of a phase of full modulation by one brighter step [turns].
+    """Return the largest phase error from one brighter step at full modulation [turns].
 
-    The step adds `excess` (1 + cos(phase)) along its own direction, of 0, to the sum steps / 2
-    exp(i phase); that turns the sum by excess (1 + cos) sin / (steps / 2), at most 1.3 times
-    excess / (steps / 2).
+    A step at phase 0 adds `excess (1 + cos(phase))` to the sum `steps / 2 exp(i phase)`. This
+    turns the sum by `excess (1 + cos) sin / (steps / 2)`, which is at most
+    `1.3 excess / (steps / 2)`.
     """
     return abs(excess) * 1.3 / (steps / 2) / (2 * math.pi)
 
@@ -76,16 +76,16 @@ def _turns_off(excess: float, steps: int) -> float:
 def step_gains(
     flat: Float[np.ndarray, "frames n"], code: Code, steps: Sequence[int], saturation_dn: float
 ) -> Float[np.ndarray, " steps"] | None:
-    """Return how bright each step of a period is, over the median of all; 1 where it is usual.
+    """Return the gain of each step of a period, relative to their median; 1 if it is normal.
 
     Divided by its gain, each frame is mean + amplitude cos(phase - step). So the harmonics 2 to
-    N - 2 of the N frames of a pixel are zero, and their sum is the white picture that other frames
-    add up to. Both are linear in the inverse gains; least squares over the pixels find them, with
-    little weight where a pixel is far off. A response that is not linear makes harmonics too, but
-    these follow neither the mean nor the cosine.
+    N - 2 of the N frames of a pixel are zero, and the sum of the frames is proportional to the
+    white picture that other frames give. Both conditions are linear in the inverse gains, which
+    follow from a robust least-squares fit over the pixels. A non-linear response causes harmonics,
+    too, but these follow neither the mean nor the cosine.
 
     Returns:
-        The gains; None where the pixels cannot tell.
+        The gains; None if the pixels do not determine them.
     """
     value = flat[list(steps)]
     white, clear = _white(flat, code, steps, saturation_dn)
@@ -100,7 +100,7 @@ def step_gains(
         rows.append(value.T / len(steps))
         wanted.append(share / np.median(share))
     weight = np.tile(_share_of_phase(value), len(rows))
-    if white is None:  # then nothing says what the gains are in the mean: it is 1
+    if white is None:  # Nothing then determines the mean of the inverse gains, so it is set to 1.
         rows.append(np.full((1, len(steps)), 1 / len(steps)))
         wanted.append(np.ones(1))
         weight = np.append(weight, 1.0)
@@ -113,7 +113,7 @@ def step_gains(
 
 
 def _white(flat, code: Code, steps: Sequence[int], saturation_dn: float):
-    """The white picture that other frames add up to, if any, and where it is not saturated."""
+    """Return the white picture from other frames, or None, and a mask without saturated pixels."""
     groups = [g for g in (*inverse_pairs(code), *full_periods(code)) if set(g).isdisjoint(steps)]
     groups += [(k,) for k, frame in enumerate(code.frames) if frame.kind == "white"]
     clear = np.ones(flat.shape[1], dtype=bool)
@@ -126,7 +126,7 @@ def _white(flat, code: Code, steps: Sequence[int], saturation_dn: float):
 
 
 def _equations(value: Float[np.ndarray, "steps n"]):
-    """The harmonics of the steps that are zero, of a cosine."""
+    """Return the equations that the harmonics are zero for a cosine: rows and right-hand sides."""
     rows: list[np.ndarray] = []
     count = len(value)
     for k in range(2, count // 2 + 1):
@@ -137,7 +137,7 @@ def _equations(value: Float[np.ndarray, "steps n"]):
 
 
 def _share_of_phase(value: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " n"]:
-    """Weights by which all phases count alike, however many pixels have them."""
+    """Return weights that give all phases the same influence, although some are rarer."""
     turn = np.exp(2j * np.pi * np.arange(len(value)) / len(value))
     number = (np.angle(turn @ value) / (2 * np.pi) % 1 * BINS).astype(int) % BINS
     count = np.bincount(number, minlength=BINS)
@@ -147,14 +147,14 @@ def _share_of_phase(value: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Fit:
-    inverse: Float[np.ndarray, " steps"]  # of the gains
+    inverse: Float[np.ndarray, " steps"]  # Inverse gains
     sigma: Float[np.ndarray, " steps"]
-    condition: float  # of the equations, 0 to 1
-    left: float  # the median misfit
+    condition: float  # Condition of the equations, 0 to 1
+    left: float  # Median misfit
 
 
 def _solved(rows, wanted, weight, pixels: int) -> _Fit:
-    """The inverse gains; the pixels recur in the rows in the same order."""
+    """Fit the inverse gains; each block of rows has the pixels in the same order."""
     robust = np.ones(len(wanted))
     for _ in range(ROUNDS):
         weighted = rows * (weight * robust)[:, None]

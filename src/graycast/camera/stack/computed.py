@@ -1,4 +1,4 @@
-"""Inverses that a program computed from the patterns; no camera took them, so noise is missing."""
+"""Detection of inverses that a program computed from the patterns, so that they lack noise."""
 
 import numpy as np
 from jaxtyping import Num
@@ -7,20 +7,20 @@ from ...rig.pattern import Code
 from .frame_groups import inverse_pairs, opposite_steps
 
 MOST_SAMPLES = 100_000
-CONSTANT_DN = 2  # A sum that is computed is off its constant by no more, JPEG included.
+CONSTANT_DN = 2  # A computed sum differs from its constant by at most this, even after JPEG.
 NEARLY_ALL = 0.99
-# Two sums of real pictures differ by the noise of four frames. If that were of rounding alone, 60 %
-# of the sums would be equal.
-LIT_SHARE = 0.3  # Pixels with this share of the highest contrast are lit: dark ones add up to 0.
-FEWEST = 200  # Fewer such pixels are too few.
+# Sums of real pictures differ by the noise of four frames. Even if that were only rounding, no more
+# than 60 % of the sums would be equal.
+LIT_SHARE = 0.3  # Only pixels with this share of the highest contrast count; dark sums are all 0.
+FEWEST = 200  # The fewest such pixels that are enough.
 
 
 def computed_pairs(frames: Num[np.ndarray, "n h w"], code: Code) -> list[tuple[int, int]]:
     """Return the pairs of pattern and inverse, and of opposite steps, that were computed.
 
-    A computed inverse is a constant less the pattern, or a white picture less the pattern. In the
-    first case the pair adds up to the same number in all lit pixels, where a real scene is
-    brighter here than there; in the second to exactly what another pair adds up to.
+    A computed inverse is a constant, or a white picture, minus the pattern. With a constant, the
+    sum of the pair is equal in all lit pixels, although a real scene varies in brightness. With a
+    white picture, the sums of two such pairs are exactly equal.
     """
     pairs = [*inverse_pairs(code), *opposite_steps(code)]
     if not pairs:
@@ -31,7 +31,7 @@ def computed_pairs(frames: Num[np.ndarray, "n h w"], code: Code) -> list[tuple[i
     if not contrast.any():
         return []
     clear = contrast >= LIT_SHARE * contrast.max()
-    clear &= flat.max(axis=0) < flat.max()  # saturated frames add up to the same, too
+    clear &= flat.max(axis=0) < flat.max()  # Sums of saturated frames are equal, too.
     if clear.sum() < FEWEST:
         return []
     sums = [(flat[k] + flat[other])[clear] for k, other in pairs]
@@ -44,7 +44,7 @@ def computed_pairs(frames: Num[np.ndarray, "n h w"], code: Code) -> list[tuple[i
 
 
 def _beside(sums: list[np.ndarray], k: int) -> list[np.ndarray]:
-    """The sums before and after one, of which a computed one equals at least one."""
+    """Return the sums before and after one; a computed sum equals at least one of them."""
     return sums[max(k - 1, 0) : k] + sums[k + 1 : k + 2]
 
 

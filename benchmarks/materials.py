@@ -25,7 +25,6 @@ from graycast.world.parts import Material
 from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
-WRONG_M, WRONG_SIGMAS = 1e-3, 5.0  # a depth is wrong that is off by more than both
 SCANNERS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "paper")
 PRESET, BARE = "preset", "without guards"
 EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
@@ -224,7 +223,7 @@ def worth(
     """The figures of `Worth`."""
     known = pixels & np.isfinite(depth.depth_m)
     off_m, sigma_m = np.abs(depth.depth_m - true_m)[known], depth.sigma_m[known]
-    wrong = (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * sigma_m)
+    wrong = depth.is_wrong(true_m)[known]
     total = max(int(pixels.sum()), 1)
     return {
         "decoded": len(off_m) / total,

@@ -1,11 +1,10 @@
 """The table of materials: what counts as wrong, and that each picture is rendered once."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from benchmarks.materials import MATERIALS, Worth, _patterns, _scanners, page, worth
+from graycast.camera.decode import DepthMap
 from graycast.camera.scanner import preset
 
 
@@ -13,8 +12,13 @@ def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
     off_m = np.array([[0.0, 0.5e-3, 2e-3, 2e-3, 9.0, 9.0]])  # the last one is no part
     sigma_m = np.array([[1e-4, 5e-5, 5e-4, 3e-4, np.nan, 1e-4]])
     parts = np.array([[True] * 5 + [False]])
-    depth = SimpleNamespace(depth_m=0.8 + off_m, sigma_m=sigma_m)
-    depth.depth_m[0, 4] = np.nan
+    depth_m = np.where(np.isnan(sigma_m), np.nan, 0.8 + off_m)
+    depth = DepthMap(
+        depth_m=depth_m,
+        sigma_m=sigma_m,
+        reason=np.zeros((1, 6), np.uint8),
+        camera=preset("like-phoxi-m", "small").rig.camera,
+    )
     figures = worth(depth, np.full((1, 6), 0.8), parts)
     assert figures["decoded"] == pytest.approx(4 / 5)
     assert figures["right"] == pytest.approx(3 / 5)

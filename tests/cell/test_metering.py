@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
+import pytest
 from small_cell import write_cell
 
 from graycast.base.frames import transform_points
-from graycast.cell.metering import bin_region
+from graycast.camera.exposure import ExposureSpec
+from graycast.cell.metering import metered_region
 from graycast.cell.resolve import load_cell
 from graycast.rig.optics import picture_rays
 from graycast.world.scene import bin_of
@@ -23,7 +26,7 @@ def test_the_metered_pixels_are_those_whose_ray_meets_the_inner_room_of_the_bin(
     with np.errstate(divide="ignore"):
         slab = np.stack([(low - start) / ray, (high - start) / ray])
     meets = slab.min(axis=0).max(axis=-1) <= slab.max(axis=0).min(axis=-1)
-    region = bin_region(scene)
+    region = metered_region(scene, ExposureSpec(auto=True))
     assert region is not None
     camera = scene.rig.camera
     border_px = 2 * (camera.width_px + camera.height_px)
@@ -33,4 +36,12 @@ def test_the_metered_pixels_are_those_whose_ray_meets_the_inner_room_of_the_bin(
 
 
 def test_a_scene_without_a_bin_has_no_region(tmp_path):
-    assert bin_region(replace(load_cell(write_cell(tmp_path)).scene, bin=None)) is None
+    scene = replace(load_cell(write_cell(tmp_path)).scene, bin=None)
+    assert metered_region(scene, ExposureSpec(auto=True)) is None
+
+
+@pytest.mark.parametrize("exposure", [ExposureSpec(), ExposureSpec(exposure_s=0.01)])
+def test_fixed_exposures_draw_no_region(tmp_path, monkeypatch, exposure):
+    scene = load_cell(write_cell(tmp_path)).scene
+    monkeypatch.setattr(cv2, "fillConvexPoly", None)
+    assert metered_region(scene, exposure) is None

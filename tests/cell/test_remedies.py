@@ -1,10 +1,11 @@
 """The note on parts with little depth: its words, and the change that it names."""
 
+import numpy as np
 import pytest
 
-from graycast.camera.decode import Reason, little_depth_note
+from graycast.camera.decode import DepthMap, Reason, little_depth_note
 from graycast.camera.scanner import preset
-from graycast.cell.remedies import remedies
+from graycast.cell.remedies import DepthShares, advice, depth_shares, remedies
 
 
 def shares(**of_reason: float) -> dict[str, float]:
@@ -29,3 +30,49 @@ def test_a_change_that_a_scanner_has_already_is_not_tried_again():
     again = remedies(first[0].scanner)
     assert "exposure: {auto: true}" in [remedy.words for remedy in first]
     assert "exposure: {auto: true}" not in [remedy.words for remedy in again]
+
+
+def of(depth: float, wrong: float) -> DepthShares:
+    return DepthShares(depth=depth, wrong=wrong)
+
+
+def test_the_change_with_most_depth_is_named_with_its_share_of_wrong_depths():
+    tries = {"exposure": of(0.36, 0.004), "decode": of(0.2, 0.0), "other": of(0.131, 0.0)}
+    assert advice(of(0.13, 0.001), tries) == (
+        "now 0.1% of the depths are wrong (over 1 mm and 5 sigma off); with `exposure` 36.0% have "
+        "depth, 0.4% of it wrong (tried on this scene)"
+    )
+
+
+def test_depth_that_is_bought_with_wrong_depths_is_no_remedy():
+    tries = {"decode": of(0.4, 0.06), "exposure": of(0.36, 0.003)}
+    text = advice(of(0.13, 0.001), tries)
+    assert "with `exposure` 36.0% have depth, 0.3% of it wrong" in text
+    assert "`decode` is no remedy: 40.0% have depth, but 6.0% of it is wrong" in text
+    alone = advice(of(0.13, 0.001), {"decode": of(0.4, 0.06)})
+    assert "with `" not in alone
+    assert "`decode` is no remedy" in alone
+
+
+def test_changes_that_give_no_depth_are_listed():
+    tries = {"exposure": of(0.134, 0.0), "decode": of(0.1, 0.0)}
+    assert advice(of(0.13, 0.0), tries) == "none of these changes helps: exposure; decode"
+
+
+def test_a_depth_is_wrong_only_beyond_both_limits_and_only_parts_count():
+    """Each pixel is a case of the definition in docs/measurements/materials.md."""
+    true_m = np.full((1, 7), 0.5)
+    off_mm = np.array([[0.0, 0.9, 1.1, -1.1, -9.0, np.nan, 5.0]])
+    sigma_mm = np.array([[0.1, 0.1, 0.2, 0.3, 1.0, np.nan, 0.1]])
+    depth = DepthMap(
+        depth_m=true_m + 1e-3 * off_mm,
+        sigma_m=1e-3 * sigma_mm,
+        reason=np.zeros((1, 7), np.uint8),
+        camera=preset("like-phoxi-m", "small").rig.camera,
+    )
+    part = np.array([[True] * 6 + [False]])
+    # The third (1.1 mm, 5.5 sigma) and the fifth (9 sigma) are wrong; the last is no part.
+    shares = depth_shares(depth, true_m, part)
+    assert shares == of(pytest.approx(5 / 6), pytest.approx(2 / 5))
+    nothing = depth_shares(depth, true_m, np.zeros_like(part))
+    assert nothing == of(0.0, 0.0)

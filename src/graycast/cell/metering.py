@@ -1,22 +1,23 @@
-"""The region of a picture from which a scanner meters its exposure."""
+"""The region of a picture from which a scanner meters its automatic exposures."""
 
 import cv2
 import numpy as np
 from jaxtyping import Bool
 
 from ..base.frames import inverse, transform_points
+from ..camera.exposure import ExposureSpec
 from ..rig.optics import project
 from ..world.scene import Scene
 from .framing import bin_corners_m
 
 
-def bin_region(scene: Scene) -> Bool[np.ndarray, "h w"] | None:
+def metered_region(scene: Scene, exposure: ExposureSpec) -> Bool[np.ndarray, "h w"] | None:
     """Return the pixels that look into the bin; None if there is no bin or no such pixel.
 
     It is the hull of the bin's inner corners, as a user draws a region of interest around the bin;
-    the parts do not change it.
+    the parts do not change it. Fixed exposures do not need it, so it is None for them too.
     """
-    if scene.bin is None:
+    if scene.bin is None or not exposure.auto:
         return None
     camera = scene.rig.camera
     corner_m = transform_points(inverse(scene.T_world_cam), bin_corners_m(scene.bin))

@@ -1,11 +1,28 @@
 """Settings of a scanner that give the parts of a scene more depth, tried on the scene's light."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from ..camera.decode import little_depth_note, reason_shares
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..camera.decode import WRONG_M, WRONG_SIGMAS, DepthMap, little_depth_note
 from ..camera.scanner import Scanner, measure, take
-from .metering import bin_region
+from .metering import metered_region
 from .simulate import Shot, on_part
+
+LEAST_GAIN = (
+    0.005  # A change that gives fewer of the parts' pixels depth does not help; our choice.
+)
+MORE_WRONG = 0.005  # A change may raise the share of wrong depths by this much; our choice.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthShares:
+    """Share of the parts' pixels that have depth, and share of these depths that are wrong."""
+
+    depth: float
+    wrong: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +50,47 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
     )
 
 
+def depth_shares(
+    depth: DepthMap, true_m: Float[np.ndarray, "h w"], part: Bool[np.ndarray, "h w"]
+) -> DepthShares:
+    """Return both shares for the pixels of the parts."""
+    known = part & np.isfinite(depth.depth_m)
+    wrong = depth.is_wrong(true_m)[known]
+    return DepthShares(
+        depth=float(known.sum() / max(part.sum(), 1)),
+        wrong=float(wrong.mean()) if wrong.size else 0.0,
+    )
+
+
+def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
+    """Return which change gives most depth without more wrong depths, with both shares.
+
+    A change that gives more depth than this one, but also more wrong depths, is named with what
+    it costs.
+
+    Args:
+        tries: the shares that each change has, by its words.
+    """
+    gains = {words: each for words, each in tries.items() if each.depth >= now.depth + LEAST_GAIN}
+    if not gains:
+        return f"none of these changes helps: {'; '.join(tries)}"
+    true = {words: each for words, each in gains.items() if each.wrong <= now.wrong + MORE_WRONG}
+    limits = f"over {1e3 * WRONG_M:g} mm and {WRONG_SIGMAS:g} sigma off"
+    words, most = [f"now {now.wrong:.1%} of the depths are wrong ({limits})"], 0.0
+    if true:
+        best = max(true, key=lambda words: true[words].depth)
+        most = true[best].depth
+        words.append(f"with `{best}` {most:.1%} have depth, {true[best].wrong:.1%} of it wrong")
+    greedy = max(gains, key=lambda words: gains[words].depth)
+    if gains[greedy].depth > most:
+        shares = gains[greedy]
+        words.append(
+            f"`{greedy}` is no remedy: {shares.depth:.1%} have depth, but {shares.wrong:.1%} of it "
+            "is wrong"
+        )
+    return f"{'; '.join(words)} (tried on this scene)"
+
+
 def depth_note(shot: Shot, scanner: Scanner) -> str:
     """Return why under half of the parts' pixels have depth, and the change that helps most.
 
@@ -40,21 +98,20 @@ def depth_note(shot: Shot, scanner: Scanner) -> str:
     at least half of the pixels have depth.
     """
     sample = shot.sample
-    before = sample.manifest["part_reasons"]
-    note = little_depth_note(before)
+    note = little_depth_note(sample.manifest["part_reasons"])
     if not note:
         return ""
     scanner = replace(scanner, rig=sample.scene.rig)
     part = on_part(sample.scene, sample.layout, sample.truth)
-    radiance, region = shot.rendering.radiance, bin_region(sample.scene)
-    shares = {}
+    radiance, true_m = shot.rendering.radiance, sample.truth.depth_m
+    tries = {}
     for remedy in remedies(scanner):
         capture = take(
-            remedy.scanner, radiance, seed=sample.manifest["seeds"]["noise"], metered=region
+            remedy.scanner,
+            radiance,
+            seed=sample.manifest["seeds"]["noise"],
+            metered=metered_region(sample.scene, remedy.scanner.exposure),
         )
         _, depth = measure(remedy.scanner, capture, path_noise=radiance.path_noise)
-        shares[remedy.words] = reason_shares(depth.reason[part])["decoded"]
-    best = max(shares, key=lambda words: shares[words])
-    if shares[best] < before["decoded"] + 0.005:
-        return f"{note}; none of these changes helps: {'; '.join(shares)}"
-    return f"{note}; with `{best}` {shares[best]:.1%} have depth (tried on this scene)"
+        tries[remedy.words] = depth_shares(depth, true_m, part)
+    return f"{note}; {advice(depth_shares(sample.scanner_depth, true_m, part), tries)}"

@@ -31,7 +31,7 @@ from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
 from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
-from .metering import bin_region
+from .metering import metered_region
 from .resolve import Cell, Eye, eyes, free_scanners, patterns_of
 from .views import refuse_inside
 
@@ -152,7 +152,8 @@ def _taken(
             scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
-        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=bin_region(scene))
+        metered = metered_region(scene, scanner.exposure)
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=metered)
     progress.stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"

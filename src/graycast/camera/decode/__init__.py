@@ -16,6 +16,8 @@ outliers, median, filters   filters that remove or smooth depth, as devices do
 from .filters import filter_depth
 from .maps import (
     REASON_COLOR,
+    WRONG_M,
+    WRONG_SIGMAS,
     CodeMap,
     DecodeSpec,
     DepthMap,
@@ -41,6 +43,8 @@ from .triangulation import (
 
 __all__ = [
     "REASON_COLOR",
+    "WRONG_M",
+    "WRONG_SIGMAS",
     "CodeMap",
     "DecodeSpec",
     "DepthMap",

@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from pydantic import Field
 
 from ...base.public_value import public_value
@@ -103,6 +103,8 @@ def pooled_shares(counts: Iterable[Mapping[str, int]]) -> dict[str, float]:
     return {name: count / pixels for name, count in total.items()} if pixels else {}
 
 
+# A depth is wrong if it is off by more than this length and by more than this number of its sigmas.
+WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 LITTLE_DEPTH = 0.5  # With less depth on the parts, a detector learns holes. This is our choice.
 
 
@@ -373,6 +375,12 @@ class DepthMap:
     def __post_init__(self) -> None:
         for map_of_pixels in (self.depth_m, self.sigma_m, self.reason):
             map_of_pixels.flags.writeable = False
+
+    def is_wrong(self, true_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+        """Return the pixels whose depth differs from the true one by more than both limits."""
+        off_m = np.abs(self.depth_m - true_m)
+        with np.errstate(invalid="ignore"):  # NaN: no depth, or no surface
+            return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * self.sigma_m)
 
     def points(self) -> Float[np.ndarray, "n 3"]:
         """Return the measured points [m] in the camera frame, row by row."""

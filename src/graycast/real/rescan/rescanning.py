@@ -33,7 +33,7 @@ from ...cell.engine import (
     make_missing,
 )
 from ...cell.generate import described_scanner
-from ...cell.metering import bin_region
+from ...cell.metering import metered_region
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part
 from ...dataset.bop import scanner_files
@@ -170,7 +170,7 @@ class ImageScanner:
             scanner,
             rendering.radiance,
             seed=seeds["noise"],
-            metered=bin_region(staged.scene),
+            metered=metered_region(staged.scene, scanner.exposure),
         )
         codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
         reasons = reason_shares(depth.reason)

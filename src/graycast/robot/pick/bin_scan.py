@@ -11,7 +11,7 @@ from ...camera.picture import color_picture, gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...camera.sensor import Capture
 from ...cell.config import resolve_quality
-from ...cell.metering import bin_region
+from ...cell.metering import metered_region
 from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...rendering import Renderer, Rendering
@@ -58,7 +58,10 @@ def scan(
         base.scene, layout, base.patterns(), quality=quality, seed=render_seed
     )
     capture = take(
-        base.scanner, rendering.radiance, seed=noise_seed, metered=bin_region(base.scene)
+        base.scanner,
+        rendering.radiance,
+        seed=noise_seed,
+        metered=metered_region(base.scene, base.scanner.exposure),
     )
     return BinScan(
         view=DepthView(

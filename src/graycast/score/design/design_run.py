@@ -15,7 +15,7 @@ from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
 from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
-from ...cell.metering import bin_region
+from ...cell.metering import metered_region
 from ...cell.resolve import Cell
 from ...cell.simulate import counts_of
 from ...rendering import Rendering
@@ -86,7 +86,8 @@ class Comparer:
         for placed, patterns in zip(group, own, strict=True):
             scanner, name = placed.cell.scanner, placed.setting.name
             radiance = replace(rendering.radiance, pattern=rendering.radiance.pattern[patterns])
-            capture = take(scanner, radiance, seed=heap.noise_seed, metered=bin_region(scene))
+            metered = metered_region(scene, scanner.exposure)
+            capture = take(scanner, radiance, seed=heap.noise_seed, metered=metered)
             _, depth = measure(scanner, capture, path_noise=radiance.path_noise)
             fates = judge(
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m

@@ -26,7 +26,7 @@ from ...camera.picture import color_light, developed
 from ...camera.scanner import measure, take
 from ...camera.sensor import Capture
 from ...cell.config import Config, resolve_quality, resolve_scanner, resolve_scanners
-from ...cell.metering import bin_region
+from ...cell.metering import metered_region
 from ...cell.resolve import Cell, file_digests, open_cell_renderer, resolve_cell
 from ...cell.simulate import cell_seeds, varied
 from ...dataset.claim import described_values
@@ -229,7 +229,7 @@ class Line:
                 scanner,
                 rendering.radiance,
                 seed=run.seeds["noise"],
-                metered=bin_region(run.scene),
+                metered=metered_region(run.scene, scanner.exposure),
             )
             self._taken = key, capture
         noise = rendering.radiance.path_noise

@@ -1,6 +1,6 @@
 """PLY files: the header of meshes and clouds, a writer of clouds, a reader of vertices.
 
-Meshes are read by trimesh (`parts.load_mesh`), which knows faces and loses what else a vertex has.
+trimesh reads; its writer stores neither the size of an organised cloud nor the frame of its points.
 """
 
 import re
@@ -15,13 +15,7 @@ from .errors import DatasetError
 COLORS = ("red", "green", "blue")
 CAMERA_FRAME = "metres, camera frame: x right, y down, z forward"
 WORLD_FRAME = "metres, world frame: z up, from the middle of the bin's inner floor"
-_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
-    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+_TYPES = {"uchar": "u1", "int": "i4", "float": "f4"}
 
 
 def header(
@@ -102,65 +96,27 @@ def split(path: Path) -> tuple[list[str], bytes]:
 def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]:
     """Return the header, each property of the vertices by its name, and the number of vertices.
 
-    Vertices are the first element; what follows is not read.
-
     Raises:
         DatasetError: it is no PLY, or is damaged.
     """
-    lines, body = split(path)
+    from trimesh.exchange.ply import load_ply  # It takes long to import, and writers need it not.
+
+    lines, _ = split(path)
+    names = {line.split()[-1] for line in lines if line.startswith("property ")}
+    if missing := set("xyz") - names:
+        raise DatasetError(f"{path}: its vertices have no {', '.join(sorted(missing))}")
     try:
-        count, names = _vertices(path, lines)
-        order = _order(path, lines)
-    except (ValueError, IndexError) as error:
-        raise DatasetError(f"{path}: its header is damaged: export it again") from error
-    if order == "=":
-        return lines, _ascii(path, body, count, names), count
-    kind = np.dtype([(name, order + code) for name, code in names])
-    if len(body) < count * kind.itemsize:
+        with open(path, "rb") as file:
+            vertex = load_ply(file)["metadata"]["_ply_raw"]["vertex"]
+        table = {name: np.ravel(vertex["data"][name]) for name in vertex["properties"]}
+    except Exception as error:  # A damaged PLY makes trimesh raise whatever it met.
         raise DatasetError(
-            f"{path}: ends before its {count} vertices are complete: copy the file again"
-        )
-    table = np.frombuffer(body, dtype=kind, count=count)
-    return lines, {name: table[name] for name, _ in names}, count
-
-
-def _order(path: Path, header: list[str]) -> str:
-    form = next((line.split()[1] for line in header if line.startswith("format ")), "none")
-    if form not in _ORDERS:
-        raise DatasetError(f"{path}: format is {form}: choose one of {', '.join(_ORDERS)}")
-    return _ORDERS[form]
-
-
-def _vertices(path: Path, header: list[str]) -> tuple[int, list[tuple[str, str]]]:
-    """Return the number of vertices, and the names and types of their properties."""
-    at = [i for i, line in enumerate(header) if line.startswith("element ")]
-    first = header[at[0]].split() if at else []
-    if len(first) != 3 or first[1] != "vertex":
-        raise DatasetError(f"{path}: its first element is not 'vertex': write the vertices first")
-    names = []
-    for line in header[at[0] + 1 : at[1] if len(at) > 1 else None]:
-        words = line.split()
-        if words[:1] == ["property"]:
-            if words[1] not in _TYPES:
-                raise DatasetError(f"{path}: vertices have a property of type {words[1]}")
-            names.append((words[2], _TYPES[words[1]]))
-    if missing := set("xyz") - {name for name, _ in names}:
-        raise DatasetError(f"{path}: vertices have no {', '.join(sorted(missing))}")
-    return int(first[2]), names
-
-
-def _ascii(
-    path: Path, body: bytes, count: int, names: list[tuple[str, str]]
-) -> Mapping[str, np.ndarray]:
-    lines = body.decode("ascii", errors="replace").splitlines()[:count]
-    try:
-        rows = np.array([line.split() for line in lines], dtype=np.float64)
-    except ValueError as error:
-        raise DatasetError(f"{path}: its vertices are not numbers in equal rows") from error
-    if rows.shape != (count, len(names)):
+            f"{path}: its vertices cannot be read ({error}): export or copy the file again"
+        ) from error
+    count = int(vertex["length"])
+    if any(len(column) != count or column.dtype == object for column in table.values()):
         raise DatasetError(
-            f"{path}: has {len(rows)} vertices of {rows.shape[1] if rows.ndim > 1 else 0} numbers, "
-            f"its header says {count} of {len(names)}"
+            f"{path}: its rows are not the {count} vertices that its header states: export or copy "
+            "the file again"
         )
-    whole = {name: code for name, code in names if code[0] != "f"}
-    return {name: rows[:, i].astype(whole.get(name, "f8")) for i, (name, _) in enumerate(names)}
+    return lines, table, count

@@ -220,7 +220,11 @@ def test_a_ply_that_is_not_organised_is_refused_with_what_it_lacks(tmp_path, dep
     assert "has 1200 vertices, 40 x 31 pixels need 1240" in refusal(path, size_px=(40, 31))
     data = ply(depth_m, "binary_little_endian")
     path.write_bytes(data[:-100])
-    assert "ends before its 1200 vertices" in refusal(path)
+    assert "its vertices cannot be read (PLY is unexpected length!): export" in refusal(path)
+    rows = ply(depth_m, "ascii").rsplit(b"\n", 1)[0]
+    for end in (b"", b"\n0 0\n"):
+        path.write_bytes(rows + end)
+        assert "its rows are not the 1200 vertices that its header states" in refusal(path)
     path.write_bytes(data.replace(b"property float z", b"property float w"))
     assert "have no z" in refusal(path)
     path.write_bytes(b"solid cube")

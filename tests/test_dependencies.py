@@ -50,7 +50,7 @@ def imported_by(folder):
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
     """lxml, networkx and mapbox-earcut were dependencies, and nothing imported them."""
-    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick", "twin")]
+    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "pick", "twin")]
     dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     dependencies = {name.replace("-", "_") for name in dependencies}
     assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND == dependencies
@@ -66,8 +66,7 @@ def test_constraints_are_names_and_versions_alone():
 def test_a_tested_version_of_each_dependency_is_stated_and_is_one_that_is_asked_for():
     stated = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split())
     stated = {name.lower().replace("_", "-"): version for name, version in stated.items()}
-    extras = [EXTRAS[name] for name in EXTRAS if name != "rf-detr"]  # no make target installs it
-    for requirement in wanted(PROJECT["dependencies"], *extras):
+    for requirement in wanted(PROJECT["dependencies"], *EXTRAS.values()):
         version = stated[requirement.name.lower()]
         assert requirement.specifier.contains(version), f"{requirement} is constrained to {version}"
 

@@ -4,6 +4,7 @@ import math
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from drawn import shares_of
+from learn.detect.drawn import write_shapes
 from pictured import write_dataset
 from stage import DARK, centred, lambert, make_rig, wall
 
@@ -31,6 +33,7 @@ ARGUMENTS = {
     "06_own_renderer.py": ["2"],
     "07_read_a_dataset.py": ["prisms"],
     "08_decode_own_pictures.py": ["pictures", "rig.yaml", "out/cloud.ply"],
+    "09_own_detector.py": ["shapes/dataset", "run", "1"],
 }
 WALL_M = 0.7
 
@@ -148,3 +151,18 @@ def test_pictures_of_a_wall_become_its_cloud(tmp_path):
     z_m = trimesh.load(tmp_path / "out/cloud.ply").vertices[:, 2]
     column_m = WALL_M**2 / (160 * 0.1)  # of depth, per projector column
     assert len(z_m) > 5000 and abs(np.median(z_m) - WALL_M) < 0.1 * column_m  # its staircase
+
+
+@pytest.mark.slow
+def test_a_detector_of_another_library_is_trained_and_finds_boxes(tmp_path):
+    """No machine of ours has rfdetr at all times: without it, the example says what it lacks."""
+    pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+    write_shapes(tmp_path / "shapes", 10)
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "09_own_detector.py", *ARGUMENTS["09_own_detector.py"]],
+        cwd=tmp_path, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    if find_spec("rfdetr") is None:
+        assert done.stderr.splitlines()[-1].endswith("No module named 'rfdetr'")
+    else:
+        assert re.search(r"[1-9]\d* boxes: see run_boxes", done.stdout), done.stderr

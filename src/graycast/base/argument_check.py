@@ -147,6 +147,8 @@ def fits(value: Any, hint: Any) -> bool:
         if inner[-1:] == (Ellipsis,):
             return all(fits(one, inner[0]) for one in value)
         return len(value) == len(inner) and all(map(fits, value, inner))
+    if origin is type:
+        return isinstance(value, type) and issubclass(value, inner[0])
     if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
         return callable(value)
     if isinstance(origin, type) and issubclass(origin, Sequence | Iterable):
@@ -186,6 +188,8 @@ def words(hint: Any) -> str:
             if several
             else f"{len(inner)} values, each " + (" or ".join(dict.fromkeys(map(words, inner))))
         )
+    if origin is type:
+        return f"a subclass of {inner[0].__name__}"
     if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
         return "a function"
     if isinstance(origin, type) and issubclass(origin, Sequence | Iterable) and len(inner) == 1:

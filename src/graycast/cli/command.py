@@ -13,6 +13,7 @@ from typing import Any
 
 from ..base.errors import GraycastError, error_line
 from ..base.version import __version__
+from ..learn.detect.networks import RF_DETR
 from . import (
     dataset_commands,
     detector_commands,
@@ -22,6 +23,8 @@ from . import (
     scene_commands,
     start_commands,
 )
+
+GONE = {"rf-detr": RF_DETR}  # former names, each with the text on what does the same now
 
 COMPLETION = """\
 Print a script with which a shell completes commands, options and names of files. For
@@ -78,6 +81,8 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**({"formatter_class": Help} | settings))
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if value in GONE:
+            raise argparse.ArgumentError(action, GONE[value])
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError:

@@ -31,7 +31,6 @@ _OPTIONAL = {  # each distribution, the command that installs it, and what it ad
     "onnx": ("pip install 'graycast[detect]'", "detectors: detector onnx"),
     "onnxruntime": ("pip install 'graycast[detect]'", "detectors: the check of detector onnx"),
     "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
-    "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),
     "pin": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),
     "ompl": ("pip install 'graycast[pick]'", "robots: planning"),
     "toppra": ("pip install 'graycast[pick]'", "robots: timing of paths"),

@@ -21,6 +21,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 from drawn import no_pixels
 from learn.detect.drawn import write_shapes
 
+import graycast
 from benchmarks import detectors as bench_detectors
 from graycast.base.errors import GraycastError
 from graycast.cli import main
@@ -29,7 +30,8 @@ from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
 from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train, training
 from graycast.learn.detect.detector import Detector, without_denormals
-from graycast.learn.detect.network import NetworkOutput
+from graycast.learn.detect.network import Network, NetworkOutput, Recipe
+from graycast.learn.detect.networks import network_class
 from graycast.learn.detect.run import RunFolder
 from graycast.learn.detect.training import _settings, _shape
 from graycast.learn.detect.training_pictures import NO_AUGMENTATION, Augmentation, room_for
@@ -396,6 +398,58 @@ def test_weights_of_another_model_are_refused(dataset, tmp_path):
         replace(SMALL, weights=tmp_path / "run" / "detector.pt", epochs=1),
     )
     assert again.about.names == ("disc", "box")
+
+
+class OwnNetwork(Network):
+    """A network of a user: one box, whose corners and score are all that it learns."""
+
+    finds_masks = False
+    recipe = Recipe(learning_rate=1e-2, batch=4, weight_decay=0.0)
+
+    def __init__(self, *, channels, classes, backbone, size_px):
+        super().__init__()
+        self.linear = torch.nn.Linear(channels, 1)
+        self.box = torch.nn.Parameter(torch.tensor([8.0, 8.0, 40.0, 40.0]))
+
+    def losses(self, image, targets):
+        wanted = torch.cat([target.box for target in targets] + [torch.zeros(1, 4)])
+        return {
+            "box": (self.box - wanted).abs().mean(),
+            "score": self.linear(image.mean(dim=(2, 3))).square().mean(),
+        }
+
+    def find(self, image, *, most, least_score):
+        score = self.linear(image.mean(dim=(2, 3))).sigmoid()
+        label = torch.zeros(1, dtype=torch.int64)
+        box = self.box.detach()[None]
+        return [NetworkOutput(box=box, label=label, score=one, mask=None) for one in score]
+
+
+def test_a_network_of_the_user_is_trained_saved_and_read_with_its_class(dataset, tmp_path):
+    """Oracle: each step of AdamW without decay moves a weight by the learning rate at most."""
+    detector = graycast.train([dataset], tmp_path / "run", SMALL, network=OwnNetwork)
+    assert detector.about.model == "OwnNetwork"
+    again = graycast.load_detector(tmp_path / "run", network=OwnNetwork)
+    box = again.network.box.detach()
+    assert torch.equal(box, detector.network.box)
+    moved = (box - torch.tensor([8.0, 8.0, 40.0, 40.0])).abs()
+    assert 0 < moved.min() and moved.max() < 2 * 4 * 1.01 * 1e-2  # 2 epochs of at most 4 steps
+    found = again.detect(open_examples(dataset)[0], obj_ids={"disc": 1, "box": 2})
+    scale = again.about.encoding.scale((96, 128))
+    np.testing.assert_allclose(found.box_px[0, :2], box[:2] / scale, rtol=1e-6)
+    with pytest.raises(GraycastError, match=r"'OwnNetwork' does not exist.*argument network"):
+        load_detector(tmp_path / "run")
+    with pytest.raises(GraycastError, match=r"network is .*: give a subclass of Network or None"):
+        graycast.load_detector(tmp_path / "run", network=again.network)
+
+
+def test_a_former_name_of_a_network_names_the_example_that_replaces_it(capsys):
+    with pytest.raises(GraycastError, match=r"^rf-detr is .* with examples/09_own_detector\.py"):
+        network_class("rf-detr")
+    with pytest.raises(SystemExit):
+        main(["detector", "train", "data", "--model", "rf-detr", "--out", "out"])
+    message = capsys.readouterr().err
+    assert "examples/09_own_detector.py" in message and "invalid choice" not in message
 
 
 def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):

@@ -2,7 +2,7 @@
 
     networks, network             which networks there are; what all have in common
     encoding, training_pictures   pictures as a network takes them
-    mask_rcnn, yolov3, solov2, yolov7, rf_detr, backbones, suppression   the networks
+    mask_rcnn, yolov3, solov2, yolov7, backbones, suppression   the networks
     run, training                 the folder of a training, and its loop
     detector, detecting, drawing  a trained detector, its use on pictures, and drawings of that
     onnx_file                     a detector for other programs

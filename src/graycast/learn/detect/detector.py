@@ -35,7 +35,7 @@ class About:
     """The description of a detector without its weights.
 
     Attributes:
-        model: one of `networks.MODELS`.
+        model: one of `networks.MODELS`, or the name of the class of a network of the caller.
         backbone: of the model; None is the model's own choice.
         encoding: from pictures to the network's input.
         names: of the classes.
@@ -76,9 +76,9 @@ class About:
             )
         return own
 
-    def open_network(self) -> Network:
-        """Return the network with random weights, from torch's global generator."""
-        return network_class(self.model)(
+    def open_network(self, own: type[Network] | None = None) -> Network:
+        """Return the network, or one of the class `own`, with weights from torch's generator."""
+        return (own or network_class(self.model))(
             channels=self.encoding.channels,
             classes=len(self.names),
             backbone=self.backbone,
@@ -235,8 +235,13 @@ def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -
     fill_whole(path, lambda file: torch.save(checkpoint, file))
 
 
-def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
+def load_detector(
+    path: Path | str, *, device: str = "auto", network: type[Network] | None = None
+) -> Detector:
     """Return a detector from its file, or from the folder of its run.
+
+    Args:
+        network: the class that was passed to `train`, for a network of your own.
 
     Raises:
         GraycastError: the file is missing, damaged, or no detector of Graycast.
@@ -263,17 +268,17 @@ def load_detector(path: Path | str, *, device: str = "auto") -> Detector:
         raise GraycastError(
             f"{file}: is damaged or is not a detector ({why}): train it again"
         ) from error
-    network = about.open_network()
+    opened = about.open_network(network)
     try:
-        network.load_state_dict(state)
+        opened.load_state_dict(state)
     except RuntimeError as error:
         raise GraycastError(
             f"{file}: its weights do not fit the network {about.model} of this release: train it "
             "again, or detect with the release that trained it"
         ) from error
-    network.eval()
+    opened.eval()
     place = choose_device(device)
-    return Detector(about=about, network=put_on(network, place), device=place)
+    return Detector(about=about, network=put_on(opened, place), device=place)
 
 
 def choose_device(name: str) -> torch.device:

@@ -84,9 +84,8 @@ class Network(nn.Module):
 
         channels: of the input.
         classes: how many there are of parts; what is none of them is no class.
-        backbone: the name of one that the model knows; its own choice where it is None. That of
-            most is one of `backbones`; of `rf-detr`, which is sold as one piece, it is the name of
-            a size, such as `nano`.
+        backbone: the name of one that the model knows, most often one of `backbones`; None for
+            its own choice.
         size_px: height and width of the input, multiples of 32.
     """
 

@@ -10,13 +10,17 @@ from ...base.errors import GraycastError
 if TYPE_CHECKING:
     from .network import Network
 
-MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
+MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7")
+RF_DETR = (
+    "rf-detr is now an example of a network of your own: train it, and read detectors that were "
+    "trained earlier, with examples/09_own_detector.py of the repository"
+)
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")  # how missing depth is encoded
 
 
 def network_class(model: str) -> "type[Network]":
-    """The class of a model's networks; to make one raises GraycastError if its library is missing.
+    """Return the class of a network; its constructor refuses a library that is not installed.
 
     Raises:
         GraycastError: no such model.
@@ -31,9 +35,10 @@ def network_class(model: str) -> "type[Network]":
         case "yolov7":
             from .yolov7 import Yolov7 as Choice
         case "rf-detr":
-            from .rf_detr import RfDetr as Choice
+            raise GraycastError(RF_DETR)
         case _:
             raise GraycastError(
-                f"the model {model!r} does not exist: choose one of {', '.join(MODELS)}"
+                f"the model {model!r} does not exist: choose one of {', '.join(MODELS)}, or pass a "
+                "class of your own as the argument network"
             )
     return Choice

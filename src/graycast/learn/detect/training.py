@@ -3,7 +3,7 @@
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
@@ -35,6 +35,7 @@ from .detector import (
     without_denormals,
 )
 from .encoding import Encoding, fitting_size
+from .network import Network
 from .run import Row, RunFolder
 from .training_pictures import Augmentation, TrainingPictures, collate, room_for
 
@@ -105,6 +106,7 @@ def train(
     out: Path | str,
     spec: TrainSpec,
     *,
+    network: type[Network] | None = None,
     progress: ProgressMeter = UNWATCHED,
     on_row: Callable[[Row], None] = lambda row: None,
 ) -> Detector:
@@ -113,6 +115,7 @@ def train(
     Args:
         datasets: folders that `open_examples` reads; classes are their parts' names.
         out: the run's folder: new, empty, or one in which the same training was stopped.
+        network: the class of a network of your own, in place of `spec.model`.
         progress: counts the pictures that are read, the steps, and the pictures of a validation.
         on_row: takes the history of each epoch that has ended, a result.
 
@@ -124,6 +127,7 @@ def train(
             or the disk is full.
     """
     device = choose_device(spec.device)
+    spec = spec if network is None else replace(spec, model=network.__name__)
     train_sets, val_sets = (  # Exports are already divided.
         [sets_of(Path(folder), split, spec.split)[0][0] for folder in datasets]
         for split in ("train", "val")
@@ -148,16 +152,16 @@ def train(
         },
     )
     torch.manual_seed(spec.seed)
-    network = about.open_network()
+    opened = about.open_network(network)
     if spec.weights is not None:
-        load_weights(network, spec.weights)
+        load_weights(opened, spec.weights)
     run = RunFolder(Path(out))
     with run.claimed(about.as_dict()):
-        detector = Detector(about=about, network=put_on(network, device), device=device)
+        detector = Detector(about=about, network=put_on(opened, device), device=device)
         training = _Training(spec, detector, run, train_sets, progress)
         if not training.ended:
             training.go(val_sets, on_row)
-        return load_detector(run.path, device=spec.device)
+        return load_detector(run.path, device=spec.device, network=network)
 
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
@@ -285,7 +289,8 @@ class _Training:
                 torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MOST_NORM)
                 self.optimizer.step()
             progress.step += 1
-            for name, value in {"loss": loss, **_named(losses)}.items():
+            terms = {f"loss_{name.removeprefix('loss_')}": value for name, value in losses.items()}
+            for name, value in {"loss": loss, **terms}.items():
                 progress.sums[name] = progress.sums.get(name, 0.0) + float(value.detach())
             self.meter.count("training steps", progress.step, total)
             if time.monotonic() - saved > _SAVE_EVERY_S:
@@ -393,7 +398,3 @@ def _shape(done: float) -> float:
         return max(1e-3, done / _WARM_UP_SHARE)
     falling = (done - _WARM_UP_SHARE) / (1 - _WARM_UP_SHARE)
     return 0.01 + 0.99 * (1 + math.cos(math.pi * falling)) / 2
-
-
-def _named(losses: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    return {name if name.startswith("loss") else f"loss_{name}": v for name, v in losses.items()}

@@ -53,8 +53,8 @@ def measure_all(
 
 def _measure(scanner: Scanner, renderer: Renderer) -> ShelfFigures:
     sheet: Certificate = certify(scanner, renderer=renderer, seed=0, scope=SCOPE)
-    factors = scanner.exposure.factors
-    frame_s = sheet.middle.exposure_s * sum(factors) + READOUT_S * len(factors)
+    times_s = sheet.middle.exposures_s
+    frame_s = sum(times_s) + READOUT_S * len(times_s)
     return ShelfFigures(
         z_m=tuple(round(plane.z_m, 4) for plane in sheet.facing),
         noise_m=tuple(_rounded(plane.noise_m) for plane in sheet.facing),

@@ -9,6 +9,7 @@ import pytest
 from metered import Metered
 from stage import centred, make_rig, turned
 
+from graycast.camera.exposure import ExposureSpec
 from graycast.camera.faults import FaultSpec
 from graycast.camera.scanner import Scanner
 from graycast.camera.sensor import SensorSpec
@@ -16,7 +17,7 @@ from graycast.rig.pair import depth_per_line_m
 from graycast.rig.pattern import CodeSpec
 from graycast.score.metrology import Scope, certify, describe, write_certificate
 from graycast.score.metrology.certify import _plane, _Pose
-from graycast.score.metrology.lab import open_lab
+from graycast.score.metrology.lab import conditions, open_lab
 
 LITTLE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
 NOISELESS = SensorSpec(
@@ -84,6 +85,7 @@ def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(cert
         "noise.png", "shape.png", "focus.png", "volume.png"
     }  # fmt: skip
     assert "test" in page.read_text() and "mm" in describe(certificate)
+    assert f"{1e3 * certificate.middle.exposures_s[0]:.3g} ms a frame" in page.read_text()
 
 
 class _Tags(HTMLParser):
@@ -187,3 +189,38 @@ def test_the_error_of_a_shot_has_what_the_noise_between_shots_has_not(mitsuba_re
     assert math.sqrt(steep.error_m**2 - steep.noise_m**2) == pytest.approx(raster_m, rel=0.05)
     assert steep.error_m == pytest.approx(steep.sigma_m, rel=0.05)
     assert steep.noise_m < 0.5 * steep.sigma_m  # Sigma states the error and not this noise.
+
+
+def test_a_plane_states_all_exposures_of_its_pictures(mitsuba_renderer):
+    one, two = (
+        _exposed(mitsuba_renderer, ExposureSpec(target=0.2, factors=factors))
+        for factors in ((1.0,), (1.0, 4.0))
+    )
+    assert two.exposures_s == pytest.approx([one.exposures_s[0], 4 * one.exposures_s[0]])
+
+
+def test_half_an_exposure_is_one_of_half_the_brightness(mitsuba_renderer):
+    """A single factor was once applied twice."""
+    half, dim = (
+        _exposed(mitsuba_renderer, exposure)
+        for exposure in (ExposureSpec(target=0.4, factors=(0.5,)), ExposureSpec(target=0.2))
+    )
+    assert half.exposures_s == pytest.approx(dim.exposures_s)
+    assert half.noise_m == pytest.approx(dim.noise_m, rel=1e-6)
+
+
+def test_automatic_exposures_are_stated_as_chosen(mitsuba_renderer):
+    exposure = ExposureSpec(auto=True, factors=(1.0, 7.0))
+    scanner = small_scanner(exposure=exposure)
+    lab = open_lab(scanner, scanner.rig, LITTLE, mitsuba_renderer)
+    assert conditions(lab, 0)["exposures"] == "automatic"
+    fixed = replace(lab, scanner=replace(scanner, exposure=replace(exposure, auto=False)))
+    assert conditions(fixed, 0)["exposures"] == [1.0, 7.0]
+    # A plane of one colour has little contrast, so that one exposure is enough for it.
+    assert len(_exposed(mitsuba_renderer, exposure).exposures_s) == 1
+
+
+def _exposed(renderer, exposure):
+    scanner = small_scanner(exposure=exposure)
+    lab = open_lab(scanner, scanner.rig, LITTLE, renderer)
+    return _plane(lab, _Pose(name="facing", z_m=0.7, captures=2), seed=2)[0]

@@ -57,6 +57,7 @@ class PlaneResult:
     deviation of depth (NaN where one capture was taken), `error_m` that of measured less true depth
     from pixel to pixel in one shot, and `sigma_m` what the scanner itself states. `error_m` has
     what is fixed, too, as the raster of a device is, and is the one to set against `sigma_m`.
+    `exposures_s` are the times of the exposures that are merged.
     """
 
     name: str
@@ -73,7 +74,7 @@ class PlaneResult:
     error_m: float
     sigma_m: float
     spacing_m: float
-    exposure_s: float
+    exposures_s: tuple[float, ...]
     modulation: dict[str, float]
 
 

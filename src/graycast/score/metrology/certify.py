@@ -265,7 +265,7 @@ def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndar
         error_m=depth_error_m(first_m[measured] - shots.truth_m[measured]),
         sigma_m=float(np.median(shots.sigma_m[measured])),
         spacing_m=point_spacing_m(point, middle),
-        exposure_s=shots.exposure_s,
+        exposures_s=shots.exposures_s,
         modulation=modulation(lab.code, shots.light, middle),
     )
     return result, _block_means(np.where(decoded, fit.distance_m(point), np.nan))

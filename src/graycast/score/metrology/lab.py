@@ -10,7 +10,7 @@ from scipy.ndimage import binary_erosion
 
 from ...base.frames import transform_points
 from ...camera.decode import DepthMap, Reason
-from ...camera.exposure import exposure_times
+from ...camera.exposure import ExposureTimes, exposure_times
 from ...camera.faults import FaultSpec
 from ...camera.light import camera_light
 from ...camera.scanner import Scanner, measure, take
@@ -59,7 +59,7 @@ class Shots:
     normal: Float[np.ndarray, "h w 3"]
     light: Float[np.ndarray, "n h w"]
     where: Bool[np.ndarray, "h w"]
-    exposure_s: float
+    exposures_s: tuple[float, ...]
     depth_m: Float[np.ndarray, "captures h w"]
     sigma_m: Float[np.ndarray, "h w"]
 
@@ -90,19 +90,19 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     seeds = np.random.SeedSequence(seed).generate_state(captures + 1).tolist()
     rendering = _render(lab, surfaces, seeds[0])
     where = _in_volume(lab, rendering)
-    metered, exposure_s = _metered(lab, rendering, where)
+    metered, times = _metered(lab, rendering, where)
     # All shots share the error of the light's paths, so it is no part of the noise they show.
     light = rendering.radiance
     scans = [
         measure(metered, take(metered, light, seed=own), path_noise=None)[1] for own in seeds[1:]
     ]
-    _check_decoded(scans[0], where, exposure_s)
+    _check_decoded(scans[0], where, times.reference_s)
     return Shots(
         truth_m=rendering.truth.depth_m,
         normal=rendering.truth.normal,
         light=camera_light(rendering.radiance, lab.rig)[0],
         where=where,
-        exposure_s=exposure_s,
+        exposures_s=times.times_s,
         depth_m=np.stack([scan.depth_m for scan in scans]),
         sigma_m=scans[0].sigma_m,
     )
@@ -141,8 +141,8 @@ def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:
 
 def _metered(
     lab: Lab, rendering: Rendering, where: Bool[np.ndarray, "h w"]
-) -> tuple[Scanner, float]:
-    """Return the scanner with the exposure that suits the artefact, as its operator would set it.
+) -> tuple[Scanner, ExposureTimes]:
+    """Return the scanner with the exposures that suit the artefact, and their times.
 
     Its own automatic looks at the whole picture, which a small sphere does not fill.
     """
@@ -152,19 +152,12 @@ def _metered(
             f"resolution, {lab.rig.camera.width_px} px, may be too low"
         )
     exposure = lab.scanner.exposure
-    if exposure.exposure_s is not None and not exposure.auto:
-        return lab.scanner, exposure.exposure_s
     stack, background = camera_light(rendering.radiance, lab.scanner.rig)
     light = stack[lab.scanner.light_code().brightest] + background
     times = exposure_times(light[where], lab.scanner.sensor, exposure)
     factors = tuple(time_s / times.reference_s for time_s in times.times_s)
-    fixed = replace(
-        exposure,
-        exposure_s=times.reference_s,
-        factors=factors if exposure.auto else exposure.factors,
-        auto=False,
-    )
-    return replace(lab.scanner, exposure=fixed), times.reference_s
+    fixed = replace(exposure, exposure_s=times.reference_s, factors=factors, auto=False)
+    return replace(lab.scanner, exposure=fixed), times
 
 
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
@@ -237,7 +230,7 @@ def conditions(lab: Lab, seed: int) -> dict[str, Any]:
         "samples": scope.samples,
         "path_vertices": scope.depth,
         "captures": scope.captures,
-        "exposures": list(scanner.exposure.factors),
+        "exposures": "automatic" if scanner.exposure.auto else list(scanner.exposure.factors),
         "code": kinds,
         "filters": asdict(scanner.filters),
         "faults": asdict(scanner.faults) if scanner.faults != FaultSpec() else {},

@@ -206,8 +206,9 @@ def _facts(certificate: Certificate) -> list[tuple[str, str]]:
         ("Code", f"{conditions['code']['codec']}, {conditions['code']['frames']} frames"),
         (
             "Exposure at the middle",
-            f"{1e3 * certificate.middle.exposure_s:.2f} ms a frame, "
-            f"{len(conditions['exposures'])} exposure(s)",
+            " + ".join(f"{1e3 * time_s:.3g}" for time_s in certificate.middle.exposures_s)
+            + " ms a frame"
+            + (", chosen automatically" if conditions["exposures"] == "automatic" else ""),
         ),
         ("Depth filters", on("filters")),
         ("Simulated faults", on("faults")),

@@ -12,7 +12,7 @@ from .parts import Material, Mesh, load_mesh
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 
-# Each matrix turns the file's axis that points up to the world's z.
+# Each matrix rotates the file's up axis to the world's z axis.
 _TURNS = {
     "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
     "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
@@ -21,10 +21,16 @@ _TURNS = {
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
 }
-_CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # Round shares of the width may run along edges.
-_UPRIGHT = 0.9  # The cosine between the floor's normal and z is at least this.
-_INWARD = 0.7  # A wall leans at most 45 degrees: this is its normal's cosine to the way inside.
-_LEAST_DEPTH = 0.1  # A bin that is shallower, as a share of its height, is a plate.
+_CUTS = (
+    -0.207,
+    -0.093,
+    0.011,
+    0.113,
+    0.193,
+)  # Cuts at round shares of the width could run along edges.
+_UPRIGHT = 0.9  # Least cosine between the floor's normal and z.
+_INWARD = 0.7  # Least cosine between a wall's normal and the inward direction: 45 degrees.
+_LEAST_DEPTH = 0.1  # A bin whose depth is a smaller share of its height is a plate.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -181,7 +181,7 @@ class Scene:
         if any(material and material.transparent for material in opaque):
             raise ValueError("a bin and a table cannot be transparent: parts alone can be")
         labelled = [part.labelled for part in self.parts]
-        if labelled != sorted(labelled, reverse=True):  # a label is a place among the parts
+        if labelled != sorted(labelled, reverse=True):  # A label is an index into the parts.
             raise ValueError(f"labelled parts are {labelled}: parts without a label must come last")
 
 
@@ -312,7 +312,10 @@ def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
     return looks_up & low & within
 
 
-_UPRIGHT, _LOW = 0.9, 0.03  # A floor's cosine to z is more; it is off by less of the bin's depth.
+_UPRIGHT, _LOW = (
+    0.9,
+    0.03,
+)  # least cosine between a floor's normal and z; greatest deviation as a share of the depth
 
 
 def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:

@@ -10,8 +10,8 @@ from ..parts import Part
 from ..scene import Bin
 from .decomposition import Hull
 
-Poses = Float[np.ndarray, "n 4 4"]  # of parts in the world
-Kinds = Int[np.ndarray, " n"]  # the kind of each
+Poses = Float[np.ndarray, "n 4 4"]  # poses of parts in the world
+Kinds = Int[np.ndarray, " n"]  # the kind of each part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

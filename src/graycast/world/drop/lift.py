@@ -26,7 +26,7 @@ _Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # pose, velocity, t
 # Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
 # what one step can follow.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
-# Robots move faster than parts that are let down by hand, and their springs are stiff.
+# Robots move faster than parts that are lowered by hand, and their springs are stiffer.
 SPEED_M_S = 10.0
 STEP_S = 0.002
 
@@ -180,7 +180,7 @@ def _cross(a: Vector3, b: Vector3) -> Vector3:
 def _turn(R: Float[np.ndarray, "3 3"]) -> Vector3:
     """Return the rotation vector of a rotation."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
-    twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the angle's sine
+    twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the sine of the angle
     sine, cosine = math.hypot(zy - yz, xz - zx, yx - xy) / 2, (xx + yy + zz - 1) / 2
     if sine < 1e-6 and cosine < 0:  # At about half a turn, the sine gives no axis.
         return Rotation.from_matrix(R).as_rotvec()

@@ -29,11 +29,11 @@ GRAVITY_M_S2 = 9.81
 STEP_S = 0.004
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
-# What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
-# part and stay locked in it. Parts are rather let down, no faster than this.
+# A part that falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of
+# another part and stay locked in it. So no part falls faster than this.
 SPEED_LIMIT_M_S = 1.0
-# Parts keep this distance: contact is found more steadily between bodies a little apart, and it
-# makes up for what thinning takes from curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
+# Parts keep this distance. Contacts between slightly separated bodies are steadier, and it makes up
+# for the thinning of curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
 SKIN_M = 0.2e-3
 TRUSTED_DEPTH_M = 0.05e-3  # Deeper contacts than this are measured again, exactly.
 TABLE_M = 3.0  # It is half the table's width.
@@ -44,10 +44,10 @@ WALL_M = 0.15  # Walls extend this far outwards, so that no part tunnels through
 class Terms:
     """The conditions under which parts move."""
 
-    guided: bool = False  # Walls without friction stand on the bin's.
+    guided: bool = False  # Whether walls without friction extend the bin's walls upwards.
     clustered: bool = False  # See `_world`.
-    friction: float = 1.0  # This share of it counts.
-    speed_m_s: float = SPEED_LIMIT_M_S  # No part is faster.
+    friction: float = 1.0  # The share of each friction coefficient that is used.
+    speed_m_s: float = SPEED_LIMIT_M_S  # the largest speed of a part
     step_s: float = STEP_S
 
 
@@ -70,7 +70,7 @@ class RapierPart:
         still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         compound = rapier3d.SharedShape.compound
         moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
-        axes[:, 2] *= np.linalg.det(axes)  # a rotation, not a mirror
+        axes[:, 2] *= np.linalg.det(axes)  # This makes it a rotation and no reflection.
         return RapierPart(
             shape=hulls[0] if len(hulls) == 1 else compound([(still, hull) for hull in hulls]),
             mass=rapier3d.MassProperties(
@@ -141,7 +141,7 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     settings = world.integration_parameters
     settings.dt = terms.step_s
     settings.num_solver_iterations = 8
-    # Continuous detection against what stands still computes every hull's mass properties again at
+    # Continuous detection against fixed bodies computes every hull's mass properties again at
     # every step, two thirds of all time. No part that moves 4 mm a step gets through `WALL_M`.
     settings.max_ccd_substeps = 0
     # Clustering chooses among the contact points of a compound's hulls at every step: four
@@ -149,7 +149,7 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     # bolts and tubes did. So parts fall with it and come to rest without it.
     settings.contact_clustering = terms.clustered
     settings.normalized_prediction_distance = 0.01
-    # The engine's own, cheaper model of friction also resists turning about a contact, as no point
+    # The engine's own, cheaper model of friction also resists spin about a contact, as no point
     # does: in a heap of bottles it held six of ten that another engine saw roll away.
     settings.friction_model = rapier3d.FrictionModel.COULOMB
     settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
@@ -195,7 +195,7 @@ def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, labe
     shape = rapier3d.SharedShape.trimesh(
         (mesh.vertices_m * SCALE).astype(np.float32),
         mesh.faces.astype(np.uint32),
-        # What is in the mesh is pushed out of it, and an edge between coplanar faces is none.
+        # Bodies inside the mesh are pushed out, and edges between coplanar faces are ignored.
         flags=rapier3d.TriMeshFlags.ORIENTED | rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES,
     )
     world.add_collider(rapier3d.Collider.new(shape).friction(friction).user_data(label))
@@ -274,7 +274,7 @@ def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nda
     for pair in world.narrow_phase.contact_pairs():
         contact = pair.find_deepest_contact()
         depth_m = 0.0 if contact is None else -contact.dist / SCALE
-        if not depth_m <= TRUSTED_DEPTH_M:  # NaN too
+        if not depth_m <= TRUSTED_DEPTH_M:  # NaN is refused, too.
             one, other = (
                 solids[world.colliders[handle].user_data]
                 for handle in (pair.collider1, pair.collider2)

@@ -22,16 +22,16 @@ from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_h
 
 LOOK_S = 0.04  # Poses are read this often.
 
-# Clustered contacts cost a quarter; what they leave rocking comes to rest in the second stage.
+# Clustered contacts cost a quarter; parts that still rock come to rest in the second stage.
 _FALL = Terms(guided=True, clustered=True)
-FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # The fall ends where nothing moved farther in 0.12 s.
+FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # The fall ends when no part moved farther in 0.12 s.
 
-# A heap that holds with nine tenths of its friction does not hang on the last of it.
+# A heap that is stable at nine tenths of its friction does not depend on the last tenth.
 _REST = Terms(friction=0.9)
-# A part that moved farther than this in 0.6 s left its place. Contact forces start from 0 when the
-# stage begins, which shakes a heap that is in balance by less.
+# A part that moved farther than this in 0.6 s has left its place. Contact forces start from 0 when
+# the stage begins, which shakes a heap in balance, but by less.
 REST_MOTION_M, REST_LOOKS = 0.5e-3, 15
-# It has come to another place where it moved no farther in 0.2 s: a scanner does not see that.
+# It rests in a new place when it moved no farther in 0.2 s: a scanner does not resolve that.
 PLACE_MOTION_M, PLACE_LOOKS = 0.1e-3, 5
 # A heap that moves by less in 0.2 s rests, without waiting 0.6 s. What is out of balance grows
 # e-fold in sqrt(l / g), 0.05 s for a part of 25 mm, from the 1 to 700 um of the first shake. Parts
@@ -41,7 +41,7 @@ STILL_MOTION_M = 10e-6
 # One bolt of 255 may rock from edge to edge for ever. While all fall, damping doubles every second
 # from 2 s on; where one part is on its way, every 0.2 s from 0.4 s on. Even at 64 times nothing
 # hangs in the air: parts still fall at 0.77 m/s and topple at once.
-FALL_DAMPING_S = (2.0, 1.0)  # It is when damping starts, and the time in which damping doubles.
+FALL_DAMPING_S = (2.0, 1.0)  # when damping starts, and the time in which it doubles
 PART_DAMPING_S = (0.4, 0.2)
 MOST_DAMPING = 64.0
 
@@ -107,7 +107,7 @@ def _rest(
     A part is damped from when it has left its place until it has come to another.
     """
     poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
-    damped_looks = np.zeros(len(box_m))  # for how many looks each part has been damped
+    damped_looks = np.zeros(len(box_m))  # number of looks for which each part was damped
     free_looks, rests, look = 0, False, 0
     while not rests and look < _looks(patience_s):
         look += 1

@@ -31,7 +31,7 @@ PACKING = 0.5  # A random heap fills this share of its box, on a generous estima
 FILL = 0.75  # This share of the cells gets a part.
 CLEARANCE = 1.02  # A cell is wider than the part by this factor.
 ORIENTATION_TRIES = 1000
-HEAP_ABOVE_RIM = 1.5  # No heap holds more than this many bins full.
+HEAP_ABOVE_RIM = 1.5  # No heap has a larger volume than this many bins.
 
 
 @public_value
@@ -133,7 +133,7 @@ def drop(
         raise ValueError(f"counts is {counts}, {sum(counts)} in all; 0 to {PARTS_MAX} parts")
     if not sum(counts):
         return EMPTY_LAYOUT
-    kinds = np.flatnonzero(counts)  # a kind that is not dropped costs no decomposition
+    kinds = np.flatnonzero(counts)  # Kinds that are not dropped are not decomposed.
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
@@ -195,7 +195,9 @@ def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> s
             f"accept more overlap (drop.penetration_m, now {limits.penetration_m:g} m) or check "
             "the unit of the parts with graycast parts"
         )
-    if best.at_rest or count > 1:  # another start of one restless part ends as restless
+    if (
+        best.at_rest or count > 1
+    ):  # A single restless part would not rest after another start either.
         remedies.append(f"allow more attempts (drop.attempts, now {limits.attempts})")
     return (
         f"{what} came to no acceptable rest in {limits.attempts} attempts; the best: "

@@ -19,7 +19,7 @@ from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .shapes import PANELS, loft, revolve, rounded_box, solid, superellipse, union
 
-CREASE_RAD = np.radians(35)  # It parts chamfers (45 deg) from the widest facet step (22.5 deg).
+CREASE_RAD = np.radians(35)  # It separates chamfers (45 deg) from the widest facet step (22.5 deg).
 _STEEL_KG_M3 = 7800.0
 SALT_BOX_MM = (70.0, 60.0, 145.0)  # outer x, y, z
 TOOTHPASTE_MM = (190.0, 38.0, 45.0)
@@ -104,7 +104,7 @@ def _extruded_along_y(profile_mm: list[tuple[float, float]], length_mm: float) -
 
 
 def _chamfered_footprint() -> Manifold:
-    x, y, c = 31.0, 20.0, 4.0  # a little longer than the bracket: its end faces stay its own
+    x, y, c = 31.0, 20.0, 4.0  # slightly longer than the bracket, so that no end faces coincide
     corner = [(x, y - c), (x - c, y), (-x + c, y), (-x, y - c)]
     return CrossSection([corner + [(-a, -b) for a, b in corner]]).extrude(40).translate((0, 0, -1))
 

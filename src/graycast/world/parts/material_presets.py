@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from .part import Color, Grain, Material
 
 OUR_CHOICE = "our choice"
-Grooves = tuple[float, Grain | None]  # the anisotropy, and which way they run
+Grooves = tuple[float, Grain | None]  # the anisotropy, and the direction of the grooves
 _GROUND: Grooves = (0.6, Grain(axis=(1.0, 0.0, 0.0)))
 _BRUSHED: Grooves = (0.8, Grain(axis=(1.0, 0.0, 0.0)))
 _TURNED: Grooves = (0.8, Grain(axis=(0.0, 0.0, 1.0), turned=True))

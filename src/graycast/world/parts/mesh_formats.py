@@ -13,7 +13,7 @@ from .surface import Refusal
 
 HEAD_BYTES = 512
 STL_HEAD, STL_TRIANGLE = 84, 50  # bytes of a binary STL: 80 of text and the count, then each
-_OTHER_FORMATS = (  # the first bytes, the endings that they belong to, and the sentence
+_OTHER_FORMATS = (  # the first bytes, their file endings, and the words of the error
     (
         rb"version https://git-lfs",
         (),

@@ -35,10 +35,10 @@ from .part import Material, Mesh, Part, Symmetry
 from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, welded
 
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
-STEP = (".step", ".stp")  # cascadio, which is optional, makes triangles of their surfaces.
+STEP = (".step", ".stp")  # cascadio, an optional package, triangulates their surfaces.
 MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third of it; there may be textures.
-SIZE_M = (0.002, 1.5)  # A stated unit may give a longest side between these.
-UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these is taken as metres.
+SIZE_M = (0.002, 1.5)  # limits of the longest side with a stated unit
+UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these is in metres.
 
 
 def load_part(
@@ -233,7 +233,9 @@ def _check_stl_count(path: Path, size: int) -> None:
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, ImportError):  # the reader guesses at an encoding, for want of a header
+    if isinstance(
+        error, ImportError
+    ):  # The file has no header, so the reader guesses its encoding.
         return "not that format"
     text = " ".join(str(error).split())[:80]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -36,22 +36,24 @@ def _smooth_groups(
 ) -> Int[np.ndarray, " c"]:
     """Return a label per corner (face major): equal where corners share one normal."""
     n = len(faces)
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()  # edge i leaves corner i
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()  # Edge i starts at corner i.
     low, high = np.minimum(start, end), np.maximum(start, end)
     order = np.lexsort((high, low))
     same_as_next = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-    rise = np.diff(np.concatenate([[0], same_as_next, [0]]))  # +1 opens a run of equals, -1 ends it
+    rise = np.diff(
+        np.concatenate([[0], same_as_next, [0]])
+    )  # +1 begins a run of equal values, -1 ends it.
     first, last = np.flatnonzero(rise > 0), np.flatnonzero(rise < 0)
     pair = first[last - first == 1]
     a, b = order[pair], order[pair + 1]
     # atan2 of |cross| and dot keeps its accuracy at small angles, where arccos loses it.
     n_a, n_b = face_normal[a // 3], face_normal[b // 3]
     turn = np.arctan2(np.linalg.norm(np.cross(n_a, n_b), axis=1), np.einsum("ij,ij->i", n_a, n_b))
-    # Faces wound alike run along their edge in opposite directions; others do not join.
+    # Faces with the same winding traverse their edge in opposite directions; others do not join.
     joined = (turn <= crease_rad) & (start[a] == end[b])
     a, b = a[joined], b[joined]
     following = np.roll(np.arange(3 * n).reshape(n, 3), -1, axis=1).ravel()
-    # Where one half of the edge starts, the other ends.
+    # One half of the edge starts where the other ends.
     link_a, link_b = np.concatenate([a, following[a]]), np.concatenate([following[b], b])
     links = coo_array((np.ones(len(link_a), dtype=bool), (link_a, link_b)), shape=(3 * n, 3 * n))
     return connected_components(links, directed=False)[1]

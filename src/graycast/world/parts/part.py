@@ -223,7 +223,7 @@ class Mesh:
         return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-_END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain has another one.
+_END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain needs another grain.
 
 
 def corner_grain(mesh: Mesh, grain: Grain) -> Float[np.ndarray, "f 3 3"]:

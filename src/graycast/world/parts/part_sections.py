@@ -158,7 +158,7 @@ def _of_name(material: Any) -> Any:
     return {"preset": material} if isinstance(material, str) else material
 
 
-# What a configuration has for a material: a section, or the name of a material alone.
+# A configuration states a material as a section, or as a name only.
 MaterialWords = Annotated[
     MaterialSection,
     BeforeValidator(_of_name, json_schema_input_type=PresetName | MaterialSection),

@@ -84,7 +84,9 @@ def rounded_box(
     """
     # A grid on the unit cube: `steps` rounded cells, one flat cell, `steps` rounded cells.
     tangent = np.tan(np.pi / 4 * np.arange(steps + 1) / steps)
-    offset = np.concatenate([-tangent[::-1], tangent])  # from an edge's middle to the flat face
+    offset = np.concatenate(
+        [-tangent[::-1], tangent]
+    )  # from the middle of an edge to the flat face
     side = np.concatenate([-np.ones(steps + 1), np.ones(steps + 1)])
     count = len(offset)
     index: list[Int[np.ndarray, "n 3"]] = []

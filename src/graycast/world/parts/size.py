@@ -9,7 +9,7 @@ from .part import Part
 
 # A gripper for bin picking lifts less; steel of this weight is a cube of 15 cm.
 HEAVIEST_KG = 30.0
-USUAL_M = (0.004, 0.5)  # Most parts that a robot picks from a bin are so long.
+USUAL_M = (0.004, 0.5)  # The usual longest side of parts for bin picking.
 PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
 
 

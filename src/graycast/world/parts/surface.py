@@ -26,10 +26,12 @@ class RawMesh:
     faces: Int[np.ndarray, "f 3"]
     corner_uv: Float[np.ndarray, "f 3 2"] | None
     texture: UInt8[np.ndarray, "h w 3"] | None
-    other_materials: int  # materials that the part cannot have beside this texture
+    other_materials: int  # number of materials that are dropped because of this texture
     shares_vertices: bool
     findings: tuple[str, ...] = ()
-    face_color: UInt8[np.ndarray, "f 3"] | None = None  # sRGB, of vertices the mean
+    face_color: UInt8[np.ndarray, "f 3"] | None = (
+        None  # sRGB; the mean of the vertices if they have the colours
+    )
 
     @property
     def used(self) -> Bool[np.ndarray, " v"]:
@@ -79,7 +81,7 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
     if not whole.all():
         findings.append(f"{(~whole).sum()} degenerate faces were dropped.")
     keep = np.flatnonzero(whole)
-    # A face written twice the same way round: turn the smallest index to the front, compare.
+    # A face that occurs twice with the same winding: compare faces with their smallest index first.
     turned = faces[keep]
     lead = turned.argmin(axis=1)[:, None]
     turned = np.take_along_axis(turned, (lead + np.arange(3)) % 3, axis=1)
@@ -108,7 +110,7 @@ def _distinct(
 
     It is `np.unique` with `axis=0`, in a tenth of its time.
     """
-    order = np.lexsort(rows.T[::-1])  # the first column decides first; stable
+    order = np.lexsort(rows.T[::-1])  # a stable sort, by the first column first
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (np.diff(rows[order], axis=0) != 0).any(axis=1)
     which = np.empty(len(rows), dtype=np.int64)
@@ -209,7 +211,7 @@ def separate(whole: Manifold) -> tuple[Manifold, ...]:
     if count == 1:
         return (whole,)
     by_shell, of_shell = np.argsort(label, kind="stable"), np.bincount(label, minlength=count)
-    place = np.empty(len(label), dtype=np.int64)  # of each vertex within its shell
+    place = np.empty(len(label), dtype=np.int64)  # index of each vertex within its shell
     place[by_shell] = np.arange(len(label)) - np.repeat(of_shell.cumsum() - of_shell, of_shell)
     order = np.argsort(label[faces[:, 0]], kind="stable")
     ends = np.bincount(label[faces[:, 0]], minlength=count).cumsum()[:-1]

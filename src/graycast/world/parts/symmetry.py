@@ -12,13 +12,15 @@ from .part import Mesh, Symmetry
 from .sampling import dense_points
 
 STEP = 0.01  # The rim of a turned body moves by at most this share of its diameter, as in BOP.
-SHAPE_STEP = 0.04  # A shape is compared by points that are this share of its diameter apart.
-SHAPE_TOLERANCE = 0.01  # A motion leaves the shape if the surface moves by less, of the diameter.
-LEFT = 0.98  # A motion has to leave this share of the points on the surface.
-FOLDS = (2, 3, 4, 5, 6, 8)  # Turns by a full circle over these are tried.
+SHAPE_STEP = 0.04  # Shapes are compared at points that are this share of the diameter apart.
+SHAPE_TOLERANCE = (
+    0.01  # A rotation is a symmetry if the surface moves by less than this share of the diameter.
+)
+LEFT = 0.98  # After a symmetry, this share of the points is on the surface.
+FOLDS = (2, 3, 4, 5, 6, 8)  # Rotations by a full turn divided by these numbers are tried.
 MOST_MOTIONS = 120  # The icosahedron, the solid with the most rotations, has 60.
-MANY = 36  # A body of revolution has to bear turns by a full circle over this.
-# Each axis counts so much in the choice of one pose of a symmetric part without a reference. With
+MANY = 36  # A body of revolution is symmetric under a full turn divided by this.
+# Weights of the axes in the choice of one pose of a symmetric part without a reference. With
 # equal weights the two poses of a part that a half turn maps to itself would be equally near to the
 # camera's axes whenever it lies upside down, and noise would choose.
 AXIS_WEIGHT = (3.0, 2.0, 1.0)
@@ -67,7 +69,7 @@ def nearest_member(
         for axis, offset in symmetry.continuous[:1]:
             member = _turn(np.array(axis), np.array(offset), _best_turn(axis, flip, M)) @ flip
         gain = float(np.trace(M @ member[:3, :3]))
-        if gain > most:  # the first of equals
+        if gain > most:  # The first of several equal ones is taken.
             best, most = T @ member, gain
     return best
 
@@ -141,7 +143,7 @@ def turns_together(
         _turn(np.array(axis), np.array(point_m), 2 * np.pi / fold) for axis, point_m, fold in turns
     ]
     motions = [np.eye(4)]
-    for motion in motions:  # grows while it is read, until no step leads to a new one
+    for motion in motions:  # The list grows during the loop, until no step gives a new motion.
         for step in steps:
             next_motion = step @ motion
             if not any(np.allclose(next_motion, other, atol=1e-6) for other in motions):

@@ -21,18 +21,21 @@ from ...parts.surface import surface_of
 from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import Points
 
-REFLEX_RAD = np.radians(12)  # A smaller bend inwards is a facet of something round.
-PLANES = 12  # Most flat faces that are tried, those with the longest bends first.
-WORTH = 0.2  # A cut is worth it if it takes this share of what the hull fills.
-WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the numbers of most round facets.
+REFLEX_RAD = np.radians(12)  # A smaller inward bend belongs to a facet of a round shape.
+PLANES = 12  # At most this many flat faces are tried, those with the longest bends first.
+WORTH = 0.2  # A cut must remove at least this share of the volume that the hull adds.
+WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the usual numbers of facets of round shapes.
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
-ROUND = 0.02  # A piece is round if two principal variances differ by less, of the largest.
-# One more part, the share of the largest part and the cut's share of the surface count so much, as
-# shares of what there is to fill. Without them thin slices are cut off, one after another.
+ROUND = 0.02  # A piece is round if two principal variances differ by less than this share.
+# Costs of one more part, of the largest part's share and of the cut's share of the surface,
+# relative to the volume to fill. Without them, thin slices are cut off one after another.
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
-GUESSES, FIRST_GUESSES = 120, 24  # Tested points of a hull; the few are tested first.
-DEEPEST_CUTS = 40  # After this many cuts in a row a piece is accepted as it is.
-THIN = 0.02  # Sheets and slivers thinner than this share of the limit, 9 um, are left out.
+GUESSES, FIRST_GUESSES = (
+    120,
+    24,
+)  # Numbers of tested points of a hull; the smaller number is tested first.
+DEEPEST_CUTS = 40  # After this many consecutive cuts, a piece is accepted unchanged.
+THIN = 0.02  # Sheets and slivers thinner than this share of the limit (9 um) are ignored.
 HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.
 
 Plane = tuple[Float[np.ndarray, "3"], float]
@@ -44,7 +47,7 @@ class Cutter:
 
     def __init__(self, body: Manifold, limit_m: float) -> None:
         self._body, self.limit_m, self._thin_m = body, limit_m, THIN * limit_m
-        self.worked = 0  # faces of all pieces that were cut up to now: time grows with them
+        self.worked = 0  # number of faces of all pieces cut so far, which determines the time
         self._surface = surface_samples(body)
 
     def guessed_harm_m(self, points: Points) -> float:
@@ -87,11 +90,11 @@ class Cutter:
 
     def _wedges(self, piece: Manifold) -> list[Manifold]:
         """Cut a round piece into the fewest wedges that fit; none if it is not round."""
-        center, axes, moments = _principal(piece)  # moments rise
+        center, axes, moments = _principal(piece)  # The moments are in ascending order.
         lower, upper = moments[1] - moments[0], moments[2] - moments[1]
         if min(lower, upper) > ROUND * moments[2]:
             return []
-        axis = axes[:, 2] if lower < upper else axes[:, 0]  # a tube's, a washer's
+        axis = axes[:, 2] if lower < upper else axes[:, 0]  # the axis of a tube or of a washer
         for count in WEDGES:
             wedges = []
             for wedge in _fan(piece, axis, center, count, self._thin_m):
@@ -186,7 +189,7 @@ def _faces_at_bends(piece: Manifold) -> Iterator[Plane]:
     here = np.repeat(np.arange(len(faces)), 3)
     edge, back = start * len(vertices) + end, end * len(vertices) + start
     order = np.argsort(edge)
-    twin = order[np.searchsorted(edge[order], back)]  # a manifold's edges are in pairs
+    twin = order[np.searchsorted(edge[order], back)]  # Each edge of a manifold occurs twice.
     there = here[twin]
     apex = vertices[np.roll(faces, -2, axis=1).ravel()][twin]
     above = np.einsum("ei,ei->e", apex - vertices[start], normal[here])
@@ -239,7 +242,9 @@ def _fan(
     u = far / np.linalg.norm(far)
     v = np.cross(axis, u)
     angle = 2 * np.pi * np.arange(count) / count
-    side = np.outer(-np.sin(angle), u) + np.outer(np.cos(angle), v)  # beyond it angles are larger
+    side = np.outer(-np.sin(angle), u) + np.outer(
+        np.cos(angle), v
+    )  # Angles increase in this direction.
     for after, before in zip(side, -np.roll(side, -1, axis=0), strict=True):
         wedge = piece.trim_by_plane(tuple(after), float(after @ point))
         wedge = wedge.trim_by_plane(tuple(before), float(before @ point))

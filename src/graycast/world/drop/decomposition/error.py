@@ -17,14 +17,17 @@ from ...parts.surface import surface_of
 from .solid import Hull, bodies_of, height_m
 
 TOLERANCE_M = 0.5e-3
-TOLERANCE_OF_DIAGONAL = 0.005  # A bottle is spared the hulls that a screw's 0.5 mm would cost.
-MIDDLE_TOLERANCE = (0.01, 1e-3)  # A bracket at 0.5 mm instead of 0.8 drops a third more slowly.
-SAMPLES = 20_000  # They lie on a part's surface.
-LID_SAMPLES = 1000  # They lie on the surface of what a hull fills.
+TOLERANCE_OF_DIAGONAL = 0.005  # At a screw's 0.5 mm, a bottle would need too many hulls.
+MIDDLE_TOLERANCE = (
+    0.01,
+    1e-3,
+)  # With 0.5 mm instead of 0.8 mm, a bracket drops a third more slowly.
+SAMPLES = 20_000  # Number of points on a part's surface.
+LID_SAMPLES = 1000  # Number of points on the surface of the volume that a hull adds.
 NEAR = 48  # Distance is measured to the triangles of this many nearest samples.
 AT_A_TIME = 32  # Exact distances are computed for this many points at once.
-STEEP = 0.5  # The way to a point outside has a larger cosine to the normal.
-_NOTHING = 1e-4  # A filling that is thinner on the mean, as a share of the tolerance, is round-off.
+STEEP = 0.5  # Directions to outside points have a larger cosine to the normal.
+_NOTHING = 1e-4  # A filling whose mean thickness is a smaller share of the tolerance is round-off.
 
 
 def tolerance_m(mesh: Mesh) -> float:
@@ -45,7 +48,7 @@ class MeshSamples:
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]
-    face: Int[np.ndarray, " n"]  # Each point lies on the triangle of this number.
+    face: Int[np.ndarray, " n"]  # Index of the triangle on which each point lies.
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 
@@ -164,7 +167,7 @@ def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-@kernel(error_model="numpy")  # no shape of triangle raises
+@kernel(error_model="numpy")  # No triangle raises an error, not even a degenerate one.
 def _nearest_m(point, faces, corner):
     """Return the distance of each point to the nearest of its faces.
 

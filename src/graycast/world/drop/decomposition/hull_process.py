@@ -101,7 +101,7 @@ def _started(part: Part) -> Iterator[_Child]:
         log = stack.enter_context(tempfile.TemporaryFile("w+"))
         process = subprocess.Popen(
             [sys.executable, "-m", __spec__.name, mesh_file, hull_file],
-            bufsize=0,  # A selector does not see lines that are in a buffer.
+            bufsize=0,  # A selector would not notice buffered lines.
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=log,

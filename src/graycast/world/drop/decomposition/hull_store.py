@@ -20,8 +20,8 @@ from .mesh_hulls import decompose
 
 FEW_FACES = 20_000  # Up to this many faces, a single hull is tried without a child process.
 
-CACHE_VERSION = 3  # Raise it where a change in this folder gives other hulls.
-# All numbers that hulls depend on.
+CACHE_VERSION = 3  # Raise it when a change in this folder changes the hulls.
+# All constants that determine the hulls.
 _SETTINGS = tuple(
     (name, value)
     for module in (error, mesh_hulls, solid, cutting)
@@ -64,7 +64,7 @@ def prepare(
     def keep(key: str, hulls: Decomposition) -> None:
         ready[key] = hulls
         if key in files:
-            with suppress(OSError, GraycastError):  # Without a file the next run makes them again.
+            with suppress(OSError, GraycastError):  # The next run would compute the hulls again.
                 write_decomposition(files[key], hulls)
 
     def jobs() -> Iterator[tuple[str, Part]]:

@@ -19,10 +19,11 @@ VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # Cutting and joining may fill this share, less what simplifying moved; the rest of the tolerance is
 # for what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
-# No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
-# (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
+# With more pieces a drop is too slow, and with more cuts (counted by the faces that are cut) the
+# user waits too long. At these limits the tolerance grows by this factor. A turned ring has the
+# most cut faces of the test parts, 43,000.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
-_CONVEX = 1e-9  # A body may lack this share of its hull's volume by round-off alone.
+_CONVEX = 1e-9  # Round-off alone may make a body smaller than its hull by this share.
 _PROGRESS_EACH = 25  # Progress is reported after each group of this many pieces.
 
 

@@ -1,19 +1,19 @@
 "use strict";
-// The settings: a slider, a number or a choice for each, what it costs, and a way back to what is
-// set where nothing is said.
+// The controls of the settings: a slider, a number or a choice for each, the cost of a change, and a
+// button that restores the default.
 
 {
   const { el } = Graycast;
-  const STEPS = 1000; // of a slider whose steps are equal ratios
+  const STEPS = 1000; // number of steps of a slider with a logarithmic scale
   const COSTS = {
     free: "measured again from the light that is kept",
     light: "rendered again, roughly first",
     physics: "the parts fall again",
   };
   const made = new Map(); // key -> {control, show(value), element}
-  let held = null; // the key of a control that is being moved
+  let held = null; // the key of a control that the user is moving
 
-  /** The value of a place in what is in force. */
+  /** The value of a control among the values in use. */
   function value(values, { key, whole, grey }) {
     let found = values[key];
     if (whole && found === undefined) {
@@ -23,7 +23,7 @@
     return grey && Array.isArray(found) ? found.reduce((a, b) => a + b) / found.length : found;
   }
 
-  /** What is sent for a value: itself, or the section that it belongs to. */
+  /** The key and the value to send: the control's own, or those of its whole section. */
   function sent(values, { key, whole, grey }, to) {
     const put = grey ? [to, to, to] : to;
     if (!whole) return [key, put];
@@ -36,7 +36,7 @@
 
   const digits = (number) => Number(number.toPrecision(4));
 
-  /** Show the controls of a header; `set(key, value, draft)` is called for what a user does. */
+  /** Show a header's controls; `set(key, value, draft)` is called for each action of the user. */
   Graycast.showControls = (panel, { controls, values }, said, set) => {
     const listed = JSON.stringify(controls);
     if (panel.dataset.listed !== listed) {
@@ -72,7 +72,7 @@
     );
   }
 
-  /** Label, what changes the value, and a way back. */
+  /** Return the row of a control: its label, its inputs, and a button that restores the default. */
   function row(panel, control, set, ...inputs) {
     const back = el(
       "button",
@@ -132,7 +132,7 @@
     });
     const show = (now) => {
       const known = typeof now === "number";
-      // A file says the rest of its section, and until it is read there is nothing to send.
+      // The rest of the section comes from a file; nothing can be sent until it has been read.
       const sendable = !control.whole || panel.values[control.whole] !== undefined;
       range.disabled = number.disabled = !sendable;
       element.classList.toggle("unset", !known);

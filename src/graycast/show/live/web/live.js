@@ -1,5 +1,5 @@
 "use strict";
-// The page: what is set, the pictures of it as they come, two of them side by side.
+// The page: the settings, their pictures as they arrive, and two pictures side by side.
 
 {
   const { el, percent, words } = Graycast;
@@ -24,13 +24,13 @@
     pointPaint: "difference",
     pointSize: 1.5,
   });
-  Graycast.VIEWS.splice(-1, 1, { id: "sigma", label: "σ of depth" }); // 3D stands beside them
+  Graycast.VIEWS.splice(-1, 1, { id: "sigma", label: "σ of depth" }); // 3D has its own place.
   const live = { latencies: [], errors: [], painted: 0 };
   Graycast.live = live;
   let version = 0,
     state = null,
     header = null,
-    scene = null, // one object for as long as the size stays: the viewer holds it
+    scene = null, // The viewer refers to this object, so it is kept while the size is the same.
     held = null,
     heldNumber = 0,
     viewer = null,
@@ -39,12 +39,12 @@
     pointed = -1;
   Graycast.opened = () => ({ scene, held, header, state, world });
 
-  // --- to the server ------------------------------------------------------------------------------
+  // --- commands to the server ---------------------------------------------------------------------
 
-  const waiting = []; // commands that are not sent yet
+  const waiting = []; // commands that have not been sent
   let sending = false;
 
-  /** Send a command when its turn comes; of drafts of one key that wait, the last alone. */
+  /** Send a command after the waiting ones; of waiting drafts for a key, only the last is sent. */
   function send(command) {
     const last = waiting.at(-1);
     if (command.draft && last?.draft && last.key === command.key) waiting.pop();
@@ -55,7 +55,7 @@
     sending = true;
     while (waiting.length) {
       const { since, ...command } = waiting.shift();
-      if (command.do !== "look") tell(""); // before the answer: what makes pictures may fail faster
+      if (command.do !== "look") tell(""); // An error may arrive before the answer.
       try {
         const reply = await fetch("do", {
           method: "POST",
@@ -67,7 +67,7 @@
           live.latencies.push({ number: answer.number, since, ms: null, change: null });
         if (answer.error) {
           tell(answer.error);
-          refresh(); // the control goes back to what is set
+          refresh(); // This resets the control to the present value.
         } else if (command.do === "rewrite" && at("text").value === command.text) {
           edited = false;
           refresh();
@@ -91,13 +91,13 @@
     at("error").textContent = text;
   }
 
-  // --- from the server ----------------------------------------------------------------------------
+  // --- messages from the server -------------------------------------------------------------------
 
   const stream = new EventSource("events");
   stream.onmessage = ({ data }) => hear(JSON.parse(data));
   stream.onerror = () => {
     main.dataset.ready = "";
-    version = 0; // a server that was started anew counts anew
+    version = 0; // A restarted server counts versions from 0.
   };
 
   function hear(message) {
@@ -112,10 +112,10 @@
         wait(`Starting: ${message.stage} …`);
         break;
       case "error":
-        if (message.number && message.number !== state?.number) break; // something else is set now
+        if (message.number && message.number !== state?.number) break; // It concerns earlier settings.
         at("doing").textContent = "";
         main.dataset.failed = message.number ?? "";
-        main.classList.add("stale"); // what is shown is of other settings
+        main.classList.add("stale"); // The picture has other settings.
         tell(message.error);
         wait("There is no picture of these settings: the message above says why.");
         break;
@@ -124,7 +124,7 @@
     }
   }
 
-  /** What stands in the place of the first picture. */
+  /** Show a text where the first picture will appear. */
   function wait(text) {
     const place = at("waiting");
     if (place) place.textContent = text;
@@ -132,7 +132,7 @@
 
   let fetching = null;
   let again = false;
-  /** Bring what is newer than what is here; never two at a time. */
+  /** Fetch the newer answers, with one request at a time. */
   function fetchNewer() {
     if (fetching) {
       again = true;
@@ -250,7 +250,7 @@
     count(said);
   }
 
-  /** How long a user waited for the first picture of what he did. */
+  /** Record the time from the user's action to the first picture. */
   function count({ number, kind, first }) {
     live.painted += 1;
     for (const one of live.latencies)
@@ -509,7 +509,7 @@
     );
   }
 
-  /** The settings as they are now. */
+  /** Show the present settings. */
   function refresh() {
     if (!state) return;
     at("where").textContent = state.path;
@@ -526,14 +526,14 @@
     allWords();
   }
 
-  let edited = false; // whether the text is another than what is set
+  let edited = false; // whether the text differs from the settings in use
   function edit(on) {
     edited = on;
     at("reset").hidden = !on;
     if (!on && at("text").value !== state.text) at("text").value = state.text;
   }
 
-  /** The configuration's own text, where every key can be set; what is refused stays to be mended. */
+  /** Show the configuration's text, where every key can be set; a rejected text stays for editing. */
   function allWords() {
     let words = at("all-words");
     if (!words) {

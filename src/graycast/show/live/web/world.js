@@ -1,6 +1,6 @@
 "use strict";
-// The cell in 3D: bin, parts as dropped, both fields, the common volume, the scanner's points; and
-// the rig, which can be dragged about what it looks at.
+// The cell in 3D: the bin, the parts, both fields of view, their common volume and the scanned
+// points; and the rig, which can be dragged around the point that it looks at.
 
 {
   const { el } = Graycast;
@@ -17,16 +17,16 @@
   const unit = Float32Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1);
 
   /**
-   * Makes the 3D view: {stage, show(scene), bodies(world), draw(prefs), look(name)}. `drag(changes,
-   * draft)` is called with settings while the rig is dragged.
+   * Make the 3D view: {stage, show(scene), bodies(world), draw(prefs), look(name)}. While the rig is
+   * dragged, `drag(changes, draft)` is called with settings.
    */
   Graycast.makeWorld = (scene, drag) => {
     const space = Graycast.shapes.space(scene);
     const { yaw, distance } = space.views.camera;
     const halfway = Graycast.toWorld(scene, 0, 0, 0).map((v, k) => (v - space.middle[k]) / 2);
     space.views.all = { yaw: yaw + 0.9, pitch: 0.35, distance: 3.1 * distance, pan: halfway };
-    space.start = { ...space.views.all, distance: 2.2 * distance }; // rig and bin fill the view
-    let world = null, // meshes as they came
+    space.start = { ...space.views.all, distance: 2.2 * distance }; // Rig and bin fill the view.
+    let world = null, // the meshes as received
       fresh = true,
       things = null,
       lines = {},
@@ -38,7 +38,7 @@
       return out;
     };
 
-    /** What the GPU holds of the bodies, made anew where they are others. */
+    /** Return the bodies on the GPU; they are uploaded again if they have changed. */
     const bodies = (gl) => (now) => {
       const { body, drop, lines: drawn } = Graycast.shapes,
         out = [];
@@ -77,7 +77,7 @@
     const cloud = Graycast.makeCloud(scene, { space, bodies, perfect: false });
     const { stage } = cloud;
 
-    /** The points of another picture from wherever; a map of reasons needs those without depth. */
+    /** Show the points of another picture; a map of reasons needs also points without depth. */
     const swap = () => {
       const everywhere = prefs.pointPaint === "reason";
       const shown = everywhere ? { ...scene, scanner: scene.depth } : scene;
@@ -86,7 +86,7 @@
       cloud.swap(shown);
     };
 
-    // --- the rig under the pointer ----------------------------------------------------------------
+    // --- dragging the rig -------------------------------------------------------------------------
 
     const handles = () => {
       const points = header?.lines.baseline ?? [];
@@ -157,12 +157,12 @@
       handles,
       look: cloud.look,
       close: cloud.close,
-      /** The bodies of another layout. */
+      /** Show the bodies of another layout. */
       bodies(next) {
         world = next;
         fresh = true;
       },
-      /** The picture has changed. */
+      /** Show a new picture. */
       show(next) {
         header = next;
         swap();
@@ -177,7 +177,7 @@
     };
   };
 
-  /** The row below the 3D view. */
+  /** Return the row of options below the 3D view. */
   Graycast.worldOptions = (prefs, set, look) => {
     const paints = ["instance", "difference", "sigma", "reason", "colour", "depth"];
     const named = { instance: "parts", sigma: "σ", reason: "reasons", colour: "picture" };

@@ -1,5 +1,5 @@
 "use strict";
-// Which page is shown, the keys, light and dark.
+// Routing between pages, keyboard, and the light or dark theme.
 
 {
   const { el } = Graycast;
@@ -62,7 +62,7 @@
     try {
       localStorage.setItem("graycast-theme", next);
     } catch {
-      /* a browser that keeps nothing */
+      /* The browser stores nothing. */
     }
     dress(next);
   }
@@ -84,7 +84,7 @@
       return;
     }
     if (target.matches("input") && event.key.startsWith("Arrow")) return;
-    if (event.key === " " && target.matches("button, summary")) return; // presses it
+    if (event.key === " " && target.matches("button, summary")) return; // The key presses the button.
     if (event.key === "t") change();
     else if (event.key === "?") help.showModal();
     else if (event.key === "Escape" && more) more.open = false;

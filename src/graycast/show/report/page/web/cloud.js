@@ -1,15 +1,15 @@
 "use strict";
-// The scene in 3D, plain WebGL 2: the perfect surface as a mesh, the scanner's points over it, and
-// bodies that move.
-// Frame: the world's axes (z up), millimetres, about the middle of what the camera sees.
+// The scene in 3D with plain WebGL 2: the perfect surface as a mesh, the scanner's points, and moving
+// bodies.
+// Frame: axes of the world (z up), in millimetres, centred on the middle of the camera's view.
 
 {
   const { el } = Graycast;
   const FIELD_RAD = 0.55;
-  const LIT = ["instance", "plain"]; // points of these paints are shaded as the surface is
+  const LIT = ["instance", "plain"]; // With these colours, points are shaded like the surface.
   const FUSED_LIT = ["colour", "plain"],
-    FUSED_PX = 2, // at least: smaller points would let the ground shine through
-    FUSED_GROUND = 0.4; // A darker ground, as most bins and tables are pale.
+    FUSED_PX = 2, // Smaller points would let the background show through.
+    FUSED_GROUND = 0.4; // Dark, because most bins and tables are pale.
   const VERTEX = `#version 300 es
     uniform mat4 uClip;
     uniform mat4 uPlace;
@@ -27,8 +27,8 @@
       gl_Position = uClip * vec4(vPlace, 1.0);
       gl_PointSize = uSize;
     }`;
-  // Lines have no normal: NaN times 0 is NaN, so they are told apart. Bodies (2) are flat and of one
-  // colour: a face's normal is that of its own points.
+  // Lines have no normal, so their shade is NaN, which no other kind has. Bodies (2) have one colour
+  // and flat faces, with the normal from the face's own points.
   const FRAGMENT = `#version 300 es
     precision highp float;
     uniform vec3 uEye;
@@ -48,10 +48,10 @@
   const STILL = Float32Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1);
 
   /**
-   * Makes a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), onScreen(point), close()}.
-   * space: as of `shapes.space`, where the scene's own will not do. bodies(gl): what gives, at each
-   * picture, a list of {thing, place (a matrix), tint, open (only its front is drawn)}, or of lines
-   * {thing, lines: true}. perfect: whether the perfect surface and the boxes are shown as well.
+   * Make a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), onScreen(point), close()}.
+   * `space` is a result of `shapes.space`; null makes the scene's own. `bodies(gl)` returns a function
+   * that lists {thing, place (a matrix), tint, open (only its front is drawn)}, or lines {thing, lines:
+   * true}, for each picture. `perfect` shows also the perfect surface and the boxes.
    */
   Graycast.makeCloud = (scene, { space = null, bodies = null, perfect = true } = {}) => {
     const canvas = el("canvas", { id: "cloud" }),
@@ -78,7 +78,7 @@
     );
     const surface = perfect && scene.has.depth ? shapes.mesh(gl, scene, space) : null;
     let points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
-    let fused = null; // of all pictures of the scene, once somebody wants it
+    let fused = null; // the points of all pictures of the scene, loaded on demand
     const boxes = perfect && scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
     const eye = { pan: [0, 0, 0], ...space.start };
     let prefs = {},
@@ -107,7 +107,7 @@
         if (thing.index) gl.drawElements(kind, thing.count, gl.UNSIGNED_INT, 0);
         else gl.drawArrays(kind, 0, thing.count);
       };
-      gl.enable(gl.CULL_FACE); // only the side that the camera saw: one looks in through a wall
+      gl.enable(gl.CULL_FACE); // Walls can be seen through from behind.
       if (surface && prefs.surface !== false) put(surface, gl.TRIANGLES, 1);
       gl.disable(gl.CULL_FACE);
       if (points && prefs.points !== false)
@@ -130,7 +130,7 @@
         put(body.thing, gl.TRIANGLES, 2);
       }
     };
-    /** Bring the fused cloud in, or paint it anew. */
+    /** Load the fused cloud, or update its colours. */
     const fuse = () => {
       if (scene.fusing?.error) return;
       const cloud = Graycast.fused(scene, Graycast.redraw);
@@ -164,20 +164,20 @@
         if (scene.fusedKey && next.fused) fuse();
         ask();
       },
-      /** What the fused cloud's colours mean. */
+      /** Return the meaning of the fused cloud's colours. */
       fusedWords() {
         if (scene.fusing?.error) return { note: scene.fusing.error.message };
         return fused
           ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint)
           : { note: "bringing the cloud …" };
       },
-      /** The points of another scan from the same place; the eye stays. */
+      /** Show the points of another scan from the same place, without moving the eye. */
       swap(next) {
         scene = next;
         if (points) shapes.drop(gl, points);
         points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
       },
-      /** Where a point of the space is on the stage [px]; null behind the eye. */
+      /** Return the position of a point on the stage [px]; null if it is behind the eye. */
       onScreen(point) {
         const m = clip(eye, eyePlace(eye), stage.clientWidth / stage.clientHeight, space.reach);
         const [x, y, , w] = [0, 1, 2, 3].map(

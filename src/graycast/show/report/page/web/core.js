@@ -1,5 +1,5 @@
 "use strict";
-// What the other scripts share: elements, numbers in words, and scenes brought in as scripts.
+// Functions that the other scripts share: elements, number formats, and scenes loaded as scripts.
 
 /** @type {Shared} */
 const Graycast = /** @type {any} */ ({ report: null, prefs: {} });
@@ -21,7 +21,7 @@ Graycast.el = (tag, attributes = {}, ...children) => {
   return made;
 };
 
-/** Show a short text at the pointer; no text hides it. */
+/** Show a short text at the pointer; an empty text hides it. */
 Graycast.tip = (event, text) => {
   const tip = document.getElementById("tip");
   tip.hidden = !text;
@@ -34,7 +34,7 @@ Graycast.tip = (event, text) => {
 
 // --- light --------------------------------------------------------------------------------------
 
-/** The share of light, 0 to 1, that a level of 8-bit sRGB stands for, and back (IEC 61966-2-1). */
+/** Convert a level of 8-bit sRGB to linear light from 0 to 1, and back (IEC 61966-2-1). */
 Graycast.linear = (level) => {
   const s = level / 255;
   return s <= 0.04045 ? s / 12.92 : ((s + 0.055) / 1.055) ** 2.4;
@@ -44,7 +44,7 @@ Graycast.encoded = (share) => {
   return Math.round(255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055));
 };
 
-// --- numbers in words ---------------------------------------------------------------------------
+// --- formats of numbers -------------------------------------------------------------------------
 
 Graycast.words = (name) => name.replaceAll("_", " ");
 Graycast.count = (value) => value.toLocaleString("en-US");
@@ -57,7 +57,7 @@ Graycast.mm = (value, digits = 1) =>
 Graycast.signed = (value, digits = 2) =>
   `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
 
-/** Rows of the scenes as objects, in the dataset's order. */
+/** Return the rows of the scenes as objects, in the dataset's order. */
 Graycast.rows = () => {
   if (Graycast.allRows) return Graycast.allRows;
   const { columns, scenes } = Graycast.report;
@@ -70,13 +70,13 @@ Graycast.rows = () => {
   return Graycast.allRows;
 };
 
-/** The shares of the parts' visible pixels per reason; of all pixels where no part is visible. */
+/** Shares of the parts' visible pixels by reason, or of all pixels if no part is visible. */
 Graycast.ownReasons = (row) => row.part_reasons ?? row.reasons;
 
-/** All pictures of a picture's scene, itself too. */
+/** All pictures of a picture's scene, including itself. */
 Graycast.siblings = (row) => Graycast.rows().filter((other) => other.scene === row.scene);
 
-/** The rig and the code that took a scene's picture; null where they are not known. */
+/** The rig and the code that took a scene's picture; null if they are unknown. */
 Graycast.scannerOf = (scene) =>
   Graycast.report.scanners?.[scene.sensor ?? ""] ?? { rig: null, code: null };
 
@@ -98,16 +98,16 @@ Graycast.colormap = (name) => {
   return colormaps[name];
 };
 
-/** A share of a colour map, as three bytes. */
+/** The colour of a colour map at a position from 0 to 1, as three bytes. */
 Graycast.heat = (name, share) => {
   const at = 3 * Math.max(0, Math.min(255, Math.round(255 * share)));
   return Graycast.colormap(name).subarray(at, at + 3);
 };
 
-/** Standard deviations [mm] up to this one have colours of their own. */
+/** The standard deviation [mm] at which the colours end. */
 Graycast.sigmaLimit = (scene) => (scene.sigmaHigh ??= Graycast.highest(scene.sigma, 0.98) || 1);
 
-/** One colour per instance, neighbours in number far apart in hue. */
+/** Return a colour for an instance; neighbouring numbers have very different hues. */
 Graycast.instanceColor = (index) => {
   const hue = (index * 137.508) % 360;
   const light = 0.58 + 0.09 * ((index % 3) - 1);
@@ -124,13 +124,13 @@ Graycast.instanceColor = (index) => {
 
 const KEPT_SCENES = 6;
 const cache = new Map(); // key -> promise of a scene
-const waiting = new Map(); // key -> what the script's call resolves
+const waiting = new Map(); // key -> function that receives the script's content
 
-/** Called by a scene's scripts. */
+/** Each script of a scene calls this function with its content. */
 Graycast.receive = (content) => waiting.get(content.key)?.(content);
 
 /**
- * What a script hands over; a script tag is the only way to read a file from the disk.
+ * Load the content of a script; a page on the disk can read a file only through a script tag.
  * @param {string} file
  * @param {string} name
  * @returns {Promise<any>}
@@ -144,7 +144,7 @@ function bring(file, name) {
       resolve(content);
     });
     script.onerror = script.onload = () => {
-      // after a call that received, nobody waits any more
+      // After a successful call, this rejection has no effect.
       script.remove();
       waiting.delete(name);
       reject(new Error(`scenes/${file} is missing or of another scene: run graycast report again`));
@@ -153,18 +153,18 @@ function bring(file, name) {
   });
 }
 
-/** What a run found in a scene; null where nobody looked. */
+/** Load a run's detections in a scene; null if the run did not include the scene. */
 Graycast.bringFound = (key) => {
   const name = `${key}/detections.js`;
   return Graycast.report.detections?.scenes[key] ? bring(name, name) : Promise.resolve(null);
 };
 
-/** A scene with its maps as arrays. */
+/** Load a scene, with its maps as arrays. */
 Graycast.load = (key) => {
   if (cache.has(key)) {
     const held = cache.get(key);
     cache.delete(key);
-    cache.set(key, held); // the last used goes last
+    cache.set(key, held); // The most recently used scene is the last.
     return held;
   }
   const promise = bring(`${key}/scene.js`, key).then(unpackScene);
@@ -189,11 +189,11 @@ async function unpackScene(content) {
   return scene;
 }
 
-// --- what a scene keeps beside: brought in when it is first looked at, let go with the scene -----
+// --- further data of a scene, loaded on demand and released with the scene -----------------------
 
 /**
- * The captured frame `k` as grey levels, 0 to 255; null while it is on its way, then `ready` is
- * called. An error is thrown once it is known.
+ * The captured frame `k` as grey levels from 0 to 255, or null while it is loading; `ready` is
+ * called when it has arrived. If loading has failed, the error is thrown.
  */
 Graycast.frame = (scene, k, ready) => {
   const held = (scene.frames ??= { levels: new Map(), coming: new Set() });
@@ -217,7 +217,7 @@ Graycast.frame = (scene, k, ready) => {
   return held.levels.get(k) ?? null;
 };
 
-/** Decoded positions {column, sigma_column, ...} [px], NaN for none; null while on their way. */
+/** Decoded positions {column, sigma_column, ...} [px], NaN where missing; null while loading. */
 Graycast.columns = (scene, ready) => {
   const held = (scene.columns ??= {});
   if (held.error) throw held.error;
@@ -236,7 +236,7 @@ Graycast.columns = (scene, ready) => {
   return held.maps ?? null;
 };
 
-/** The cloud fused of all pictures of the scene; null while it is on its way. */
+/** The fused cloud of all pictures of the scene; null while it is loading. */
 Graycast.fused = (scene, ready) => {
   const held = (scene.fusing ??= {});
   if (held.error) throw held.error;
@@ -274,7 +274,7 @@ async function inflate(text) {
 }
 
 /**
- * Undoes packing.pack_words: adds up what the plane through three neighbours left over.
+ * Undo packing.pack_words: add up the residuals to the plane through three neighbours.
  * @param {Uint8Array} bytes
  * @param {number} width
  * @param {number} height
@@ -283,7 +283,7 @@ function words(bytes, width, height) {
   const n = width * height,
     out = new Uint16Array(n);
   for (let r = 0, i = 0; r < height; r++) {
-    let row = 0; // sum of this row's left-overs: v[r, c] - v[r-1, c]
+    let row = 0; // sum of this row's residuals: v[r, c] - v[r-1, c]
     for (let c = 0; c < width; c++, i++) {
       row += bytes[i] | (bytes[n + i] << 8);
       out[i] = row + (r ? out[i - width] : 0);
@@ -293,7 +293,7 @@ function words(bytes, width, height) {
 }
 
 /**
- * Undoes packing.pack_difference.
+ * Undo packing.pack_difference.
  * @param {Uint8Array} bytes
  * @param {Uint16Array} base
  * @param {Uint8Array} reason
@@ -310,7 +310,7 @@ function difference(bytes, base, reason) {
 }
 
 /**
- * RGBA of a picture that came as a data URL; a file's would be closed to scripts.
+ * Return the RGBA bytes of a picture in a data URL; scripts cannot read the pixels of a file.
  * @param {string} url
  * @param {{width: number, height: number}} size
  */

@@ -1,5 +1,5 @@
 "use strict";
-// Which scenes the grid shows, and in which order: the filters and their controls.
+// The filters and the order of the scenes in the grid, with their controls.
 
 {
   const { el, words } = Graycast;
@@ -20,7 +20,7 @@
     ["white.jpg", "white frame"],
     ["reason.png", "reasons"],
   ];
-  const KEPT = ["sort", "down", "thumb"]; // when filters are lifted
+  const KEPT = ["sort", "down", "thumb"]; // These stay when filters are removed.
   const blank = () => ({
     find: "",
     split: "",
@@ -66,7 +66,7 @@
     );
   };
 
-  /** A number is a scene's, 5-12 is a span of them; any word may stand in a part's name or a tag. */
+  /** A number matches a scene, 5-12 a range of scenes; another word matches part names and tags. */
   function found(row, word) {
     const [, low, high] = word.match(/^(\d+)(?:-(\d+))?$/) ?? [];
     if (low !== undefined && row.id >= Number(low) && row.id <= Number(high ?? low)) return true;
@@ -75,7 +75,7 @@
     return row.key === word || texts.some((text) => text.toLowerCase().includes(word));
   }
 
-  /** "" is all, "*" any tag, "-" none, "=name" that one, "!name" all but that one. */
+  /** Match by tag: "" all, "*" any tag, "-" no tag, "=name" this tag, "!name" not this tag. */
   function tagged(key) {
     const held = Graycast.tags.of(key),
       tag = filter.tag.slice(1);
@@ -93,7 +93,7 @@
     }
   }
 
-  /** What narrows the list now: [what it is called, the filters that lift it]. */
+  /** The active filters: [description, names of the filters to remove]. */
   function narrowing() {
     const span = ([low, high]) => `${low} to ${high} %`,
       list = [];
@@ -119,8 +119,8 @@
   // --- the controls -------------------------------------------------------------------------------
 
   /**
-   * The two rows above the grid: {element, renew(), tell(rows)}; changed() is called when a filter
-   * is. `renew` draws the controls anew, `tell` says what is left of the scenes.
+   * Make the two rows above the grid: {element, renew(), tell(rows)}. A change of a filter calls
+   * `changed()`. `renew` draws the controls again; `tell` shows how many scenes remain.
    */
   Graycast.filterBar = (changed) => {
     const row = el("div", { class: "filter-row" }),
@@ -258,7 +258,7 @@
     ];
   }
 
-  /** Scenes with what is missed or false; scenes opened from there show just that. */
+  /** Filter scenes with missed or false detections; a scene opened from there shows just those. */
   function foundControls(changed, set, select) {
     if (!Graycast.report.detections) return [];
     const pick = select(
@@ -288,11 +288,11 @@
       ...known.map(([tag, n]) => [`=${tag}`, `${tag} (${n})`]),
       ...known.map(([tag]) => [`!${tag}`, `not ${tag}`]),
     ];
-    if (!choices.some(([value]) => value === filter.tag)) filter.tag = ""; // its last scene left it
+    if (!choices.some(([value]) => value === filter.tag)) filter.tag = ""; // No scene has this tag now.
     return choices;
   }
 
-  /** Shares from and to, behind one button. */
+  /** Ranges of shares, behind one button. */
   function panel(changed, set, select) {
     const range = (name, label) =>
       el(

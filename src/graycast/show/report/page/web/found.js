@@ -1,5 +1,5 @@
 "use strict";
-// What a detector found: counts for the grid, outlines over a scene, and a list of them beside it.
+// A detector's results: counts for the grid, outlines over a scene, and a list next to it.
 
 {
   const { el, prefs } = Graycast;
@@ -40,7 +40,7 @@
 
   // --- the grid -----------------------------------------------------------------------------------
 
-  /** How good the detections are, above the grid; nothing where there are none. */
+  /** Show the quality of the detections above the grid; nothing if there are no detections. */
   found.told = () => {
     const lines = Graycast.report.detections?.told ?? [];
     return lines.length
@@ -52,7 +52,7 @@
       : null;
   };
 
-  /** How many of a row's instances are missed, or how many detections are false; null if unseen. */
+  /** Count a row's missed instances or false detections; null if the run left out the scene. */
   found.count = (row, what) => {
     const held = Graycast.report.detections?.scenes[row.key];
     if (!held) return null;
@@ -74,7 +74,7 @@
     }[filter];
   };
 
-  /** A scene that is opened from a filter shows what the filter is of. */
+  /** Show only the detections that the filter selected when a scene is opened from it. */
   found.follow = (filter) => {
     prefs.found = true;
     prefs.foundKind = filter in SHOWN ? filter : "all";
@@ -100,7 +100,7 @@
     );
   };
 
-  /** The score to count from; told beside it, as it is moved. */
+  /** A slider for the score threshold, with its value. */
   found.slider = (id, held, change) => {
     const say = el("span", { class: "score" }, held.score.toFixed(2));
     return el(
@@ -126,7 +126,7 @@
 
   // --- a scene ------------------------------------------------------------------------------------
 
-  /** Detections that count, and instances that are missed then: {state, text, box, rings, ...}. */
+  /** The counted detections, and the missed instances: {state, text, box, rings, ...}. */
   function marks(scene, least) {
     if (!scene.found) return [];
     const seen = scene.found.detections
@@ -136,7 +136,7 @@
       .filter(([, one]) => !one.ignored && (one.found === null || one.found < least))
       .map(([k]) => {
         const { box, name, visible } = scene.instances[k];
-        const [x, y, w, h] = box; // BOP's boxes span pixel centres
+        const [x, y, w, h] = box; // BOP's boxes end at pixel centres.
         return {
           name,
           state: "missed",
@@ -149,7 +149,7 @@
     return [...seen, ...missed];
   }
 
-  /** Outlines over the picture: masks where there are any, else boxes. */
+  /** Draw outlines over the picture: masks if there are any, else boxes. */
   found.draw = (scene, svg, prefs, lit) => {
     const drawn = [];
     if (prefs.found)
@@ -177,7 +177,7 @@
     return [shape, text].filter(Boolean);
   }
 
-  /** The list beside the picture; actions.light marks one. */
+  /** The list next to the picture; actions.light highlights an entry. */
   found.list = (scene, prefs, { light }) => {
     if (!scene.found)
       return Graycast.report.detections

@@ -1,10 +1,10 @@
 "use strict";
-// The dataset's camera models: rays of pixels, points, and where the projector sees them.
-// Units as in the files: pixels and millimetres; the rig is in metres.
+// The dataset's camera models: rays of pixels, points, and their positions in the projector.
+// Units are those of the files: pixels and millimetres, but metres for the rig.
 
 /**
- * Ideal directions (x, y, 1) of all pixels of a scene's maps, two numbers each.
- * An error is thrown where the lens has no inverse over the picture, as by `optics.undistort`.
+ * Undistorted directions (x, y, 1) of all pixels of a scene's maps, two numbers each.
+ * Throws an error if the lens has no inverse over the picture, as `optics.undistort` does.
  */
 Graycast.rays = (scene) => {
   if (scene.rays) return scene.rays;
@@ -24,7 +24,7 @@ Graycast.rays = (scene) => {
 };
 
 /**
- * Brown-Conrady, OpenCV's order (k1, k2, p1, p2, k3).
+ * Distort a point by Brown-Conrady, in OpenCV's order (k1, k2, p1, p2, k3).
  * @param {number[]} ideal
  * @param {number[]} distortion
  */
@@ -38,7 +38,7 @@ function distort([x, y], [k1, k2, p1, p2, k3]) {
 }
 
 /**
- * The inverse by Newton's method; it ends and refuses where `lens_inverse.py` does.
+ * Undistort by Newton's method, with the limits and the refusals of `lens_inverse.py`.
  * @param {number[]} target
  * @param {number[]} distortion
  */
@@ -58,7 +58,7 @@ function undistort(target, distortion) {
       off = Math.max(Math.abs(ex), Math.abs(ey));
     if (off < 1e-14 || (k === 19 && off < 1e-9)) {
       if (determinant > 0) return [x, y];
-      break; // folded over
+      break; // The lens model folds over here.
     }
     x -= (d * ex - b * ey) / determinant;
     y -= (a * ey - b * ex) / determinant;
@@ -70,23 +70,23 @@ function undistort(target, distortion) {
 }
 
 /**
- * Whether radial distortion grows outwards up to this squared ideal radius: the lens model ends
- * where it folds over, as in `optics.project`. 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 has no root there.
+ * Whether radial distortion grows up to this squared ideal radius, that is, whether the derivative
+ * 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 has no root there. The lens model ends where it folds over.
  * @param {number} r2
  * @param {number[]} distortion
  */
 function grows(r2, [k1, k2, , , k3]) {
   const growth = (s) => 1 + s * (3 * k1 + s * (5 * k2 + s * 7 * k3));
-  const [a, b, c] = [21 * k3, 10 * k2, 3 * k1], // its slope: a s^2 + b s + c
+  const [a, b, c] = [21 * k3, 10 * k2, 3 * k1], // the derivative's slope: a s^2 + b s + c
     root = Math.sqrt(b * b - 4 * a * c),
     turns = a ? [(-b - root) / (2 * a), (-b + root) / (2 * a)] : [-c / b];
   return [r2, ...turns.filter((s) => s > 0 && s < r2)].every((s) => growth(s) > 0);
 }
 
 /**
- * Projector position of every pixel's point: {column, row} in projector px, NaN where none.
- * `which` is "depth" (perfect) or "scanner". The rig is exact, so the scanner's depth leads back
- * to the column it was made from, but for smoothing filters and the depth's steps.
+ * Projector position of each pixel's point: {column, row} in projector px, NaN where unknown.
+ * `which` is "depth" (perfect) or "scanner". The rig is exact, so the scanner's depth gives the
+ * column it was made from, except for smoothing filters and the rounding of depth.
  */
 Graycast.projectorMap = (scene, which) => {
   scene.projected ??= {};
@@ -117,7 +117,7 @@ Graycast.projectorMap = (scene, which) => {
   return (scene.projected[which] = { column, row });
 };
 
-/** Camera frame to world, both mm: R^T (p - t). */
+/** Transform from the camera frame to the world, both in mm: R^T (p - t). */
 Graycast.toWorld = (scene, x, y, z) => {
   const R = scene.view.cam_R_w2c,
     t = scene.view.cam_t_w2c;
@@ -131,7 +131,7 @@ Graycast.toWorld = (scene, x, y, z) => {
   ];
 };
 
-/** The twelve edges of a box [R (9), center, size] as 24 corners, camera frame, mm. */
+/** The twelve edges of a box [R (9), center, size] as 24 corners in the camera frame [mm]. */
 Graycast.boxEdges = ([R, center, size]) => {
   const corner = (k) => {
     const d = [0, 1, 2].map((axis) => (((k >> axis) & 1) - 0.5) * size[axis]);

@@ -1,5 +1,5 @@
 "use strict";
-// The grid of scenes: only what is in view is in the page; cards are reached, ticked and tagged.
+// The grid of scenes: only visible cards exist in the page; they can be focused, ticked and tagged.
 
 {
   const { el, percent, tags } = Graycast;
@@ -7,10 +7,10 @@
     CARD_PX = 208,
     MOST_NAMES = 4;
   let top = 0,
-    open = null, // what is shown now
-    at = null, // the key of the card that the keys are on
-    from = null, // where a tick with shift begins
-    longest = null; // the rows that need most room below their picture
+    open = null, // the grid that is shown
+    at = null, // the key of the card that has the keyboard's focus
+    from = null, // the first card of a range that is ticked with shift
+    longest = null; // the rows with the most text below their picture
 
   Graycast.showGrid = (section) => {
     const list = el("div", { class: "cards" }),
@@ -23,7 +23,7 @@
     place();
   };
 
-  /** The cards anew, after a filter, a tick or a tag has changed. */
+  /** Draw the cards again after a change of a filter, a tick or a tag. */
   function refill(fresh) {
     open.rows = Graycast.filtered();
     open.bar.tell(open.rows);
@@ -87,7 +87,7 @@
   );
   addEventListener("resize", () => open && place());
 
-  /** The height of the highest text under a picture: of the rows with most and longest names. */
+  /** The height of the highest text below a picture, from the rows with the most and longest names. */
   function textHeight(list, card) {
     longest ??= Graycast.rows()
       .map((row) => ({
@@ -111,7 +111,7 @@
   const title = (row) =>
     `${row.split === "train" ? "scene" : row.split} ${row.id}${row.picture ? ` · ${row.picture}` : ""}`;
 
-  /** How many of which part, the most frequent first. */
+  /** The number of parts of each kind, most frequent first. */
   function partLines(row) {
     const names = Graycast.report.classes,
       counts = Object.entries(row.objects).sort(([, a], [, b]) => b - a);
@@ -195,7 +195,7 @@
     renew();
   }
 
-  /** All that shows ticks and tags, the scroll left as it is. */
+  /** Update ticks and tags without scrolling. */
   function renew() {
     const focused = /** @type {HTMLElement | undefined} */ (
       document.activeElement?.closest(".card")
@@ -205,7 +205,7 @@
     if (focused) open.shown.get(focused)?.querySelector("a").focus({ preventScroll: true });
   }
 
-  /** The bar at the bottom for what is ticked. */
+  /** The bar at the bottom, for the ticked scenes. */
   function tickedBar() {
     const bar = document.getElementById("ticked"),
       keys = [...tags.ticked];
@@ -268,7 +268,7 @@
 
   // --- keys -----------------------------------------------------------------------------------------
 
-  /** True where the key was the grid's. */
+  /** Handle a key, and return true if it belongs to the grid. */
   Graycast.gridKey = (event) => {
     if (!open?.list.isConnected) return false;
     const { columns, rows } = open,
@@ -291,7 +291,7 @@
     return true;
   };
 
-  /** To the first card that is in view, or on from where the keys are. */
+  /** Move the focus to the first visible card, or on from the present card. */
   function go(now, step) {
     const { rows, list, columns, height } = open,
       start = list.getBoundingClientRect().top,
@@ -312,7 +312,7 @@
     open.shown.get(at)?.querySelector("a").focus({ preventScroll: true });
   }
 
-  /** The card that the keys go on from: of the scene that was looked at last. */
+  /** Set the card with the focus: that of the scene that was shown last. */
   Graycast.cameFrom = (key) => {
     at = key;
   };

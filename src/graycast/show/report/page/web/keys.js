@@ -1,5 +1,5 @@
 "use strict";
-// The keys of a dataset's page, as its help lists them.
+// The keys of a dataset's page, for its help.
 
 Graycast.KEYS = {
   "All scenes": [

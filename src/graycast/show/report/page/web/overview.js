@@ -1,5 +1,5 @@
 "use strict";
-// The dataset at a glance: facts, plots, and below them the grid of scenes.
+// The dataset at a glance: facts, plots, and the grid of scenes below them.
 
 {
   const { el, count, percent } = Graycast;
@@ -37,7 +37,7 @@
     Graycast.showGrid(document.getElementById("grid"));
   };
 
-  /** Plots of what varies, and one line of text for what has one value only. */
+  /** Plots of quantities that vary, and one line of text for constant ones. */
   function figures(statistics) {
     const all = plots(statistics),
       constant = all.map((one) => Graycast.onlyValue(one)).filter(Boolean);
@@ -50,7 +50,7 @@
       {
         class: "figures",
         open: shut() ? null : true,
-        ontoggle: () => dispatchEvent(new Event("resize")), // there is room, and the grid has moved
+        ontoggle: () => dispatchEvent(new Event("resize")), // The grid has moved.
       },
       el("summary", { onclick: (event) => keepShut(event.target.parentElement.open) }, "figures"),
       el("section", { class: "plots" }),
@@ -59,13 +59,13 @@
   }
 
   const SHUT = "graycast-figures-shut";
-  const LOW_PX = 850; // In a window of less height, open figures would leave no room for scenes.
+  const LOW_PX = 850; // In a lower window, open figures would leave no room for scenes.
   function shut() {
     let chosen = null;
     try {
       chosen = localStorage.getItem(SHUT);
     } catch {
-      /* a browser that keeps nothing */
+      /* The browser stores nothing. */
     }
     return chosen ? chosen === "yes" : innerHeight < LOW_PX;
   }
@@ -73,16 +73,16 @@
     try {
       localStorage.setItem(SHUT, isShut ? "yes" : "no");
     } catch {
-      /* a browser that keeps nothing */
+      /* The browser stores nothing. */
     }
   }
 
   const TILE_PX = 290,
     GAP_PX = 10,
     INSIDE_PX = 22;
-  let varying = []; // the plots to be
+  let varying = []; // the plots to draw
 
-  /** As many tiles in each row, and each plot as wide as its tile. */
+  /** Fill rows with equal numbers of tiles, and fit each plot to its tile. */
   function drawPlots() {
     const section = /** @type {HTMLElement} */ (document.querySelector(".plots")),
       room = section?.clientWidth;
@@ -152,7 +152,7 @@
     return out;
   }
 
-  /** A plot to be: {bins, series, say, title, unit} for its words, draw() for its picture. */
+  /** Describe a plot: {bins, series, say, title, unit} for texts, and draw() for the picture. */
   const histogram = (what) => ({ ...what, draw: (width) => Graycast.plot({ ...what, width }) });
   const shares = (what) => ({ ...what, draw: () => Graycast.shares(what) });
 
@@ -282,7 +282,7 @@
 
   const sum = (list) => list.reduce((a, b) => a + b, 0);
 
-  /** The number of steps that a share of the errors does not exceed. */
+  /** The error, in steps, that this share of the errors does not exceed. */
   function within(counts, share) {
     const sizes = Object.entries(counts)
       .map(([k, c]) => [Math.abs(Number(k)), c])
@@ -292,12 +292,12 @@
   }
 
   function errorPlot(s) {
-    // A few wrong points lie far away: the plot reaches as far as most points do.
+    // Some wrong points are far away, so the plot covers only the range of most points.
     const step = s.error_step_mm,
       most = Math.max(2 * within(s.error_counts, 0.95), 2 * within(s.part_error_counts, 0.75)),
       reach = Math.max(most * step, 3 * step);
     const many = Math.max(Math.round((2 * reach) / 61 / step), 1),
-      width = many * step; // whole steps: no moiré
+      width = many * step; // Whole steps avoid moiré.
     const n = Math.ceil(reach / width),
       bins = [];
     for (let k = -n; k <= n; k++)

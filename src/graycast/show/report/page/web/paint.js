@@ -1,8 +1,8 @@
 "use strict";
-// The views of a scene: each paints its picture and says what its colours mean.
+// The views of a scene: each paints its picture and describes the meaning of its colours.
 
 {
-  const DARK = [58, 60, 66]; // no value, in maps of numbers
+  const DARK = [58, 60, 66]; // the colour of missing values in maps
   const LIMITS_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
 
   Graycast.VIEWS = [
@@ -17,7 +17,7 @@
     { id: "cloud", label: "3D" },
   ];
 
-  /** Which views a scene has anything for. */
+  /** The views for which a scene has data. */
   Graycast.viewsOf = (scene) => {
     const { rig, code } = Graycast.scannerOf(scene),
       any = scene.has.depth || scene.has.scanner;
@@ -35,7 +35,7 @@
     return Graycast.VIEWS.filter((view) => has[view.id]);
   };
 
-  /** Paint a view into RGBA bytes; what cannot be had leaves it dark, and the note says why. */
+  /** Paint a view into RGBA bytes; if its data are missing, it is dark, and the note says why. */
   Graycast.paint = (scene, view, prefs, out) => {
     try {
       return painted(scene, view, prefs, out);
@@ -72,7 +72,7 @@
   const SHOWN = "black at the sensor's offset, white where it saturates, in sRGB";
   Graycast.GAINS = [1, 2, 4, 8, 16, 32];
 
-  /** Levels of sRGB with more light. */
+  /** A table of sRGB levels for amplified light. */
   const brightened = (gain = 1) =>
     Uint8Array.from({ length: 256 }, (_, level) => Graycast.encoded(gain * Graycast.linear(level)));
 
@@ -91,7 +91,7 @@
     out[4 * i + 3] = 255;
   }
 
-  /** One range for both depths, so that flipping between them compares; 1 to 99 % of the pixels. */
+  /** One range of colours for both depths, from 1 to 99 % of the pixels, so they can be compared. */
   Graycast.depthRange = (scene) => {
     if (scene.range) return scene.range;
     const steps = scene.has.depth ? scene.depth : scene.scanner,
@@ -111,7 +111,7 @@
     return { bar: { map: "viridis_r", low, high, unit: "mm", digits: 0 } };
   }
 
-  /** The limit in force: as chosen, else the first that holds two sigma of the dataset. */
+  /** The error limit: the user's choice, else the first that covers two sigma of the dataset. */
   Graycast.errorLimit = (prefs) => {
     if (prefs.limit) return prefs.limit;
     const sigma = Graycast.report.statistics.part_error.sigma_mm ?? 0.3;
@@ -137,12 +137,12 @@
     return {};
   }
 
-  /** The quiet word on what a dataset does not store, and the key that would. */
+  /** A hint that the dataset does not store some data, with the key that would store them. */
   const keeping = (kept, key, what) =>
     kept.length ? "" : ` (${what} are stored where the configuration says store: {${key}: true})`;
   const SAID = { scanner: "from the scanner's depth", depth: "from the perfect depth" };
 
-  /** Where frames or positions may come from, best first: as stored, or worked out from a depth. */
+  /** The sources of frames or positions, best first: stored, or computed from a depth. */
   Graycast.sourcesOf = (scene, view, prefs) => {
     const stored =
       view === "pattern" ? scene.kept.frames.length > 0 : scene.kept.columns.includes(prefs.axis);
@@ -159,7 +159,7 @@
   };
   Graycast.sourceOf = source;
 
-  /** What the pattern view can show, by name. */
+  /** The names of the frames in the pattern view. */
   Graycast.frameNames = (scene) =>
     scene.kept.frames.length
       ? scene.kept.frames
@@ -169,12 +169,12 @@
     for (let i = 0; i < scene.n; i++) put(out, i, DARK, 0);
   }
 
-  /** A captured frame, as the decoder saw it. */
+  /** Paint a captured frame, which is the decoder's input. */
   function paintFrame(scene, prefs, out) {
     const n = scene.kept.frames.length,
       k = prefs.frame % n,
       levels = Graycast.frame(scene, k, Graycast.repaint);
-    if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // the next one, ahead
+    if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // This preloads the next frame.
     if (!levels) {
       blank(scene, out);
       return { note: "bringing the captured frames …" };
@@ -190,7 +190,7 @@
     return { shown: levels, note: `captured, ${bits} bit, ${range}${kind}; ${SHOWN}` };
   }
 
-  /** Decoded positions, or their standard deviations, as stored. */
+  /** Paint the stored decoded positions, or their standard deviations. */
   function paintStoredColumn(scene, prefs, out) {
     const maps = Graycast.columns(scene, Graycast.repaint);
     if (!maps) {
@@ -220,7 +220,7 @@
     return axis === "row" ? lens?.height_px : lens?.width_px;
   };
 
-  /** A quantile of the numbers in a map, from every 7th pixel. */
+  /** A quantile of a map, from every 7th pixel. */
   Graycast.highest = (values, share) => {
     const some = values.filter((v, i) => i % 7 === 0 && v === v).sort();
     return some[Math.min(Math.floor(share * some.length), some.length - 1)] ?? 0;
@@ -240,7 +240,7 @@
     };
   }
 
-  /** What a frame would show at the projector position of every pixel. */
+  /** Paint a frame's ideal level at the projector position of each pixel. */
   function paintPattern(scene, prefs, out) {
     const which = source(scene, "pattern", prefs);
     if (which === "stored") return paintFrame(scene, prefs, out);
@@ -266,7 +266,7 @@
     };
   }
 
-  /** Masks in colours, their borders, and what a highlighted reason or instance leaves bright. */
+  /** Paint masks, their borders, and a highlighted reason or instance, which stays bright. */
   Graycast.paintOverlay = (scene, prefs, { instance = -1, reason = null }, out) => {
     const w = scene.width,
       id = scene.instance;

@@ -1,5 +1,5 @@
 "use strict";
-// Small plots as SVG: they take the page's colours and say their values under the pointer.
+// Small plots as SVG, with the page's colours and values at the pointer.
 
 {
   const { el } = Graycast;
@@ -29,7 +29,7 @@
   const binWords = (bin, unit) =>
     `${bin.label ?? `${short(bin.from)} to ${short(bin.to)}`} ${unit}`;
 
-  /** In words, what falls into one bin and so gives no plot; else null. */
+  /** Describe a quantity with one bin only, which needs no plot; null for others. */
   Graycast.onlyValue = ({ title, unit, bins, series, rows }) => {
     if (rows) {
       const names = rows.map((row) => row.parts.filter((p) => p.share > 0).map((p) => p.name));
@@ -44,10 +44,10 @@
   };
 
   /**
-   * Series over shared bins.
-   * bins: [{from, to, label}], series: [{name, color, values}], stacked bars or lines;
-   * even: bins are spread evenly, whatever their width. say(value) words a value. width [px] is
-   * the picture's.
+   * Plot series over shared bins.
+   * bins: [{from, to, label}], series: [{name, color, values}], as stacked bars or lines.
+   * `even` gives all bins the same width. `say(value)` formats a value. `width` is the picture's
+   * [px].
    */
   Graycast.plot = ({
     title,
@@ -150,7 +150,7 @@
     return frame(title, note, svg, series.length > 1 && series.length <= 8 ? series : []);
   };
 
-  /** Shares of a whole as one bar per row: [{name, parts: [{name, color, share}]}]. */
+  /** Show shares of a whole as a bar per row: [{name, parts: [{name, color, share}]}]. */
   Graycast.shares = ({ title, note, rows }) => {
     const bars = rows.map((row) =>
       el("div", { class: "share-row" }, el("span", {}, row.name), stack(row.parts, "share-bar")),

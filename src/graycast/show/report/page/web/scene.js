@@ -1,5 +1,5 @@
 "use strict";
-// One scene: its pictures or the 3D view, the values under the pointer, what is in it.
+// One scene: its pictures or the 3D view, the values at the pointer, and its content.
 
 {
   const { el, side, tags, toolbar } = Graycast;
@@ -20,7 +20,7 @@
     surface: true,
     points: true,
     surfacePaint: "instance",
-    pointPaint: "difference", // other colours than those of the surface
+    pointPaint: "difference", // Its colours differ from those of the surface.
     pointSize: 1,
     fused: false,
     fusedPaint: "colour",
@@ -28,7 +28,7 @@
     foundKind: "all",
     score: Graycast.report?.detections?.score ?? 0.5,
   });
-  let open = null; // what is shown now
+  let open = null; // the scene that is shown
 
   Graycast.showScene = async (main, key, isCurrent) => {
     const row = Graycast.rows().find((one) => one.key === key);
@@ -88,7 +88,7 @@
     Graycast.tip(null, "");
   };
 
-  /** The filtered scenes, or all where this one is none of them. */
+  /** The filtered scenes, or all scenes if this one is not among them. */
   function around(key) {
     const rows = Graycast.filtered();
     return rows.some((row) => row.key === key) ? rows : Graycast.rows();
@@ -146,7 +146,7 @@
     const list = Graycast.found.list(scene, prefs, { light });
     at("#found-list").replaceChildren(...list);
     const three = prefs.view === "cloud";
-    at("#readout").hidden = three; // no pixel is pointed at there
+    at("#readout").hidden = three; // In 3D, the pointer selects no pixel.
     if (three) open.cloud ??= Graycast.makeCloud(scene);
     const stage = three ? open.cloud.stage : viewer.stage;
     if (at(".hold").firstChild !== stage) at(".hold").replaceChildren(stage);
@@ -155,12 +155,12 @@
       at(".under").replaceChildren(...toolbar.under([cloudWords()], []));
     } else {
       repaint();
-      viewer.settle(); // now, not when the observer hears of it: who is told `ready` may point at once
+      viewer.settle(); // It must be done now, since a caller may point as soon as it is `ready`.
       viewer.cover(prefs, open.lit);
     }
   }
 
-  /** The second view is one of this scene's, and another than the first. */
+  /** Make the second view one of this scene's views, and different from the first. */
   function settleSecond() {
     const others = open.views
       .map((view) => view.id)
@@ -190,7 +190,7 @@
     };
   }
 
-  /** The pictures anew, their controls left as they are: a slider that is being moved stays. */
+  /** Paint the pictures again without replacing their controls, as the user may be moving a slider. */
   function repaint() {
     if (!open || prefs.view === "cloud") return;
     const said = open.viewer.paint(views(), prefs);
@@ -206,8 +206,8 @@
   Graycast.repaint = repaint;
 
   function set(name, value) {
-    if (name === "second" && value === prefs.view) prefs.view = prefs.second; // they change places
-    if (name === "fused" && value) prefs.points = prefs.surface = false; // they lie among its points
+    if (name === "second" && value === prefs.view) prefs.view = prefs.second; // They swap places.
+    if (name === "fused" && value) prefs.points = prefs.surface = false; // Fused points hide these.
     prefs[name] = value;
     show();
   }
@@ -218,7 +218,7 @@
     show();
   }
 
-  /** Another score to count from; its slider, which is being moved, stays. */
+  /** Change the score threshold without replacing its slider, as the user may be moving it. */
   function rescore(value) {
     prefs.score = value;
     open.viewer.cover(prefs, open.lit);
@@ -233,16 +233,16 @@
   }
 
   const PLAY_MS = 300;
-  let playing = 0; // the timer that flips, 0 for none
+  let playing = 0; // the timer that flips frames; 0 if stopped
   function play(on) {
     clearInterval(playing);
-    // a frame that is still on its way is waited for
+    // A frame that is still loading is not skipped.
     const next = () => (open.scene.kept.frames.length && !open.scene.shown ? null : flip(1));
     playing = on ? setInterval(next, PLAY_MS) : 0;
     document.getElementById("frame-play")?.setAttribute("aria-pressed", String(!!playing));
   }
 
-  // --- beside it --------------------------------------------------------------------------------
+  // --- next to the picture ------------------------------------------------------------------------
 
   function showTags() {
     const { key } = open.row,
@@ -292,7 +292,7 @@
 
   // --- keys -------------------------------------------------------------------------------------
 
-  /** The view of a digit's key; with shift the digit itself is another sign. */
+  /** The view of a digit key; with shift, the key's character is not the digit. */
   function digit(event) {
     const view = Graycast.VIEWS[Number(event.code.match(/^(?:Digit|Numpad)(\d)$/)?.[1]) - 1];
     return open.views.includes(view) ? view.id : null;
@@ -337,5 +337,5 @@
   Graycast.redraw = () => {
     if (open) show();
   };
-  Graycast.opened = () => open; // for whoever looks in from the console
+  Graycast.opened = () => open; // for use in the browser's console
 }

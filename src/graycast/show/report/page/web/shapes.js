@@ -1,15 +1,15 @@
 "use strict";
-// What the 3D view draws, as WebGL's arrays: the perfect surface, the scanner's points, boxes.
+// WebGL arrays for the 3D view: the perfect surface, the scanner's points and boxes.
 
 {
   const SURFACE_VERTICES = 450000,
-    TILT_RAD = 0.02, // what a step of depth may tilt a normal by
-    FAR_PX = 6; // at most, between the neighbours that a normal is taken from
+    TILT_RAD = 0.02, // A step of depth may tilt a normal by this angle.
+    FAR_PX = 6; // the largest distance between the neighbours that give a normal
   /** @type {Shapes} */
   const shapes = /** @type {any} */ ({});
   Graycast.shapes = shapes;
 
-  /** Makes a pixel and its steps of depth a point of the world. */
+  /** Return a function that converts a pixel and its depth in steps to a point of the world. */
   shapes.pointOf = (scene) => {
     const rays = Graycast.rays(scene);
     return (i, step) => {
@@ -38,7 +38,7 @@
     const reach = Math.max(Math.hypot(...spread), 20);
     const camera = Graycast.toWorld(scene, 0, 0, 0).map((v, k) => v - middle[k]),
       far = Math.hypot(...camera);
-    const below = Graycast.toWorld(scene, 0, 1, 0).map((v, k) => v - middle[k] - camera[k]); // the image's down
+    const below = Graycast.toWorld(scene, 0, 1, 0).map((v, k) => v - middle[k] - camera[k]); // downwards in the image
     const level = Math.hypot(camera[0], camera[1]) > 0.3 * far;
     const yaw = level ? Math.atan2(camera[1], camera[0]) : Math.atan2(below[1], below[0]);
     const distance = 3.9 * reach,
@@ -58,7 +58,7 @@
     };
   };
 
-  /** The depth map as triangles; none where a step is steeper than about 80 degrees. */
+  /** The depth map as triangles, without steps that are steeper than about 80 degrees. */
   shapes.mesh = (gl, scene, space) => {
     const skip = Math.max(Math.ceil(Math.sqrt(scene.n / SURFACE_VERTICES)), 1);
     const w = Math.floor((scene.width - 1) / skip) + 1,
@@ -103,7 +103,7 @@
     return { ...arrays(gl, place, null, shapes.normals(scene, from)), from, count: from.length };
   };
 
-  /** The points of all pictures of a scene, fused. */
+  /** The fused points of all pictures of a scene. */
   shapes.fused = (gl, cloud, space) => {
     const place = new Float32Array(3 * cloud.count);
     for (let k = 0; k < place.length; k++)
@@ -161,10 +161,10 @@
     return { note: points + (told[paint] ?? "") };
   };
 
-  /** A mesh in a frame of its own, for bodies. */
+  /** A mesh in its own frame, for bodies. */
   shapes.body = (gl, vertices, faces) => {
     const made = arrays(gl, vertices, faces, null);
-    upload(gl, made, new Uint8Array((4 * vertices.length) / 3)); // not looked at, but has to be there
+    upload(gl, made, new Uint8Array((4 * vertices.length) / 3)); // The shader needs the buffer.
     return { ...made, count: faces.length };
   };
 
@@ -180,7 +180,7 @@
     return { ...made, count };
   };
 
-  /** Give back what the GPU holds of a thing. */
+  /** Release a thing's memory on the GPU. */
   shapes.drop = (gl, thing) => {
     gl.deleteVertexArray(thing.array);
     for (const buffer of thing.buffers) gl.deleteBuffer(buffer);
@@ -255,8 +255,8 @@
   };
 
   /**
-   * The surface's normals at some pixels, three bytes each, world frame. They are for shading: taken
-   * over so many pixels that steps of depth do not show as stripes, on one side only at an edge.
+   * The surface's normals at some pixels, three bytes each, in the world frame, for shading. They are
+   * averaged over enough pixels to hide the steps of depth, but not across an edge.
    */
   shapes.normals = (scene, from) => {
     const { width, n, depth_scale_mm, stride, view } = scene,
@@ -266,7 +266,7 @@
       out = new Int8Array(3 * from.length),
       sum = [0, 0, 0];
     const z = (i) => steps[i] * depth_scale_mm;
-    /** Along one axis: the step in space over one pixel, into `sum`. */
+    /** Along one axis, store the step in space over one pixel in `into`. */
     const slope = (i, by, room, into) => {
       const pixel = (stride * z(i)) / view.cam_K[0],
         m = Math.min(Math.max(Math.ceil(depth_scale_mm / (2 * TILT_RAD * pixel)), 1), FAR_PX);
@@ -292,7 +292,7 @@
         sum[j] = across[p] * down[q] - across[q] * down[p];
       }
       const length = Math.hypot(...sum);
-      if (!length) [sum[0], sum[1], sum[2]] = [0, 0, 1]; // nothing beside it: as if facing
+      if (!length) [sum[0], sum[1], sum[2]] = [0, 0, 1]; // No neighbours: as if facing the camera.
       for (let j = 0; j < 3; j++)
         out[3 * k + j] = Math.round(
           (127 * (R[j] * sum[0] + R[3 + j] * sum[1] + R[6 + j] * sum[2])) / (length || 1),

@@ -1,5 +1,5 @@
 "use strict";
-// What stands beside a scene: values under the pointer, reasons, instances, how it was made.
+// The column next to a scene: values at the pointer, reasons, instances, and how it was made.
 
 {
   const { el, percent, words } = Graycast;
@@ -7,7 +7,7 @@
   const side = /** @type {any} */ ({});
   Graycast.side = side;
 
-  /** Fill the table of values for pixel `i`, -1 for none. */
+  /** Fill the table of values for pixel `i`; -1 is no pixel. */
   side.readout = (scene, i) => {
     const s = scene.depth_scale_mm,
       digits = s < 0.1 ? 2 : 1;
@@ -56,7 +56,7 @@
       );
   };
 
-  /** Where the projector saw each pixel; null of a lens that has no inverse: its picture says so. */
+  /** Projector position of each pixel; null if the lens has no inverse, which its picture reports. */
   function positions(scene) {
     try {
       return Graycast.projectorMap(scene, "scanner");
@@ -65,7 +65,7 @@
     }
   }
 
-  /** As stored, once it has been looked at: the page brings it in then. */
+  /** The decoded position, once the column map has been opened, which loads it. */
   function decoded(scene, axis, i) {
     const maps = scene.columns?.maps,
       value = maps?.[axis][i];
@@ -75,10 +75,10 @@
       : "–";
   }
 
-  /** Its level in the dataset, which is linear. */
+  /** The level in the dataset, which is linear. */
   const white = (scene, i) => `≈ ${Math.round(255 * Graycast.linear(scene.white[4 * i]))} of 255`;
 
-  /** A frame's digital number, as near as 8 bits and JPEG tell. */
+  /** A frame's digital number, with the precision of 8 bits and JPEG. */
   function captured(scene, i) {
     const { low_dn, high_dn } = scene.frames.content,
       share = Graycast.linear(scene.shown[i]);
@@ -109,7 +109,7 @@
     ];
   };
 
-  /** The reasons in this scene; actions.light marks one, actions.pick opens their view. */
+  /** The scene's reasons; actions.light highlights one, actions.pick opens their view. */
   side.legend = (row, { light, pick }) => {
     return el(
       "div",
@@ -139,7 +139,7 @@
     );
   };
 
-  /** The list of instances; actions.light marks one in the picture. */
+  /** The list of instances; actions.light highlights one in the picture. */
   side.instances = (scene, { light }) => {
     const rows = scene.instances.map((one, k) =>
       el(
@@ -187,7 +187,7 @@
     );
   };
 
-  /** What the manifest says. */
+  /** Facts of the scene from its manifest. */
   side.facts = (scene, row) => {
     const m = scene.manifest,
       list = [["decoded on parts", percent(row.part_decoded)]];

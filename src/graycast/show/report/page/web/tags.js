@@ -1,6 +1,6 @@
 "use strict";
-// Tags and ticks that a user gives to scenes. The browser keeps tags for this dataset; a file that
-// can be saved and loaded carries them elsewhere, and `graycast dataset export --selection` reads it.
+// Tags and ticks of scenes. The browser stores the tags of this dataset. A file that can be saved and
+// loaded transfers them, and `graycast dataset export --selection` reads it.
 
 {
   const KIND = "graycast-scenes",
@@ -40,7 +40,7 @@
   /** The tags of one scene, sorted. */
   tags.of = (key) => open().get(key) ?? [];
 
-  /** What was typed as tags: several are parted by commas. */
+  /** Split the typed text at commas into tags. */
   tags.read = (text) =>
     text
       .split(",")
@@ -61,7 +61,7 @@
     keep();
   };
 
-  /** Every tag among these scenes with its number of scenes, by name. */
+  /** Each tag of these scenes with its number of scenes, sorted by name. */
   tags.among = (keys) => {
     const counts = new Map();
     for (const key of keys)
@@ -78,7 +78,7 @@
 
   // --- files --------------------------------------------------------------------------------------
 
-  /** Hand these scenes and their tags to the browser as a file to save. */
+  /** Offer these scenes and their tags as a file to save. */
   tags.save = (keys) => {
     const { name, fingerprint } = Graycast.report;
     const scenes = Object.fromEntries([...keys].sort().map((key) => [key, tags.of(key)]));
@@ -88,13 +88,13 @@
     setTimeout(() => URL.revokeObjectURL(url), 10000);
   };
 
-  /** Take a saved file's tags and tick its scenes; returns what to tell the user. */
+  /** Add a saved file's tags and tick its scenes; returns a message for the user. */
   tags.take = (name, text) => {
     let content = null;
     try {
       content = JSON.parse(text);
     } catch {
-      /* said below */
+      /* It is reported below. */
     }
     if (content?.kind !== KIND || typeof content.scenes !== "object")
       return `${name} is not a file of scenes that this page has saved. Nothing was loaded.`;
@@ -110,11 +110,11 @@
     return `Ticked, with the tags of ${name}: ${entries.length}.${lost}`;
   };
 
-  // --- what is seen of them -----------------------------------------------------------------------
+  // --- how tags appear ----------------------------------------------------------------------------
 
   const { el } = Graycast;
 
-  /** Tags as small labels; with `drop`, each has a cross that takes it away. */
+  /** Tags as small labels; with `drop`, each has a cross that removes it. */
   tags.chips = (list, drop) =>
     list.map(([tag, text]) =>
       el(
@@ -135,7 +135,7 @@
       ),
     );
 
-  /** A field to type tags into; Enter gives them to `take`, and leaves the field. */
+  /** A field for typing tags; Enter passes them to `take` and leaves the field. */
   tags.field = (id, take) => {
     const names = el(
       "datalist",

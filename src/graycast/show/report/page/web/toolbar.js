@@ -1,5 +1,5 @@
 "use strict";
-// The rows above a scene's picture: its views, what to compare with, and what each view can do.
+// The rows above a scene's picture: its views, a view to compare with, and the view's options.
 
 {
   const { el, words } = Graycast;
@@ -36,7 +36,7 @@
   const bar = /** @type {any} */ ({});
   Graycast.toolbar = bar;
 
-  /** A button per view; a part of its name that narrow windows leave out is in brackets. */
+  /** A button for each view; narrow windows omit the part of its name that is in brackets. */
   bar.views = (views, prefs, pick) =>
     views.map((view) =>
       el(
@@ -55,7 +55,7 @@
       ),
     );
 
-  /** Which of its scene's pictures is shown; nothing where it is the only one. */
+  /** A choice of the scene's pictures; empty if there is only one. */
   bar.pictures = (row, go) => {
     const all = Graycast.siblings(row);
     if (all.length < 2) return [];
@@ -77,7 +77,7 @@
     ];
   };
 
-  /** What stands beside: off, or another view with a swipe or side by side. */
+  /** The comparison: off, or another view, with a swipe or side by side. */
   bar.compare = (views, prefs, set) => {
     const flat = views.filter((view) => view.id !== "cloud");
     if (prefs.view === "cloud" || flat.length < 2) return [];
@@ -101,7 +101,7 @@
     ];
   };
 
-  /** What the view can do. actions: set(name, value), flip(by), play(), look(name). */
+  /** The options of the view. actions: set(name, value), flip(by), play(), look(name). */
   bar.options = (scene, prefs, actions) =>
     (prefs.view === "cloud" ? cloudOptions : pictureOptions)(scene, prefs, actions).filter(Boolean);
 
@@ -136,7 +136,7 @@
     );
   }
 
-  /** How many times the light of white and pattern frames is shown. */
+  /** The factor of light for white and pattern frames. */
   bar.brightness = (prefs, set) =>
     choose(
       prefs,
@@ -258,7 +258,7 @@
     return there;
   }
 
-  /** What the colours mean: one line for each picture that is shown. */
+  /** The meaning of the colours, in a line for each picture that is shown. */
   bar.under = (said, names) =>
     said.flatMap(({ bar: scale, note }, k) => {
       if (!scale && !note) return [];

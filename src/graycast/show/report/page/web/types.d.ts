@@ -1,10 +1,10 @@
-// What the scripts of the pages share, for TypeScript's checker and for editors; no page loads it.
-// Distances are in millimetres, except where a name says otherwise.
+// Types that the scripts of the pages share, for TypeScript's checker and for editors; no page loads
+// this file. Distances are in millimetres unless the name has another unit.
 
 type Point = [number, number, number];
-type Prefs = Record<string, any>; // what the user chose
+type Prefs = Record<string, any>; // the user's choices
 
-/** Where a camera stands and what it sees, as BOP's scene_camera.json says it. */
+/** A camera's pose and lens, as in BOP's scene_camera.json. */
 interface View {
   cam_K: number[];
   cam_R_w2c: number[];
@@ -12,7 +12,7 @@ interface View {
   distortion: number[];
 }
 
-/** One part of a scene; boxes are BOP's, spans of pixel centres. */
+/** One part of a scene; its boxes are BOP's, which end at pixel centres. */
 interface Instance {
   name: string;
   obj_id: number;
@@ -24,52 +24,52 @@ interface Instance {
   box3d: [number[], Point, Point] | null; // rotation, centre and size
 }
 
-/** What the camera models ask for: a scan, or the scene of a dataset. */
+/** The input of the camera models: a scan, or a scene of a dataset. */
 interface Seen {
-  sensor?: string; // the name of its scanner, where scanners have names
-  width: number; // of the maps, which hold every `stride`-th pixel of the picture
+  sensor?: string; // the scanner's name, if it has one
+  width: number; // width of the maps, which hold every `stride`-th pixel of the picture
   height: number;
   stride: number;
-  n: number; // pixels of the maps
-  depth_scale_mm: number; // one step of depth
+  n: number; // number of pixels in the maps
+  depth_scale_mm: number; // size of a step of depth
   view: View;
   has: { depth: boolean; scanner: boolean };
-  depth?: Uint16Array; // perfect, in steps; 0 for none
+  depth?: Uint16Array; // perfect depth in steps; 0 where missing
   scanner?: Uint16Array;
-  rays?: Float32Array; // once they were asked for
+  rays?: Float32Array; // stored after the first request
   projected?: Record<string, Positions>;
 }
 
 interface Scene extends Seen {
   key: string;
-  fusing?: any; // the cloud of all pictures of its scene, as it comes
-  fusedKey?: string | null; // whose files hold that cloud; null where it is the only picture
+  fusing?: any; // the fused cloud of all pictures of its scene, while loading and after
+  fusedKey?: string | null; // the picture whose files hold that cloud; null if it is the only one
   full: [number, number]; // width and height of the picture
-  kept: { frames: string[]; columns: string[] }; // names of what the dataset stores
+  kept: { frames: string[]; columns: string[] }; // names of the data that the dataset stores
   instances: Instance[];
   reason: Uint8Array;
-  instance: Uint16Array; // its number plus 1; 0 for none
+  instance: Uint16Array; // number of the instance plus 1; 0 for none
   sigma?: Float32Array;
   sigmaHigh?: number;
-  range?: [number, number]; // of depth, for colours
-  rgb: Uint8ClampedArray; // four bytes a pixel
+  range?: [number, number]; // range of depth for the colours
+  rgb: Uint8ClampedArray; // four bytes per pixel
   white?: Uint8ClampedArray;
-  frames?: any; // captured ones, as they come
-  columns?: any; // decoded ones, as they come
-  positions?: Record<string, Float32Array>; // decoded ones, of a live page
-  levels?: Uint8Array; // the captured frame, of a live page
-  shown?: Uint8Array; // the captured frame that is looked at
-  found?: any; // what a detector found
+  frames?: any; // captured frames, while loading and after
+  columns?: any; // decoded positions, while loading and after
+  positions?: Record<string, Float32Array>; // decoded positions, on a live page
+  levels?: Uint8Array; // the captured frame, on a live page
+  shown?: Uint8Array; // the captured frame that is shown
+  found?: any; // a detector's results
   manifest?: any;
 }
 
-/** Projector positions of pixels [px]; NaN for none. */
+/** Projector positions of pixels [px]; NaN where unknown. */
 interface Positions {
   column: Float32Array;
   row: Float32Array;
 }
 
-/** What a painted picture's colours mean, and what else is to be said of it. */
+/** The meaning of a painted picture's colours, and a note. */
 interface Said {
   bar?: Bar | null;
   note?: string;
@@ -82,7 +82,7 @@ interface Bar {
   high: number;
   unit: string;
   digits: number;
-  whole?: boolean; // no pixel is without a value
+  whole?: boolean; // Every pixel has a value.
 }
 
 interface Lit {
@@ -91,11 +91,11 @@ interface Lit {
   mark?: number;
 }
 
-/** A scene moved so that what one turns about is at the origin. */
+/** A scene moved so that the centre of rotation is at the origin. */
 interface Space {
   point: (i: number, step: number) => number[];
   middle: number[];
-  reach: number; // how far what is looked at goes from there
+  reach: number; // radius of the visible content around the centre
   views: Record<string, Eye>;
   start: Eye;
 }
@@ -122,7 +122,7 @@ interface Drawn {
   thing: Thing;
   place?: Float32Array; // a matrix
   tint?: number[];
-  open?: boolean; // only its front is drawn
+  open?: boolean; // Only its front is drawn.
   lines?: boolean;
 }
 
@@ -166,7 +166,7 @@ interface Shapes {
 
 interface Tags {
   ticked: Set<string>;
-  forgetful: boolean; // the browser keeps nothing
+  forgetful: boolean; // The browser stores nothing.
   of(key: string): string[];
   read(text: string): string[];
   add(keys: string[], list: string[]): void;
@@ -229,10 +229,10 @@ interface Outcomes {
   buttons(counts: Record<string, number>, changed: () => void): HTMLElement[];
 }
 
-type Row = Record<string, any>; // a scene of the grid, by the names of index.js's columns
+type Row = Record<string, any>; // a scene of the grid; its keys are the columns of index.js
 
 interface Shared {
-  report: any; // what index.js holds
+  report: any; // the content of index.js
   prefs: Prefs;
 
   // core.js
@@ -249,8 +249,8 @@ interface Shared {
   allRows?: Row[];
   rows(): Row[];
   siblings(row: Row): Row[]; // all pictures of its scene
-  scannerOf(scene: Seen): { rig: any; code: any }; // null where they are not known
-  reasonColors(): Uint8ClampedArray; // three bytes for each number of a reason
+  scannerOf(scene: Seen): { rig: any; code: any }; // null if unknown
+  reasonColors(): Uint8ClampedArray; // three bytes for each reason's number
   colormap(name: string): Uint8Array; // 256 times three bytes
   heat(name: string, share: number): Uint8Array;
   sigmaLimit(scene: Scene): number;
@@ -287,7 +287,7 @@ interface Shared {
   frameNames(scene: Scene): string[];
   highest(values: Float32Array, share: number): number;
 
-  // what is looked at
+  // the picture and the 3D view
   makeViewer(
     scene: Scene,
     onPointer: (i: number, event: PointerEvent) => void,
@@ -320,7 +320,7 @@ interface Shared {
   showGrid(section: HTMLElement): any;
   cameFrom(key: string): void;
 
-  // which page is shown, and its keys
+  // routing and keys
   showOverview(main: HTMLElement): void;
   showScene(main: HTMLElement, key: string, isCurrent: () => boolean): Promise<void>;
   closeScene(): void;

@@ -4,11 +4,11 @@
 
 {
   const { el } = Graycast;
-  const HOLD_PX = 12; // of the bar that swipes, on either side
+  const HOLD_PX = 12; // The bar can be grabbed within this distance.
 
   /**
-   * Makes a viewer for one scene. onPointer(pixel index or -1, event). The second picture may be of
-   * another scene of the same size.
+   * Make a viewer for one scene, with onPointer(pixel index or -1, event). The second picture may be
+   * of another scene with the same size.
    */
   Graycast.makeViewer = (scene, onPointer, other = scene) => {
     const { width, height } = scene;
@@ -55,7 +55,7 @@
       y = (stage.clientHeight - height * fit) / 2;
       place();
     };
-    /** The whole picture again, if the stage is not of the size that it was fitted to. */
+    /** Show the whole picture again if the size of the stage has changed. */
     const settle = () => {
       if (room() !== fitted) home();
     };
@@ -68,7 +68,7 @@
       zoom = next;
       place();
     };
-    /** Where in its pane an event is, and in which. */
+    /** The position of an event in its pane, and the pane. */
     const spot = (event) => {
       const box = stage.getBoundingClientRect(),
         right = how === "side" && event.clientX - box.left >= wide();
@@ -132,7 +132,7 @@
       settle,
       zoomAt,
       close: () => watch.disconnect(),
-      /** Show `views`, one or two of them; returns what `Graycast.paint` says of each. */
+      /** Show one or two `views`; returns the result of `Graycast.paint` for each. */
       paint(views, prefs) {
         const next = views.length > 1 ? prefs.how : "single",
           resized = (next === "side") !== (how === "side");
@@ -148,7 +148,7 @@
     };
   };
 
-  /** One picture with what lies over it; `end` is the end of its elements' ids. */
+  /** One picture with its overlays; `end` is the suffix of its elements' ids. */
   function makePane(scene, end) {
     const { width, height } = scene;
     const base = el("canvas", { width, height, id: `picture${end}` }),
@@ -187,7 +187,7 @@
     };
   }
 
-  /** The bar follows the pointer that holds it, and the arrows while it has the focus. */
+  /** Let the bar follow the pointer that grabbed it, and the arrow keys while it has the focus. */
   function holdSwipe(stage, swipe, move) {
     const to = (event) => {
       const box = stage.getBoundingClientRect();
@@ -213,7 +213,7 @@
     });
   }
 
-  /** BOP's boxes span pixel centres: [x, y, last - first, ...]; drawn around whole pixels. */
+  /** Draw BOP's boxes [x, y, last - first, ...], which end at pixel centres, around whole pixels. */
   function drawBoxes(scene, svg, prefs, instance) {
     const s = scene.stride,
       drawn = [];

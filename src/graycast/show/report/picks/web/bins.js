@@ -1,5 +1,5 @@
 "use strict";
-// All bins at a glance: the summary, the outcomes, and a strip of attempts for every bin.
+// All bins at a glance: the summary, the outcomes, and a strip of attempts for each bin.
 
 {
   const { el, count, percent, outcomes } = Graycast;

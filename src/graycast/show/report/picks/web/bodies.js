@@ -1,6 +1,6 @@
 "use strict";
-// What moves: the arm's limbs, the tool, the part that it carries; and what stands still.
-// Places are (x, y, z) in millimetres and a unit quaternion (x, y, z, w); matrices go by columns.
+// Moving bodies: the arm's limbs, the tool and the carried part; and fixed bodies.
+// Poses are (x, y, z) in millimetres and a unit quaternion (x, y, z, w); matrices are column-major.
 
 {
   const ARM = [0.66, 0.7, 0.76],
@@ -8,7 +8,7 @@
     BIN = [0.72, 0.58, 0.4],
     TABLE = { light: [0.83, 0.83, 0.81], dark: [0.24, 0.25, 0.27] };
 
-  /** @type {(place: number[]) => Float32Array} a shift, and a quaternion, its real part last */
+  /** @type {(place: number[]) => Float32Array} from a translation and a quaternion, real part last */
   const matrix = ([x, y, z, a, b, c, d]) =>
     Float32Array.of(
       1 - 2 * (b * b + c * c),
@@ -38,7 +38,7 @@
       return sum;
     });
 
-  /** Of a rotation and a shift. */
+  /** Invert a rigid transform. */
   const inverse = (p) => {
     const out = Float32Array.of(
       p[0],
@@ -63,7 +63,7 @@
     return out;
   };
 
-  /** A place between two, quaternions by the straight way: they are 50 ms apart. */
+  /** Interpolate poses, quaternions linearly, which is accurate as they are 50 ms apart. */
   function between(limbs, at, next, share) {
     const out = [];
     for (let k = 0; k < 7; k++) out.push(limbs[at + k] * (1 - share) + limbs[next + k] * share);
@@ -72,7 +72,7 @@
     return out;
   }
 
-  /** Where every limb is at a time: matrices. */
+  /** The poses of all limbs at a time, as matrices. */
   Graycast.limbsAt = (motion, time) => {
     const { time_s, limbs } = motion,
       wide = limbs.length / time_s.length,
@@ -87,7 +87,7 @@
     );
   };
 
-  /** Where the carried part is; null before it is gripped and after it was let go. */
+  /** The pose of the carried part; null before the grip and after the release. */
   Graycast.carried = (motion, time, before) => {
     if (motion.held_until_s === null || motion.held_until_s === undefined) return null;
     const from = motion.time_s[motion.grip];
@@ -97,7 +97,7 @@
     return times(times(now, inverse(then)), matrix(before));
   };
 
-  /** Brings the meshes in, once for the page. */
+  /** Load the meshes once for the page. */
   let meshes = null;
   async function unpacked() {
     const { limbs, parts, bin, table } = Graycast.report;
@@ -114,8 +114,8 @@
   }
 
   /**
-   * What `makeCloud` takes as `bodies`, of a bin that is shown: `now()` gives {content, attempt,
-   * number, motion, time}.
+   * Return the `bodies` of `makeCloud` for a bin; `now()` returns {content, attempt, number, motion,
+   * time}.
    */
   Graycast.makeBodies = async (middle, now) => {
     meshes ??= await unpacked();
@@ -167,7 +167,7 @@
     };
   };
 
-  /** Where a part lies: as before, but one that the tool has lost as it was found next. */
+  /** The pose of a part: unchanged, or for a lost part that in the next scan with it. */
   Graycast.resting = ({ content, attempt, number, motion, time }, k) => {
     const mine = attempt.present[k],
       until = motion.held_until_s ?? Infinity;

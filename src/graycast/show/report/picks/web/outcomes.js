@@ -1,12 +1,12 @@
 "use strict";
-// How attempts end: which ends are looked for, and the buttons that choose them.
+// The outcomes of attempts: the selected ones, and the buttons that select them.
 
 {
   const { el } = Graycast;
   /** @type {Outcomes} */
   const outcomes = /** @type {any} */ ({});
   Graycast.outcomes = outcomes;
-  const chosen = new Set(); // numbers of outcomes; none: all are looked at
+  const chosen = new Set(); // numbers of the selected outcomes; if empty, all are shown
 
   outcomes.of = (k) => Graycast.report.outcomes[k];
   outcomes.named = (name) => Graycast.report.outcomes.find((one) => one.name === name);
@@ -17,7 +17,7 @@
 
   outcomes.swatch = (one) => el("i", { class: "swatch", style: `background:${one.color}` });
 
-  /** A button for every outcome of some counts; `changed` is called after a press. */
+  /** A button for each outcome with its count; `changed` is called after a click. */
   outcomes.buttons = (counts, changed) =>
     Object.entries(counts).map(([name, count]) => {
       const k = outcomes.number(name);

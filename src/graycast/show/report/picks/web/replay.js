@@ -1,5 +1,5 @@
 "use strict";
-// One bin: the robot at work over what it saw, attempt by attempt.
+// One bin: the moving robot over the scans, attempt by attempt.
 
 {
   const { el, outcomes } = Graycast;
@@ -10,15 +10,15 @@
     bin: true,
     pointPaint: "plain",
     pointSize: 2,
-    limit: 1, // of the colours of differences, of which there are none here
+    limit: 1, // This limits the colours of differences, which do not occur here.
     speed: 1,
     goOn: true,
   });
   const SPEEDS = [0.25, 0.5, 1, 2, 4, 8],
     STEP_S = 0.05,
-    REST_MS = 450; // between two attempts
+    REST_MS = 450; // the pause between two attempts
   let open = null; // the bin that is shown
-  let running = 0; // the picture that is asked for, 0 for none
+  let running = 0; // the id of the requested frame, 0 for none
   let waiting = 0; // the timer of the next attempt
 
   Graycast.showScene = async (main, key, isCurrent) => {
@@ -39,7 +39,7 @@
     if (next < bin.attempts.length) bringAttempt(bin, next).catch(() => {});
   };
 
-  /** The first attempt that is looked for. */
+  /** The first attempt with a selected outcome. */
   const start = (bin) => Math.max(bin.attempts.findIndex(outcomes.looked), 0);
 
   const KEPT = 8;
@@ -120,7 +120,7 @@
     player();
   }
 
-  /** Places from which one looks; the robot is behind the bin. */
+  /** The viewpoints; the robot is behind the bin. */
   function seenFrom({ middle, bin, yaw, reach }, scan) {
     const about = (place, more) => ({
       ...more,
@@ -132,7 +132,7 @@
       side: about(middle, { yaw, pitch: 0.08, distance: 4.4 * reach }),
       top: about(bin, { yaw, pitch: 1.55, distance: 3.2 * reach }),
     };
-    const world = Graycast.shapes.pointOf(scan); // all scans are from the same place
+    const world = Graycast.shapes.pointOf(scan); // All scans are from the same viewpoint.
     return {
       middle,
       reach,
@@ -374,7 +374,7 @@
     open.cloud.draw(prefs);
   }
 
-  /** What happens now. */
+  /** Describe the present motion in words. */
   function words() {
     const { motion } = open.scan,
       { outcome } = open.content.attempts[open.number];
@@ -402,7 +402,7 @@
     document.getElementById("play")?.setAttribute("aria-pressed", String(!!running));
   }
 
-  /** The next attempt that is looked for, if all are to be played. */
+  /** Continue with the next selected attempt if all are to be played. */
   function ended() {
     running = 0;
     const next = neighbour(1);
@@ -457,5 +457,5 @@
     return true;
   };
   Graycast.redraw = () => open?.cloud.draw(prefs);
-  Graycast.opened = () => open; // for whoever looks in from the console
+  Graycast.opened = () => open; // for use in the browser's console
 }

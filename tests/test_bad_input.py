@@ -299,7 +299,7 @@ T: [-0.1, 0, 0]
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("K1", "X1", ["no camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
+        ("K1", "X1", ["no camera matrix", "M1 or K1 or cameraMatrix1 or cam_K"]),
         ("[0, 0, 1]]\nT", "[0, 0, 2]]\nT", ["R is not a rotation", "det 2", "all digits"]),
         ("-0.1", "-5.0", ["T has length 5", "--unit"]),
         ("cam_size", "other", ["the camera image size is missing", "cam_size: [width, height]"]),

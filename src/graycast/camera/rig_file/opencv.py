@@ -24,40 +24,17 @@ MAX_SKEW = 1e-6  # Largest accepted skew as a share of the focal length; `Optics
 MIN_BASELINE_M = 0.001  # A smaller baseline means that the unit is wrong.
 _MOST_BYTES = 100_000_000
 
-# Spellings in OpenCV's samples and in public programs for camera-projector calibration, without
-# '_', '-' and spaces. Case matters in names of one or two letters (Kc: matrix, kc: distortion).
-_SPELLINGS = {
-    "camera matrix": "camK cameraK Kcam Kcamera K1 M1 Kc cameraMatrix1 cameraMatrix camInt "
-    "camIntrinsics cameraIntrinsics mtx1 camMtx cameraMtx camMatrix intrinsicMtx1 intrinsic1",
-    "camera distortion": "camKc dc Dc camD camDist cameraDist cameraDistortion D1 d1 kc dist1 "
-    "distCoeffs distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients "
-    "camDistCoeffs",
-    "projector matrix": "proK projK prjK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 "
-    "projInt projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix "
-    "projectorMatrix intrinsicMtx2 intrinsic2",
-    "projector distortion": "proKc projKc prjKc projD projDist projectorDist projectorDistortion "
-    "D2 D4 d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
-    "R": "R Rp Rlp rotation rotationMatrix",
-    "T": "T t Tp Tlp translation translationVector",
-    "camera size": "camSize cameraSize camImageSize cameraImageSize imageSize imageSize1 "
-    "cameraResolution S",
-    "projector size": "proSize projSize prjSize projectorSize projectorImageSize projImageSize "
-    "imageSize2 projectorResolution",
-}
-# SLStudio writes the size of a picture as two numbers.
-_SIDES = {
-    "camera": (("frameWidth", "frameHeight"), ("cameraWidth", "cameraHeight")),
-    "projector": (("screenResX", "screenResY"), ("projectorWidth", "projectorHeight")),
-}
-# SLMaster numbers its devices: 1 left camera, 2 right camera, 3 colour camera, 4 projector.
-_RIGHT_CAMERA = {"M4": "M2", "D4": "D2"}
-_EXAMPLES = {
-    "camera matrix": "cam_K, K1, M1 or cameraMatrix1",
-    "projector matrix": "pro_K, K2, M2 or cameraMatrix2",
-    "R": "R",
-    "T": "T",
-    "camera size": "cam_size: [width, height]",
-    "projector size": "pro_size: [width, height]",
+# The keys of OpenCV's sample stereo_calib, the names in OpenCV's documentation and of the arguments
+# of cv2.stereoCalibrate, and the keys of Moreno and Taubin's projector-camera calibration.
+_KEYS = {
+    "camera matrix": ("M1", "K1", "cameraMatrix1", "cam_K"),
+    "camera distortion": ("D1", "distCoeffs1", "cam_kc"),
+    "projector matrix": ("M2", "K2", "cameraMatrix2", "pro_K"),
+    "projector distortion": ("D2", "distCoeffs2", "pro_kc"),
+    "R": ("R",),
+    "T": ("T",),
+    "camera size": ("image_size", "cam_size"),
+    "projector size": ("proj_size", "pro_size"),
 }
 
 
@@ -73,7 +50,7 @@ def import_opencv(
     """Read an OpenCV stereo calibration of a camera (first) and a projector (second).
 
     The file is OpenCV's FileStorage (YAML, XML, JSON), or nested lists in YAML, JSON or NPZ, with
-    the usual spellings of K, D, R and T and `X_proj = R X_cam + T`. Other keys are ignored.
+    the keys of `_KEYS` and `X_proj = R X_cam + T`. Other keys are ignored.
 
     Args:
         unit: unit of T, one of `UNITS_M`; None is mm if `|T| > 10` and metres if `|T| < 2`.
@@ -112,21 +89,18 @@ def import_opencv(
 def missing_distortions(path: Path) -> tuple[str, ...]:
     """Return a warning for each device whose distortion a calibration file does not state.
 
-    For OpenCV this means a lens without distortion, but the key may have another name. So the
-    warning lists the unknown keys.
+    For OpenCV this means a lens without distortion, but the key may have another name.
 
     Raises:
         ConfigError: the file cannot be read.
     """
     content = _read_calibration(path)
-    understood = {_find(content, role, path) for role in _SPELLINGS}
-    understood |= {key for pairs in _SIDES.values() for pair in pairs for key in pair}
-    other = ", ".join(str(key) for key in content if key not in understood)
-    hint = f"; if it is one of {other}, name it" if other else "; otherwise add it as"
+    known = {key for keys in _KEYS.values() for key in keys}
+    other = ", ".join(str(key) for key in content if key not in known) or "nothing else"
     return tuple(
-        f"{path}: states no distortion of the {device}, so its lens is taken to have none{hint} "
-        f"{example}"
-        for device, example in (("camera", "cam_kc"), ("projector", "pro_kc"))
+        f"{path}: states no distortion of the {device}, so its lens is taken to have none; the "
+        f"distortion is read from {_listed(f'{device} distortion')}, and the file holds {other}"
+        for device in ("camera", "projector")
         if _find(content, f"{device} distortion", path) is None
     )
 
@@ -172,7 +146,7 @@ def _device(
 
 
 def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[float, ...]:
-    """Return (k1, k2, p1, p2, k3); zeros if the file states no distortion, as in OpenCV."""
+    """Return (k1, k2, p1, p2, k3), which are zeros where the file states no distortion."""
     key = _find(content, role, path)
     if key is None:
         return (0.0,) * 5
@@ -186,19 +160,15 @@ def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[floa
 
 
 def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int]:
-    """Return the (width, height) that the file states."""
+    """Return (width, height) as the file states it."""
     key = _find(content, f"{device} size", path)
-    sides = next((pair for pair in _SIDES[device] if set(pair) <= set(content)), None)
-    if key is not None:
-        value, where = content[key], f"{path}: {key}"
-    elif sides is not None:
-        value, where = [content[side] for side in sides], f"{path}: {' and '.join(sides)}"
-    else:
-        example = _EXAMPLES[f"{device} size"]
+    if key is None:
         raise ConfigError(
-            f"{path}: the {device} image size is missing: add {example}, or give it as an option"
+            f"{path}: the {device} image size is missing: add {_listed(f'{device} size')}: "
+            "[width, height], or give it as an option"
         )
-    size = _numbers(value, where).ravel()
+    where = f"{path}: {key}"
+    size = _numbers(content[key], where).ravel()
     if size.shape != (2,) or (size != np.rint(size)).any() or (size < 1).any():
         raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
     return int(size[0]), int(size[1])
@@ -222,18 +192,15 @@ def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) ->
 
 
 def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
-    """Return the key of the file for a role, or None; two keys for one role are an error."""
-    spellings = {_plain(word) for word in _SPELLINGS[role].split()}
-    keys = [key for key in content if isinstance(key, str) and _plain(key) in spellings]
-    keys = [key for key in keys if key not in {_RIGHT_CAMERA.get(other) for other in keys}]
+    """Return the one key of the file that plays a role, or None."""
+    keys = [key for key in _KEYS[role] if key in content]
     if len(keys) > 1:
         raise ConfigError(f"{path}: {' and '.join(keys)} both state the {role}: keep one")
     return keys[0] if keys else None
 
 
-def _plain(key: str) -> str:
-    letters = key.replace("_", "").replace("-", "").replace(" ", "")
-    return letters if len(letters) <= 2 else letters.lower()
+def _listed(role: str) -> str:
+    return " or ".join(_KEYS[role])
 
 
 def _array(
@@ -242,8 +209,11 @@ def _array(
     key = _find(content, role, path)
     if key is None:
         keys = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
-        remedy = f"give it as {_EXAMPLES[role]}, camera and projector in one file"
-        raise ConfigError(f"{path}: no {role} (the file holds {keys}): {remedy}")
+        accepted = ", ".join(" or ".join(_KEYS[name]) for name in _KEYS)
+        raise ConfigError(
+            f"{path}: no {role} (the file holds {keys}): name its key {_listed(role)}; the keys "
+            f"that are read, from camera and projector in one file, are {accepted}"
+        )
     array = _numbers(content[key], f"{path}: {key}")
     if array.shape not in shapes:
         wanted = " or ".join(" x ".join(map(str, shape)) for shape in shapes)
@@ -253,8 +223,6 @@ def _array(
 
 def _numbers(value: Any, where: str) -> Float[np.ndarray, "..."]:
     try:
-        if isinstance(value, Mapping) and "data" in value:  # ROS writes rows, cols and flat data.
-            value = np.reshape(value["data"], (value.get("rows", -1), value.get("cols", 1)))
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{where} is not an array of numbers: give nested lists") from error
@@ -297,7 +265,7 @@ def _read_npz(path: Path) -> Mapping[str, Any]:
 
 
 def _read_file_storage(path: Path) -> Mapping[str, Any]:
-    """Return the matrices, numbers and lists of numbers at the top level of a FileStorage."""
+    """Return matrices, numbers and lists of numbers at the top of an OpenCV FileStorage."""
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:

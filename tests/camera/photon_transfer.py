@@ -1,12 +1,12 @@
 """Photon transfer: a sensor measured from its own flat fields, as a camera laboratory does it.
 
-It looks at the pictures alone. The description of the sensor serves to take them, to know how many
-bits are stored, and to choose exposures; what is returned was fitted.
+Only pictures are evaluated. The description of the sensor is used to take them, for the number of
+stored bits, and to choose exposures; all results are fitted.
 
 Source: EMVA Standard 1288, release 4.0, linear model, with the exposure time varied.
 
-Leaves out: linearity error, spectral sensitivity, defect pixels, and photons: the light is known in
-electrons only, so quantum efficiency is not measured.
+Not measured: linearity error, spectral sensitivity, defect pixels and quantum efficiency, since the
+light is known in electrons and not in photons.
 """
 
 import math
@@ -17,19 +17,19 @@ from jaxtyping import Float, UInt8, UInt16
 
 from graycast.camera.sensor import SensorSpec, expose
 
-LINEAR_SHARE = 0.7  # of saturation, up to which EMVA 1288 fits the gain
-OVEREXPOSURE = 1.2  # of saturation: where the levels end
+LINEAR_SHARE = 0.7  # share of saturation up to which EMVA 1288 fits the gain
+OVEREXPOSURE = 1.2  # share of saturation of the last level
 LIGHT = 1.0  # [W sr^-1 m^-2]
 SHORTEST_S, DOUBLINGS = 1e-6, 32  # the exposures tried for saturation, up to about an hour
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotonTransfer:
-    """What was measured of a sensor whose converter reaches beyond its well.
+    """Measured parameters of a sensor whose converter reaches beyond its well.
 
     `full_well_e` is where the response stops. `saturation_capacity_e` is EMVA's: the signal of
-    greatest variance. Near its well a sensor clips the brightest electrons first, so this lies
-    about 3 sigma of the photon noise lower.
+    greatest variance. Near its well a sensor clips the brightest electrons first, so this is lower
+    by about 3 sigma of the photon noise.
     """
 
     gain_dn_per_e: float
@@ -54,10 +54,10 @@ def photon_transfer(
     """Measure a sensor with flat fields.
 
     Args:
-        seed: of the noise of all pictures.
+        seed: the seed of the noise of all pictures.
         levels: exposure times, evenly spaced from nearly dark to beyond saturation; EMVA asks for
             50 or more.
-        side_px: of the square pictures; the variances are known to `sqrt(2) / side_px`.
+        side_px: side of the square pictures; the variances are known to `sqrt(2) / side_px`.
         stack: pictures averaged for the fixed pattern.
         longest_dark_s: the dark current shows in exposures up to this.
     """
@@ -84,13 +84,13 @@ def photon_transfer(
 
 
 def _slope_through_zero(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
-    """Least squares of `y = slope x`."""
+    """Fit `y = slope x` by least squares."""
     return float(x @ y / (x @ x))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Bench:
-    """A sensor before an evenly lit sphere that can be switched off."""
+    """A sensor in front of an evenly lit sphere that can be switched off."""
 
     sensor: SensorSpec
     side_px: int
@@ -104,13 +104,13 @@ class _Bench:
         return expose(light, None, self.sensor, exposure_s=exposure_s, seed=seed).frames
 
     def pair(self, exposure_s: float, *, radiance: float = LIGHT) -> tuple[float, float]:
-        """Mean and temporal variance from two pictures; their difference has no fixed pattern."""
+        """Return mean and temporal variance of a pair, whose difference has no fixed pattern."""
         first, second = self.flats(exposure_s, 2, radiance=radiance).astype(np.float64)
         return float(first.mean() + second.mean()) / 2, float((first - second).var()) / 2
 
     def saturating_exposure_s(self) -> float:
-        """Where the line through half of the range meets the end of the range."""
-        quick = replace(self, side_px=64)  # means alone, known well enough from few pixels
+        """Return the exposure at which the line through half of the range reaches its end."""
+        quick = replace(self, side_px=64)  # means only, which few pixels give precisely enough
         times_s = [SHORTEST_S * 2**k for k in range(DOUBLINGS)]
         dark_dn = quick.pair(times_s[0], radiance=0.0)[0]
         mean_dn = [quick.pair(time_s)[0] for time_s in times_s]
@@ -119,7 +119,7 @@ class _Bench:
         return times_s[last] / float(share[last])
 
     def dark_line(self, longest_s: float) -> tuple[float, float]:
-        """Slope [DN/s] and start [DN] of the dark signal over the exposure time."""
+        """Return slope [DN/s] and start [DN] of the dark signal over the exposure time."""
         times_s = np.linspace(0.0, longest_s, 9)[1:]
         mean_dn = np.array([self.pair(time_s, radiance=0.0)[0] for time_s in times_s])
         free = mean_dn < 0.5 * self.sensor.saturation_dn
@@ -127,9 +127,9 @@ class _Bench:
         return float(slope), float(start)
 
     def fixed_pattern(self, dark_s: float, half_s: float, stack: int) -> tuple[float, float]:
-        """DSNU [DN] and PRNU [share]: spatial deviation of averaged pictures, dark and half full.
+        """Return DSNU [DN] and PRNU [share]: spatial deviation, dark and half full.
 
-        What temporal noise the averages still hold is taken off; 0 where it is all there is.
+        The temporal noise left in the averages is subtracted; the result is 0 if there is no more.
         """
         dark_dn, dark_dn2 = _spatial(self.flats(dark_s, stack, radiance=0.0))
         half_dn, half_dn2 = _spatial(self.flats(half_s, stack))
@@ -138,7 +138,7 @@ class _Bench:
 
 
 def _spatial(flats: np.ndarray) -> tuple[float, float]:
-    """Mean and spatial variance of averaged pictures, less the temporal variance left in them."""
+    """Return mean and spatial variance of averaged pictures, without the temporal variance left."""
     temporal = flats.var(axis=0, ddof=1, dtype=np.float64).mean() / len(flats)
     average = flats.mean(axis=0, dtype=np.float64)
     return float(average.mean()), float(average.var(ddof=1) - temporal)

@@ -47,7 +47,7 @@ def decode_plain(
     *,
     fine_error: float = FINE_ERROR,
 ) -> CodeMap:
-    """As `decode`."""
+    """Do the same as `decode`, slowly."""
     stack = frames.astype(np.float64)
     high, low = stack.max(axis=0), stack.min(axis=0)
     strength = high - low
@@ -109,7 +109,7 @@ def _say(why, where, reason) -> None:
 
 
 def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
-    """Reasons about a pixel's light take precedence over reasons about its code."""
+    """Give each pixel a reason; reasons of its light come before reasons of its code."""
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
     least = np.float32(spec.min_visibility) * (high - low).astype(np.float32)
     mixed = (why == Reason.DECODED) & (strength.astype(np.float32) < least)
@@ -128,7 +128,7 @@ def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
 
 
 def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
-    """Pixels where a bit and its inverse or threshold, or a frame of a phase, is saturated."""
+    """Return pixels with a saturated frame of a phase, or bit with its inverse or threshold."""
     lost = np.zeros(twice_threshold.shape, dtype=bool)
     alone = [bit for bit in plan.bits if bit.inverse < 0]
     glare = full[[bit.frame for bit in alone]].any(axis=0)
@@ -183,7 +183,7 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
         probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / error / 3, 0) ** 3
         variance += probability * square
         if bit.counts:
-            # In float32, as the fast decoder says it: a signal may lie on the limit itself.
+            # In float32, as in the fast decoder, because a signal may be exactly at the limit.
             costly = np.abs(flipped - value) > plan.reach
             doubt = np.full(high.shape, np.float32(spec.doubt))
             if bit.xor >= 0:
@@ -247,7 +247,7 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, reaso
 
 @np.errstate(divide="ignore", invalid="ignore")
 def _first_phase(stack, period: Period, levels: Levels):
-    """Mean, amplitude, phase in periods, its variance [rad^2], variance of one frame [DN^2]."""
+    """Return mean, amplitude, phase in periods, its variance [rad^2], a frame's variance [DN^2]."""
     frames, delta = stack[list(period.frames)], np.array(period.delta_rad)
     z = np.tensordot(np.exp(1j * delta), frames, axes=1)
     mean, amplitude = frames.mean(axis=0), 2 / len(frames) * np.abs(z)
@@ -287,7 +287,7 @@ def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light, 
 
 
 def _settle(turn, choice, cost, state, lit):
-    """`settling.settle`, over whole pictures: the period of each pixel, and which were settled."""
+    """Do the same as `settling.settle`: return periods, and the settled pixels."""
     was_open = state == OPEN
     state, k = state.copy(), choice[0].copy()
     for _ in range(PASSES):
@@ -325,7 +325,7 @@ def _settle(turn, choice, cost, state, lit):
 
 
 def _vote(turn, k, refused, clear, votes):
-    """`settling.settle_refused`, over whole pictures: the period of each pixel, and the settled."""
+    """Do the same as `settling.settle_refused`: return periods, and the settled pixels."""
     proposals = []
     for dy, dx in product(range(-REACH_PX, REACH_PX + 1), repeat=2):
         if dy or dx:
@@ -343,7 +343,7 @@ def _vote(turn, k, refused, clear, votes):
 
 
 def _beside(dy, dx, *maps):
-    """Maps shifted to a neighbour, and where that neighbour is inside the picture."""
+    """Return maps shifted to a neighbour, and where that neighbour is inside the picture."""
     h, w = maps[0].shape
     y, x = np.mgrid[0:h, 0:w]
     there = (y + dy >= 0) & (y + dy < h) & (x + dx >= 0) & (x + dx < w)

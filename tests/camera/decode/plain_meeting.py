@@ -1,6 +1,6 @@
 """Slow versions of the compiled meeting of rays and planes, in NumPy, for tests to compare with.
 
-Distortion is taken off by OpenCV's own inverse, and put on by its own projection.
+OpenCV's own functions remove the distortion and apply it.
 """
 
 import cv2
@@ -12,7 +12,7 @@ from graycast.rig.optics import picture_rays, project
 
 
 def meet_plain(ray, across, along, rig, i):
-    """Depth, and its change with the position across; `i` is 0 for columns, 1 for rows."""
+    """Return depth and its derivative by the position; `i` is 0 for columns, 1 for rows."""
     projector = rig.projector
     focal = (projector.fx_px, projector.fy_px)
     centre = (projector.cx_px, projector.cy_px)
@@ -39,12 +39,12 @@ def meet_plain(ray, across, along, rig, i):
 
 
 def off_the_line_plain(ray, depth_m, along, rig, i):
-    """Distance of the position along the planes from where the depth puts it [px]."""
+    """Return the distance of the position along the planes from its expected value [px]."""
     return along - _opencv_px(rig, ray * depth_m[:, None])[:, 1 - i]
 
 
 def beside_plain(rig):
-    """Whether both ends of each pixel's ray lie beyond the same side of the projector's picture."""
+    """Whether both ends of a pixel's ray are beyond one side of the projector's picture."""
     ray, end = (
         picture_rays(rig.camera),
         (rig.projector.width_px - 0.5, rig.projector.height_px - 0.5),
@@ -55,7 +55,7 @@ def beside_plain(rig):
 
 
 def _opencv_px(rig, point_m):
-    """Projector positions of points of the camera frame; NaN where the lens model ends."""
+    """Return projector positions of points in the camera frame; NaN outside of the lens model."""
     projector = rig.projector
     point = transform_points(rig.T_proj_cam, point_m)
     known = np.isfinite(project(projector, point)).all(axis=-1)
@@ -66,7 +66,7 @@ def _opencv_px(rig, point_m):
 
 
 def _depth(ray, ideal, T_proj_cam, i, focal_px):
-    """Depth of each ray on the plane of an ideal position, and its change with the position."""
+    """Return the depth of each ray on the plane of an ideal position, and its derivative."""
     rotation, translation = T_proj_cam[:3, :3], T_proj_cam[:3, 3]
     ahead = ray @ rotation[2]
     facing = ray @ rotation[i] - ideal * ahead

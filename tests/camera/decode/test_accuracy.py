@@ -1,4 +1,4 @@
-"""How well places are known: the truth lies where sigma says, for every code, in noise."""
+"""Accuracy of decoded positions: errors agree with sigma for every code and with noise."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ FINE_CODES = {
 
 
 def noisy(code, *, white_dn, seed=1, n=120):
-    """A smooth surface that runs over the picture, lit by `white_dn` (h, 1 or a number)."""
+    """Return pictures of a smooth surface lit by `white_dn` (h, 1 or a number), with noise."""
     rng = np.random.default_rng(seed)
     u = np.linspace(4, code.width_px - 5, 400)[None] + rng.uniform(0, 1, (n, 1))
     light = 60 + white_dn * share_of_white(code, u)
@@ -48,15 +48,15 @@ def deviations(u, codes):
 
 @pytest.mark.parametrize("name", FINE_CODES)
 @pytest.mark.parametrize("white_dn", [pytest.param(300.0, marks=pytest.mark.slow), 3000.0])
-def test_the_truth_lies_within_sigma_as_often_as_it_should(name, white_dn):
-    """Of 48,000 normal deviations 68.3 % are under 1 and 95.4 % under 2, give or take 0.2 %; their
-    mean square is 1, give or take 0.7 %. To it comes the staircase of the projector's pixels,
-    0.004 px (rms) where the finest sigma here, that of the lines in bright light, is 0.010 px.
+def test_errors_of_positions_agree_with_their_stated_sigma(name, white_dn):
+    """Of 48,000 normal deviations, 68.3 % are under 1 and 95.4 % under 2 (+- 0.2 %); their mean
+    square is 1 (+- 0.7 %). The staircase of the projector's pixels adds 0.004 px (rms); the finest
+    sigma here, that of the lines in bright light, is 0.010 px.
     """
     u, codes = noisy(FINE_CODES[name], white_dn=white_dn)
     z, decoded = deviations(u, codes)
     assert decoded > 0.97
-    far = np.abs(z) > 6  # a period miscounted, where noise takes one place's cosines for another's
+    far = np.abs(z) > 6  # wrong periods, where noise exchanges the cosines of two positions
     assert far.mean() < 2e-4
     z = z[~far]
     assert 0.64 < (np.abs(z) < 1).mean() < 0.71
@@ -66,8 +66,8 @@ def test_the_truth_lies_within_sigma_as_often_as_it_should(name, white_dn):
 
 
 @pytest.mark.parametrize("factor", [0.85, 1.15])
-def test_the_check_of_sigma_fails_where_noise_is_15_percent_off(factor):
-    """The same check on a stack whose noise is not what `levels` say."""
+def test_the_check_of_sigma_fails_if_the_noise_differs_by_15_percent(factor):
+    """The same check fails for a stack whose noise differs from that in `levels`."""
     code = FINE_CODES["phase"]
     rng = np.random.default_rng(1)
     u = np.linspace(4, 500, 400)[None] + rng.uniform(0, 1, (120, 1))
@@ -77,7 +77,7 @@ def test_the_check_of_sigma_fails_where_noise_is_15_percent_off(factor):
     assert not abs(np.sqrt(np.mean(z**2)) - 1) < 0.08
 
 
-def test_plain_gray_lies_within_half_a_column_where_no_edge_is_near():
+def test_errors_of_plain_gray_code_are_under_half_a_column_away_from_edges():
     code = gray(512, 384, axes=("column",), inverses=True)
     u, codes = noisy(code, white_dn=1500.0)
     off_px = np.abs(codes.column - u)
@@ -87,14 +87,14 @@ def test_plain_gray_lies_within_half_a_column_where_no_edge_is_near():
     assert sure.mean() > 0.5
     assert (off_px[sure] < 0.5).mean() > 0.998
     assert off_px[sure].max() < 0.55
-    # Doubt in the finest bit costs a column at most, and sigma says so.
+    # A misread finest bit costs one column at most, and sigma includes it.
     assert off_px[known].max() < 1.5
     z, _ = deviations(u, codes)
     assert (np.abs(z) < 2).mean() > 0.99
 
 
 def scatter_over_sigma(code, *, white_dn, disc_px, camera_px, frame_error=0.0):
-    """Root mean square of error over sigma; and the finest bit's modulation, in closed form."""
+    """Return rms error over sigma, and the modulation of the finest bit in closed form."""
     rng = np.random.default_rng(6)
     u = np.linspace(8, 500, 400)[None] + rng.uniform(0, 1, (60, 1))
     light = share_of_white(code, u, camera_px=camera_px, disc_px=disc_px)
@@ -113,11 +113,11 @@ def scatter_over_sigma(code, *, white_dn, disc_px, camera_px, frame_error=0.0):
     ("disc_px", "camera_px", "left"),
     [(0.0, 0.7, 0.95), (1.0, 0.7, 0.69), (1.0, 1.5, 0.57), (1.5, 1.5, 0.35), (4.0, 3.0, -0.02)],
 )
-def test_gray_bits_are_off_by_sigma_whatever_blur_leaves_of_them(
+def test_errors_of_gray_code_agree_with_sigma_for_any_blur(
     inverses, white_dn, disc_px, camera_px, left
 ):
-    """Without the error of fine bits this is 1.7 to 3.3 where blur has taken the finest bit. That
-    error, which these frames do not have, makes it 0.8 where the bit is there.
+    """Without the error of fine bits, the ratio is 1.7 to 3.3 if blur has removed the finest bit.
+    These frames do not have that error, so the ratio is 0.8 if the bit is visible.
     """
     code = gray(512, 384, axes=("column",), inverses=inverses)
     ratio, contrast = scatter_over_sigma(
@@ -128,8 +128,8 @@ def test_gray_bits_are_off_by_sigma_whatever_blur_leaves_of_them(
 
 
 @pytest.mark.parametrize(("disc_px", "left"), [(0.0, 0.78), (1.5, 0.35), (2.1, 0.11), (2.4, 0.01)])
-def test_gray_bits_whose_frames_differ_by_6_percent_are_off_by_sigma(disc_px, left):
-    """Each frame has 4 % of light of its own, so that pattern and inverse differ by 6 %."""
+def test_errors_of_gray_code_agree_with_sigma_if_frames_differ_by_6_percent(disc_px, left):
+    """The light of each frame varies by 4 %, so pattern and inverse differ by 6 %."""
     code = gray(512, 384, axes=("column",), inverses=True)
     error = 0.06 / np.sqrt(2)
     words = {"white_dn": 1500.0, "disc_px": disc_px, "camera_px": 1.5}
@@ -153,10 +153,10 @@ def test_phases_are_ten_times_finer_than_plain_gray_in_the_same_light():
     [(8, 1.0, 0.0, 0.010), (8, 1.5, 0.0, 0.075), (8, 1.5, 1.0, 0.005), (16, 1.5, 0.5, 0.013)],
 )
 @pytest.mark.parametrize("make", [gray_line_shift, gray_phase])
-def test_the_staircase_of_projector_pixels_costs_what_decode_says(
+def test_the_staircase_of_projector_pixels_causes_the_documented_error(
     make, period_px, camera_px, disc_px, error_px
 ):
-    """Without noise; the figures come from the harmonics k P + 1 of a pattern on a pixel grid."""
+    """The figures come from the harmonics k P + 1 of a pattern on a pixel grid, without noise."""
     code = make(64, 8, period_px=float(period_px))
     u = np.linspace(20, 44, 2001)[None]
     light = 60000 * share_of_white(code, u, camera_px=camera_px, disc_px=disc_px)
@@ -165,13 +165,13 @@ def test_the_staircase_of_projector_pixels_costs_what_decode_says(
     assert np.abs(codes.column - u).max() == pytest.approx(error_px, abs=0.002)
 
 
-# --- what a stack may leave out ----------------------------------------------------------------
+# --- frames that a stack may omit ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("inverses", [False, True])
 @pytest.mark.parametrize("size", [(64, 48), (37, 22), (2, 3), (100, 1025)])
 @pytest.mark.parametrize("make", [gray, xor_gray])
-def test_every_projector_pixel_comes_back(make, size, inverses):
+def test_every_projector_pixel_is_decoded_to_itself(make, size, inverses):
     code = make(*size, axes=("column", "row"), inverses=inverses)
     row, column = np.mgrid[0 : size[1], 0 : size[0]]
     codes = decode(crisp(code, column, row), code, USUAL, SENSOR)
@@ -182,7 +182,7 @@ def test_every_projector_pixel_comes_back(make, size, inverses):
 
 
 @pytest.mark.parametrize("make", [gray, gray_phase, gray_line_shift, multi_frequency, micro_phase])
-def test_one_axis_alone_leaves_the_other_unknown(make):
+def test_a_code_of_one_axis_leaves_the_other_axis_unknown(make):
     at = np.linspace(5, 120, 37)[None].repeat(4, axis=0)
     code = make(128, 96, axes=("column",))
     codes = decode(frames_of(1500 * share_of_white(code, at)), code, USUAL, LEVELS)
@@ -194,7 +194,7 @@ def test_one_axis_alone_leaves_the_other_unknown(make):
 
 
 @pytest.mark.parametrize("missing", [1, 2, 3])
-def test_without_the_finest_bits_places_are_middles_of_wider_cells(missing):
+def test_without_the_finest_bits_positions_are_the_centres_of_wider_cells(missing):
     whole = gray(64, 8, axes=("column",), inverses=True)
     frames = tuple(f for f in whole.frames if f.kind != "gray" or f.bit >= missing)
     code = replace(whole, frames=frames)
@@ -205,7 +205,7 @@ def test_without_the_finest_bits_places_are_middles_of_wider_cells(missing):
     assert np.allclose(codes.sigma_column, cell / np.sqrt(12))
 
 
-def test_without_white_and_black_gray_bits_find_their_own_threshold():
+def test_gray_bits_without_white_and_black_frames_use_their_own_threshold():
     whole = gray(64, 48)
     code = replace(whole, frames=whole.frames[2:])
     row, column = np.mgrid[1:48, 1:64]
@@ -213,12 +213,12 @@ def test_without_white_and_black_gray_bits_find_their_own_threshold():
     known = codes.reason == Reason.DECODED
     assert np.array_equal(codes.column[known], column[known])
     assert np.array_equal(codes.row[known], row[known])
-    # Place 42 is 111111 in Gray code: where both are, all frames are bright and nothing is dark.
+    # Position 42 is 111111 in Gray code: if all bits are projected, no frame is dark there.
     assert np.argwhere(~known).tolist() == [[41, 41]]
 
 
-def test_a_code_of_wide_values_beside_the_border_is_read_where_it_lies():
-    """Values 3 px wide from pixel 10 on: a place is the middle of its value."""
+def test_a_code_with_wide_values_that_start_inside_the_picture_is_decoded():
+    """Values are 3 px wide from pixel 10 on; a position is the centre of its value."""
     small = gray(16, 16, axes=("column",))
     code = Code(
         width_px=100,
@@ -247,7 +247,7 @@ TWO_PHASES = two_phases(1000, 96, gray_cell_px=100.0, periods_px=(200 / 3, 100.0
 
 
 def as_complementary(code):
-    """The same pictures, with the finest bit stated as a complementary bit of twice its cells."""
+    """Return the same pictures with the finest bit declared complementary, of twice its cells."""
     frames = []
     for f in code.frames:
         if f.kind == "gray" and f.bit > 0:
@@ -260,10 +260,10 @@ def as_complementary(code):
 
 @pytest.mark.parametrize("power", [1.0, 2.2])
 @pytest.mark.parametrize("state", [lambda code: code, as_complementary])
-def test_wide_gray_cells_and_two_phases_together_say_the_place(power, state):
+def test_wide_gray_cells_and_two_phases_together_give_the_position(power, state):
     """Places with equal phases are 200 px apart, and the cells of 100 px are wider than the shorter
-    period. If light is a power p of the grey level, the cosine's second harmonic is (p - 1) /
-    (p + 2) of the first, and by that sine it moves the phase of three steps.
+    period. If light is a power p of the grey level, the cosine's second harmonic is (p - 1) / (p +
+    2) of the first; it moves the phase of three steps by a sine of this amplitude.
     """
     u = np.linspace(1, 998, 2000)[None].repeat(20, axis=0)
     light = 60 + 1500 * share_of_white(TWO_PHASES, u) ** power
@@ -279,8 +279,8 @@ def test_wide_gray_cells_and_two_phases_together_say_the_place(power, state):
 
 
 @pytest.mark.parametrize("steps", [3, 4])
-def test_one_period_as_wide_as_the_projector_counts_itself(steps):
-    """Only where noise may move the first column to the last is there a doubt."""
+def test_a_single_period_as_wide_as_the_projector_needs_no_gray_code(steps):
+    """Pixels are in doubt only where noise may exchange the first and the last column."""
     code = two_phases(512, 96, gray_cell_px=1.0, periods_px=(512.0,), steps=steps, bits=0)
     u, codes = noisy(code, white_dn=1500.0)
     known = codes.reason == Reason.DECODED
@@ -289,7 +289,7 @@ def test_one_period_as_wide_as_the_projector_counts_itself(steps):
     assert np.abs(z).max() < 6
 
 
-def test_a_stack_of_another_length_is_refused():
+def test_a_stack_with_a_wrong_number_of_frames_is_refused():
     code = gray(32, 16, inverses=True)
     stack = crisp(gray(32, 16), np.array([[5]]), np.array([[3]]))
     with pytest.raises(DecodeError, match="11 frames, the code has 20"):

@@ -1,4 +1,4 @@
-"""Pixels beside the projector's picture have a reason of their own, by geometry alone."""
+"""Pixels outside the projector's picture have their own reason, by geometry alone."""
 
 from dataclasses import replace
 
@@ -18,10 +18,10 @@ def ranged(rig):
     return replace(rig, near_m=0.6, far_m=1.0)
 
 
-def test_parallel_devices_have_a_closed_form():
-    """Oracle: similar triangles. At the depth z a camera pixel lies at x = (u - c) z / f, and the
-    projector lights half of its width times z / f' to either side of its own axis. No depth of the
-    range is lit exactly where neither end is and both are beyond one side.
+def test_pixels_outside_the_projector_s_picture_follow_a_closed_form_for_parallel_devices():
+    """Oracle: similar triangles. At the depth z a camera pixel is at x = (u - c) z / f, and the
+    projector lights half of its width times z / f' on either side of its axis. No depth of the
+    range is lit exactly if both ends of the ray are beyond the same side.
     """
     rig = ranged(
         make_rig(centred(64, 48, 70.0), centred(40, 30, 80.0), baseline_m=(0.06, 0.02, 0.0))
@@ -33,12 +33,12 @@ def test_parallel_devices_have_a_closed_form():
     beside = beside_projector(rig)
     assert 0.3 < never.mean() < 0.9
     assert not (beside & ~never).any()
-    assert (never & ~beside).mean() < 0.02  # lines that pass a corner
+    assert (never & ~beside).mean() < 0.02  # rays through a corner
 
 
 @pytest.mark.parametrize("lens", [(0.0,) * 5, LENS])
-def test_nothing_that_can_be_lit_is_called_beside(lens):
-    """Oracle: 200 places on each ray, projected one by one."""
+def test_no_pixel_that_can_be_lit_is_outside_the_projector_s_picture(lens):
+    """Oracle: 200 points on each ray, projected one by one."""
     rig = ranged(askew_rig(camera=optics(150, 110, 90), projector=optics(31, 26, 44)))
     rig = replace(rig, projector=replace(rig.projector, distortion=lens))
     lit = np.zeros((110, 150), dtype=bool)
@@ -50,7 +50,7 @@ def test_nothing_that_can_be_lit_is_called_beside(lens):
     assert (beside | lit).mean() > 0.95
 
 
-def test_a_dark_pixel_beside_the_field_is_no_shadow_and_a_lit_one_keeps_its_code():
+def test_a_dark_pixel_outside_the_field_is_no_shadow_and_a_lit_one_keeps_its_code():
     rig = ranged(make_rig(centred(64, 48, 70.0), centred(40, 30, 80.0)))
     beside = beside_projector(rig)
     reason = np.full((48, 64), Reason.SHADOW, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Filters of depth maps: surfaces stay, whatever their tilt; what hangs between them goes."""
+"""Filters of depth maps: surfaces stay at any tilt, and points between them are removed."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ OUTLIER = FilterSpec(outlier_sigmas=4.0)
 
 
 def plane(tilt_deg=0.0, azimuth_deg=0.0, *, z_m=0.8):
-    """Depth of a plane through the optical axis at `z_m`: z = z_m n_z / (n . ray)."""
+    """Return the depth of a plane through the optical axis at `z_m`: z = z_m n_z / (n . ray)."""
     tilt, azimuth = math.radians(tilt_deg), math.radians(azimuth_deg)
     n = np.array([math.cos(azimuth), math.sin(azimuth), 0]) * math.sin(tilt)
     n[2] = math.cos(tilt)
@@ -32,7 +32,7 @@ def plane(tilt_deg=0.0, azimuth_deg=0.0, *, z_m=0.8):
 
 
 def depth_map(z_m, *, sigma_m=SIGMA_M, seed=None):
-    """With white noise of that deviation, if a seed is given; NaN is shadow."""
+    """Return a depth map, with white noise of that deviation if a seed is given; NaN is shadow."""
     if seed is not None:
         z_m = z_m + sigma_m * np.random.default_rng(seed).standard_normal(SHAPE)
     known = np.isfinite(z_m)
@@ -45,20 +45,20 @@ def removed(z_m, spec, **noise):
     return filter_depth(depth_map(z_m, **noise), spec, RIG).reason == Reason.OUTLIER
 
 
-# --- all of them -------------------------------------------------------------------------------
+# --- all filters --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("azimuth_deg", [0, 37, 90])
 @pytest.mark.parametrize("tilt_deg", [0, 45, 70])
-def test_a_plane_stays_whole_whatever_its_tilt(tilt_deg, azimuth_deg):
-    """At four sigmas a normal law loses 6 in 100,000 pixels, here 3, to the outlier filter."""
+def test_no_filter_removes_pixels_of_a_plane_at_any_tilt(tilt_deg, azimuth_deg):
+    """At four sigmas, the outlier filter removes 6 of 100,000 normal errors; here, it removes 3."""
     z_m = plane(tilt_deg, azimuth_deg)
     assert not removed(z_m, ALL).any()
     assert removed(z_m, ALL, seed=1).sum() < 12
     assert not removed(z_m, FLYING, seed=1).any()
 
 
-def test_no_filter_is_no_change_and_nothing_is_filled():
+def test_no_filter_changes_depth_if_all_are_off_and_none_fills_holes():
     z_m = plane(30)
     z_m[50:60, 70:90] = np.nan
     noisy = depth_map(z_m, seed=1)
@@ -73,7 +73,7 @@ def test_no_filter_is_no_change_and_nothing_is_filled():
     assert np.array_equal(gone, np.isnan(filtered.sigma_m))
 
 
-def test_maps_that_do_not_fit_are_refused():
+def test_maps_of_different_sizes_are_refused():
     narrow = Optics(width_px=200, height_px=200, fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0)
     with pytest.raises(ValueError, match="240 x 200 px, the rig's camera 200 x 200"):
         filter_depth(depth_map(plane()), ALL, replace(RIG, camera=narrow))
@@ -102,9 +102,9 @@ def test_impossible_filters_are_refused_by_name(name, value):
 
 
 def disc_on_ground(rim_px, *, random):
-    """A disc of 60 px, 50 mm before the ground; its rim, `rim_px` wide, lies between the two.
+    """A disc of 60 px is 50 mm in front of the ground; its rim of `rim_px` is between the two.
 
-    The rim falls outwards, as blur makes it, by shares that scatter a little; or it is random.
+    The depth of the rim falls outwards, as after blur, with small deviations; or it is random.
     """
     y, x = np.indices(SHAPE)
     radius = np.hypot(y - 99.5, x - 119.5)
@@ -117,8 +117,8 @@ def disc_on_ground(rim_px, *, random):
 
 
 @pytest.mark.parametrize("rim_px", [0.7, 1.5])
-def test_flying_pixels_go_from_a_step_in_any_direction_and_the_step_stays(rim_px):
-    """Both flanks of a pixel are 5 mm or more away: 14 pixels, or 86 degrees."""
+def test_flying_pixels_are_removed_from_a_step_in_any_direction_and_its_surfaces_stay(rim_px):
+    """Both surfaces are at least 5 mm away from the pixel: 14 pixels, or 86 degrees."""
     z_m, rim = disc_on_ground(rim_px, random=False)
     gone = removed(z_m, FLYING, seed=2)
     assert gone[rim].mean() > 0.93
@@ -127,7 +127,7 @@ def test_flying_pixels_go_from_a_step_in_any_direction_and_the_step_stays(rim_px
     assert not removed(clean, FLYING, seed=2).any()
 
 
-def test_all_filters_leave_under_3_percent_of_a_step_flying():
+def test_all_filters_together_leave_under_3_percent_of_the_flying_pixels_of_a_step():
     z_m, rim = disc_on_ground(1.5, random=True)
     at_step = ndimage.binary_dilation(rim, iterations=1)
     filtered = filter_depth(depth_map(z_m, seed=2), ALL, RIG)
@@ -135,8 +135,8 @@ def test_all_filters_leave_under_3_percent_of_a_step_flying():
     assert left.sum() < 0.03 * (at_step & (filtered.reason == Reason.DECODED)).sum()
 
 
-def test_a_pixel_that_hangs_behind_an_edge_before_a_shadow_is_flying():
-    """Behind the edge and with nothing beyond; before a hole of two pixels the ground goes on."""
+def test_a_pixel_behind_an_edge_next_to_a_shadow_is_flying():
+    """It is behind the edge without a neighbour beyond; after a hole of two pixels is ground."""
     edge = np.full(SHAPE, 0.8)
     edge[:, 101:140], edge[:, 140:] = np.nan, 0.86
     hanging = edge.copy()
@@ -150,7 +150,7 @@ def test_a_pixel_that_hangs_behind_an_edge_before_a_shadow_is_flying():
     assert not removed(ground, FLYING).any()
 
 
-def test_a_thin_wire_and_a_smooth_slope_beyond_the_limit_are_no_flying_pixels():
+def test_a_thin_wire_and_a_smooth_steep_slope_are_not_flying_pixels():
     wire = plane()
     wire[:, 100] -= 0.02
     assert not removed(wire, FLYING).any()
@@ -158,8 +158,8 @@ def test_a_thin_wire_and_a_smooth_slope_beyond_the_limit_are_no_flying_pixels():
     assert not removed(plane(80), FLYING, seed=3).any()
 
 
-def test_a_flank_of_more_than_a_few_pixels_is_a_surface_and_no_step():
-    """Between two levels at 84 degrees; from four pixels on, its ends lie out of reach."""
+def test_a_steep_flank_of_several_pixels_is_a_surface():
+    """It is between two levels at 84 degrees; from four pixels on, its ends are out of reach."""
     for width_px, stays in ((2, False), (8, True)):
         fall = np.clip(np.arange(240) - 100, 0, width_px) * 3.5e-3
         assert removed(plane() + fall, FLYING).any() != stays
@@ -171,8 +171,8 @@ def test_coarse_depth_within_its_own_uncertainty_is_not_steep():
     assert not removed(stairs, FLYING, sigma_m=2e-3 / math.sqrt(12)).any()
 
 
-def test_noise_of_three_deviations_of_a_difference_makes_no_flank_steep():
-    """One pixel hangs in the middle of a step; each flank is the limit and so many deviations.
+def test_a_slope_within_three_deviations_of_noise_is_not_steep():
+    """A pixel is in the middle of a step; each slope is the limit plus some deviations of noise.
 
     The limit is tan(75) times a pixel's width at that depth; two pixels differ by sqrt(2) sigma.
     """
@@ -192,7 +192,7 @@ def test_noise_of_three_deviations_of_a_difference_makes_no_flank_steep():
 
 @pytest.mark.parametrize("tilt_deg", [0, 60])
 @pytest.mark.parametrize("spike_sigmas", [-12.0, 9.0, 200.0])
-def test_lone_spikes_go_and_their_neighbours_stay(tilt_deg, spike_sigmas):
+def test_single_outliers_are_removed_and_their_neighbours_stay(tilt_deg, spike_sigmas):
     z_m = plane(tilt_deg, 30)
     spikes = np.zeros(SHAPE, dtype=bool)
     spikes[5::13, 7::17] = True
@@ -201,8 +201,8 @@ def test_lone_spikes_go_and_their_neighbours_stay(tilt_deg, spike_sigmas):
     assert gone[~spikes].mean() < 3e-4
 
 
-def test_a_detail_is_four_pixels_that_bear_each_other_out():
-    """Each of two by two has three others at its depth; of three in a corner each has two."""
+def test_a_group_of_four_pixels_at_one_depth_is_not_an_outlier():
+    """Each of 2 x 2 pixels has three others at its depth; each of three in a corner has two."""
     z_m = plane(30)
     z_m[40:42, 60:62] -= 0.02
     assert not removed(z_m, OUTLIER).any()
@@ -210,7 +210,7 @@ def test_a_detail_is_four_pixels_that_bear_each_other_out():
     assert np.argwhere(removed(z_m, OUTLIER)).tolist() == [[40, 60], [40, 61], [41, 60]]
 
 
-def test_a_spike_smaller_than_the_share_of_depth_stays():
+def test_a_deviation_smaller_than_the_limit_relative_to_depth_stays():
     z_m = plane()
     z_m[50, 50] += 2e-4
     z_m[90, 90] += 4e-4
@@ -219,11 +219,11 @@ def test_a_spike_smaller_than_the_share_of_depth_stays():
 
 
 def test_steps_corners_and_wires_are_not_outliers():
-    """But for the last pixel of a wire, which two others support: the same as in a lone clump."""
+    """Only the last pixel of a wire is one, since it has two neighbours at its depth."""
     detail = plane(30)
     detail[40:80, 40:80] -= 0.03  # a block with corners
     detail[100:180, 100] -= 0.02  # a wire
-    detail[np.arange(100, 150), np.arange(150, 200)] -= 0.02  # one in the diagonal
+    detail[np.arange(100, 150), np.arange(150, 200)] -= 0.02  # a diagonal wire
     detail[20:23, 200:203] -= 0.01
     ends = [[100, 100], [100, 150], [149, 199], [179, 100]]
     assert np.argwhere(removed(detail, OUTLIER)).tolist() == ends
@@ -231,9 +231,9 @@ def test_steps_corners_and_wires_are_not_outliers():
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 60])
-def test_repaired_outliers_get_the_surfaces_depth_and_leave_no_pepper(tilt_deg):
-    """200 lone spikes: without repair a hole each. The median of 24 normal numbers scatters by
-    1.25 / sqrt(24) of their deviation, its slopes from neighbours add a little.
+def test_repaired_outliers_get_the_depth_of_the_surface_without_extra_noise(tilt_deg):
+    """Each of 200 outliers becomes a hole without repair. The median of 24 normal numbers has a
+    deviation of 1.25 / sqrt(24) of theirs; the estimated slopes add a little.
     """
     clean = plane(tilt_deg, 37)
     spike = np.zeros(SHAPE, dtype=bool)
@@ -252,8 +252,8 @@ def test_repaired_outliers_get_the_surfaces_depth_and_leave_no_pepper(tilt_deg):
     assert np.array_equal(filtered.depth_m[untouched], noisy.depth_m[untouched])
 
 
-def test_an_outlier_that_no_whole_surface_surrounds_goes_in_spite_of_repair():
-    """At a step there are two depths that it could have."""
+def test_an_outlier_without_a_whole_surface_around_it_is_removed_even_with_repair():
+    """At a step, it could have one of two depths."""
     z_m = plane()
     z_m[:, 120:] += 0.05
     z_m[100, 119] += 0.02
@@ -270,8 +270,8 @@ def test_an_outlier_that_no_whole_surface_surrounds_goes_in_spite_of_repair():
 
 
 @pytest.mark.parametrize("edge_px", [1.0, 1.5, 3.0])
-def test_edges_go_as_far_as_their_distance_and_the_picture_s_border_stays(edge_px):
-    """Against a distance transform of each surface: a wavy step of 3 cm, and a hole."""
+def test_edges_are_removed_up_to_their_distance_but_not_at_the_picture_s_border(edge_px):
+    """Oracle: a distance transform of each surface; a wavy step of 3 cm, and a hole."""
     row, column = np.indices(SHAPE)
     near = column < 120 + 10 * np.sin(row / 9)
     hole = np.hypot(row - 60, column - 60) < 5
@@ -293,7 +293,7 @@ def small_parts(mask, below_px):
 
 @pytest.mark.parametrize("island_px", [2, 30, 200])
 def test_islands_smaller_than_the_limit_go_and_no_other_pixel(island_px):
-    """Oracle: SciPy's labels of each of two levels of a percolating random pattern."""
+    """Oracle: SciPy's labels for each of two levels of a percolating random pattern."""
     rng = np.random.default_rng(6)
     known, high = rng.random(SHAPE) < 0.9, rng.random(SHAPE) < 0.7
     z_m = np.where(known, np.where(high, plane(10), plane(10) + 0.05), np.nan)
@@ -307,7 +307,7 @@ def test_islands_smaller_than_the_limit_go_and_no_other_pixel(island_px):
 
 
 def gauss(smoothing_px):
-    """The kernel as described: a Gaussian down to 1 % of its middle."""
+    """Return the kernel as documented: a Gaussian down to 1 % of its maximum."""
     y, x = np.indices((41, 41)) - 20
     kernel = np.exp(-(x**2 + y**2) / (2 * smoothing_px**2))
     kernel[kernel < 0.01] = 0
@@ -319,7 +319,7 @@ def gauss(smoothing_px):
 def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
     tilt_deg, smoothing_px
 ):
-    """Closed form: variance sum k^2; correlation the kernel's own. Tolerance: 4 standard errors."""
+    """Closed form: variance sum k^2, the kernel's correlation. Tolerance: 4 standard errors."""
     z_m = plane(tilt_deg, 20)
     kernel = gauss(smoothing_px)
     law = signal.correlate2d(kernel, kernel, mode="full")
@@ -338,8 +338,8 @@ def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
         assert 0.2 < lag_1 < 0.5
 
 
-def test_the_stated_sigma_is_that_of_the_error_at_holes_and_borders_too():
-    """Uneven sigma, many holes: error over stated sigma is standard normal."""
+def test_the_stated_sigma_agrees_with_the_error_also_at_holes_and_borders():
+    """With uneven sigma and many holes, error over stated sigma is standard normal."""
     rng = np.random.default_rng(8)
     z_m, sigma_m = plane(50, 70), SIGMA_M * rng.uniform(0.5, 2.0, SHAPE)
     z_m = np.where(rng.random(SHAPE) < 0.3, np.nan, z_m)
@@ -351,8 +351,8 @@ def test_the_stated_sigma_is_that_of_the_error_at_holes_and_borders_too():
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 60])
-def test_a_plane_is_not_bent_by_its_borders(tilt_deg):
-    """A one-sided mean would pull the border in by a good part of a pixel's slope, 0.3 mm."""
+def test_smoothing_does_not_bend_a_plane_at_its_borders(tilt_deg):
+    """A one-sided mean would move the border by much of a pixel's slope, 0.3 mm."""
     z_m = plane(tilt_deg)
     z_m[:, 100:120] = np.nan
     smooth = filter_depth(depth_map(z_m), FilterSpec(smoothing_px=1.5), RIG)
@@ -361,8 +361,8 @@ def test_a_plane_is_not_bent_by_its_borders(tilt_deg):
 
 
 @pytest.mark.parametrize("step_m", [2e-3, 20e-3])
-def test_steps_stay_where_and_as_high_as_they_are(step_m):
-    """Twenty sigmas is a step, however few degrees it makes from pixel to pixel."""
+def test_smoothing_keeps_the_place_and_the_height_of_steps(step_m):
+    """A difference of twenty sigmas is a step at any slope in degrees."""
     z_m = plane()
     z_m[:, 120:] += step_m
     smooth = filter_depth(depth_map(z_m, seed=10), FilterSpec(smoothing_px=1.0), RIG)

@@ -1,4 +1,4 @@
-"""The fast meeting of rays and planes is the plain one."""
+"""The fast intersection of rays and planes agrees with the plain one."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from graycast.rig.optics import mask_points, mask_rays, picture_rays, points, ra
 
 
 def positions(rig, coded, seed):
-    """Rays and positions of a thousand pixels; a third lacks the position along the planes."""
+    """Return rays and positions of a thousand pixels; a third has no position along the planes."""
     rng = np.random.default_rng(seed)
     count, projector = 1000, rig.projector
     camera_px = rng.uniform(0, [rig.camera.width_px - 1, rig.camera.height_px - 1], (count, 2))
@@ -27,8 +27,8 @@ def positions(rig, coded, seed):
 
 @pytest.mark.parametrize("coded", [0, 1])
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BEAM])
-def test_the_compiled_meeting_is_the_plain_one(coded, distortion):
-    """To 1e-9, as OpenCV takes the distortion off by iteration."""
+def test_the_compiled_intersection_agrees_with_the_plain_one(coded, distortion):
+    """The tolerance is 1e-9, because OpenCV removes distortion by iteration."""
     rig = askew_rig(projector=optics(64, 48, 52, distortion=distortion))
     ray, across, along = positions(rig, coded, seed=coded)
     depth_m, slope_m, off_px = np.empty((3, len(ray)))
@@ -55,7 +55,7 @@ def test_a_lens_without_an_inverse_is_reported(coded):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BEAM])
-def test_the_compiled_field_is_the_plain_one(distortion):
+def test_the_compiled_field_agrees_with_the_plain_one(distortion):
     """The projector's picture ends inside the camera's on two or more sides."""
     rig = askew_rig(
         camera=optics(150, 110, 90, distortion=LENS),
@@ -68,8 +68,8 @@ def test_the_compiled_field_is_the_plain_one(distortion):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, LENS])
-def test_rays_and_points_of_a_mask_are_those_of_the_picture(distortion):
-    """The pixels of a mask come row by row; one alone has the ray that its position has."""
+def test_rays_and_points_of_a_mask_agree_with_those_of_the_picture(distortion):
+    """The pixels of a mask are in row order; a single pixel has the ray of its position."""
     camera = optics(20, 14, 30, distortion=distortion)
     rng = np.random.default_rng(2)
     mask, depth_m = rng.random((14, 20)) < 0.4, rng.uniform(0.5, 2.0, (14, 20))

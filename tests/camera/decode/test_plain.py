@@ -1,4 +1,4 @@
-"""The fast decoder is the plain one: every code, true stacks and nonsense, 8 and 16 bit."""
+"""The fast decoder agrees with the plain one: all codes, valid and random stacks, 8 and 16 bit."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ LEVELS_8 = Levels(offset_dn=0.0, saturation_dn=255.0, floor_dn2=0.17, slope_dn=0
 
 
 def half_nonsense(code, levels, dtype):
-    """Random stacks reach every branch, but mostly say nothing; 70 % of the pixels are codes."""
+    """Return a stack with valid codes in 70 % of the pixels, and random values elsewhere."""
     rng = np.random.default_rng(7)
     h, w, n = 23, 31, len(code.frames)
     top = levels.saturation_dn
@@ -61,7 +61,7 @@ SPECS = (
 
 @pytest.mark.parametrize("name", GRAY)
 @pytest.mark.parametrize(("levels", "dtype"), [(LEVELS_8, np.uint8), (LEVELS, np.uint16)])
-def test_a_gray_code_is_read_bit_for_bit_as_the_plain_decoder_reads_it(name, levels, dtype):
+def test_both_decoders_read_a_gray_code_bit_for_bit_alike(name, levels, dtype):
     code = GRAY[name]
     stack = half_nonsense(code, levels, dtype)
     for spec in SPECS:
@@ -78,8 +78,8 @@ def test_a_gray_code_is_read_bit_for_bit_as_the_plain_decoder_reads_it(name, lev
 
 @pytest.mark.parametrize("name", PHASE)
 @pytest.mark.parametrize(("levels", "dtype"), [(LEVELS_8, np.uint8), (LEVELS, np.uint16)])
-def test_phases_are_read_as_the_plain_decoder_reads_them_to_single_precision(name, levels, dtype):
-    """The fast one computes in float32: a place of 90 px is known to 1e-5 px there."""
+def test_both_decoders_agree_about_phases_to_single_precision(name, levels, dtype):
+    """The fast one computes in float32, in which a position of 90 px is precise to 1e-5 px."""
     code = PHASE[name]
     stack = half_nonsense(code, levels, dtype)
     for spec in SPECS:
@@ -95,7 +95,7 @@ def test_phases_are_read_as_the_plain_decoder_reads_them_to_single_precision(nam
             np.testing.assert_allclose(getattr(fast, sigma), getattr(plain, sigma), rtol=1e-3)
 
 
-def test_a_stack_in_another_memory_order_reads_alike():
+def test_the_memory_order_of_a_stack_does_not_change_its_decoding():
     code = gray(37, 22)
     stack = half_nonsense(code, LEVELS_8, np.uint8)
     turned = np.asfortranarray(stack)
@@ -104,7 +104,7 @@ def test_a_stack_in_another_memory_order_reads_alike():
 
 
 def test_kernels_are_compiled_once_for_each_type_of_value():
-    """A stack that is frozen, or of one period or several, asks for no version of its own; each
+    """Read-only stacks, or those of one or several periods, need no version of their own; each
     costs seconds in a fresh installation."""
     for name in ("phase", "three frequencies"):
         for dtype, levels in ((np.uint8, LEVELS_8), (np.uint16, LEVELS)):

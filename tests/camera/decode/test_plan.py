@@ -94,18 +94,18 @@ def is_complementary(f):
         ),
     ],
 )
-def test_a_list_of_frames_that_cannot_be_read_is_refused_by_what_is_missing(code, message):
+def test_a_list_of_frames_that_cannot_be_decoded_is_refused_with_what_is_missing(code, message):
     with pytest.raises(DecodeError, match=message):
         plan_axes(code, fine_bits=3)
 
 
 @pytest.mark.parametrize("code", [GRAY, PHASE, multi_frequency(128, 96), micro_phase(128, 96)])
-def test_the_codes_as_they_are_made_can_be_read(code):
+def test_the_built_in_codes_can_be_decoded(code):
     assert set(plan_axes(code, fine_bits=3)) == {"column"}
 
 
-def test_which_bits_may_be_in_doubt_follows_from_what_doubt_would_cost():
-    """Plain: the three finest. Under a phase: those whose doubt moves less than half a period."""
+def test_bits_may_be_in_doubt_if_a_misread_one_costs_little():
+    """Plain code: the three finest. With a phase: those that cost less than half a period."""
     assert [b.counts for b in plan_axes(GRAY, 3)["column"].bits] == [True] * 3 + [False] * 3
     assert all(b.counts for b in plan_axes(PHASE, 3)["column"].bits)
     phase = tuple(f for f in PHASE.frames if f.kind == "phase")

@@ -1,4 +1,4 @@
-"""Why a pixel has no place: each reason by a pixel made for it, and which reason comes first."""
+"""Reasons of pixels without a position: a pixel made for each reason, and the order of reasons."""
 
 import pickle
 import re
@@ -20,7 +20,7 @@ USUAL = DecodeSpec()
 
 
 def one_pixel(code, *, at=5, change=None, sensor=SENSOR, spec=USUAL, **levels):
-    """Reason of a pixel that sees projector pixel (at, 3), its stack changed by a function."""
+    """Return the reason of a pixel that sees projector pixel (at, 3), with a changed stack."""
     stack = crisp(code, np.array([[at]]), np.array([[3]]), **levels)
     if change is not None:
         change(stack[:, 0, 0])
@@ -44,9 +44,9 @@ def test_a_pixel_has_low_modulation_when_its_contrast_is_under_the_share_of_the_
     assert one_pixel(code, dark=50, bright=76, spec=spec) is Reason.DECODED
 
 
-def test_a_pixel_has_low_modulation_when_its_contrast_is_under_its_noise_times_min_sigmas():
+def test_a_pixel_has_low_modulation_when_its_contrast_is_under_min_sigmas_times_its_noise():
     """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN, at 150 DN 3.89 DN: a share of the
-    range would ask as much of both.
+    range would be one limit for both.
     """
     code = gray(32, 16)
     spec = DecodeSpec(min_contrast=0.001, min_sigmas=10.0)
@@ -57,14 +57,14 @@ def test_a_pixel_has_low_modulation_when_its_contrast_is_under_its_noise_times_m
 
 
 def test_a_pixel_is_in_shadow_when_its_frames_differ_by_noise_only():
-    """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN; six of it are 13.6 DN."""
+    """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN; six times that is 13.6 DN."""
     code = gray(32, 16)
     assert one_pixel(code, dark=0, bright=0) is Reason.SHADOW
     assert one_pixel(code, dark=50, bright=63) is Reason.SHADOW
     assert one_pixel(code, dark=50, bright=64) is Reason.DECODED
 
 
-def test_noise_alone_is_called_shadow_and_hardly_ever_a_code():
+def test_pure_noise_is_called_shadow_and_hardly_ever_decoded():
     code = gray_phase(256, 192, inverses=True)
     rng = np.random.default_rng(3)
     stack = frames_of(np.full((len(code.frames), 100, 200), 400.0), rng)
@@ -73,7 +73,7 @@ def test_noise_alone_is_called_shadow_and_hardly_ever_a_code():
     assert (reason == Reason.DECODED).mean() < 0.002
 
 
-def test_a_phase_without_amplitude_has_low_modulation_though_its_gray_bits_are_bright():
+def test_a_phase_without_amplitude_has_low_modulation_even_if_its_gray_bits_are_bright():
     code = gray_phase(256, 192)
 
     def flatten(stack):
@@ -85,10 +85,10 @@ def test_a_phase_without_amplitude_has_low_modulation_though_its_gray_bits_are_b
     assert one_pixel(code, change=flatten) is Reason.LOW_MODULATION
 
 
-def test_a_pixel_that_sees_two_surfaces_contradicts_itself_where_its_stripes_have_little_contrast():
+def test_a_pixel_that_sees_two_surfaces_is_contradictory_if_its_stripes_have_little_contrast():
     """Two phases, half a period apart, cancel each other while all bits are the same for both.
 
-    A share f of the light is of the other place, so the contrast of the stripes is 1 - 2 f.
+    A share f of the light is from the other position, so the stripes' contrast is 1 - 2 f.
     """
     code = gray_phase(256, 192, axes=("column",))
 
@@ -109,13 +109,13 @@ def test_a_pixel_that_sees_two_surfaces_contradicts_itself_where_its_stripes_hav
 
 WELL = SensorSpec(
     offset_dn=10.0, gain_dn_per_e=0.1003, full_well_e=1000.0, read_noise_e=0.1, bit_depth=8
-)  # full at 110.26 DN, which the sensor stores as 110
+)  # saturated at 110.26 DN, which the sensor stores as 110
 
 
 @pytest.mark.parametrize(("sensor", "full"), [(SENSOR, 255), (WELL, 110)])
 @pytest.mark.parametrize("inverses", [False, True])
-def test_frames_at_the_top_are_information_and_no_verdict(sensor, full, inverses):
-    """White frame, coarse bit, phase-free: each bit still says on which side of its middle it is.
+def test_saturated_frames_alone_do_not_make_a_pixel_saturated(sensor, full, inverses):
+    """White frame, coarse bit, phase-free: each bit is still clearly above or below its threshold.
 
     Pixel 96 is 1010000 in Gray code: its narrow stripes are dark.
     """
@@ -129,7 +129,7 @@ def test_frames_at_the_top_are_information_and_no_verdict(sensor, full, inverses
 
 
 @pytest.mark.parametrize("bit", range(7))
-def test_a_bit_is_lost_where_it_and_its_inverse_are_at_the_top(bit):
+def test_a_bit_is_saturated_if_it_and_its_inverse_are(bit):
     code = gray(128, 16, axes=("column",), inverses=True)
     pair = [frame_index(code, "column", bit, inverse) for inverse in (False, True)]
 
@@ -143,10 +143,10 @@ def test_a_bit_is_lost_where_it_and_its_inverse_are_at_the_top(bit):
     assert one_pixel(code, change=the_lit_one) is Reason.DECODED
 
 
-def test_without_inverse_a_narrow_stripe_over_a_threshold_that_is_at_the_top_is_lost():
-    """Lit stripes at the top hide how bright white is, and blur brings narrow ones near its middle.
+def test_a_narrow_lit_stripe_without_inverse_is_saturated_if_its_threshold_is():
+    """Saturated stripes hide the brightness of white, and blur moves narrow ones to its middle.
 
-    White alone does not: the lit stripes show it.
+    A saturated white frame alone does not: the lit stripes show the brightness.
     """
     code = gray(128, 16, axes=("column",))
     assert one_pixel(code, at=97, bright=255) is Reason.SATURATED  # 1010001: its finest bit is lit
@@ -157,7 +157,7 @@ def test_without_inverse_a_narrow_stripe_over_a_threshold_that_is_at_the_top_is_
     assert one_pixel(code, at=97, change=white) is Reason.DECODED
 
 
-def test_a_phase_is_lost_where_one_of_its_own_frames_is_at_the_top():
+def test_a_phase_is_saturated_if_one_of_its_frames_is():
     code = gray_phase(256, 64, steps=8, inverses=True)
 
     def glare(kinds):
@@ -177,8 +177,8 @@ def test_a_phase_is_lost_where_one_of_its_own_frames_is_at_the_top():
             assert one_pixel(code, change=one) is Reason.SATURATED
 
 
-def test_what_does_not_decode_is_saturated_where_a_frame_that_is_read_is_at_the_top():
-    """A white frame beside inverses and phases is not read, and is no reason."""
+def test_a_pixel_that_cannot_be_decoded_is_saturated_if_a_frame_that_the_decoder_uses_is():
+    """A white frame is not used if there are inverses and phases, so it is no reason."""
     code = gray_phase(256, 64, steps=8, inverses=True)
     phases = [k for k, f in enumerate(code.frames) if f.kind == "phase"]
 
@@ -199,9 +199,9 @@ def test_what_does_not_decode_is_saturated_where_a_frame_that_is_read_is_at_the_
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_bright_metal_decodes_where_only_its_gray_bits_are_at_the_top(inverses):
-    """White light from 0.5 to 1.6 of the range; phases through a lens out of focus, so that their
-    peak is at 0.93 of white. Where no phase is at the top all decodes, and all is right.
+def test_bright_metal_is_decoded_where_only_its_gray_bits_are_saturated(inverses):
+    """White light is 0.5 to 1.6 of the range; a lens out of focus lowers the peak of the phases to
+    0.93 of white. Where no phase is saturated, all pixels are decoded, and correctly.
     """
     code = gray_phase(512, 384, inverses=inverses)
     u = np.linspace(8, 500, 400)[None].repeat(120, axis=0)
@@ -213,7 +213,7 @@ def test_bright_metal_decodes_where_only_its_gray_bits_are_at_the_top(inverses):
     phases = [k for k, f in enumerate(code.frames) if f.kind == "phase"]
     lost = full[phases].any(axis=0)
     shiny = full.any(axis=0) & ~lost
-    assert shiny.mean() > 0.05  # once refused, all of them
+    assert shiny.mean() > 0.05  # earlier versions refused all of them
     assert (codes.reason[shiny] == Reason.DECODED).mean() > 0.999
     assert (codes.reason[lost] == Reason.SATURATED).all()
     off_px = np.abs(codes.column - u)[codes.reason == Reason.DECODED]
@@ -221,8 +221,8 @@ def test_bright_metal_decodes_where_only_its_gray_bits_are_at_the_top(inverses):
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_two_doubtful_coarse_bits_contradict_each_other_and_one_at_its_edge_does_not(inverses):
-    """Pixel 127 lies at the edge of bit 7 of 256 columns, where no other bit turns over."""
+def test_two_doubtful_coarse_bits_are_contradictory_but_one_at_its_edge_is_not(inverses):
+    """Pixel 127 is at the edge of bit 7 of 256 columns, where no other bit changes."""
     code = gray(256, 16, inverses=inverses)
 
     def doubt(*bits, axis="column"):
@@ -248,9 +248,9 @@ def test_two_doubtful_coarse_bits_contradict_each_other_and_one_at_its_edge_does
     assert one_pixel(code, at=127, change=doubt(1, 0), spec=strict) is Reason.CONTRADICTORY
 
 
-def test_a_coarse_bit_in_doubt_far_from_its_edges_is_light_from_elsewhere():
-    """Misread, it would cost 2 |u - edge| columns. On the sea shell four of five such pixels were
-    wrong by columns, of all pixels one in six.
+def test_a_coarse_bit_in_doubt_far_from_its_edges_is_caused_by_indirect_light():
+    """If misread, it costs 2 |u - edge| columns. On the sea shell, four of five such pixels were
+    wrong by columns, but only one in six of all pixels.
     """
     code = gray(256, 16)
 
@@ -263,25 +263,25 @@ def test_a_coarse_bit_in_doubt_far_from_its_edges_is_light_from_elsewhere():
 
 
 def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
-    """At the border of a period it may: the phase says which side it is."""
+    """It may be in doubt at the border of a period, where the phase tells the side."""
     code = gray_phase(256, 64, period_px=16.0)
 
     def doubt(stack):
         stack[frame_index(code, "column", 0)] = 110
 
     assert one_pixel(code, at=40, change=doubt) is not Reason.DECODED
-    assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 turns over there
+    assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 changes there
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_a_phase_may_lie_an_eighth_of_a_period_outside_of_its_gray_cell(inverses):
+def test_a_phase_may_be_an_eighth_of_a_period_outside_its_gray_cell(inverses):
     """Cells are half a period, 8 px: a phase within 6 px of a cell's middle belongs to it.
 
-    Gray bits stay, and the cosines move: light from elsewhere does that.
+    The Gray bits are unchanged and the cosines are moved, as by indirect light.
     """
     code = gray_phase(256, 64, period_px=16.0, inverses=inverses)
     phases = [k for k, frame in enumerate(code.frames) if frame.kind == "phase"]
-    middle_px = 99.5  # of the cell from 95.5 to 103.5
+    middle_px = 99.5  # for the cell from 95.5 to 103.5
     for off_px, reason in (
         (0.0, Reason.DECODED),
         (5.7, Reason.DECODED),
@@ -300,10 +300,10 @@ def test_a_phase_may_lie_an_eighth_of_a_period_outside_of_its_gray_cell(inverses
 @pytest.mark.parametrize(
     ("off_rad", "reason"), [(0.14, Reason.DECODED), (0.18, Reason.CONTRADICTORY)]
 )
-def test_phases_that_are_three_deviations_apart_contradict_each_other(off_rad, reason):
-    """Deviations are 0.05 rad of the model and 0.016 of noise: 0.158 rad is three of them.
+def test_phases_that_differ_by_three_deviations_are_contradictory(off_rad, reason):
+    """Deviations are 0.05 rad (model) and 0.016 rad (noise): three of them are 0.158 rad.
 
-    The longer two periods are moved against the shortest, which says where in a period it is.
+    The two longer periods are moved against the shortest, which gives the position in a period.
     """
     code, place, share = multi_frequency(512, 384), 200.3, []
     shortest_px = min(f.period_px for f in code.frames if f.kind == "phase")
@@ -319,7 +319,7 @@ def test_phases_that_are_three_deviations_apart_contradict_each_other(off_rad, r
     assert Reason(codes.reason[0, 0]) is reason
 
 
-def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
+def test_a_code_without_a_projector_column_is_outside_the_projector():
     """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
     code = gray(20, 16)
 
@@ -330,8 +330,8 @@ def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     assert one_pixel(code, change=change) is Reason.OUTSIDE_PROJECTOR
 
 
-def test_of_what_does_not_decode_saturated_comes_before_all():
-    """A pixel that is full in all frames shows no contrast, and is no shadow for it."""
+def test_saturation_comes_before_all_other_reasons_of_a_pixel_without_a_position():
+    """A pixel that is saturated in all frames has no contrast, but is not called shadow."""
     code = gray(256, 16)
 
     def change(stack):
@@ -346,12 +346,12 @@ def test_of_what_does_not_decode_saturated_comes_before_all():
     assert one_pixel(code, change=glare) is Reason.SATURATED
 
 
-# --- light from elsewhere --------------------------------------------------------------------
+# --- indirect light -----------------------------------------------------------------------------
 
 
 def mirrored(code, u, *, ratio):
-    """Two facing stripes: each point also gets, over a window 40 px wide, light meant for the
-    place mirrored in the picture's middle, `ratio` times its own.
+    """Two facing stripes: each point also receives, over a window 40 px wide, light meant for the
+    position mirrored in the picture's middle, `ratio` times its own light.
     """
     mirror = code.width_px - 1 - u
     own = share_of_white(code, u, camera_px=0, disc_px=0)
@@ -360,22 +360,22 @@ def mirrored(code, u, *, ratio):
 
 
 def coarse_bits_differ(u, width):
-    """Whether a bit of stripes wider than the window is another at the mirrored place."""
+    """Whether a bit of stripes wider than the window differs at the mirrored position."""
     a, b = (np.rint(x).astype(int) for x in (u, width - 1 - u))
     return ((a ^ (a >> 1)) ^ (b ^ (b >> 1))) >> 6 > 0
 
 
-def test_interreflection_as_strong_as_the_direct_light_is_suspected_where_coarse_bits_clash():
-    """Equal light of both kinds cancels in a bit that the two places read differently."""
+def test_interreflection_as_strong_as_direct_light_is_contradictory_where_coarse_bits_differ():
+    """Equal direct and indirect light cancel in a bit that differs at the two positions."""
     code = gray(512, 8, axes=("column",), inverses=True)
     u = np.arange(512.0)[None]
-    inner = (u > 24) & (u < 488)  # nearer to the border part of the window is dark
-    own = np.abs(u - 255.5) < 20  # here it reaches over the place itself
+    inner = (u > 24) & (u < 488)  # nearer to the border, part of the window is dark
+    own = np.abs(u - 255.5) < 20  # the window includes the position itself
     clash = coarse_bits_differ(u, 512) & inner & ~own
     codes = decode(frames_of(mirrored(code, u, ratio=1.0)), code, USUAL, LEVELS)
     assert clash.sum() > 400
     assert (codes.reason[clash] == Reason.INTERREFLECTION).all()
-    # Where something is decoded nevertheless, it is right.
+    # Pixels that are decoded nevertheless are right.
     known = (codes.reason == Reason.DECODED) & inner
     assert known.sum() > 20
     assert np.array_equal(codes.column[known], u[known])
@@ -383,10 +383,10 @@ def test_interreflection_as_strong_as_the_direct_light_is_suspected_where_coarse
 
 @pytest.mark.parametrize(("margin_dn", "reason"), [(12, "CONTRADICTORY"), (16, "DECODED")])
 @pytest.mark.parametrize("at", [5, 20, 50])
-def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
+def test_a_bit_combined_by_exclusive_or_is_accepted_from_three_deviations_of_noise_on(
     at, margin_dn, reason
 ):
-    """At 110 DN a frame has 0.1 * 110 + 0.17 DN^2: three deviations of a pair are 14.2 DN."""
+    """At 110 DN a frame's variance is 0.1 * 110 + 0.17 DN^2; 3 deviations of a pair, 14.2 DN."""
     code, noise_alone = xor_gray(64, 48), replace(USUAL, doubt=0.0)
 
     def weaken(stack):
@@ -399,10 +399,10 @@ def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
 
 @pytest.mark.parametrize(("margin_dn", "reason"), [(16, "INTERREFLECTION"), (20, "DECODED")])
 @pytest.mark.parametrize("at", [5, 20, 50])
-def test_a_weak_stripe_combined_by_exclusive_or_is_doubtful_far_from_its_own_edge(
+def test_a_weak_bit_combined_by_exclusive_or_is_doubtful_far_from_its_own_edge(
     at, margin_dn, reason
 ):
-    """Two thirds of 0.15 of a contrast of 180 DN are 18 DN; noise alone asks for 14.2 DN."""
+    """The limit is two thirds of 0.15 of a contrast of 180 DN: 18 DN; of noise, 14.2 DN."""
     code = xor_gray(64, 48)
 
     def weaken(stack):
@@ -416,7 +416,7 @@ def test_a_weak_stripe_combined_by_exclusive_or_is_doubtful_far_from_its_own_edg
 @pytest.mark.parametrize("inverses", [False, True])
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_doubtful_base_bit_makes_its_pixel_doubtful(inverses, turned):
-    """Misread, it inverts all bits combined with it: the place is far off, and nothing contradicts.
+    """If misread, it inverts all bits combined with it, which shows no contradiction.
 
     Its frames are 16 of 180 DN apart, which is more than three deviations of the noise of a pair.
     """
@@ -432,30 +432,30 @@ def test_a_doubtful_base_bit_makes_its_pixel_doubtful(inverses, turned):
     assert one_pixel(code, at=20) is Reason.DECODED
     assert one_pixel(code, at=20, change=weaken) is Reason.CONTRADICTORY
     careless = replace(USUAL, doubt=0.0)
-    noisy = inverses is False  # then 16 DN from the middle, whose own noise counts too
+    noisy = inverses is False  # 16 DN from the threshold, whose own noise counts too
     expected = Reason.CONTRADICTORY if noisy else Reason.DECODED
     assert one_pixel(code, at=20, change=weaken, spec=careless) is expected
 
 
-def test_light_from_elsewhere_stronger_than_the_direct_one_turns_gray_bits_over_but_not_xor():
-    """Theory (Gupta et al. 2011): a point whose global light exceeds its direct light reads every
-    wide stripe as the other point does; narrow stripes reach it half lit, in all patterns alike.
+def test_indirect_light_stronger_than_direct_light_inverts_gray_bits_but_not_xor_bits():
+    """Theory (Gupta et al. 2011): a point whose global light exceeds its direct light shows wide
+    stripes as the other point does; narrow stripes arrive as half light in all patterns.
     """
     u = np.arange(512.0)[None]
     code = gray(512, 8, axes=("column",), inverses=True)
     plain = decode(frames_of(mirrored(code, u, ratio=2.0)), code, USUAL, LEVELS)
     code = xor_gray(512, 8)
     combined = decode(frames_of(mirrored(code, u, ratio=2.0)), code, USUAL, LEVELS)
-    inner = slice(24, 488)  # nearer to the border part of the window is dark
+    inner = slice(24, 488)  # nearer to the border, part of the window is dark
     wrong = ~(np.abs(plain.column - u) < 0.5)
     assert wrong[0, inner].mean() > 0.9
     assert np.array_equal(combined.column[0, inner], u[0, inner])
 
 
 @pytest.mark.parametrize(("bits_shift_px", "harm"), [(1.9, False), (-1.9, False), (9.0, True)])
-def test_gray_edges_misread_by_an_eighth_of_a_period_make_no_jump(bits_shift_px, harm):
-    """The complementary bit stands where it should; the Gray bits are read beside their place, as
-    blur, interreflection or a tilted surface do. The last case shows that the test can fail.
+def test_gray_edges_displaced_by_an_eighth_of_a_period_cause_no_jump(bits_shift_px, harm):
+    """The complementary bit is exact; the Gray bits are displaced, as by blur, interreflection or a
+    tilted surface. The last case shows that the test can fail.
     """
     code = gray_phase(640, 48, period_px=16.0)
     u = np.linspace(20, 600, 3000)[None]
@@ -474,11 +474,11 @@ def test_gray_edges_misread_by_an_eighth_of_a_period_make_no_jump(bits_shift_px,
         assert off_px[known].max() < 0.1
 
 
-# --- what a code cannot tell -------------------------------------------------------------------
+# --- limits of a code ----------------------------------------------------------------------------
 
 
-def test_periods_whose_beat_repeats_within_the_picture_are_contradictory_not_guessed():
-    """Of 16 and 17 px the beat is 272 px long; in 640 px each place comes two or three times."""
+def test_periods_whose_beat_repeats_in_the_picture_are_contradictory_and_not_guessed():
+    """The beat of 16 and 17 px is 272 px long: positions occur two or three times in 640 px."""
     base = gray_phase(640, 48, period_px=16.0, steps=4).frames
     frames = [f for f in base if f.kind == "phase"]
     frames += [replace(f, period_px=17.0) for f in frames]
@@ -506,9 +506,9 @@ EDGE_CODES = {
 
 
 @pytest.mark.parametrize("name", EDGE_CODES)
-def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end(name):
-    """In Gray code of 2^n columns the first and the last are neighbours. Half of such a pixel sees
-    the projector, so all its frames are darker alike.
+def test_a_pixel_at_the_border_is_never_decoded_to_the_opposite_border(name):
+    """In a Gray code of 2^n columns, the first and the last differ in one bit. Half of such a pixel
+    sees the projector, so all its frames are equally darker.
     """
     code = EDGE_CODES[name]
     rng = np.random.default_rng(4)
@@ -520,14 +520,14 @@ def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end
     off_px = np.abs(codes.column - u)
     assert np.nanmax(off_px) < 3
     inside = (u > 0.75) & (u < last - 0.75)
-    least = 0.9 if name != "combined" else 0.85  # next to an edge of the base bit there is doubt
+    least = 0.9 if name != "combined" else 0.85  # in doubt next to an edge of the base bit
     assert (codes.reason[inside] == Reason.DECODED).mean() > least
     beyond = (u < -1.8) | (u > last + 1.8)
     assert not (codes.reason[beyond] == Reason.DECODED).any()
 
 
-def test_the_page_of_formats_says_of_each_reason_what_the_program_says():
-    """One table: numbers, names and meanings stand in `Reason`, and the page may not drift away."""
+def test_the_page_of_formats_has_the_text_of_each_reason():
+    """Numbers, names and meanings are in `Reason`; the page must not differ."""
     page = (Path(__file__).resolve().parents[3] / "docs/reference/formats.md").read_text(
         encoding="utf-8"
     )
@@ -535,15 +535,15 @@ def test_the_page_of_formats_says_of_each_reason_what_the_program_says():
     assert rows == [(str(int(r)), r.name, r.meaning) for r in Reason]
 
 
-def test_reasons_look_unlike_each_other_in_pictures():
-    """A distance of 30 of 442 in RGB is what an eye tells apart in a map beside its legend."""
+def test_the_colours_of_reasons_differ_clearly_in_pictures():
+    """An eye distinguishes a distance of 30 (of at most 442) in RGB in a map next to its legend."""
     color = np.array([to_rgb(reason.color) for reason in Reason]) * 255
     apart = np.linalg.norm(color[:, None] - color[None], axis=-1)
     assert apart[~np.eye(len(color), dtype=bool)].min() > 30
 
 
-def test_a_reason_is_its_number_wherever_it_goes():
-    """Files hold numbers, pickles cross processes, and kernels are compiled for whole numbers."""
+def test_a_reason_is_stored_pickled_and_compiled_as_its_number():
+    """Files have numbers, pickles go to other processes, and kernels use whole numbers."""
     for reason in Reason:
         assert Reason(int(reason)) is reason is pickle.loads(pickle.dumps(reason))
         assert np.uint8(reason) == reason == Reason[reason.name]

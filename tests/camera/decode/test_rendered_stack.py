@@ -1,4 +1,4 @@
-"""The whole way from rendered pictures to depth, with both lenses distorted."""
+"""From rendered pictures to depth, with both lenses distorted."""
 
 import cv2
 import numpy as np
@@ -16,18 +16,18 @@ SENSOR = SensorSpec(offset_dn=0.0, gain_dn_per_e=0.1, full_well_e=1e6, bit_depth
 
 
 def noiseless(radiance, sensor):
-    """A perfect converter: the brightest value at 90 % of the range."""
+    """Return a perfect converter: the brightest value is at 90 % of the range."""
     scale = 0.9 * sensor.max_dn / radiance.max()
     return np.rint(radiance * scale).astype(np.uint16)
 
 
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("inverses", [False, True])
-def test_a_rendered_plane_and_sphere_decode_to_half_a_projector_column(
+def test_a_rendered_plane_and_sphere_are_decoded_to_half_a_projector_column(
     mitsuba_renderer, vertical, inverses
 ):
-    """Everywhere lit, with both lenses distorted: the true point, projected by OpenCV, lies within
-    half a column of the decoded one, and the depth within what half a column is worth there.
+    """All is lit. The true point, projected by OpenCV, is within half a column of the decoded one,
+    and the error of depth is at most that of half a column.
     """
     camera = optics(120, 90, 130, distortion=LENS)
     projector = optics(48, 40, 50, distortion=BEAM)

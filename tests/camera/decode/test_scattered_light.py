@@ -1,4 +1,4 @@
-"""Flour: light that scatters below the surface blurs stripes, and errors beyond noise decide."""
+"""Flour: light that scatters below the surface blurs stripes; errors beyond noise matter."""
 
 import numpy as np
 import plain_decoder
@@ -20,7 +20,7 @@ CODES = {
 
 
 def scattered(code, column, *, direct, length_px, error, seed):
-    """Frames of a surface that returns a share of the light where it arrives, the rest nearby.
+    """Return frames of a surface that returns some light where it arrives, the rest nearby.
 
     Light that scatters comes out at a distance with a density of exp(-distance / length_px).
     `error` is a normal error of each value beyond the noise, as a share of the white frame's light.
@@ -44,7 +44,7 @@ def scattered(code, column, *, direct, length_px, error, seed):
 
 
 def wrong_share(code, *, direct):
-    """Share of all pixels that are off by more than ten columns and five standard deviations."""
+    """Return the share of pixels with errors of over ten columns and five standard deviations."""
     column = np.random.default_rng(5).uniform(0, WIDTH - 1, (8, 1024))
     frames = scattered(code, column, direct=direct, length_px=10.0, error=0.04, seed=3)
     codes = decode(frames, code, DecodeSpec(), LEVELS)
@@ -54,17 +54,17 @@ def wrong_share(code, *, direct):
 
 @pytest.mark.parametrize("direct", [0.05, 0.15, 0.3])
 @pytest.mark.parametrize("name", CODES)
-def test_flour_gives_no_place_or_the_right_one(name, direct):
-    """Combined bits that were judged by noise alone gave 0.1 to 0.4 % of all pixels a wrong place.
+def test_flour_is_decoded_correctly_or_not_at_all(name, direct):
+    """When only noise limited combined bits, 0.1 to 0.4 % of all pixels were wrong.
 
-    With little direct light, these were most of the few pixels that were decoded.
+    With little direct light, these were most of the few decoded pixels.
     """
     assert wrong_share(CODES[name], direct=direct) < 3e-4
 
 
 @pytest.mark.parametrize("name", ["XOR02", "XOR04"])
-def test_sharp_stripes_lose_nothing_by_what_flour_needs(name, monkeypatch):
-    """Oracle: the plain decoder, judging the combined bits by noise alone."""
+def test_the_limit_for_flour_costs_no_pixels_with_sharp_stripes(name, monkeypatch):
+    """Oracle: the plain decoder, in which only noise limits the combined bits."""
     code = CODES[name]
     column = np.random.default_rng(5).uniform(0, WIDTH - 1, (4, 1024))
     light = WHITE_DN * share_of_white(code, column, camera_px=1.0, disc_px=1.0)

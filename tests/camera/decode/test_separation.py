@@ -1,4 +1,4 @@
-"""Direct and global light taken apart, against a mixture whose parts are known."""
+"""Separation of direct and global light, compared with a mixture of known parts."""
 
 from dataclasses import replace
 
@@ -33,8 +33,8 @@ def groove(code, *, camera_px=0.0):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_a_sharp_mixture_comes_apart_into_its_parts(name):
-    """A window of 192 px holds whole periods of all narrow stripes but the phases of odd length,
+def test_a_sharp_mixture_is_separated_into_its_parts(name):
+    """A window of 192 px has whole periods of all narrow stripes except for phases of odd length,
     whose remainder is under 2 % of the global light.
     """
     code = CODES[name]
@@ -45,7 +45,7 @@ def test_a_sharp_mixture_comes_apart_into_its_parts(name):
 
 
 @pytest.mark.parametrize("name", ["phase", "combined"])
-def test_light_that_is_not_the_projector_s_counts_as_global_only_without_a_black_frame(name):
+def test_ambient_light_counts_as_global_only_without_a_black_frame(name):
     code = CODES[name]
     _, around, light = groove(code)
     blackless = replace(code, frames=tuple(f for f in code.frames if f.kind != "black"))
@@ -56,8 +56,8 @@ def test_light_that_is_not_the_projector_s_counts_as_global_only_without_a_black
     assert np.abs(estimate - around).max() < 60
 
 
-def test_blur_moves_direct_light_to_global_by_the_contrast_that_it_takes():
-    """A box of 4 px takes 1 - sinc(4 / 16) of a cosine of 16 px; what is lost comes back."""
+def test_blur_turns_direct_light_into_global_by_the_lost_contrast():
+    """A box of 4 px moves 1 - sinc(4 / 16) of a cosine of 16 px to the global light."""
     code = CODES["phase"]
     direct, around, light = groove(code, camera_px=4.0)
     direct_estimate, around_estimate = separate(frames_of(light), code, LEVELS)
@@ -66,7 +66,7 @@ def test_blur_moves_direct_light_to_global_by_the_contrast_that_it_takes():
     assert np.allclose(direct_estimate + around_estimate, direct + around, atol=45)
 
 
-def test_wide_stripes_alone_cannot_take_light_apart():
+def test_wide_stripes_alone_cannot_separate_light():
     code = gray(512, 384, axes=("column",))
     with pytest.raises(DecodeError, match="period of at most 32 px with their inverses"):
         separate(frames_of(np.zeros((len(code.frames), 2, 2))), code, LEVELS)

@@ -1,4 +1,4 @@
-"""Periods that weak phases leave open: neighbours settle them where they agree, and only those."""
+"""Periods that weak phases leave open are settled by neighbours that agree, and only then."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def weak(name, white_dn):
 
 
 def wrong(codes, name):
-    """Of the decoded pixels, which are half of the shortest period or more off."""
+    """Return the share of decoded pixels with an error of at least half of the shortest period."""
     known = codes.reason == Reason.DECODED
     limit_px = 0.5 * min(f.period_px for f in WEAK_CODES[name].frames if f.period_px)
     return np.abs(codes.column - surface())[known] > limit_px
@@ -38,15 +38,15 @@ def wrong(codes, name):
         ("micro phase, 8 px", 120.0, 0.25, 0.94),
     ],
 )
-def test_neighbours_settle_what_weak_phases_leave_open_and_hardly_ever_wrongly(
+def test_neighbours_settle_periods_that_weak_phases_leave_open_and_hardly_ever_wrongly(
     name, white_dn, alone, together
 ):
-    """The scene has steps of some periods, and bars of 1 to 6 pixels before the wall."""
+    """The scene has steps of some periods, and bars of 1 to 6 pixels in front of the wall."""
     code, frames = weak(name, white_dn)
     codes = decode(frames, code, SPEC, LEVELS)
     known = codes.reason == Reason.DECODED
     settled = codes.mark & Mark.SETTLED > 0
-    assert (known & ~settled).mean() < alone  # what was decoded before
+    assert (known & ~settled).mean() < alone  # pixels decoded before
     assert known.mean() > together
     assert wrong(codes, name).mean() < 6e-4
 
@@ -54,8 +54,8 @@ def test_neighbours_settle_what_weak_phases_leave_open_and_hardly_ever_wrongly(
 @pytest.mark.parametrize(
     ("name", "white_dn"), [("three frequencies", 90.0), ("micro phase", 140.0)]
 )
-def test_a_pixel_that_is_clear_by_itself_is_never_changed(name, white_dn):
-    """Pixels in another order have other neighbours: strangers, which agree on nothing."""
+def test_a_pixel_with_a_clear_period_is_never_changed(name, white_dn):
+    """In a shuffled picture, neighbours are unrelated and do not agree."""
     code, frames = weak(name, white_dn)
     whole = decode(frames, code, SPEC, LEVELS)
     order = np.random.default_rng(3).permutation(whole.reason.size)
@@ -71,18 +71,18 @@ def test_a_pixel_that_is_clear_by_itself_is_never_changed(name, white_dn):
     assert (whole.mark.ravel()[clear] == 0).all()
     for field in ("column", "sigma_column", "reason"):
         assert np.array_equal(getattr(whole, field).ravel()[clear], alone[field][clear])
-    # What is in doubt and has no neighbours that agree is refused as before.
+    # Doubtful pixels without neighbours that agree are refused as before.
     assert (alone["reason"] == Reason.CONTRADICTORY).mean() > 0.004
 
 
 @pytest.mark.parametrize(("rows", "columns", "settles"), [(3, 3, True), (2, 4, False)])
 def test_eight_neighbours_settle_a_period_and_seven_do_not(rows, columns, settles):
-    """Lit blocks with dark all around: each pixel has all others of its block as neighbours."""
+    """Around lit blocks all is dark, so each pixel has the others of its block as neighbours."""
     code, frames = weak("micro phase", 120.0)
     y, x = np.indices(SHAPE)
     lit = (y % (rows + 3) < rows) & (x % (columns + 3) < columns)
     dark = stack(code, white_dn=0.0, seed=2)
-    # Twelve deviations of the dark's noise, and half of the light: no dark pixel says anything.
+    # This is twelve deviations of the noise in the dark, so no dark pixel is decoded.
     spec = DecodeSpec(min_contrast=60 / LEVELS.range_dn)
     codes = decode(np.where(lit, frames, dark), code, spec, LEVELS)
     assert not (codes.reason[~lit] == Reason.DECODED).any()
@@ -91,7 +91,7 @@ def test_eight_neighbours_settle_a_period_and_seven_do_not(rows, columns, settle
 
 
 def test_settled_places_scatter_by_their_sigma():
-    """A settled count says which period it is; the place in it is as noisy as its phase."""
+    """The period is settled; within it, the position is as noisy as its phase."""
     code, frames = weak("micro phase", 90.0)
     codes = decode(frames, code, SPEC, LEVELS)
     for settled in (False, True):
@@ -103,8 +103,8 @@ def test_settled_places_scatter_by_their_sigma():
 
 
 @pytest.mark.parametrize("name", WEAK_CODES)
-def test_the_plain_decoder_settles_the_same(name):
-    """Sums in float32 and in float64 differ next to a limit, and in what follows from it."""
+def test_both_decoders_settle_the_same_pixels(name):
+    """Sums in float32 and in float64 differ near a limit, and so do pixels that depend on it."""
     code, frames = weak(name, 90.0)
     frames = np.ascontiguousarray(frames[:, 100:190, 20:140])
     fast, plain = (f(frames.copy(), code, SPEC, LEVELS) for f in (decode, decode_plain))
@@ -114,7 +114,7 @@ def test_the_plain_decoder_settles_the_same(name):
     np.testing.assert_allclose(fast.column[same], plain.column[same], atol=1e-3)
 
 
-def test_threads_settle_the_same():
+def test_the_number_of_threads_does_not_change_settled_pixels():
     code, frames = weak("micro phase", 60.0)
     before = numba.get_num_threads()
     try:
@@ -133,7 +133,7 @@ CONTRADICTION = gray_phase(512, 384, axes=("column",), period_px=24.0)
 
 
 def contradicting(spoilt, share=None):
-    """A strong stack, two of whose coarse Gray bits are grey in the given pixels."""
+    """Return a strong stack in which two coarse Gray bits of the given pixels are grey."""
     frames = stack(CONTRADICTION, white_dn=1200.0, share=share)
     bits = [k for k, f in enumerate(CONTRADICTION.frames) if f.kind == "gray"][1:3]
     middle = (frames.max(axis=0) / 2 + frames.min(axis=0) / 2).astype(np.uint16)
@@ -146,13 +146,13 @@ def read(frames, votes, decoder=decode):
     return decoder(frames, CONTRADICTION, replace(SPEC, settling_votes=votes), LEVELS)
 
 
-def test_neighbours_count_the_period_of_a_pixel_whose_bits_contradict_each_other():
-    """One pixel of a hundred, on surfaces and beside steps and bars."""
+def test_neighbours_settle_the_period_of_a_pixel_with_contradictory_bits():
+    """One pixel in a hundred is contradictory, on surfaces and next to steps and bars."""
     spoilt = np.random.default_rng(5).random(SHAPE) < 0.01
     before, after = (read(contradicting(spoilt), votes) for votes in (0, VOTES))
     assert (before.reason[spoilt] != Reason.DECODED).all()
     clear = before.reason == Reason.DECODED
-    for field in ("column", "sigma_column", "reason", "mark"):  # those of the others as before
+    for field in ("column", "sigma_column", "reason", "mark"):  # the other pixels are unchanged
         assert np.array_equal(getattr(before, field)[clear], getattr(after, field)[clear])
     settled = after.mark & Mark.SETTLED > 0
     assert settled[spoilt].mean() > 0.9
@@ -162,7 +162,7 @@ def test_neighbours_count_the_period_of_a_pixel_whose_bits_contradict_each_other
 
 
 def test_a_region_of_contradictory_pixels_is_not_filled():
-    """What is settled does not speak for others, so only pixels at the region's border are."""
+    """Settled pixels do not count as neighbours, so only the border of the region is settled."""
     spoilt = np.zeros(SHAPE, dtype=bool)
     spoilt[20:40, 10:30] = True  # on the wall
     after = read(contradicting(spoilt), VOTES)
@@ -171,7 +171,7 @@ def test_a_region_of_contradictory_pixels_is_not_filled():
 
 
 def test_neighbours_of_several_surfaces_do_not_settle_a_pixel():
-    """At a step by two periods the phase goes on as if there were none."""
+    """A step of two periods is invisible in the phase."""
     x = np.broadcast_to(np.arange(SHAPE[1], dtype=float), SHAPE)
     place = 60 + 1.5 * x + 48.0 * (x >= 128)
     spoilt = np.zeros(SHAPE, dtype=bool)
@@ -184,8 +184,8 @@ def test_neighbours_of_several_surfaces_do_not_settle_a_pixel():
     assert (np.abs(after.column - place)[settled] < 0.5).all()
 
 
-def test_of_two_axes_one_that_cannot_be_settled_refuses_the_pixel():
-    """The plain decoder says the same, axis by axis."""
+def test_a_pixel_is_refused_if_one_of_its_two_axes_cannot_be_settled():
+    """The plain decoder gives the same result for each axis."""
     code = gray_phase(512, 384, axes=("column", "row"), period_px=24.0)
     column = surface()
     row = np.broadcast_to(np.linspace(40, 300, SHAPE[0])[:, None], SHAPE)
@@ -208,8 +208,8 @@ def test_of_two_axes_one_that_cannot_be_settled_refuses_the_pixel():
         np.testing.assert_allclose(getattr(fast, field), getattr(plain, field), atol=2e-3)
 
 
-def test_a_pixel_whose_frames_are_at_the_top_is_not_settled_by_either_decoder():
-    """Its light goes before its code: what it contradicts may be what the top has cut off."""
+def test_a_saturated_pixel_is_not_settled_by_either_decoder():
+    """Reasons of light come before reasons of code: saturation may cause the contradiction."""
     spoilt = np.random.default_rng(5).random(SHAPE) < 0.01
     frames = contradicting(spoilt)
     clipped = spoilt & (np.arange(SHAPE[1]) % 2 == 0)

@@ -1,4 +1,4 @@
-"""Triangulation three other ways: a full linear system, similar triangles, and OpenCV's lenses."""
+"""Triangulation in three other ways: a full linear system, similar triangles, OpenCV's lenses."""
 
 from dataclasses import replace
 
@@ -93,9 +93,9 @@ def test_a_parallel_rig_gives_depth_by_similar_triangles(wall_m, side, vertical)
 
 @pytest.mark.parametrize("known", ["both", "across"])
 @pytest.mark.parametrize("vertical", [False, True])
-def test_points_projected_by_opencv_through_two_distorted_lenses_come_back(known, vertical):
-    """Oracle: cv2.projectPoints. Each camera pixel gets a point somewhere on its ray, and the
-    projector pixel in which OpenCV sees it; back must come its depth, to a micrometre.
+def test_points_projected_by_opencv_through_two_distorted_lenses_are_triangulated(known, vertical):
+    """Oracle: cv2.projectPoints. Each camera pixel gets a point on its ray, and the projector pixel
+    in which OpenCV sees it; its depth must be found to a micrometre.
     """
     camera, projector = (
         optics(40, 30, 44, distortion=LENS),
@@ -134,9 +134,9 @@ def test_points_projected_by_opencv_through_two_distorted_lenses_come_back(known
     assert error.max() < 1e-6
 
 
-def test_wrong_columns_of_a_distorted_projector_are_out_of_range_at_worst():
-    """Wrong codes lead the search for the row far out of the picture, where the lens folds over;
-    one such pixel must not end the decoding of all. 29 of 200 such rigs once did.
+def test_wrong_columns_of_a_distorted_projector_give_pixels_out_of_range_and_no_error():
+    """Wrong codes move the search for the row far out of the picture, where the lens folds over;
+    one such pixel must not stop the decoding. 29 of 200 such rigs once did.
     """
     for seed in range(3, 30):
         rng = np.random.default_rng(seed)
@@ -163,7 +163,7 @@ def test_depth_beyond_the_working_range_is_out_of_range():
     assert (depth.reason[[0, 3, 4]] == Reason.OUT_OF_RANGE).all()
     assert np.isnan(depth.depth_m[[0, 3, 4]]).all()
     assert np.abs(depth.depth_m[1:3] - wall_m[1:3, None]).max() < 1e-4
-    assert (depth.reason[5:] == 1).all()  # an earlier reason stays
+    assert (depth.reason[5:] == 1).all()  # an earlier reason is kept
 
 
 def test_a_code_along_the_wrong_axis_or_of_another_size_is_refused():
@@ -177,8 +177,8 @@ def test_a_code_along_the_wrong_axis_or_of_another_size_is_refused():
 
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("lens", [(0.0,) * 5, BEAM])
-def test_sigma_of_depth_is_what_a_step_of_the_code_does_to_it(vertical, lens):
-    """A difference quotient; distortion scales (u, v) locally, which the slope leaves out."""
+def test_sigma_of_depth_is_the_effect_of_a_small_step_of_the_code(vertical, lens):
+    """Oracle: a difference quotient. Distortion scales (u, v) locally, which the slope ignores."""
     rotation = turned(0.2, 0.02, 0.03) if vertical else turned(0.03, -0.2, 0.02)
     baseline = (0.02, 0.25, 0.01) if vertical else (0.25, 0.02, 0.01)
     camera, projector = optics(40, 30, 60), optics(64, 48, 70, distortion=lens)
@@ -203,7 +203,7 @@ def test_sigma_of_depth_is_what_a_step_of_the_code_does_to_it(vertical, lens):
 
 
 def epipolar_case(off_px, sigma_px=0.25):
-    """A wall seen through distorted lenses by columns and rows, the rows off by so many pixels."""
+    """Return a wall seen through distorted lenses, with columns and with rows that are off."""
     camera, projector = optics(40, 30, 44), optics(64, 48, 46, distortion=BEAM)
     rotation, baseline = turned(0.03, -0.2, 0.02), (0.25, 0.02, 0.01)
     rig = make_rig(camera, projector, baseline_m=baseline, rotation=rotation)
@@ -216,8 +216,8 @@ def epipolar_case(off_px, sigma_px=0.25):
     return rig, code_map(uv[..., 0], uv[..., 1] + off_px, sigma_px=sigma_px)
 
 
-def test_the_epipolar_residual_is_how_far_the_other_coordinate_is_off():
-    """With a distorted projector a wrong row also bends the column's plane, by little."""
+def test_the_epipolar_residual_is_the_error_of_the_other_coordinate():
+    """With a distorted projector, a wrong row also bends the column's plane a little."""
     rig, codes = epipolar_case(0.0)
     residual = epipolar_residual_px(codes, triangulate(codes, rig), rig)
     assert np.nanmax(np.abs(residual)) < 1e-4
@@ -235,4 +235,4 @@ def test_a_point_off_its_epipolar_line_is_an_outlier_and_one_within_its_noise_is
         depth = triangulate(codes, rig, max_epipolar_px=2.0)
         assert (depth.reason[decoded] == expected).mean() > 0.97
         assert np.isnan(depth.depth_m[depth.reason != 0]).all()
-        assert (triangulate(codes, rig).reason[decoded] == 0).all()  # off unless asked for
+        assert (triangulate(codes, rig).reason[decoded] == 0).all()  # off by default

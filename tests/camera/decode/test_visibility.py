@@ -1,4 +1,4 @@
-"""Order along epipolar lines: no step on the side away from the projector."""
+"""Order along epipolar lines: there is no step on the side away from the projector."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ GAP_PX = F_PX * BASELINE_M * (1 / BLOCK_M - 1 / WALL_M)  # of its shadow: f b (1
 
 
 def rig_of(side):
-    """The projector `side` of the camera: 1 to the right, -1 to the left, 'down' below it."""
+    """Return a rig; the projector's `side` is 1 (right of the camera), -1 (left) or 'down'."""
     offset = (0.0, BASELINE_M, 0.0) if side == "down" else (side * BASELINE_M, 0.0, 0.0)
     return make_rig(centred(160, 160, F_PX), centred(640, 640, 600.0), baseline_m=offset)
 
 
 def block(side, *, shadow=True):
-    """A block before a wall; with its shadow the picture of an ideal scanner."""
+    """Return an ideal scanner's picture of a block in front of a wall, with its shadow."""
     z_m = np.full((160, 160), WALL_M, dtype=np.float32)
     z_m[:, LEFT:RIGHT] = BLOCK_M
     gap = int(np.ceil(GAP_PX))
@@ -46,8 +46,8 @@ def hidden(z_m, side, sigmas=3.0, sigma_m=1e-4):
 
 
 @pytest.mark.parametrize("side", [1, -1, "down"])
-def test_a_shadow_that_should_be_there_is_made_and_no_other_pixel_goes(side):
-    """Oracle: the shadow's width by similar triangles."""
+def test_the_shadow_behind_a_block_is_restored_and_no_other_pixel_is_removed(side):
+    """Oracle: the shadow's width from similar triangles."""
     gone = hidden(block(side, shadow=False), side)
     rows = gone.T if side == "down" else gone
     assert (rows == rows[0]).all()
@@ -58,12 +58,12 @@ def test_a_shadow_that_should_be_there_is_made_and_no_other_pixel_goes(side):
 
 
 @pytest.mark.parametrize("side", [1, -1, "down"])
-def test_what_an_ideal_scanner_sees_stays_whole(side):
+def test_no_pixel_of_an_ideal_scanner_is_removed(side):
     assert not hidden(block(side), side).any()
 
 
-def test_slopes_as_steep_as_the_projector_can_see_stay_and_noise_is_no_order():
-    """A wall whose positions rise by a tenth of a facing one's from pixel to pixel."""
+def test_the_steepest_visible_slope_stays_and_noise_does_not_break_the_order():
+    """The positions of a wall increase by a tenth of a facing wall's from pixel to pixel."""
     x = (np.arange(160) - 79.5) / F_PX
     inverse = 1 / WALL_M + 0.9 * x / BASELINE_M
     z_m = np.broadcast_to(1 / inverse, (160, 160))
@@ -72,7 +72,7 @@ def test_slopes_as_steep_as_the_projector_can_see_stay_and_noise_is_no_order():
     assert not hidden(noisy.astype(np.float32), 1, sigmas=5.0, sigma_m=3e-4).any()
 
 
-def test_a_turned_projector_knows_its_order_too():
+def test_a_turned_projector_has_its_own_order():
     toed = make_rig(
         centred(160, 160, F_PX),
         centred(1200, 640, 600.0),

@@ -1,6 +1,6 @@
-"""Healthy stacks that look ill: dark squares, shadow with light from elsewhere, noise, bare walls.
+"""Healthy stacks that look faulty: dark squares, shadow with indirect light, noise, bare walls.
 
-Closed form as in `simulated`, of the same wall and ball.
+They have the closed form of `simulated`, with the same wall and ball.
 """
 
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from graycast.rig.pattern import Code, level_share
 from .simulated import small_rig, view_of
 
 TOP_DN, BLACK_DN = 255, 5.0
-FAR_PX = 12.0  # over which light from elsewhere is the mean of the pattern
+FAR_PX = 12.0  # window in which the pattern's mean is the indirect light
 
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """Of the scene and the light. Shares are of the picture, from its right side.
+    """Scene and light of a stack. Shares are of the picture, from its right side.
 
-    `unlit` is a part that the projector does not reach and whose own light flickers by `flicker`
-    DN from frame to frame and pixel to pixel: people, leaves, a lamp on the mains.
+    `unlit` is a share that the projector does not reach; its own light flickers by `flicker` DN
+    between frames and pixels: people, leaves, a lamp on the mains.
     """
 
-    squares: float | None = None  # albedo of every other square of a board; None is an even wall
+    squares: float | None = None  # albedo of every other square of a board; None is a plain wall
     shadow: float = 0.0
-    indirect: float = 0.02  # light from elsewhere, as a share of the projector's
+    indirect: float = 0.02  # indirect light, as a share of the projector's
     unlit: float = 0.0
     flicker_dn: float = 0.0
     blur_px: float = 0.0
@@ -36,7 +36,7 @@ class Look:
 
 
 def shoot_cluttered(code: Code, look: Look, *, seed: int = 3) -> np.ndarray:
-    """The stack: (n, h, w) digital numbers of 8 bits."""
+    """Return the stack: (n, h, w) digital numbers of 8 bits."""
     scene = view_of(small_rig())
     h, w = scene.column.shape
     y, x = np.mgrid[:h, :w]

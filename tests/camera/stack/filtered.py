@@ -1,4 +1,4 @@
-"""A stack decoded with a preset's filters has the depth that it has without them."""
+"""A check that filters of a preset do not change the depth of the pixels that they keep."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +11,15 @@ from graycast.camera.scanner import preset
 from graycast.camera.stack import decode_stack
 from graycast.rig.pair import PRESETS, Rig
 
-PRESET_FILTERS = tuple({preset(name).filters: name for name in PRESETS})  # each once
-_REACH_PX = 2  # of the presets' smoothing
+PRESET_FILTERS = tuple({preset(name).filters: name for name in PRESETS})  # each value once
+_REACH_PX = 2  # from the presets' smoothing
 
 
 def check_depth_of_no_filters(path: Path, rig: Rig, plain: DepthMap, filters: FilterSpec) -> None:
     """Filters may remove, repair and smooth; all other pixels keep their depth to the last bit.
 
     Args:
-        plain: what the stack gives without filters.
+        plain: result of the stack without filters.
     """
 
     def decoded(own: FilterSpec) -> DepthMap:
@@ -30,7 +30,7 @@ def check_depth_of_no_filters(path: Path, rig: Rig, plain: DepthMap, filters: Fi
     removing = decoded(replace(filters, smoothing_px=None, outlier_repair=False))
     left = np.isfinite(removing.depth_m)
     assert left.sum() > 0.8 * np.isfinite(plain.depth_m).sum()
-    for name in ("depth_m", "reason"):  # sigma knows no bend beside what was removed
+    for name in ("depth_m", "reason"):  # sigma includes no bend next to removed pixels
         assert np.array_equal(getattr(removing, name)[left], getattr(plain, name)[left])
     gone = ~left & np.isfinite(plain.depth_m)
     assert (removing.reason[gone] == Reason.OUTLIER).all()

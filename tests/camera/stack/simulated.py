@@ -1,4 +1,4 @@
-"""A small scanner of closed form: a wall and a ball, each pixel's projector position known."""
+"""A small scanner in closed form: a wall and a ball with known projector positions."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +29,7 @@ def lens(width_px: int, height_px: int, focal_px: float, **terms) -> Optics:
 
 
 def small_rig(*, vertical: bool = False, projector=(128, 96), distortion=(0.0,) * 5) -> Rig:
-    """Camera and projector 0.2 m apart, beside or above each other, looking at one place."""
+    """Return camera and projector 0.2 m apart, side by side or one above the other."""
     angle = 0.25
     if vertical:
         T_cam_proj = rigid(axis_rotation("x", angle), np.array([0.0, 0.2, 0.0]))
@@ -47,7 +47,7 @@ def small_rig(*, vertical: bool = False, projector=(128, 96), distortion=(0.0,) 
 
 @dataclass(frozen=True)
 class View:
-    """What every camera pixel sees: its depth [m] and its place on the projector [px]."""
+    """Scene of every camera pixel: its depth [m] and its position on the projector [px]."""
 
     depth_m: np.ndarray
     column: np.ndarray
@@ -55,7 +55,7 @@ class View:
 
 
 def view_of(rig: Rig) -> View:
-    """Ray against plane and sphere; nothing shadows anything."""
+    """Intersect rays with plane and sphere, without shadows."""
     ray = rays(rig.camera, pixel_grid(rig.camera.height_px, rig.camera.width_px))
     a = np.square(ray).sum(axis=-1)
     b = ray @ BALL_M
@@ -70,7 +70,7 @@ def view_of(rig: Rig) -> View:
 def shoot(
     rig: Rig, code: Code, *, bits: int = 8, gain: float = 0.02, seed: int = 3, bright=0.75
 ) -> np.ndarray:
-    """The stack: (n, h, w) digital numbers, photon noise of `gain` DN per electron and 0.5 DN."""
+    """Return the stack: (n, h, w) digital numbers, with photon noise of `gain` DN per electron."""
     scene = view_of(rig)
     top = 2**bits - 1
     inside = (np.abs(scene.column - (code.width_px - 1) / 2) < code.width_px / 2) & (
@@ -93,7 +93,7 @@ def shoot(
 
 
 def describe(code: Code, suffix: str = ".png") -> dict:
-    """STACK.yaml's content for a code, files by the frames' names."""
+    """Return the content of STACK.yaml for a code, with files by the frames' names."""
     content: dict = {
         "projector": {"width_px": code.width_px, "height_px": code.height_px},
         "frames": [],
@@ -119,11 +119,11 @@ def describe(code: Code, suffix: str = ".png") -> dict:
 
 
 def save(folder: Path, content: dict, stack: np.ndarray, *, color: bool = False) -> Path:
-    """Write pictures and STACK.yaml; returns the latter."""
+    """Write pictures and STACK.yaml; return the path of the latter."""
     for entry, picture in zip(content["frames"], stack, strict=True):
         image = Image.fromarray(np.repeat(picture[..., None], 3, axis=-1) if color else picture)
         is_jpeg = entry["file"].endswith(".jpg")
-        options = {"quality": 95} if is_jpeg else {"compress_level": 0}  # noise does not shrink
+        options = {"quality": 95} if is_jpeg else {"compress_level": 0}  # noise does not compress
         image.save(folder / entry["file"], **options)
     return write_yaml(folder, content)
 

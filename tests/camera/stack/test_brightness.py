@@ -43,7 +43,7 @@ def brighter(stack, k, factor):
 
 @pytest.mark.parametrize("factor", [0.85, 1.1, 1.2])
 @pytest.mark.parametrize("name", CODES)
-def test_a_step_that_is_brighter_is_named_with_its_factor(name, factor):
+def test_a_brighter_phase_step_is_named_with_its_factor(name, factor):
     """Oracle: the factor by which one frame of the first period was multiplied."""
     code = CODES[name]
     stack = shoot_cluttered(code, LOOK)
@@ -55,23 +55,23 @@ def test_a_step_that_is_brighter_is_named_with_its_factor(name, factor):
 
 @pytest.mark.parametrize("name", CODES)
 @pytest.mark.parametrize("power", [1.0, 0.7, 1.5])
-def test_steps_that_are_equally_bright_are_not(name, power):
-    """A response that is not linear makes harmonics, which no brightness of a step makes."""
+def test_equally_bright_steps_are_not_warned_of(name, power):
+    """A nonlinear response causes harmonics, which a brighter step cannot."""
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.4, blur_px=0.8, indirect=0.1)) / 255
     assert faults(code, np.rint(255 * stack**power).astype(np.uint8)) == []
 
 
-def test_a_period_of_which_the_picture_has_a_part_blames_no_step():
-    """Less than a third of a period is in view, so mean and cosine are nearly the same."""
+def test_no_step_is_named_for_a_period_of_which_only_a_part_is_visible():
+    """Less than a third of a period is visible, so mean and cosine are nearly the same."""
     code = multi_frequency(128, 96)
     stack = shoot_cluttered(code, LOOK)[:, :, 70:76]
     assert faults(code, np.rint(255 * (stack / 255) ** 1.3).astype(np.uint8)) == []
 
 
 @pytest.mark.parametrize("name", ["gray, 3 steps", slow("gray, 12 steps")])
-def test_the_places_move_by_no_more_than_the_warning_says(name, tmp_path):
-    """Oracle: the projection of the wall and the ball, and the stack as it was."""
+def test_positions_move_by_at_most_the_amount_in_the_warning(name, tmp_path):
+    """Oracle: the projection of the wall and the ball, and the unchanged stack."""
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.4, indirect=0.0, gain=0.005, read_dn=0.3))
     k = full_periods(code)[0][1]

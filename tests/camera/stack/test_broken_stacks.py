@@ -1,4 +1,4 @@
-"""Stacks that are wrong: an error that names the file, or a warning with what is measured."""
+"""Wrong stacks: an error that names the file, or a warning with the measured symptom."""
 
 import re
 import shutil
@@ -28,7 +28,7 @@ def shots():
 
 @pytest.fixture
 def make(tmp_path, shots):
-    """Writes a sound stack; `edit` changes its description or its files before it is read."""
+    """Write a valid stack; `edit` changes its description or its files before it is read."""
 
     def write(edit, code=GRAY, stack=None):
         content = describe(code)
@@ -185,7 +185,7 @@ def test_a_missing_phase_step_is_named(make):
         decode_stack(make(edit, PHASE))
 
 
-def test_a_stack_file_that_is_not_there_or_no_yaml_is_named(tmp_path):
+def test_a_stack_file_that_is_missing_or_not_yaml_is_named(tmp_path):
     with pytest.raises(GraycastError, match="no such file"):
         decode_stack(tmp_path / "STACK.yaml")
     (tmp_path / "STACK.yaml").write_text("frames: [")
@@ -209,8 +209,8 @@ def test_pictures_that_are_all_dark_or_all_white_are_refused(level, says, make, 
         decode_stack(make(lambda *_: None, stack=flat))
 
 
-def test_pictures_that_are_overexposed_are_refused_or_warned_of(make):
-    """Of 40 times the light even the dark frames, 3 % of white, are at the top."""
+def test_overexposed_pictures_are_refused_or_cause_a_warning(make):
+    """With 40 times the light, even the dark frames, 3 % of white, are saturated."""
     with pytest.raises(GraycastError, match=r"almost no pixel is decoded: .* are saturated"):
         decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=40.0)))
     stack = shoot(RIG, GRAY)
@@ -219,8 +219,8 @@ def test_pictures_that_are_overexposed_are_refused_or_warned_of(make):
     assert any("% of the lit pixels are saturated" in w for w in some.warnings)
 
 
-def test_pictures_whose_lit_stripes_are_at_the_top_decode_by_their_inverses(make):
-    """Three times as bright as before: a stripe and its inverse still tell bright from dark."""
+def test_pictures_with_saturated_stripes_are_decoded_by_their_inverses(make):
+    """With three times the light, a stripe and its inverse still distinguish bright from dark."""
     over = decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=3.0)))
     assert over.figures.decoded_share > 0.97
     assert over.figures.clipped_share > 0.9
@@ -244,7 +244,7 @@ def inverses_mixed_up(content, folder):
 
 
 def shifted_by_one(content, folder):
-    """A frame dropped by the camera: each file is what the one after it was meant to be."""
+    """A camera dropped a frame: each file has the picture of the next one."""
     files = [e["file"] for e in content["frames"]]
     for e, file in zip(content["frames"], [*files[1:], files[0]], strict=True):
         e["file"] = file
@@ -323,7 +323,7 @@ def test_a_doubtful_stack_is_decoded_with_a_warning_of_the_symptom(edit, code, s
     assert any(re.search(says, warning) for warning in warnings), warnings
 
 
-def test_a_wrong_period_without_gray_bits_contradicts_itself(make):
+def test_a_wrong_period_without_gray_bits_makes_pixels_contradictory(make):
     def edit(content, folder):
         for e in content["frames"]:
             if e["kind"] == "phase" and abs(e["period_px"] - 16) < 1e-6:
@@ -333,7 +333,7 @@ def test_a_wrong_period_without_gray_bits_contradicts_itself(make):
         decode_stack(make(edit, THREE))
 
 
-def test_files_that_are_shifted_by_one_are_refused_with_the_first_symptom(make):
+def test_files_shifted_by_one_are_refused_with_the_first_symptom(make):
     with pytest.raises(
         GraycastError, match=r"almost no pixel is decoded.*\(white is darker than bl.*"
     ):
@@ -383,6 +383,6 @@ def other_projector(rig):
         (other_projector, "projector is 128 x 96 px, that of rig small 128 x 100"),
     ],
 )
-def test_a_rig_that_is_not_the_stacks_is_warned_of(wrong, says, make):
+def test_the_rig_of_another_stack_causes_a_warning(wrong, says, make):
     warnings = decode_stack(make(lambda *_: None), wrong(RIG)).warnings
     assert any(says in warning for warning in warnings), warnings

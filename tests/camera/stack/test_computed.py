@@ -1,4 +1,4 @@
-"""Inverses that were computed from their patterns are told from those that a camera took."""
+"""Inverses computed from their patterns are distinguished from those that a camera took."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def computed(code, stack, whole):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_every_computed_pair_is_found_and_no_taken_one(name):
+def test_every_computed_inverse_is_detected_and_no_other(name):
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.3))
     white = stack.max(axis=0).astype(int) + stack.min(axis=0)
@@ -39,16 +39,16 @@ def test_every_computed_pair_is_found_and_no_taken_one(name):
     assert computed_pairs(computed(code, stack, white), code) == pairs_of(code)
 
 
-def test_pictures_of_little_noise_were_taken():
-    """With a noise of 0.3 DN and rounding, most sums are equal to the next one, but not all."""
+def test_pictures_with_little_noise_do_not_seem_computed():
+    """With a noise of 0.3 DN and rounding, most but not all sums equal the next one."""
     code = CODES["inverses"]
     look = Look(squares=0.3, gain=0.0, read_dn=0.3)
     assert computed_pairs(shoot_cluttered(code, look), code) == []
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_noise_is_not_measured_in_what_was_computed(name):
-    """It was 0.29 DN, the noise of rounding. Oracle: what went in, or the stated default."""
+def test_noise_is_not_measured_from_computed_inverses(name):
+    """It was 0.29 DN, the noise of rounding. Oracle: the simulated noise, or the stated default."""
     code = CODES[name]
     code = replace(code, frames=tuple(f for f in code.frames if f.kind not in ("white", "black")))
     stack = computed(code, shoot_cluttered(code, Look(squares=0.3, read_dn=2.0)), 255)
@@ -58,7 +58,7 @@ def test_noise_is_not_measured_in_what_was_computed(name):
     assert estimate.levels.floor_dn2 > 0.8
 
 
-def test_the_warning_says_that_they_were_computed_and_what_is_lost(tmp_path):
+def test_the_warning_names_computed_inverses_and_the_loss(tmp_path):
     code = CODES["inverses"]
     stack = computed(code, shoot_cluttered(code, Look(squares=0.3)), 255)
     (warning,) = decode_stack(save(tmp_path, describe(code), stack)).warnings

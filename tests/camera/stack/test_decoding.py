@@ -1,4 +1,4 @@
-"""Stacks of every kind come back to where the projector's pixels were."""
+"""Stacks of every kind are decoded to the true projector positions."""
 
 import io
 from dataclasses import replace
@@ -43,14 +43,14 @@ def without(code, keep):
 
 
 def misses_px(result, scene):
-    """Distance from the true place, of the decoded pixels that a pixel's border does not cut."""
+    """Return errors of decoded pixels that no border of a projector pixel divides."""
     for axis, place in (("column", result.codes.column), ("row", result.codes.row)):
         if axis in result.code.axes:
             yield np.abs(place - getattr(scene, axis))[result.codes.reason == Reason.DECODED]
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_a_sound_stack_decodes_without_a_warning(name, tmp_path):
+def test_a_valid_stack_is_decoded_without_a_warning(name, tmp_path):
     """Oracle: the scene's closed form; light comes in whole projector pixels."""
     rig, code = small_rig(), CODES[name]
     path = save(tmp_path, describe(code), shoot(rig, code))
@@ -77,7 +77,7 @@ def keep_all(frame):
     ],
     ids="no_white_or_black no_inverses patterns_alone 1_bit_less 2_bits_less columns".split(),
 )
-def test_any_part_of_a_code_decodes_to_half_of_its_cell(keep, cell_px, tmp_path):
+def test_a_code_without_its_finest_bits_is_decoded_to_half_of_its_cell(keep, cell_px, tmp_path):
     rig, code = small_rig(), without(CODES["gray with inverses"], keep)
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)))
     assert result.warnings == ()
@@ -102,7 +102,7 @@ def test_any_part_of_a_code_decodes_to_half_of_its_cell(keep, cell_px, tmp_path)
         slow(".png", 10, False),
     ],
 )
-def test_pictures_of_any_kind_decode_alike(suffix, bits, color, tmp_path):
+def test_all_kinds_of_picture_files_are_decoded_to_the_same_result(suffix, bits, color, tmp_path):
     rig, code = small_rig(), CODES["gray with inverses"]
     stack = shoot(rig, code, bits=bits)
     result = decode_stack(save(tmp_path, describe(code, suffix), stack, color=color))
@@ -113,7 +113,7 @@ def test_pictures_of_any_kind_decode_alike(suffix, bits, color, tmp_path):
         assert np.quantile(miss, 0.97) < 0.51
 
 
-def test_an_orientation_tag_does_not_turn_a_picture(tmp_path):
+def test_an_orientation_tag_does_not_rotate_a_picture(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     stack = shoot(rig, code)
     path = save(tmp_path, describe(code, ".jpg"), stack)
@@ -126,8 +126,8 @@ def test_an_orientation_tag_does_not_turn_a_picture(tmp_path):
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.05, 0.2])
-def test_the_noise_law_comes_out_of_the_stack_itself(gain, tmp_path):
-    """Oracle: the noise that went in: variance 0.25 + gain * light, and 1/12 of rounding."""
+def test_the_noise_is_estimated_from_the_stack_itself(gain, tmp_path):
+    """Oracle: the simulated noise, variance 0.25 + gain * light, and 1/12 of rounding."""
     rig, code = small_rig(), CODES["gray with inverses"]
     levels = decode_stack(save(tmp_path, describe(code), shoot(rig, code, gain=gain))).levels.levels
     offset_dn = 0.02 * 255
@@ -137,7 +137,7 @@ def test_the_noise_law_comes_out_of_the_stack_itself(gain, tmp_path):
         assert levels.floor_dn2 + levels.slope_dn * stored == pytest.approx(true, rel=0.15)
 
 
-def test_what_the_file_states_of_the_camera_is_taken(tmp_path):
+def test_properties_of_the_camera_in_the_file_are_used(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     content = describe(code) | {
         "levels": {
@@ -153,13 +153,13 @@ def test_what_the_file_states_of_the_camera_is_taken(tmp_path):
 
 
 def off_the_surface_m(point_m):
-    """Distance from wall or ball, whichever is nearer."""
+    """Return the distance to the wall or the ball, whichever is nearer."""
     ball_m = np.abs(np.linalg.norm(point_m - BALL_M, axis=-1) - RADIUS_M)
     return np.minimum(ball_m, np.abs(point_m[:, 2] - WALL_M))
 
 
 @pytest.mark.parametrize("vertical", [False, True])
-def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_path):
+def test_depth_of_wall_and_ball_is_right_to_half_a_projector_pixel(vertical, tmp_path):
     rig, code = small_rig(vertical=vertical), CODES["gray with inverses"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     assert result.warnings == ()
@@ -167,7 +167,7 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     error_m = np.abs(result.depth.depth_m - view_of(rig).depth_m)[known]
     half_pixel_m = 0.5 * WALL_M**2 / (150.0 * 0.2)  # z^2 / (f b) per pixel
     assert known.mean() > 0.9 * result.figures.lit_share
-    assert np.quantile(error_m, 0.98) < 1.3 * half_pixel_m  # toe-in stretches it
+    assert np.quantile(error_m, 0.98) < 1.3 * half_pixel_m  # the toe-in increases it
     assert result.figures.epipolar_median_px < 0.5
 
 
@@ -175,7 +175,7 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     ("name", "mentioned"), [("gray with inverses", True), ("gray and phase", False)]
 )
 def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, mentioned, tmp_path):
-    """With phases the pixels of the smallest sigma were few, and their residual was any number."""
+    """With phases, few pixels have the smallest sigma, and their residual was meaningless."""
     rig, code = small_rig(), CODES[name]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     figures = result.figures
@@ -185,16 +185,16 @@ def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, men
 
 
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])
-def test_filters_of_a_preset_add_nothing_to_the_depth_of_a_stack(filters, tmp_path):
-    """The ball's slopes showed it: a preset's raster scattered the depth of real pictures."""
+def test_filters_of_a_preset_add_no_noise_to_the_depth_of_a_stack(filters, tmp_path):
+    """The slopes of the ball showed that a preset's raster scattered the depth of real pictures."""
     rig, code = small_rig(), CODES["gray and phase"]
     path = save(tmp_path, describe(code), shoot(rig, code))
     plain = decode_stack(path, rig).depth
     check_depth_of_no_filters(path, rig, plain, filters)
 
 
-def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_does():
-    """Oracle: positions with normal noise of the deviation that is told, 0.05 to 4 px."""
+def test_noise_does_not_remove_a_point_by_its_epipolar_line_but_a_wrong_row_does():
+    """Oracle: positions with normal noise of the stated deviation, 0.05 to 4 px."""
     rig = small_rig()
     truth, rng = view_of(rig), np.random.default_rng(6)
     sigma_px = np.geomspace(0.05, 4.0, truth.column.size)
@@ -238,7 +238,7 @@ def test_averaging_gives_one_point_per_projector_pixel_nearer_to_the_surface(dis
     assert fine_m < 0.4 * rough_m
 
 
-def test_two_rays_to_one_point_meet_in_it_and_miss_by_what_they_are_moved():
+def test_two_rays_meet_in_their_point_and_miss_each_other_by_their_displacement():
     rig = small_rig(distortion=(-0.2, 0.1, 1e-3, -1e-3, 0.0))
     rng = np.random.default_rng(5)
     point_m = rng.uniform((-0.15, -0.1, 0.6), (0.15, 0.1, 1.0), (200, 3))
@@ -247,7 +247,7 @@ def test_two_rays_to_one_point_meet_in_it_and_miss_by_what_they_are_moved():
     met_m, miss_px = meet_rays(camera_px, projector_px, rig)
     np.testing.assert_allclose(met_m, point_m, atol=1e-9)
     assert miss_px.max() < 1e-6
-    middle = np.abs(point_m[:, 1]) < 0.02  # there epipolar lines run along x
+    middle = np.abs(point_m[:, 1]) < 0.02  # epipolar lines are parallel to x there
     _, miss_px = meet_rays(camera_px, projector_px + np.array([0.0, 2.0]), rig)
     np.testing.assert_allclose(miss_px[middle], 2.0, rtol=0.05)
 
@@ -265,7 +265,7 @@ def read_ply(path):
     return table
 
 
-def test_the_files_hold_what_was_decoded(tmp_path):
+def test_the_files_contain_the_decoded_result(tmp_path):
     rig, code = small_rig(), CODES["gray with inverses"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     out = tmp_path / "new" / "out"
@@ -291,7 +291,7 @@ def test_the_files_hold_what_was_decoded(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_an_earlier_run_left_does_not_stay_beside_a_new_result(tmp_path):
+def test_results_of_an_earlier_run_are_removed_when_a_new_result_is_written(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     path = save(tmp_path, describe(code), shoot(rig, code))
     write_result(decode_stack(path, rig), tmp_path / "out")
@@ -308,7 +308,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_the_example_of_a_phase_code_needs_no_stride(tmp_path):
-    """A complementary bit says how wide the Gray values are."""
+    """A complementary bit gives the width of the Gray values."""
     content = describe(CODES["gray and phase"])
     del content["stride_px"]
     rig, code = small_rig(), CODES["gray and phase"]

@@ -1,4 +1,4 @@
-"""A warning is of a fault: none on healthy scenes that are hard, and always on a faulty stack."""
+"""Healthy stacks of hard scenes cause no warning, and faulty ones always do."""
 
 import pytest
 
@@ -46,12 +46,12 @@ def warnings_of(folder, code, stack, edit=None):
 
 
 @pytest.mark.parametrize(("name", "look"), ALL)
-def test_a_healthy_stack_of_a_hard_scene_is_not_warned_of(name, look, tmp_path):
+def test_a_healthy_stack_of_a_hard_scene_causes_no_warning(name, look, tmp_path):
     code = CODES[name]
     assert not warnings_of(tmp_path, code, shoot_cluttered(code, LOOKS[look]))
 
 
-def test_contradictions_in_strong_noise_are_put_down_to_the_noise(tmp_path):
+def test_contradictions_in_strong_noise_are_attributed_to_the_noise(tmp_path):
     code = CODES["micro phase"]
     stack = shoot_cluttered(code, Look(bright=0.05, read_dn=3.0, gain=0.3))
     (warning,) = [w for w in warnings_of(tmp_path, code, stack) if "contradict" in w]
@@ -62,7 +62,7 @@ def test_contradictions_in_strong_noise_are_put_down_to_the_noise(tmp_path):
 
 
 def misname(content):
-    """A column's bit and a row's bit carry each other's names."""
+    """Exchange the names of a column's bit and a row's bit."""
     swap(content, "column_bit03", "row_bit04")
 
 
@@ -72,7 +72,7 @@ def exchange(content):
 
 
 def shift(content):
-    """Each bit's files are those of the next coarser one, the coarsest's those of the finest."""
+    """Give each bit the files of the next coarser one, and the coarsest those of the finest."""
     bits = [e for e in content["frames"] if e.get("axis") == "column"]
     files = [e["file"] for e in bits]
     for e, file in zip(bits, files[-2:] + files[:-2], strict=True):
@@ -112,7 +112,7 @@ FAULTY = ["dark squares", "squares and a shadow", "a bare wall that flickers"]
         for look in FAULTY
     ],
 )
-def test_a_fault_is_warned_of_in_a_hard_scene_too(edit, says, look, tmp_path):
+def test_a_fault_causes_a_warning_in_a_hard_scene_too(edit, says, look, tmp_path):
     code = CODES["gray and inverses"]
     warnings = warnings_of(tmp_path, code, shoot_cluttered(code, LOOKS[look]), edit)
     assert any(says in warning for warning in warnings), warnings

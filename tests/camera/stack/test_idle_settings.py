@@ -1,4 +1,4 @@
-"""Settings that change nothing for the stack at hand are noted, in one line."""
+"""Settings that do not affect a stack are noted in one line."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ LEVELS = Levels(offset_dn=0.0, saturation_dn=255.0, floor_dn2=4.0, slope_dn=0.5)
 
 @pytest.fixture(scope="module")
 def stacks():
-    """Pictures of each code with much noise, so that every setting that is used shows itself."""
+    """Return pictures of each code with much noise, so that each used setting has an effect."""
     rng, rig = np.random.default_rng(1), small_rig()
     noisy = {}
     for name, code in CODES.items():
@@ -41,8 +41,8 @@ def maps(codes: CodeMap):
 
 @pytest.mark.parametrize("setting", FAR_OFF)
 @pytest.mark.parametrize("name", CODES)
-def test_a_setting_is_called_idle_where_it_changes_no_pixel(name, setting, stacks):
-    """Oracle: the decoder itself, with a value far from the usual one."""
+def test_a_setting_is_called_idle_if_it_changes_no_pixel(name, setting, stacks):
+    """Oracle: the decoder itself, with a value far from the default."""
     code, spec = CODES[name], DecodeSpec(**{setting: FAR_OFF[setting]})
     usual = maps(decode(stacks[name], code, DecodeSpec(), LEVELS))
     changed = maps(decode(stacks[name], code, spec, LEVELS))
@@ -75,8 +75,8 @@ def test_settings_that_are_used_or_switched_off_are_not_noted(tmp_path):
     assert decoded(tmp_path, CODES["gray"], off, small_rig()).notes == ()
 
 
-def test_guards_of_a_rig_that_the_stack_file_does_not_state_are_noted():
-    """A stack is read by its own file, so the guards of --rig like-phoxi-m do nothing."""
+def test_guards_of_a_rig_that_is_not_in_the_stack_file_are_noted():
+    """A stack is read with its own file, so the guards of --rig like-phoxi-m have no effect."""
     content = describe(CODES["gray"])
     rig_file = DecodeSpec(min_visibility=0.5, min_sigmas=7.0)
     (note,) = unread_settings(StackDescription.model_validate(content), rig_file)

@@ -1,4 +1,4 @@
-"""A calibration states no working range: without one it is what both devices see."""
+"""Without a stated working range, the range is what both devices of a calibration see."""
 
 import cv2
 import numpy as np
@@ -26,14 +26,14 @@ def sizes():
     return {"unit": "mm", "camera_size_px": None, "projector_size_px": None}
 
 
-def test_the_range_left_out_is_where_both_see_a_place_in_common(tmp_path):
-    """Oracle: the borders of the two fields, in the plane of both optical axes, cut each other."""
+def test_the_default_range_is_where_both_devices_see_a_common_point(tmp_path):
+    """Oracle: intersections of the borders of both fields, in the plane of both optical axes."""
     rig = small_rig()
     write(tmp_path / "rig.yaml", rig, inverse(rig.T_cam_proj))
     imported = import_opencv(tmp_path / "rig.yaml", **sizes())
     camera_right = (rig.camera.width_px - 1) / 2 / rig.camera.fx_px
     edge = (rig.projector.width_px / 2) / rig.projector.fx_px
-    # Projector at x = 0.2 m, turned by 0.25 rad towards the camera; its left border's slope:
+    # The projector is at x = 0.2 m, turned by 0.25 rad to the camera. Slope of its left border:
     left = np.tan(np.arctan(-edge) - 0.25)
     nearest_m = 0.2 / (camera_right - left)
     assert imported.near_m == pytest.approx(nearest_m, rel=0.03)
@@ -42,7 +42,7 @@ def test_the_range_left_out_is_where_both_see_a_place_in_common(tmp_path):
     assert (stated.near_m, stated.far_m) == (0.3, 0.9)
 
 
-def test_devices_that_see_nothing_in_common_are_refused(tmp_path):
+def test_devices_without_a_common_field_are_refused(tmp_path):
     rig = small_rig()
     T_proj_cam = inverse(rig.T_cam_proj)
     T_proj_cam[:3, :3] = np.diag([-1.0, 1.0, -1.0])  # back to back

@@ -1,4 +1,4 @@
-"""A camera that was bumped while the stack was taken is named, with where and how far."""
+"""A camera that was moved during the stack is named, with the frame and the distance."""
 
 import re
 from dataclasses import replace
@@ -25,7 +25,7 @@ LOOK = Look(squares=0.3, gain=0.05)
 
 
 def moved(stack, at, x_px, y_px):
-    """The stack whose camera was bumped before frame `at`."""
+    """Return a stack whose camera was bumped before frame `at`."""
     late = np.roll(stack[at:], (y_px, x_px), axis=(1, 2))
     return np.concatenate([stack[:at], late])
 
@@ -37,8 +37,8 @@ def motions(warnings):
 
 @pytest.mark.parametrize("name", ["gray", slow("gray and phase"), slow("three frequencies")])
 @pytest.mark.parametrize(("x_px", "y_px"), [(2, 1), slow(-10, 3)])
-def test_a_bump_between_columns_and_rows_is_named_and_nothing_else(name, x_px, y_px, tmp_path):
-    """Oracle: the whole pixels by which the frames of the rows were moved."""
+def test_a_bump_between_columns_and_rows_is_the_only_warning(name, x_px, y_px, tmp_path):
+    """Oracle: the whole pixels by which the frames of the rows were shifted."""
     code = CODES[name]
     at = next(k for k, frame in enumerate(code.frames) if frame.axis == "row")
     stack = moved(shoot_cluttered(code, LOOK), at, x_px, y_px)
@@ -49,7 +49,7 @@ def test_a_bump_between_columns_and_rows_is_named_and_nothing_else(name, x_px, y
     assert (int(before), int(after)) == (at, at + 1)  # counted from 1
 
 
-def test_a_bump_between_a_pattern_and_its_inverse_is_one_bump_about_these():
+def test_a_bump_between_a_pattern_and_its_inverse_is_named_once_with_both_frames():
     code = CODES["gray"]
     stack = moved(shoot_cluttered(code, LOOK), 9, 2, 0)  # frame 8 is a pattern, 9 its inverse
     (jump,) = stack_motion(white_sums(stack, code, 255.0)).jumps
@@ -58,8 +58,8 @@ def test_a_bump_between_a_pattern_and_its_inverse_is_one_bump_about_these():
     assert abs(jump.y_px) < 0.15
 
 
-def test_a_steady_motion_is_told_from_a_bump_in_it():
-    """Oracle: 1 px to the right for each white sum, and 3 px down once."""
+def test_a_bump_during_a_steady_motion_is_distinguished_from_it():
+    """Oracle: 1 px to the right for each white sum, and once 3 px down."""
     code = CODES["gray"]
     stack = shoot_cluttered(code, LOOK)
     for k in range(16):
@@ -83,9 +83,9 @@ def second_half(pair):
 
 @pytest.mark.parametrize(("place_px", "extent_px"), [(to_and_fro, 2), (second_half, 7)])
 def test_a_camera_that_moves_in_half_of_the_stack_is_named(place_px, extent_px, tmp_path):
-    """Seven of the 14 motions are 0, so no median tells which half is usual.
+    """Seven of the 14 motions are 0, so the median does not show which half is usual.
 
-    Oracle: the whole pixels by which the pairs of pattern and inverse were moved.
+    Oracle: the whole pixels by which the pairs of pattern and inverse were shifted.
     """
     code = CODES["gray"]
     stack = shoot_cluttered(code, LOOK)
@@ -96,8 +96,8 @@ def test_a_camera_that_moves_in_half_of_the_stack_is_named(place_px, extent_px, 
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_noise_and_exposure_that_changes_move_nothing(name):
-    """The light of each frame is another one: bulbs warm up."""
+def test_noise_and_changing_exposure_are_not_taken_for_motion(name):
+    """Each frame has another brightness, as from bulbs that warm up."""
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.3, gain=0.3, read_dn=2.0))
     fading = np.linspace(1, 0.75, len(stack))[:, None, None]
@@ -105,8 +105,8 @@ def test_noise_and_exposure_that_changes_move_nothing(name):
     assert motion == StackMotion()
 
 
-def test_fringes_that_a_gamma_leaves_in_the_sums_are_no_motion():
-    """The square root of the light: pairs and steps no longer add up to white."""
+def test_fringes_from_a_gamma_are_not_taken_for_motion():
+    """Pictures have the square root of the light, so pairs and steps do not add up to white."""
     for code in CODES.values():
         stack = shoot_cluttered(code, Look(squares=0.3, blur_px=0.7))
         bent = np.rint(255 * np.sqrt(stack / 255)).astype(np.uint8)

@@ -27,7 +27,7 @@ def grid():
 
 @pytest.mark.parametrize("noise_sigmas", [0.0, 0.7])
 def test_a_plane_keeps_its_sigma(noise_sigmas):
-    """A plane is linear in inverse depth, however steep it is; so small a noise is no bend."""
+    """A plane is linear in inverse depth at any slope; such small noise is no bend."""
     x, y = grid()
     inverse = 0.8 + 3e-3 * x - 2e-3 * y
     off = noise_sigmas * SIGMA_M * inverse**2 * np.random.default_rng(5).uniform(-1, 1, x.shape)
@@ -37,7 +37,7 @@ def test_a_plane_keeps_its_sigma(noise_sigmas):
 
 @pytest.mark.parametrize("turn", [False, True])
 def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
-    """The bend of a fold is what the slope changes by within a pixel, at the fold alone."""
+    """The bend is the change of the slope within a pixel, only at the fold."""
     x, _ = grid()
     change = 4e-3  # of inverse depth per pixel [1/m]
     inverse = 0.7 + change * np.abs(x - 20)
@@ -52,8 +52,8 @@ def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
     np.testing.assert_array_equal(np.delete(sigma_m, (19, 20, 21), axis=1), np.float32(SIGMA_M))
 
 
-def test_error_over_sigma_of_pixels_that_a_step_divides_is_that_of_noise():
-    """Each row is divided at a place of its own, and sees both surfaces by their share of it."""
+def test_errors_of_pixels_divided_by_a_step_agree_with_sigma():
+    """A step divides each row at another position; a pixel there sees a share of both surfaces."""
     rng = np.random.default_rng(7)
     height, rows = 5e-3, 4000
     share = rng.uniform(0, 1, rows)
@@ -64,10 +64,10 @@ def test_error_over_sigma_of_pixels_that_a_step_divides_is_that_of_noise():
     off = (scan.depth_m[:, 4] - true_m) / with_bends(scan).sigma_m[:, 4]
     assert 0.8 <= np.sqrt(np.mean(off**2)) <= 1.6
     assert (np.abs(off) > 5).mean() == 0
-    assert (np.abs(scan.depth_m[:, 4] - true_m) > 5 * SIGMA_M).mean() > 0.5  # without it
+    assert (np.abs(scan.depth_m[:, 4] - true_m) > 5 * SIGMA_M).mean() > 0.5  # without the term
 
 
-def test_beside_a_hole_and_at_the_picture_border_nothing_is_added():
+def test_sigma_is_unchanged_next_to_a_hole_and_at_the_picture_s_border():
     x, _ = grid()
     inverse = 0.7 + 4e-3 * np.abs(x - 0.5)  # it folds between the first two columns
     inverse[:, 2] = np.nan

@@ -1,4 +1,4 @@
-"""Exposure times that are chosen for the light: closed forms of the bracket, and its laws."""
+"""Exposure times chosen for the light: closed forms and laws of the bracket."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ AUTO = ExposureSpec(auto=True)
 
 
 def levels(light: float, times: ExposureTimes) -> np.ndarray:
-    """The share of the sensor's range that a light reaches in each exposure."""
+    """Return the share of the sensor's range that a light reaches in each exposure."""
     rate_e_s = SENSOR.responsivity * light + SENSOR.dark_current_e_s
     return np.array(times.times_s) * rate_e_s / RANGE_E
 
@@ -24,7 +24,7 @@ def two_lights(ratio: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("ratio", "count"), [(7.9, 1), (50.0, 2), (500.0, 3), (4000.0, 4)])
-def test_each_of_two_lights_is_well_exposed_in_as_few_exposures_as_their_ratio_needs(ratio, count):
+def test_two_lights_are_well_exposed_in_the_fewest_exposures_that_their_ratio_needs(ratio, count):
     times = exposure_times(two_lights(ratio), SENSOR, AUTO)
     assert len(times.times_s) == count
     assert levels(ratio, times)[0] == pytest.approx(0.8)
@@ -33,13 +33,13 @@ def test_each_of_two_lights_is_well_exposed_in_as_few_exposures_as_their_ratio_n
         assert ((level > 0.1 - 1e-6) & (level < 0.8 + 1e-6)).any()
 
 
-def test_light_of_one_level_has_one_exposure_that_brings_it_to_the_target():
+def test_light_of_one_level_gets_one_exposure_that_brings_it_to_the_target():
     times = exposure_times(np.full(100, 3.0, np.float32), SENSOR, replace(AUTO, target=0.6))
     assert levels(3.0, times) == pytest.approx([0.6])
     assert times.reference_s == times.times_s[0]
 
 
-def test_times_are_inverse_to_the_light():
+def test_exposure_times_are_inverse_to_the_light():
     sensor = replace(SENSOR, dark_current_e_s=0.0)
     white = np.random.default_rng(0).lognormal(0, 2, 5000).astype(np.float32)
     once, brighter = (exposure_times(k * white, sensor, AUTO) for k in (1, 16))
@@ -47,7 +47,7 @@ def test_times_are_inverse_to_the_light():
     assert once.reference_s / 16 == pytest.approx(brighter.reference_s)
 
 
-def test_a_few_pixels_as_bright_as_a_mirror_do_not_change_the_times():
+def test_a_few_pixels_of_mirrored_light_do_not_change_the_times():
     white = two_lights(50.0)
     with_mirrors = np.concatenate([white, np.array([1e6], dtype=np.float32)])
     assert exposure_times(with_mirrors, SENSOR, AUTO).times_s == pytest.approx(
@@ -55,7 +55,7 @@ def test_a_few_pixels_as_bright_as_a_mirror_do_not_change_the_times():
     )
 
 
-def test_no_more_exposures_than_most_and_no_wider_span_than_that_of_makers():
+def test_exposures_are_limited_in_number_and_in_span():
     for most in (1, 2, 3, 5):
         times = exposure_times(two_lights(1e9), SENSOR, replace(AUTO, most=most)).times_s
         assert len(times) == most
@@ -63,7 +63,7 @@ def test_no_more_exposures_than_most_and_no_wider_span_than_that_of_makers():
         assert times[-1] / times[0] <= SPAN_MAX * (1 + 1e-9)
 
 
-def test_the_scale_of_light_is_that_of_the_automatic_exposure_without_a_bracket():
+def test_scaled_light_gives_the_time_of_automatic_exposure_without_a_bracket():
     white = two_lights(500.0)
     fixed = exposure_times(white, SENSOR, ExposureSpec(factors=(1.0, 4.0)))
     assert exposure_times(white, SENSOR, AUTO).reference_s == fixed.reference_s

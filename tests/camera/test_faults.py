@@ -1,4 +1,4 @@
-"""A device's faults: depth of points beside pixels' centres."""
+"""Faults of a device: depth of points next to the centres of pixels."""
 
 import math
 from dataclasses import fields
@@ -16,7 +16,7 @@ F_PX, SHAPE = 500.0, (300, 320)
 
 
 def tilted(tilt_deg, azimuth_deg):
-    """z of a plane through (0, 0, 0.8), and how it rises per pixel."""
+    """Return z of a plane through (0, 0, 0.8), and its slope per pixel."""
     y, x = (np.indices(SHAPE) - np.array([149.5, 159.5])[:, None, None]) / F_PX
     slope = math.tan(math.radians(tilt_deg))
     aside = x * math.cos(math.radians(azimuth_deg)) + y * math.sin(math.radians(azimuth_deg))
@@ -34,21 +34,21 @@ def depth_map(z_m, sigma_m=1e-7):
 
 @pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(20, 0), (45, 90), (60, 30)])
 def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
-    """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that. The stated
-    sigma is the errors'."""
+    """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that; sigma
+    agrees."""
     z_m = tilted(tilt_deg, azimuth_deg)
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0)
     error_m = placed.depth_m - z_m
     near = np.s_[130:170, 140:180]
     law_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
-    assert error_m[near].std() == pytest.approx(law_m, rel=0.08)  # of 1600: 1.8 % one sigma
+    assert error_m[near].std() == pytest.approx(law_m, rel=0.08)  # 1600 pixels: 1.8 % one sigma
     inside = np.s_[1:-1, 1:-1]
     assert np.std((error_m / placed.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
 
 
 @pytest.mark.parametrize("tilt_deg", [5, 30, 70])
-def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
-    """Oracle: the inverse squares of both deviations add up."""
+def test_the_error_of_a_limited_raster_does_not_exceed_its_limit(tilt_deg):
+    """Oracle: the inverse squares of both deviations are added."""
     z_m, limit_m = tilted(tilt_deg, 90), 2e-4
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25, raster_limit_m=limit_m), seed=0)
     near = np.s_[130:170, 140:180]
@@ -67,7 +67,7 @@ def test_the_raster_is_white_and_the_same_in_every_shot():
         assert abs((a * b).mean()) < 4 / math.sqrt(share.size)
 
 
-def test_errors_of_a_line_are_alike_in_size():
+def test_errors_of_a_line_are_similar_in_size():
     """Oracle: the log-normal law, whose logarithm is a Gaussian convolved with white noise."""
     factor = line_amplitude((400, 420), 0.5, seed=0)
     assert (factor**2).mean() == pytest.approx(1, rel=0.03)
@@ -83,15 +83,15 @@ def test_errors_of_a_line_are_alike_in_size():
         depth_map(z_m), FaultSpec(raster_px=0.2, raster_line_unevenness=0.5), seed=0
     )
     share = ((placed.depth_m - z_m) / placed.sigma_m)[1:-1, 1:-1]
-    assert share.std() == pytest.approx(1, rel=0.03)  # what sigma tells
+    assert share.std() == pytest.approx(1, rel=0.03)  # the change that sigma includes
     size = np.abs(share) - np.abs(share).mean()
     lines, columns = (size[1:] * size[:-1]).mean(), (size[:, 1:] * size[:, :-1]).mean()
     assert lines > 5 * abs(columns)
-    assert abs((share[1:] * share[:-1]).mean()) < 0.02  # their signs are not
+    assert abs((share[1:] * share[:-1]).mean()) < 0.02  # their signs do not correlate
 
 
-def test_where_light_is_even_a_place_is_nearer_to_the_middle():
-    """Half the contrast of light moves the mean of a window half as far, and sigma tells it."""
+def test_positions_in_even_light_are_nearer_to_the_centre():
+    """Half the contrast of the light moves the centre half as far, and sigma agrees."""
     z_m = tilted(45, 0)
     contrast = np.where(np.arange(SHAPE[1]) < 160, 1.0, 0.5) * np.ones(SHAPE)
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0, light_contrast=contrast)
@@ -103,7 +103,7 @@ def test_where_light_is_even_a_place_is_nearer_to_the_middle():
     assert np.std((moved / placed.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
 
 
-def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
+def test_a_facing_surface_a_step_and_a_hole_are_unchanged():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9
     z_m[100:110, 100:110] = np.nan
@@ -123,7 +123,7 @@ def test_impossible_faults_are_refused_by_name(name, value):
         FaultSpec(**{name: value})
 
 
-def test_no_setting_of_a_filter_is_a_fault_and_decode_stack_takes_filters_alone():
+def test_filters_have_no_fault_and_decode_stack_accepts_filters_only():
     assert not {f.name for f in fields(FaultSpec)} & {f.name for f in fields(FilterSpec)}
     assert get_type_hints(decode_stack)["filters"] == FilterSpec | None
     assert set(get_type_hints(decode_stack)) == {"path", "rig", "average", "filters", "return"}

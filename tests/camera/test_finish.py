@@ -1,4 +1,4 @@
-"""Patches of a surface: the law of an uneven amplitude, and its patches."""
+"""Patches of a surface: the law of an uneven amplitude, and the size of the patches."""
 
 import itertools
 import math

@@ -1,8 +1,8 @@
-"""Which codes survive light from the other wall: a V-groove against radiosity.
+"""Codes that survive light from another wall: a V-groove compared with radiosity.
 
 The groove's apex lies along y, so columns light its walls strip by strip and radiosity has one
-dimension. The projector grazes one wall, which the other lights more than the projector does:
-there a coarse Gray bit shows what the other wall sees.
+dimension. The projector grazes one wall, which the other lights more than the projector does: there
+a coarse Gray bit has the value of the other wall.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 ALBEDO, WALL_M, HALF_LENGTH_M, STRIPS = 0.9, 0.10, 0.30, 400
 APEX_M = np.array([0.0, 0.0, 1.0])
-# 50 degrees between the walls, which lean by 7 against the camera's axis.
+# The angle between the walls is 50 degrees; they lean by 7 degrees to the camera's axis.
 DIRECTIONS = [np.array([np.sin(a), 0.0, -np.cos(a)]) for a in np.radians([-32.0, 18.0])]
 NORMALS = [np.array([np.cos(np.radians(-32.0)), 0.0, np.sin(np.radians(-32.0))]),
            -np.array([np.cos(np.radians(18.0)), 0.0, np.sin(np.radians(18.0))])]  # fmt: skip
@@ -59,7 +59,7 @@ def groove():
 
 
 class Radiosity:
-    """Strips of an endless groove: what each sends out per unit of light on every strip."""
+    """Strips of an infinite groove: the light that each emits per unit of light on every strip."""
 
     def __init__(self, rig):
         edges = WALL_M * np.linspace(0, 1, STRIPS + 1)
@@ -82,7 +82,7 @@ class Radiosity:
         self.solve = np.linalg.inv(np.eye(2 * STRIPS) - ALBEDO * between) * ALBEDO
 
     def decoded(self, code):
-        """Columns that a perfect camera would decode, one per strip."""
+        """Return the columns that a perfect camera would decode, one per strip."""
         at = np.clip(np.rint(self.column), 0, code.width_px - 1).astype(int)
         light = []
         for frame in code.frames:
@@ -97,7 +97,7 @@ class Radiosity:
 
 @pytest.fixture(scope="module")
 def shots(rig, mitsuba_renderer):
-    """Per code: errors of decoded and of predicted columns, pixel by pixel of both walls."""
+    """Return, per code, errors of decoded and predicted columns for pixels of both walls."""
     theory = Radiosity(rig)
     scene = in_camera(rig, *groove())
     errors = {}
@@ -120,7 +120,7 @@ def shots(rig, mitsuba_renderer):
         measured, predicted = [], []
         for i in (0, 1):
             on = np.abs((point - APEX_M) @ NORMALS[i]) < 1e-4
-            on[:15], on[45:] = False, False  # the middle of the groove: radiosity has no ends
+            on[:15], on[45:] = False, False  # the middle of the groove: radiosity ignores the ends
             strip = ((point[on] - APEX_M) @ DIRECTIONS[i] / WALL_M * STRIPS).astype(int)
             measured.append((codes.column - column)[on])
             predicted.append(strips[i * STRIPS : (i + 1) * STRIPS][np.clip(strip, 0, STRIPS - 1)])
@@ -129,28 +129,28 @@ def shots(rig, mitsuba_renderer):
 
 
 def wrong(error):
-    """Share of the decoded pixels that are off by more than two columns."""
+    """Return the share of the decoded pixels with errors of more than two columns."""
     return np.mean(np.abs(error[np.isfinite(error)]) > 2)
 
 
 @pytest.mark.slow
-def test_plain_gray_fails_where_radiosity_says(shots):
+def test_plain_gray_code_fails_where_radiosity_predicts_it(shots):
     measured, predicted = shots["gray"]
     known = np.isfinite(measured) & np.isfinite(predicted)
     assert wrong(predicted) > 0.25
     agree = (np.abs(measured[known]) > 2) == (np.abs(predicted[known]) > 2)
-    assert agree.mean() > 0.9  # the rest lies at the borders of what fails
+    assert agree.mean() > 0.9  # the others are at the borders of failing areas
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["xor", "micro"])
-def test_codes_of_narrow_stripes_halve_the_error_or_better(shots, code):
-    """It is under a fifth, in fact; what they cannot read they do not give."""
+def test_codes_of_narrow_stripes_halve_the_error_or_more(shots, code):
+    """It is under a fifth; pixels that they cannot decode have no value."""
     assert wrong(shots[code][0]) < 0.5 * wrong(shots["gray"][0])
     assert np.isfinite(shots[code][0]).mean() > 0.6
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["xor", "micro"])
-def test_radiosity_says_that_codes_of_narrow_stripes_hold(shots, code):
+def test_radiosity_predicts_that_codes_of_narrow_stripes_are_right(shots, code):
     assert wrong(shots[code][1]) < 0.05

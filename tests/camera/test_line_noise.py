@@ -1,4 +1,4 @@
-"""Uneven projector lines: noise is common along them, obeys the closed form, and is told."""
+"""Uneven projector lines: noise is common along them, follows a closed form, and is in sigma."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ SHARE, PERIOD_PX, STEPS = 0.02, 16.0, 4
 
 @pytest.fixture(scope="module")
 def scanner():
-    """Parallel devices whose pixels fit each other: each camera pixel sees one projector line."""
+    """Return parallel devices with equal pixels: each camera pixel sees one projector line."""
     rig = make_rig(centred(96, 72, 160.0), centred(192, 144, 160.0), line_noise=SHARE)
     return Scanner(
         rig=rig,
@@ -47,14 +47,14 @@ def light_of(scanner):
 
 
 def places(scanner, radiance, seeds):
-    """Decoded columns and their stated depth sigma over the code's own, of several captures."""
+    """Return decoded columns of several captures, and stated depth sigma over the code's own."""
     captures = [take(scanner, radiance, seed=seed) for seed in seeds]
     scans = [measure(scanner, capture, path_noise=None) for capture in captures]
     inner = np.s_[2:-2, 2:-2]
     return np.stack([codes.column[inner] for codes, _ in scans]), scans
 
 
-def test_the_renderer_says_which_line_each_pixel_sees(scanner, radiance):
+def test_the_renderer_gives_the_projector_line_of_each_pixel(scanner, radiance):
     """Oracle: similar triangles, u_proj = u_cam - f b / z."""
     rig = scanner.rig
     expected = np.arange(96) - 47.5 - 160.0 * rig.T_cam_proj[0, 3] / 1.0 + 95.5
@@ -63,9 +63,9 @@ def test_the_renderer_says_which_line_each_pixel_sees(scanner, radiance):
     )
 
 
-def test_a_glint_does_not_switch_off_the_noise_of_other_pixels(scanner, radiance):
+def test_a_glint_does_not_remove_the_noise_of_other_pixels(scanner, radiance):
     """Law: light adds pixel by pixel, so a facet that mirrors the projector, 26,000 times as bright
-    as white paper, changes no digital number of any other pixel at a fixed exposure.
+    as white paper, changes no other pixel at a fixed exposure.
     """
     fixed = replace(scanner, exposure=ExposureSpec(exposure_s=2e-3))
     pattern = radiance.pattern.copy()
@@ -80,7 +80,7 @@ def test_a_glint_does_not_switch_off_the_noise_of_other_pixels(scanner, radiance
     assert (one[:, ~same] < other[:, ~same]).any()
 
 
-def test_a_dark_scene_with_a_fixed_exposure_is_a_dark_picture(scanner, radiance):
+def test_a_dark_scene_with_a_fixed_exposure_gives_a_dark_picture(scanner, radiance):
     dark = replace(
         radiance,
         pattern=np.zeros_like(radiance.pattern),
@@ -91,30 +91,30 @@ def test_a_dark_scene_with_a_fixed_exposure_is_a_dark_picture(scanner, radiance)
     assert frames.max() < scanner.sensor.offset_dn + 5
 
 
-def test_line_noise_without_the_places_of_light_is_refused_by_name(scanner, radiance):
+def test_line_noise_without_the_positions_of_light_is_refused_by_name(scanner, radiance):
     with pytest.raises(ValueError, match=r"line_noise 0\.02.*place_px"):
         take(scanner, replace(radiance, place_px=None), seed=1)
 
 
-def test_positions_scatter_by_the_closed_form_and_alike_along_a_line(scanner, radiance):
+def test_positions_scatter_by_the_closed_form_and_equally_along_a_line(scanner, radiance):
     """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
 
-    Half of it, and twice, are refused by far.
+    Half and twice the value fail clearly.
     """
     column, _ = places(scanner, radiance, range(20))
     error = column - column.mean(axis=0)
     expected = PERIOD_PX / (2 * np.pi) * SHARE * np.sqrt(5 / (2 * STEPS))
-    common = error.mean(axis=1)  # over the rows: what a line's pixels share
+    common = error.mean(axis=1)  # over the rows: the common error of a line
     assert common.std() == pytest.approx(expected, rel=0.05)
     rest = error - common[:, None, :]
     assert rest.std() < 0.2 * expected  # photons and rounding
     neighbours = np.corrcoef(common[:, :-1].ravel(), common[:, 1:].ravel())[0, 1]
-    assert abs(neighbours) < 0.1  # lines have errors of their own
+    assert abs(neighbours) < 0.1  # each line has its own error
 
 
 @pytest.mark.parametrize("length_px", [1.0, 3.0])
-def test_errors_of_a_length_are_alike_near_by_alone(scanner, radiance, length_px):
-    """exp(-(r / l)^2) along a line, nothing across; their scatter stays that of whole lines."""
+def test_errors_with_a_length_correlate_only_over_that_length(scanner, radiance, length_px):
+    """The law is exp(-(r / l)^2) along a line; the scatter stays that of whole lines."""
     rig = scanner.rig
     length_m = length_px * (rig.near_m + rig.far_m) / 2 / rig.camera.fx_px
     short = replace(scanner, rig=replace(rig, line_noise_length_m=length_m))
@@ -128,8 +128,8 @@ def test_errors_of_a_length_are_alike_near_by_alone(scanner, radiance, length_px
     assert abs(np.corrcoef(error[..., :-1].ravel(), error[..., 1:].ravel())[0, 1]) < 0.03
 
 
-def test_errors_as_long_as_the_picture_scatter_by_their_share():
-    """100 places, 4000 lines: a ring of places cannot hold the law of such lengths as it is."""
+def test_errors_longer_than_the_picture_scatter_by_their_share():
+    """With 100 positions, a ring cannot have the law of such lengths exactly."""
     line = np.broadcast_to(np.arange(4000.0), (100, 4000))
     for length_px in (25.0, 50.0, 250.0):
         noisy = with_line_noise(
@@ -138,7 +138,7 @@ def test_errors_as_long_as_the_picture_scatter_by_their_share():
         assert (noisy - 1).std() == pytest.approx(0.01, rel=0.02)
 
 
-def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
+def test_lines_along_rows_also_have_a_length(scanner, radiance):
     place = radiance.place_px[0]
     upright = with_line_noise(radiance.pattern, place, 0.1, axis="column", length_px=2.0, seed=1)
     lying = with_line_noise(
@@ -157,7 +157,7 @@ def test_several_periods_scatter_less_by_their_mean(scanner, words):
     assert np.sqrt(u.var(axis=0, ddof=1).mean()) == pytest.approx(stated_px, rel=0.08)
 
 
-def test_sigma_tells_the_error(scanner, radiance):
+def test_sigma_agrees_with_the_error_of_line_noise(scanner, radiance):
     _, scans = places(scanner, radiance, range(12))
     inner = np.s_[2:-2, 2:-2]
     depth_m = np.stack([depth.depth_m[inner] for _, depth in scans])
@@ -166,7 +166,7 @@ def test_sigma_tells_the_error(scanner, radiance):
     assert 0.9 < noise_m / np.sqrt((sigma_m**2).mean()) < 1.1
 
 
-def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radiance):
+def test_a_steady_projector_adds_no_noise_and_exposures_differ(scanner, radiance):
     still = replace(scanner, rig=replace(scanner.rig, line_noise=0.0))
     sensor = replace(scanner, rig=replace(scanner.rig, line_noise=1e-9))
     np.testing.assert_array_equal(
@@ -181,7 +181,7 @@ def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radianc
     assert not np.array_equal(first, other)
 
 
-def test_light_of_no_known_line_is_left(scanner, radiance):
+def test_light_without_a_known_line_is_unchanged(scanner, radiance):
     place = radiance.place_px[0].copy()
     place[:, 40:] = np.nan
     noisy = with_line_noise(radiance.pattern, place, 0.1, axis="column", seed=1)

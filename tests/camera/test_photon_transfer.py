@@ -1,4 +1,4 @@
-"""The laboratory's method against sensors whose parameters are known."""
+"""The laboratory's method, tested with sensors of known parameters."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ SPEC = SensorSpec(dark_current_e_s=25.0, dsnu_e=1.2, prnu=0.008, fpn_seed=7)
 
 
 def returns(measured, spec):
-    """Gain, read noise and full well within 2 %, the promise of the virtual sensor."""
+    """Check gain, read noise and full well within 2 %, the promise of the virtual sensor."""
     names = ("gain_dn_per_e", "read_noise_e", "full_well_e")
     return all(abs(getattr(measured, n) / getattr(spec, n) - 1) < 0.02 for n in names)
 
@@ -32,7 +32,7 @@ def returns(measured, spec):
         ),
     ],
 )
-def test_photon_transfer_returns_the_parameters_that_went_in(spec, side_px):
+def test_photon_transfer_measures_the_parameters_of_a_simulated_sensor(spec, side_px):
     measured = photon_transfer(spec, seed=1, side_px=side_px)
     assert returns(measured, spec)
     assert abs(measured.dark_current_e_s / spec.dark_current_e_s - 1) < 0.05
@@ -44,7 +44,7 @@ def test_photon_transfer_returns_the_parameters_that_went_in(spec, side_px):
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.97, 1.03])
 def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
-    """The temporal noise of every picture stretched about its level, which stays."""
+    """The temporal noise of every picture is scaled about its level, which does not change."""
 
     def wrong(radiance, background, sensor, *, exposure_s, seed):
         frames = expose(
@@ -55,7 +55,7 @@ def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
         stored = np.clip(np.rint(stretched), 0, sensor.max_dn).astype(np.uint16)
         return Capture(frames=stored, sensor=sensor, exposure_s=exposure_s)
 
-    fine = SensorSpec(bit_depth=16, gain_dn_per_e=4.0)  # rounding is nothing beside the noise
+    fine = SensorSpec(bit_depth=16, gain_dn_per_e=4.0)  # rounding is negligible
     assert returns(photon_transfer(fine, seed=3, stack=8), fine)
     monkeypatch.setattr(laboratory, "expose", wrong)
     assert not returns(photon_transfer(fine, seed=3, stack=8), fine)
@@ -69,7 +69,7 @@ def test_a_parameter_3_percent_off_is_noticed(name):
 
 
 @pytest.mark.slow
-def test_the_greatest_variance_lies_where_a_cut_normal_law_has_it():
+def test_the_greatest_variance_is_where_a_clipped_normal_law_has_it():
     """Oracle: variance of min(normal(mu, mu), well), scanned; the levels are 2 % apart."""
     quantile = stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
     mean_e = np.arange(9000.0, 10_000.0, 10.0)

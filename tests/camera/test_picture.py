@@ -1,4 +1,4 @@
-"""The pictures of a dataset against the light that they are of."""
+"""The pictures of a dataset, compared with their light."""
 
 from dataclasses import replace
 
@@ -18,8 +18,8 @@ H, W = 48, 64
 
 
 @pytest.mark.parametrize("times_s", [(1.0,), (0.1, 1.0), (4.0, 1.0, 16.0)])
-def test_the_gray_picture_is_proportional_to_the_light_whatever_the_exposures(times_s):
-    """White is the light that fills the sensor in the shortest exposure: 40,450 electrons."""
+def test_the_grey_picture_is_proportional_to_the_light_for_any_exposures(times_s):
+    """White is the light that saturates the sensor in the shortest exposure: 40,450 electrons."""
     light = np.linspace(0.01, 3.0, 256)  # in shares of white
     per_s = light * (SENSOR.saturation_dn - 50) / 0.1 / SENSOR.responsivity / min(times_s)
     stack = np.broadcast_to(per_s.astype(np.float32), (1, 400, 256))
@@ -28,17 +28,17 @@ def test_the_gray_picture_is_proportional_to_the_light_whatever_the_exposures(ti
         for k, time_s in enumerate(times_s)
     ]
     gray = gray_picture(merge_exposures(captures)).mean(axis=0)
-    unsure = np.abs(light - 1) < 0.03  # noise decides whether it is full
+    unsure = np.abs(light - 1) < 0.03  # saturated or not by chance
     expected = 255 * np.minimum(light, 1)
-    # 1.3 of noise, over 400 rows; in the dark, a long exposure's noise spreads no rounding.
+    # The factor 1.3 is for noise over 400 rows; in the dark, too little noise dithers the rounding.
     assert np.abs(gray - expected)[~unsure].max() < 0.5
 
 
-def test_equal_surfaces_are_equally_grey_whatever_exposures_they_are_taken_from():
-    """Two halves of one wall; on the left another frame is so bright that it takes a shorter time.
+def test_equal_surfaces_are_equally_grey_in_different_exposures():
+    """On the left half of a wall, another frame is so bright that a shorter exposure is used.
 
-    White fills 20 % of the sensor in one second. Rounding to a level may cost half of one, where
-    noise does not spread it.
+    White fills 20 % of the sensor in one second. Rounding costs up to half a level if there is
+    little noise.
     """
     wall = np.full((2, H, W), 0.2, dtype=np.float32)
     wall[1, :, : W // 2] = 2.0
@@ -59,7 +59,7 @@ def test_equal_surfaces_are_equally_grey_whatever_exposures_they_are_taken_from(
 
 
 def flat_rendering(ambient_rgb, white_rgb):
-    """Half of the picture dark, the other half lit by these."""
+    """Return a rendering that is dark in one half, with this light in the other."""
     half = np.zeros((H, W, 1), dtype=np.float32)
     half[:, W // 2 :] = 1
     no = np.zeros((H, W), dtype=np.float32)
@@ -90,8 +90,8 @@ def flat_rendering(ambient_rgb, white_rgb):
         ({"picture_level": 0.25, "contrast_ratio": 8.0}, (6.75, 4.75, 3.75)),
     ],
 )
-def test_the_colour_picture_is_of_all_light_with_the_brightest_at_its_target(words, light):
-    """By hand: idle light is level (1 - 1/contrast) + 1/contrast of white, here 8 in each band.
+def test_the_colour_picture_has_all_light_with_the_brightest_at_its_target(words, light):
+    """By hand: idle light is (1 - 1/contrast) + 1/contrast times white, here 8 in each band.
 
     The brightest band is exposed to 0.85 of the range; the encoding is IEC 61966-2-1's.
     """
@@ -106,7 +106,7 @@ def test_the_colour_picture_is_of_all_light_with_the_brightest_at_its_target(wor
     assert picture[:, : W // 2].mean() < 2
 
 
-def test_a_picture_without_light_is_refused_with_what_gives_some():
+def test_a_picture_without_light_is_refused_with_a_remedy():
     rig = make_rig(centred(W, H, 50), centred(32, 24, 30))
     black = flat_rendering((0.0, 0.0, 0.0), (8.0, 8.0, 8.0))
     with pytest.raises(ValueError, match=r"colour picture is black: give light\.environment"):

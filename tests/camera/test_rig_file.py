@@ -1,4 +1,4 @@
-"""Rig files keep every bit, OpenCV calibrations mean the same here, and bad files are named."""
+"""Rig files keep every bit, OpenCV calibrations keep their meaning, and bad files are named."""
 
 import json
 import re
@@ -70,7 +70,7 @@ def write_file_storage(path, content):
 
 
 def write(path, content):
-    """The same numbers in any of the dialects that are read."""
+    """Write the same numbers in one of the dialects that are read."""
     match path.name.split(".", 1)[1]:
         case "yaml":
             path.write_text(yaml.safe_dump(content))
@@ -88,7 +88,7 @@ def read(path, **changes):
 
 
 def same(a, b):
-    """Of rigs or of scanners."""
+    """Whether two rigs or two scanners are equal."""
     if isinstance(a, Scanner):
         others = ("code", "sensor", "exposure", "decode", "filters", "faults")
         return same(a.rig, b.rig) and all(getattr(a, n) == getattr(b, n) for n in others)
@@ -98,38 +98,38 @@ def same(a, b):
 
 
 def awkward_rig(seed):
-    """Numbers whose shortest decimal form needs all 17 digits, or an exponent."""
+    """Return a rig of numbers that need all 17 digits, or an exponent."""
     rng = np.random.default_rng(seed)
     rig = preset_rig("like-phoxi-s")
     distortion = (-1 / 30, 1e-17 / 7, 1e-3 / 7, -(2**-40) / 3, 5e-324)
-    turn = Rotation.from_euler("yxz", rng.uniform(-0.3, -0.1, 3))  # towards what the camera sees
+    turn = Rotation.from_euler("yxz", rng.uniform(-0.3, -0.1, 3))  # towards the scene
     T_cam_proj = rigid(turn.as_matrix(), rng.uniform([0.1, -0.02, -0.02], [0.15, 0.02, 0.02]))
     camera = replace(rig.camera, fx_px=800 + 1 / 3, cx_px=-1e-7 / 3, distortion=distortion)
     return replace(rig, T_cam_proj=T_cam_proj, camera=camera, near_m=1 / 3, picture_level=1 / 7)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_saved_rig_comes_back_to_the_last_bit(tmp_path, seed):
+def test_a_saved_rig_is_read_back_to_the_last_bit(tmp_path, seed):
     rig = awkward_rig(seed)
     save_scanner(Scanner(rig=rig), tmp_path / "rig.yaml")
     assert same(load_scanner(tmp_path / "rig.yaml").rig, rig)
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_presets_survive_the_file(tmp_path, name):
+def test_presets_are_unchanged_by_saving_and_reading(tmp_path, name):
     save_scanner(preset(name, "full"), tmp_path / "rig.yaml")
     assert same(load_scanner(tmp_path / "rig.yaml"), preset(name, "full"))
 
 
-def test_saving_leaves_one_file_and_no_other(tmp_path):
+def test_saving_writes_one_file_and_no_other(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     save_scanner(preset("like-phoxi-s"), tmp_path / "rig.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
     assert load_scanner(tmp_path / "rig.yaml").rig.name == "like-phoxi-s"
 
 
-def test_a_file_says_where_the_projector_stands_in_camera_coordinates(tmp_path):
-    """By hand: 0.2 m to the camera's right, 0.7 m before it, turned by -90 degrees about y."""
+def test_a_file_has_the_pose_of_the_projector_in_camera_coordinates(tmp_path):
+    """By hand: 0.2 m to the camera's right, 0.7 m in front of it, turned by -90 degrees about y."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["R_cam_proj"] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]
@@ -143,8 +143,8 @@ def test_a_file_says_where_the_projector_stands_in_camera_coordinates(tmp_path):
 @pytest.mark.parametrize(
     "name", ["c.yaml", "c.json", "c.npz", "c.cv.yaml", "c.cv.yml", "c.cv.xml", "c.cv.json"]
 )
-def test_a_calibration_means_what_opencv_means_by_it(tmp_path, name):
-    """Oracle: cv2.projectPoints with the file's own R and T puts points on projector pixels."""
+def test_a_calibration_has_the_meaning_that_opencv_gives_it(tmp_path, name):
+    """Oracle: cv2.projectPoints with R and T of the file maps points to projector pixels."""
     rig = read(write(tmp_path / name, CALIBRATION))
     point_m = np.random.default_rng(0).uniform([-0.05, -0.05, 0.4], [0.05, 0.05, 0.6], (50, 3))
     rotation = cv2.Rodrigues(np.array(CALIBRATION["R"]))[0]
@@ -204,8 +204,8 @@ def test_a_calibration_without_distortion_is_reported_with_the_keys_that_it_has(
     assert "projector" in projector and "holds nothing else" in projector
 
 
-def test_a_projector_that_looks_away_is_refused(tmp_path):
-    """By hand: turned by half a turn about y, it shines away from all that the camera sees."""
+def test_a_projector_that_faces_away_is_refused(tmp_path):
+    """By hand: turned by half a turn about y, it faces away from all that the camera sees."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["R_cam_proj"] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]
@@ -228,20 +228,20 @@ def test_a_camera_of_200_000_pixels_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "unit", "metres"), [(1, None, 1e-3), (1, "mm", 1e-3), (1e-3, None, 1), (1e-3, "m", 1)]
 )
-def test_the_unit_is_stated_or_follows_from_the_size_of_t(tmp_path, scale, unit, metres):
+def test_the_unit_is_stated_or_follows_from_the_length_of_t(tmp_path, scale, unit, metres):
     T = (np.array(CALIBRATION["T"]) * scale).tolist()
     rig = read(write(tmp_path / "c.yaml", CALIBRATION | {"T": T}), unit=unit)
     assert rig.baseline_m == pytest.approx(np.linalg.norm(T) * metres)
 
 
-def test_stated_sizes_take_the_place_of_those_in_the_file(tmp_path):
+def test_stated_sizes_replace_those_in_the_file(tmp_path):
     path = write(tmp_path / "c.yaml", CALIBRATION)
     rig = read(path, camera_size_px=(641, 481), projector_size_px=(1281, 721))
     assert (rig.camera.width_px, rig.camera.height_px) == (641, 481)
     assert (rig.projector.width_px, rig.projector.height_px) == (1281, 721)
 
 
-def test_rational_terms_that_are_zero_do_no_harm(tmp_path):
+def test_rational_terms_that_are_zero_are_accepted(tmp_path):
     long = [[*CALIBRATION["cam_kc"], 0.0, 0.0, 0.0]]
     rig = read(write(tmp_path / "c.cv.yaml", CALIBRATION | {"cam_kc": long}))
     assert rig.camera.distortion == tuple(CALIBRATION["cam_kc"])
@@ -255,14 +255,14 @@ def test_the_sea_shell_scanner_has_a_baseline_of_195_mm(tmp_path):
     assert rig.baseline_m == pytest.approx(0.195, abs=0.001)
     assert (rig.camera.width_px, rig.camera.height_px) == (2592, 1944)
     assert (rig.projector.width_px, rig.projector.height_px) == (1280, 800)
-    assert rig.T_cam_proj[0, 3] > 0.1  # the projector stands to the camera's right
+    assert rig.T_cam_proj[0, 3] > 0.1  # the projector is to the camera's right
     sized = read(SEA_SHELL, projector_size_px=(1280, 720))
     assert (sized.projector.width_px, sized.projector.height_px) == (1280, 720)
     save_scanner(Scanner(rig=rig), tmp_path / "rig.yaml")
     assert same(load_scanner(tmp_path / "rig.yaml").rig, rig)
 
 
-def test_the_sea_shell_author_s_points_lie_in_both_fields():
+def test_the_sea_shell_author_s_points_are_in_both_fields():
     """The author's cloud is in camera coordinates [mm] with y and z negated."""
     cloud = SEA_SHELL.with_name("reference_cloud.ply")
     if not cloud.is_file():
@@ -279,7 +279,7 @@ def test_the_sea_shell_author_s_points_lie_in_both_fields():
         assert inside.all(axis=1).mean() > 0.99
 
 
-def test_a_file_of_one_device_alone_is_refused():
+def test_a_file_of_one_device_only_is_refused():
     if not SCANNER_SIM.is_dir():
         pytest.skip(f"the measured scanner is not there: {SCANNER_SIM}")
     with pytest.raises(ConfigError, match="camera and projector in one file"):
@@ -324,7 +324,7 @@ def assert_one_line_that_names(error, path):
 
 
 @pytest.mark.parametrize("case", BAD_CALIBRATIONS)
-def test_a_bad_calibration_is_refused_by_file_key_and_remedy(tmp_path, case):
+def test_a_bad_calibration_is_refused_with_file_key_and_remedy(tmp_path, case):
     change, message = BAD_CALIBRATIONS[case]
     content = {key: value for key, value in (CALIBRATION | change).items() if value is not None}
     path = write(tmp_path / "c.yaml", content)
@@ -342,14 +342,14 @@ def test_a_bad_calibration_is_refused_by_file_key_and_remedy(tmp_path, case):
         ({"camera_size_px": (0, 480)}, "width_px is 0: it should be greater"),
     ],
 )
-def test_bad_words_beside_a_good_calibration_are_refused(tmp_path, changes, message):
+def test_bad_options_for_a_good_calibration_are_refused(tmp_path, changes, message):
     path = write(tmp_path / "c.yaml", CALIBRATION)
     with pytest.raises(ConfigError, match=message) as error:
         read(path, **changes)
     assert_one_line_that_names(error, path)
 
 
-def test_metres_taken_for_millimetres_are_noticed(tmp_path):
+def test_metres_instead_of_millimetres_are_noticed(tmp_path):
     path = write(tmp_path / "c.yaml", CALIBRATION | {"T": [0.2, 0.0, 0.0]})
     with pytest.raises(ConfigError, match=r"T in mm gives a baseline of 0\.2 mm"):
         read(path, unit="mm")
@@ -435,7 +435,7 @@ BAD_RIGS = {
 
 
 @pytest.mark.parametrize("case", BAD_RIGS)
-def test_a_bad_rig_file_is_refused_by_file_key_and_remedy(tmp_path, case):
+def test_a_bad_rig_file_is_refused_with_file_key_and_remedy(tmp_path, case):
     change, message = BAD_RIGS[case]
     path = tmp_path / "rig.yaml"
     save_scanner(preset("like-phoxi-s"), path)
@@ -447,7 +447,7 @@ def test_a_bad_rig_file_is_refused_by_file_key_and_remedy(tmp_path, case):
     assert_one_line_that_names(error, path)
 
 
-def test_a_rig_file_with_a_key_given_twice_is_refused(tmp_path):
+def test_a_rig_file_with_a_repeated_key_is_refused(tmp_path):
     path = tmp_path / "rig.yaml"
     save_scanner(preset("paper"), path)
     path.write_text(path.read_text() + "near_m: 0.5\n")
@@ -456,13 +456,13 @@ def test_a_rig_file_with_a_key_given_twice_is_refused(tmp_path):
     assert_one_line_that_names(error, path)
 
 
-def test_a_calibration_given_as_a_rig_file_is_told_apart(tmp_path):
+def test_a_calibration_in_place_of_a_rig_file_is_recognised(tmp_path):
     path = write(tmp_path / "c.cv.yaml", CALIBRATION)
     with pytest.raises(ConfigError, match=r"looks like an OpenCV calibration.*import it"):
         load_scanner(path)
 
 
-def test_binary_data_and_a_folder_are_no_rig_file(tmp_path):
+def test_binary_data_and_a_folder_are_refused_as_a_rig_file(tmp_path):
     (tmp_path / "rig.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(ConfigError, match="is not a text file"):
         load_scanner(tmp_path / "rig.yaml")
@@ -470,13 +470,13 @@ def test_binary_data_and_a_folder_are_no_rig_file(tmp_path):
         load_scanner(tmp_path)
 
 
-def test_a_rig_is_not_saved_into_a_folder_that_is_not_there(tmp_path):
+def test_a_rig_is_not_saved_into_a_missing_folder(tmp_path):
     with pytest.raises(ConfigError, match="cannot be written"):
         save_scanner(preset("paper"), tmp_path / "gone" / "rig.yaml")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
+def test_a_configuration_names_a_preset_or_a_file_next_to_it(tmp_path):
     rig = awkward_rig(seed=0)
     save_scanner(Scanner(rig=rig), tmp_path / "mine.yaml")
     assert same(named_scanner("mine.yaml", folder=tmp_path).rig, rig)
@@ -497,15 +497,15 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
         ("paper", "medium", "no resolution 'medium': choose one of small, low, full"),
     ],
 )
-def test_an_unknown_rig_word_lists_what_there_is(tmp_path, text, resolution, message):
+def test_an_unknown_rig_name_lists_the_presets(tmp_path, text, resolution, message):
     with pytest.raises(ConfigError, match=message):
         named_scanner(text, folder=tmp_path, resolution=resolution)
 
 
-def test_the_schema_knows_exactly_the_keys_of_a_saved_rig(tmp_path):
+def test_the_schema_has_exactly_the_keys_of_a_saved_rig(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content, schema = yaml.safe_load((tmp_path / "rig.yaml").read_text()), rig_schema()
-    omitted = {"contrast_ratio", "line_noise_length_m"}, {"focus_m", "falloff"}  # infinite, off
+    omitted = {"contrast_ratio", "line_noise_length_m"}, {"focus_m", "falloff"}  # infinite: off
     assert set(schema["properties"]) == set(content) | omitted[0]
     optics = schema["$defs"]["OpticsModel"]["properties"]
     assert set(optics) == set(content["camera"]) | omitted[1]

@@ -1,4 +1,4 @@
-"""A scanner from light to depth: what each code is worth on the same rig, and its settings."""
+"""A scanner from light to depth: accuracy of each code on the same rig, and its settings."""
 
 from dataclasses import replace
 
@@ -22,20 +22,20 @@ DISTANCE_M = 0.75
 
 @pytest.fixture(scope="module")
 def rig():
-    """A window of the PhoXi M's camera, its lenses real: f/4, and a projector a pixel unsharp."""
+    """Return a window of the PhoXi M's camera, with f/4 and a projector blur of a pixel."""
     rig = preset("like-phoxi-m").rig
     camera = replace(rig.camera, width_px=200, height_px=160, cx_px=99.5, cy_px=79.5)
-    # Speckle and line noise have tests of their own (test_scanner_speckle.py, test_line_noise.py).
+    # Speckle and line noise have their own tests (test_scanner_speckle.py, test_line_noise.py).
     quiet = {"speckle_contrast": 0.0, "line_noise": 0.0}
     return replace(rig, camera=replace(camera, focus_m=DISTANCE_M), **quiet)
 
 
 @pytest.fixture(scope="module")
 def shots(rig, mitsuba_renderer):
-    """Per code: depth map, and its error [m] on smooth lit surfaces (a leaning wall, a ball).
+    """Return, for each code, depth map and its error [m] on smooth lit surfaces (a wall, a ball).
 
-    Sigma is the sensor's noise carried through; the sampling of light adds some 0.005 px at 512
-    paths, and the grid of the projector's pixels as much. A third of the range keeps both below.
+    Sigma is the propagated noise of the sensor; the sampling of light adds about 0.005 px at 512
+    paths, and the grid of the projector's pixels as much. At a third of the range both are smaller.
     """
     grey = lambert(0.6)
     ball = Sphere(center_m=(0.0, 0.0, DISTANCE_M - 0.12), radius_m=0.07, material=grey)
@@ -66,7 +66,7 @@ def shots(rig, mitsuba_renderer):
 @pytest.mark.parametrize(
     "codec", ["gray_phase", "gray_line_shift", "multi_frequency", "micro_phase"]
 )
-def test_a_sub_pixel_code_knows_its_error(shots, codec):
+def test_errors_of_a_sub_pixel_code_agree_with_sigma(shots, codec):
     """A normal error is within one sigma in 68 % and within two in 95 % of the pixels."""
     depth, error_m = shots[codec]
     known = np.isfinite(error_m)
@@ -78,9 +78,9 @@ def test_a_sub_pixel_code_knows_its_error(shots, codec):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("codec", ["gray", "xor_gray"])
-def test_a_binary_code_lies_within_half_a_column(rig, shots, codec):
-    """Half a column, as depth, is sqrt(3) sigma of an even error; a pixel that straddles two
-    columns may take either, and is told by a wider sigma.
+def test_errors_of_a_binary_code_are_under_half_a_column(rig, shots, codec):
+    """Half a column, as depth, is sqrt(3) sigma of an even error; a pixel across two columns may
+    have either, and has a larger sigma.
     """
     depth, error_m = shots[codec]
     known = np.isfinite(error_m)
@@ -93,8 +93,8 @@ def test_a_binary_code_lies_within_half_a_column(rig, shots, codec):
 
 
 @pytest.mark.slow
-def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
-    """On a white wall, well exposed: noise of phases falls with the light, Gray code's does not."""
+def test_phases_are_ten_times_more_precise_than_plain_gray_code(rig, mitsuba_renderer):
+    """On a well exposed wall, the noise of phases falls with the light; Gray code's does not."""
     scene = in_camera(rig, leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, lambert(0.8), half_m=0.4))
     rms_m = {}
     for codec in ("gray", "gray_phase"):
@@ -117,8 +117,8 @@ def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_exposures_are_merged_where_several_are_asked_for(rig, flat_light):
-    """Ten times the light saturates at the longer time; both come out unsaturated."""
+def test_exposures_are_merged_if_several_are_configured(rig, flat_light):
+    """Ten times the light saturates the longer exposure; the merged result is unsaturated."""
     exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.1))
     scanner = Scanner(rig=preset_rig("paper"), exposure=exposure)
     bright = flat_light(scanner, dim=5.0, bright=50.0)
@@ -130,8 +130,8 @@ def test_exposures_are_merged_where_several_are_asked_for(rig, flat_light):
     assert not (codes.reason == 3).any()
 
 
-def test_exposures_are_noisy_each_by_itself(flat_light, monkeypatch):
-    """Oracle: independent noise is not correlated; of 80,000 pixels 0.02 is six errors."""
+def test_exposures_have_independent_noise(flat_light, monkeypatch):
+    """Oracle: independent noise is not correlated; for 80,000 pixels, 0.02 is six deviations."""
     taken = []
     monkeypatch.setattr(scanner_module, "merge_exposures", lambda one: taken.extend(one) or one[0])
     exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.5))
@@ -142,8 +142,8 @@ def test_exposures_are_noisy_each_by_itself(flat_light, monkeypatch):
     assert abs(np.corrcoef(bright, dim)[0, 1]) < 0.02
 
 
-def test_auto_exposure_is_for_all_light_on_the_brightest_frame(flat_light):
-    """Lamps give as much as the projector: both together come to the target."""
+def test_automatic_exposure_measures_all_light_of_the_brightest_frame(flat_light):
+    """Lamps give as much light as the projector: both together reach the target."""
     scanner = Scanner(rig=preset_rig("paper", "small"), exposure=ExposureSpec(target=0.6))
     light = flat_light(scanner, dim=5.0, bright=5.0)
     light = replace(light, ambient=np.full_like(light.ambient, 5.0))
@@ -153,7 +153,7 @@ def test_auto_exposure_is_for_all_light_on_the_brightest_frame(flat_light):
     assert share == pytest.approx(0.6, abs=0.005)
 
 
-def test_aperture_and_f_number_must_tell_the_same():
+def test_aperture_and_f_number_must_agree():
     scanner = preset("like-phoxi-s")
     with pytest.raises(ValueError, match=r"f_number is 8, .* makes f/4: give both alike"):
         replace(scanner, sensor=replace(scanner.sensor, f_number=8.0))
@@ -163,7 +163,7 @@ def test_aperture_and_f_number_must_tell_the_same():
 
 @pytest.fixture
 def flat_light():
-    """Light of a scanner's code on two flat halves, each pixel seeing column 100."""
+    """Return light of a scanner's code on two flat halves, each pixel at column 100."""
     from graycast.rendering import Radiance
 
     def flat(scanner, *, dim, bright):
@@ -186,28 +186,28 @@ def flat_light():
     return flat
 
 
-def test_a_scan_lasts_as_long_as_its_frames():
-    """Oracle: counted by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
+def test_the_time_of_a_scan_is_the_sum_of_its_frames():
+    """Oracle, by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
     exposure_s = np.full((6, 8), 0.002, dtype=np.float32)
-    exposure_s[2, 3] = 0.020  # No pixel has the exposure of 8 ms.
+    exposure_s[2, 3] = 0.020  # No pixel uses the exposure of 8 ms.
     frames, times_s = np.zeros((3, 6, 8), dtype=np.uint16), (0.002, 0.008, 0.020)
     capture = Capture(frames=frames, sensor=SensorSpec(), exposure_s=exposure_s, times_s=times_s)
     seconds = scan_seconds(capture, readout_s=0.01)
     assert seconds == pytest.approx(3 * (0.002 + 0.008 + 0.020 + 3 * 0.01), rel=1e-6)
 
 
-def test_a_preset_s_raster_is_as_many_millimetres_in_small_maps_as_in_those_of_low_resolution():
+def test_a_preset_s_raster_has_the_same_millimetres_at_every_resolution():
     small, low = (preset("like-phoxi-m", resolution) for resolution in ("small", "low"))
     place = [s.faults.raster_px / s.rig.camera.fx_px for s in (small, low)]
     assert place[0] == pytest.approx(place[1], rel=1e-3)
 
 
 @pytest.mark.parametrize("name", [name for name in SHELF if shelf_entry(name).focus_m is None])
-def test_a_preset_without_a_stated_focus_is_as_sharp_at_both_ends_of_its_range(name):
+def test_a_preset_without_a_stated_focus_is_equally_sharp_at_both_ends_of_its_range(name):
     """Symptom: a camera focused at the far end blurs near parts by up to 3 px at full resolution.
 
-    Oracle: the disc that a lens makes of a point at z has the diameter of its aperture times
-    |1 / z - 1 / focus|, in rays' slopes.
+    Oracle: the blur disc of a point at z has the diameter of the aperture times |1 / z - 1 /
+    focus|, in slopes of rays.
     """
     rig = preset(name, "full").rig
     near, far = (1 / z_m - 1 / rig.camera.focus_m for z_m in (rig.near_m, rig.far_m))

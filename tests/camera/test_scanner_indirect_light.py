@@ -1,7 +1,7 @@
-"""Light that comes by way of another surface: what the presets make of it, against known places.
+"""Indirect light from another surface: depth of the presets, compared with known positions.
 
-No renderer is asked: each pixel gets the light of its own place in the projector's picture and, by
-a share, that of another place, as if a neighbour mirrored it.
+Without a renderer, each pixel receives the light of its own position in the projector's picture and
+a share of that of another position, as if a neighbour mirrored it.
 """
 
 from dataclasses import replace
@@ -19,13 +19,13 @@ from graycast.rendering import Radiance
 from graycast.rig.optics import project, rays
 
 SHAPE = (96, 128)
-PATCH_PX = 16  # the other place and its share are the same within a patch
+PATCH_PX = 16  # the other position and its share are constant in a patch
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 
 
 @pytest.fixture(scope="module", params=[slow("like-phoxi-s"), "like-phoxi-m", slow("like-phoxi-l")])
 def scanner(request):
-    """A window of the preset's picture."""
+    """Return a window of the preset's picture."""
     whole = preset(request.param, "small")
     h, w = SHAPE
     size = {"width_px": w, "height_px": h, "cx_px": (w - 1) / 2, "cy_px": (h - 1) / 2}
@@ -33,7 +33,7 @@ def scanner(request):
 
 
 def facing_plane(scanner):
-    """Depth [m] in the middle of the working range, and the places (n, 2) in the projector."""
+    """Return the depth [m] of a plane in mid-range, and its positions (n, 2) on the projector."""
     rig = scanner.rig
     z_m = np.full(SHAPE, (rig.near_m + rig.far_m) / 2)
     point = rays(rig.camera, pixel_grid(*SHAPE)) * z_m[..., None]
@@ -41,8 +41,8 @@ def facing_plane(scanner):
 
 
 def light(scanner, place, other, share, *, spread_px=1.0):
-    """Each pixel's light: of `place` behind a blur of one pixel, and by a share of `other`, over
-    which a rough surface spreads it by `spread_px`.
+    """Return each pixel's light: from `place` with a blur of one pixel, and a share from `other`,
+    spread by a rough surface over `spread_px`.
     """
     stack = []
     for picture in patterns_of(scanner):
@@ -53,7 +53,7 @@ def light(scanner, place, other, share, *, spread_px=1.0):
             np.interp(at[..., axis], np.arange(len(line)), ndimage.gaussian_filter1d(line, blur_px))
             for at, blur_px in ((place, 1.0), (other, spread_px))
         )
-        assert along_x or (picture.T == picture[:, 0]).all()  # a line is enough
+        assert along_x or (picture.T == picture[:, 0]).all()  # one line is enough
         stack.append((1 - share) * direct + share * indirect)
     zero, grey = np.zeros(SHAPE, np.float32), np.full((*SHAPE, 3), 0.5, np.float32)
     return Radiance(
@@ -68,37 +68,37 @@ def light(scanner, place, other, share, *, spread_px=1.0):
 
 
 def wrong(depth, z_m):
-    """Which pixels have a depth that is off by more than 1 mm and five sigmas."""
+    """Return pixels whose depth has an error of more than 1 mm and five sigmas."""
     off_m = np.abs(depth.depth_m - z_m)
     return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * depth.sigma_m)
 
 
 def patches(low, high, rng):
-    """Even numbers between two limits, one per patch."""
+    """Return uniform numbers between two limits, one per patch."""
     h, w = (side // PATCH_PX for side in SHAPE)
     return np.kron(rng.uniform(low, high, (h, w)), np.ones((PATCH_PX, PATCH_PX)))
 
 
-def test_a_plane_in_direct_light_has_all_its_depth(scanner):
+def test_a_plane_in_direct_light_is_decoded_in_all_pixels(scanner):
     z_m, place = facing_plane(scanner)
     depth = scan(scanner, light(scanner, place, place, 0.0), seed=1).depth
     assert np.isfinite(depth.depth_m).mean() > 0.99
     assert not wrong(depth, z_m).any()
 
 
-def test_a_mirror_image_of_another_place_is_off_its_epipolar_line(scanner):
-    """The pixel has the full contrast of a place 60 columns and 40 rows aside, and nothing else."""
+def test_a_mirror_image_of_another_position_is_off_its_epipolar_line(scanner):
+    """The pixel sees only a position 60 columns and 40 rows away, in full contrast."""
     _, place = facing_plane(scanner)
     mirrored = light(scanner, place, place + np.array([60.0, 40.0]), 1.0)
     result = scan(scanner, mirrored, seed=1)
-    assert (result.codes.reason == Reason.DECODED).mean() > 0.9  # the code alone cannot know it
+    assert (result.codes.reason == Reason.DECODED).mean() > 0.9  # the code alone cannot detect it
     assert not np.isfinite(result.depth.depth_m).any()
 
 
-def test_mixed_light_is_refused_or_right_and_a_plain_decoder_believes_it(scanner):
-    """Another place of any distance up to 200 columns and rows, any share of its light, and a
-    reflection that blurs it by 5 pixels. (A sharp mirror image below a fifth of the light is the
-    limit of what the preset knows: no figure of the pixel tells it.)
+def test_presets_refuse_wrong_pixels_in_mixed_light_but_a_plain_decoder_does_not(scanner):
+    """The other position is up to 200 columns and rows away, with any share of the light, blurred
+    by 5 pixels. (A preset cannot detect a sharp mirror image below a fifth of the light: no value
+    of the pixel shows it.)
     """
     rng = np.random.default_rng(2)
     z_m, place = facing_plane(scanner)

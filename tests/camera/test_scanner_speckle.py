@@ -1,4 +1,4 @@
-"""Speckle from light to depth: exposures share it, sigma knows it, depth obeys the law."""
+"""Speckle from light to depth: exposures share it, sigma includes it, depth follows the law."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ WALL_M = 0.75
 
 @pytest.fixture(scope="module")
 def scanner():
-    """A window of the PhoXi M at its lowest resolution: sharp, since the reference renderer is."""
+    """Return a window of the PhoXi M at its lowest resolution, sharp as the renderer is."""
     whole = preset("like-phoxi-m", "small")
     camera = replace(_sharp(whole.rig.camera), width_px=90, height_px=70, cx_px=44.5, cy_px=34.5)
     rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector), line_noise=0.0)
@@ -34,7 +34,7 @@ def _sharp(lens: Optics) -> Optics:
 
 @pytest.fixture(scope="module")
 def light(scanner):
-    """A leaning wall of some reflectance: exact light and depth, by reflectance."""
+    """Return exact light and depth of a leaning wall, by reflectance."""
 
     def rendered(reflectance: float):
         wall = leaning_wall((0.25, 0.15, 1.0), WALL_M, lambert(reflectance), half_m=0.6)
@@ -50,7 +50,7 @@ def light(scanner):
 
 
 def errors(scanner, rendering, *, seeds=(1, 2, 3)):
-    """Errors of depth [m] and the stated sigma of several captures, away from the border."""
+    """Return depth errors [m] and stated sigma of several captures, away from the border."""
     shots = [scan(scanner, rendering.radiance, seed=seed).depth for seed in seeds]
     inner = np.s_[2:-2, 2:-2]
     error_m = np.stack([(shot.depth_m - rendering.truth.depth_m)[inner] for shot in shots])
@@ -58,24 +58,24 @@ def errors(scanner, rendering, *, seeds=(1, 2, 3)):
 
 
 @pytest.mark.parametrize("reflectance", [0.03, 0.7])
-def test_sigma_tells_the_error_on_black_and_on_white(scanner, light, reflectance):
-    """Where speckle is most of the noise, and where photons are. The staircase of the sharp
-    projector's pixels, which all captures have in common, bends the surface, and is in sigma too.
+def test_errors_on_black_and_on_white_agree_with_sigma(scanner, light, reflectance):
+    """Speckle is most of the noise on black, photons are on white. The staircase of the sharp
+    projector's pixels is common to all captures; it bends the surface and is in sigma too.
     """
     error_m, sigma_m = errors(scanner, light[reflectance], seeds=range(8))
     stated_m = np.sqrt(np.nanmean(sigma_m**2))
     assert 0.9 < np.sqrt(np.nanmean(error_m**2)) / stated_m < 1.1
 
 
-def test_uneven_finish_makes_tails_and_no_more_noise(scanner, light, monkeypatch):
-    """Noise whose amplitude has a log-normal law has the kurtosis `3 exp(4 u^2)`, and the power
-    that it had before, which sigma tells; the photons' noise beside it is even.
+def test_an_uneven_finish_gives_the_noise_tails_but_no_more_power(scanner, light, monkeypatch):
+    """Noise of log-normal amplitude has the kurtosis `3 exp(4 u^2)` and unchanged power, which
+    sigma states; the noise of photons is even.
     """
     n, u = 8, 0.3
-    monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # many patches: their law is met closely
+    monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # with many patches, their law is exact
     # A deep well, whose photons make little noise.
     deep = replace(scanner.sensor, full_well_e=1e6, gain_dn_per_e=0.06, bit_depth=16)
-    weak = {"speckle_contrast": 0.25}  # a pixel has so little that a dark one is not moved farther
+    weak = {"speckle_contrast": 0.25}  # weak, so that a dark pixel is not moved farther
     power_m2, kurtosis = {}, {}
     for name, changed in (
         ("lamp", {"speckle_contrast": 0.0}),
@@ -84,19 +84,19 @@ def test_uneven_finish_makes_tails_and_no_more_noise(scanner, light, monkeypatch
     ):
         own = replace(scanner, sensor=deep, rig=replace(scanner.rig, **changed))
         error_m, _ = errors(own, light[0.03], seeds=range(n))
-        noise_m = error_m - np.nanmean(error_m, axis=0)  # the staircase is no noise
+        noise_m = error_m - np.nanmean(error_m, axis=0)  # the staircase is not noise
         power_m2[name] = np.nanmean(noise_m**2)
         kurtosis[name] = np.nanmean(noise_m**4) / np.nanmean(noise_m**2) ** 2
     share = 1 - power_m2["lamp"] / power_m2["even"]
-    remainder = ((n - 1) ** 3 + 1) / (n**2 * (n - 1))  # of a fourth cumulant, less the mean of n
+    remainder = ((n - 1) ** 3 + 1) / (n**2 * (n - 1))  # fourth cumulant, less the mean of n
     assert share > 0.8
     assert power_m2["uneven"] / power_m2["even"] == pytest.approx(1, abs=0.03)
     more = (kurtosis["uneven"] - kurtosis["even"]) / remainder
     assert more == pytest.approx(3 * share**2 * (np.exp(4 * u**2) - 1), rel=0.15)
 
 
-def test_black_is_noisier_than_white_by_speckle_alone(scanner, light):
-    """Without speckle an exposure that suits either gives both the same noise."""
+def test_black_is_noisier_than_white_only_because_of_speckle(scanner, light):
+    """Without speckle, an exposure that suits either gives both the same noise."""
     laser = {r: np.nanstd(errors(scanner, light[r])[0]) for r in light}
     lamp = replace(scanner, rig=replace(scanner.rig, speckle_contrast=0.0))
     led = {r: np.nanstd(errors(lamp, light[r])[0]) for r in light}
@@ -106,9 +106,9 @@ def test_black_is_noisier_than_white_by_speckle_alone(scanner, light):
     assert speckle[0.03] / speckle[0.7] == pytest.approx(3.37, rel=0.15)
 
 
-def test_depth_is_uncertain_by_the_law_of_dorsch_haeusler_and_herrmann(scanner, light):
+def test_the_uncertainty_of_depth_follows_the_law_of_dorsch_haeusler_and_herrmann(scanner, light):
     """delta z = C lambda / (2 pi sin u sin theta): u half the aperture's angle, theta that between
-    the two rays, whatever the pixels; within a quarter, since pixels here are five speckles wide.
+    the two rays, for any pixels; within a quarter, since pixels here are five speckles wide.
     """
     lamp = replace(scanner, rig=replace(scanner.rig, speckle_contrast=0.0))
     laser_m, lamp_m = (np.nanstd(errors(s, light[0.03])[0]) for s in (scanner, lamp))
@@ -122,7 +122,7 @@ def test_depth_is_uncertain_by_the_law_of_dorsch_haeusler_and_herrmann(scanner, 
     assert np.sqrt(laser_m**2 - lamp_m**2) == pytest.approx(law_m, rel=0.25)
 
 
-def test_all_exposures_and_frames_have_one_pattern_and_another_capture_another(
+def test_exposures_and_frames_of_a_capture_share_one_pattern_and_captures_differ(
     scanner, light, monkeypatch
 ):
     taken = []
@@ -139,8 +139,8 @@ def test_all_exposures_and_frames_have_one_pattern_and_another_capture_another(
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.06
 
 
-def test_other_light_has_no_speckle(scanner, light):
-    """All of it ambient, and much: what is left is the photons' noise."""
+def test_ambient_light_has_no_speckle(scanner, light):
+    """All light is ambient and strong: only the noise of photons is left."""
     radiance = light[0.03].radiance
     dark = {name: getattr(radiance, name) for name in radiance.__dataclass_fields__}
     lit = Radiance(**dark | {"pattern": radiance.pattern * 0, "ambient": radiance.white * 0 + 1e3})
@@ -149,10 +149,9 @@ def test_other_light_has_no_speckle(scanner, light):
     assert white.std() == pytest.approx(noise_dn, rel=0.05)
 
 
-def test_the_raster_s_noise_falls_as_speckle_does_from_black_to_white(scanner, light):
-    """Both come of uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
-    a black surface's. The wall leans away from the projector, so it is taken for darker than it is
-    by the cosine.
+def test_the_noise_of_a_raster_falls_from_black_to_white_as_speckle_does(scanner, light):
+    """Both come from uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
+    a black surface's. The wall leans away from the projector, so it seems darker by the cosine.
     """
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     from_projector = np.array([0.0, 0.0, WALL_M]) - scanner.rig.T_cam_proj[:3, 3]

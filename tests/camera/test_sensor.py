@@ -1,4 +1,4 @@
-"""The sensor against the laws that its noise must obey: photon transfer, Poisson, independence."""
+"""The sensor and the laws of its noise: photon transfer, Poisson, independence."""
 
 import math
 from dataclasses import replace
@@ -34,13 +34,13 @@ def sensor(**changes):
 
 
 def frames_of(mean_e, spec=PLAIN, *, frames=1, seed=11, background=None):
-    """Flat frames of that mean number of photo-electrons, taken in one second."""
+    """Return flat frames with that mean number of photo-electrons, taken in one second."""
     radiance = np.full((frames, SIDE, SIDE), mean_e / spec.responsivity, dtype=np.float32)
     return expose(radiance, background, spec, exposure_s=1.0, seed=seed).frames
 
 
 def obeys_photon_transfer(dn, mean_e, spec):
-    """Mean K mu + offset and variance K^2 (mu + read^2) + 1/12, to four standard errors.
+    """Check mean K mu + offset and variance K^2 (mu + read^2) + 1/12 to four standard errors.
 
     The variance of a variance of n numbers with fourth central moment m4 is (m4 - s^4) / n.
     """
@@ -57,16 +57,16 @@ def obeys_photon_transfer(dn, mean_e, spec):
 @pytest.mark.parametrize("mean_e", [0.0, 3.0, 40.0, 63.9, 64.1, 200.0, 5000.0, 30000.0])
 @pytest.mark.parametrize("read_noise_e", [1.0, 4.0])
 def test_mean_and_variance_obey_photon_transfer(mean_e, read_noise_e):
-    """EMVA 1288, over both ways in which numbers are drawn: below and above 64 electrons."""
+    """The law of EMVA 1288 holds for both ways of drawing numbers: below and above 64 electrons."""
     spec = sensor(read_noise_e=read_noise_e)
     assert obeys_photon_transfer(frames_of(mean_e, spec), mean_e, spec)
 
 
 @pytest.mark.parametrize("mean_e", [40.0, 5000.0])
 def test_the_photon_transfer_check_notices_wrong_noise_and_wrong_gain(mean_e):
-    """Noise absent; 3 % too strong; 3 % too weak; a level 1 % off; read noise forgotten.
+    """Cases: no noise, 3 % too strong or too weak, a level 1 % off, no read noise.
 
-    Of 160,000 pixels the standard deviation is known to 0.2 %.
+    With 160,000 pixels, the standard deviation is known to 0.2 %.
     """
     dn = frames_of(mean_e, frames=4).astype(float)
     assert obeys_photon_transfer(dn, mean_e, PLAIN)
@@ -79,8 +79,8 @@ def test_the_photon_transfer_check_notices_wrong_noise_and_wrong_gain(mean_e):
 
 
 @pytest.mark.parametrize("mean_e", [0.5, 3.0, 20.0])
-def test_low_counts_are_exactly_poisson(mean_e):
-    """Without read noise, at one DN per electron: chi-square of the counts."""
+def test_low_counts_follow_the_poisson_law_exactly(mean_e):
+    """Without read noise and at one DN per electron, the oracle is chi-square of the counts."""
     spec = sensor(read_noise_e=0.0, gain_dn_per_e=1.0, offset_dn=10.0)
     counts = frames_of(mean_e, spec, frames=4).ravel().astype(int) - 10
     assert counts.min() >= 0
@@ -98,8 +98,8 @@ def test_low_counts_are_exactly_poisson(mean_e):
     assert stats.chisquare(wrong, expected * counts.size).pvalue < 1e-6  # the test can fail
 
 
-def test_photons_and_read_noise_are_independent_of_each_other():
-    """Chi-square against the convolution of Poisson and normal, binned by the converter."""
+def test_photons_and_read_noise_are_independent():
+    """Oracle: chi-square of the convolution of Poisson and normal, binned by the converter."""
     mean_e, read_noise_e = 3.0, 1.5
     spec = sensor(read_noise_e=read_noise_e, gain_dn_per_e=4.0)
     dn = frames_of(mean_e, spec, frames=4).ravel().astype(int)
@@ -117,7 +117,7 @@ def test_photons_and_read_noise_are_independent_of_each_other():
     assert stats.chisquare(observed, np.append(expected[enough], rest) * dn.size).pvalue > 1e-3
 
 
-def test_many_electrons_are_normal_and_their_tails_are_there():
+def test_many_electrons_are_normal_including_the_tails():
     dn = frames_of(10_000.0, frames=4).astype(float).ravel()
     score = (dn - 20_100.0) / math.sqrt(4 * (10_000 + 16) + 1 / 12)
     assert stats.kstest(score, "norm").pvalue > 1e-3
@@ -125,7 +125,7 @@ def test_many_electrons_are_normal_and_their_tails_are_there():
 
 
 def correlation(a, b):
-    """In standard errors: r sqrt(n) is standard normal for independent pairs."""
+    """Return the correlation in standard errors: r sqrt(n) is normal for independent pairs."""
     return np.corrcoef(a.ravel(), b.ravel())[0, 1] * math.sqrt(a.size)
 
 
@@ -144,7 +144,7 @@ def test_frames_neighbours_and_seeds_are_independent(mean_e):
     assert abs(correlation(squares[0], squares[1])) < 4
 
 
-def test_one_seed_is_one_picture_and_seed_zero_is_like_any():
+def test_one_seed_gives_one_picture_and_seed_zero_is_a_seed_like_any_other():
     for seed in (0, 1):
         assert np.array_equal(frames_of(50.0, seed=seed), frames_of(50.0, seed=seed))
     assert (frames_of(50.0, seed=0) != frames_of(50.0, seed=1)).mean() > 0.9
@@ -162,8 +162,8 @@ def test_the_picture_does_not_depend_on_the_number_of_threads():
     assert all(np.array_equal(pictures[0], other) for other in pictures)
 
 
-def test_a_bigger_stack_has_the_frames_of_a_smaller_one():
-    """Frame k draws from its own numbers, whatever comes after it."""
+def test_a_larger_stack_has_the_frames_of_a_smaller_one():
+    """Frame k has its own random numbers, whatever comes after it."""
     assert np.array_equal(frames_of(80.0, frames=5)[:3], frames_of(80.0, frames=3))
 
 
@@ -175,11 +175,11 @@ def test_the_default_responsivity_follows_from_lens_pixel_and_light():
     photon_j = 1239.841984 / 525 * 1.602176634e-19
     electrons = 0.6 * 0.9 * disc_sr * 3.45e-6**2 / photon_j
     assert abs(spec.responsivity / electrons - 1) < 1e-7
-    assert abs(SensorSpec().responsivity / 2.4e5 - 1) < 0.05  # what the first pictures had
+    assert abs(SensorSpec().responsivity / 2.4e5 - 1) < 0.05  # the value of the first pictures
 
 
-def test_radiance_exposure_and_background_make_electrons():
-    """mu = (L + background) responsivity time: the same electrons in three ways."""
+def test_radiance_exposure_and_background_give_electrons():
+    """mu = (L + background) responsivity time gives the same electrons in three ways."""
     radiance = np.full((1, SIDE, SIDE), 3.0, dtype=np.float32)
     background = np.full((SIDE, SIDE), 5.0, dtype=np.float32)
     exposure_s = 100 / PLAIN.responsivity
@@ -190,7 +190,7 @@ def test_radiance_exposure_and_background_make_electrons():
 
 
 @pytest.mark.parametrize("mean_e", [0.0, 500.0])
-def test_dark_current_is_counted_like_light_and_grows_with_time(mean_e):
+def test_dark_current_adds_electrons_in_proportion_to_time(mean_e):
     spec = sensor(dark_current_e_s=40.0)
     radiance = np.full((1, SIDE, SIDE), mean_e / spec.responsivity / 2.5, dtype=np.float32)
     dn = expose(radiance, None, spec, exposure_s=2.5, seed=1).frames
@@ -198,8 +198,8 @@ def test_dark_current_is_counted_like_light_and_grows_with_time(mean_e):
 
 
 @pytest.mark.parametrize("mean_e", [0.0, 20.0, 3000.0])
-def test_the_stated_variance_is_that_of_the_stored_values(mean_e):
-    """Dark current included: the decoder knows it only as a part of the signal."""
+def test_the_stated_variance_agrees_with_the_stored_values(mean_e):
+    """Dark current is included: for the decoder, it is a part of the signal."""
     spec = sensor(dark_current_e_s=30.0, read_noise_e=2.0)
     dn = frames_of(mean_e, spec, frames=4).astype(float)
     stated = spec.variance_dn2(float(dn.mean()))
@@ -208,8 +208,8 @@ def test_the_stated_variance_is_that_of_the_stored_values(mean_e):
     assert below[0] == below[1] == np.float32(4 * 4 + 1 / 12)
 
 
-def test_a_full_well_clips_the_electrons_and_still_shows_read_noise():
-    """Photons over the well are lost before the read-out adds its noise."""
+def test_a_full_well_clips_electrons_before_read_noise_is_added():
+    """Photons beyond the well are lost before the read-out adds its noise."""
     well = sensor(full_well_e=1000.0)
     dn = frames_of(2000.0, well, frames=4).astype(float)
     error = math.sqrt((8.0**2 + 1 / 12) / dn.size)
@@ -220,8 +220,8 @@ def test_a_full_well_clips_the_electrons_and_still_shows_read_noise():
     assert (frames_of(2000.0, sensor(full_well_e=1000.0, read_noise_e=0.0)) == 2100).all()
 
 
-def test_saturation_lies_four_deviations_of_read_noise_and_offsets_under_the_well():
-    """Oracle: the normal law; of 160,000 pixels the share above four deviations is too small."""
+def test_saturation_is_four_deviations_of_read_noise_and_offsets_below_the_well():
+    """Oracle: the normal law; of 160,000 pixels, the share above four deviations is too small."""
     spec = sensor(full_well_e=3000.0, gain_dn_per_e=20.0, dsnu_e=4.0)
     dn = frames_of(6000.0, spec, frames=4)
     deviation_dn = 20.0 * math.sqrt(4.0**2 + 4.0**2)
@@ -232,8 +232,8 @@ def test_saturation_lies_four_deviations_of_read_noise_and_offsets_under_the_wel
 
 
 @pytest.mark.parametrize("mean_e", [900.0, 1000.0, 1030.0])
-def test_near_the_well_the_counts_are_a_normal_law_cut_at_it(mean_e):
-    """Oracle: mean and variance of a censored normal, by its quantiles."""
+def test_near_the_well_counts_follow_a_normal_law_clipped_at_it(mean_e):
+    """Oracle: mean and variance of a censored normal, from its quantiles."""
     well = sensor(full_well_e=1000.0)
     sigma_e = math.sqrt(mean_e)
     counted = np.minimum(stats.norm(mean_e, sigma_e).ppf((np.arange(1e6) + 0.5) / 1e6), 1000.0)
@@ -247,29 +247,29 @@ def test_near_the_well_the_counts_are_a_normal_law_cut_at_it(mean_e):
 @pytest.mark.parametrize(
     ("bits", "dtype"), [(12, np.uint16), (8, np.uint8), (1, np.uint8), (16, np.uint16)]
 )
-def test_a_full_converter_stores_its_last_number(bits, dtype):
+def test_a_saturated_converter_stores_its_largest_number(bits, dtype):
     converter = sensor(bit_depth=bits, offset_dn=min(100.0, 2.0**bits - 2))
     dn = frames_of(1e5, converter)
     assert dn.dtype == dtype and (dn == 2**bits - 1).all()
     assert converter.saturation_dn == converter.max_dn == 2**bits - 1
 
 
-def test_darkness_is_the_offset_with_read_noise_cut_at_zero():
+def test_darkness_is_the_offset_plus_read_noise_clipped_at_zero():
     dn = frames_of(0.0, sensor(offset_dn=0.0, read_noise_e=4.0)).astype(float)
     assert dn.min() == 0
-    # Half of the normal law is cut to 0: mean sigma / sqrt(2 pi).
+    # Half of the normal law is clipped to 0: the mean is sigma / sqrt(2 pi).
     assert abs(dn.mean() / (8.0 / math.sqrt(2 * math.pi)) - 1) < 0.02
     assert (frames_of(0.0, sensor(read_noise_e=0.0)) == 100).all()
 
 
 def pattern_of(mean_e, spec, *, seed):
-    """Mean of 64 frames less what the ideal sensor would store [DN]; temporal noise / 8."""
+    """Return the mean of 64 frames minus the ideal one [DN]; temporal noise is divided by 8."""
     stored = frames_of(mean_e, spec, frames=64, seed=seed).mean(axis=0, dtype=np.float64)
     return stored - spec.gain_dn_per_e * mean_e - spec.offset_dn
 
 
-def test_offsets_and_gains_have_the_fixed_pattern_that_was_set():
-    """DSNU is there in the dark and does not grow; PRNU grows in proportion to the signal."""
+def test_offsets_and_gains_have_the_configured_fixed_pattern():
+    """DSNU is constant; PRNU is proportional to the signal."""
     spec = sensor(dsnu_e=3.0, prnu=0.01, read_noise_e=1.0)
     dark, bright = pattern_of(0.0, spec, seed=1), pattern_of(20_000.0, spec, seed=2)
     tolerance = 4 * math.sqrt(0.5 / COUNT)
@@ -283,7 +283,7 @@ def test_offsets_and_gains_have_the_fixed_pattern_that_was_set():
         assert stats.kstest(pattern.ravel() / pattern.std(), "norm").pvalue > 1e-3
 
 
-def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_shot():
+def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_capture():
     spec = sensor(dsnu_e=10.0)
     first, second = (pattern_of(0.0, spec, seed=seed) for seed in (1, 2))
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.99
@@ -292,14 +292,14 @@ def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_shot():
 
 
 @pytest.mark.parametrize(("mean_e", "fixed"), [(5000.0, {"prnu": 0.02}), (0.0, {"dsnu_e": 30.0})])
-def test_noise_is_independent_of_the_fixed_pattern_also_where_both_seeds_agree(mean_e, fixed):
-    """The pattern is known from many frames of another shot; frame 0 less it is the noise."""
+def test_noise_is_independent_of_the_fixed_pattern_even_if_both_have_the_same_seed(mean_e, fixed):
+    """The pattern is measured in many frames of another capture; frame 0 minus it is the noise."""
     spec = sensor(read_noise_e=10.0, fpn_seed=5, **fixed)
     pattern = pattern_of(mean_e, spec, seed=6)
     ideal = spec.gain_dn_per_e * mean_e + spec.offset_dn
     for seed in (5, 7):
         noise = frames_of(mean_e, spec, frames=1, seed=seed)[0] - ideal - pattern
-        # The pattern's own rest of noise, an eighth of a frame's, is in both.
+        # The measured pattern has the rest of the noise, an eighth of a frame's, which is in both.
         rest = (noise.var() / 65) / (noise.std() * pattern.std()) * math.sqrt(noise.size)
         assert abs(correlation(noise, pattern) + rest) < 4, seed
 
@@ -308,14 +308,14 @@ CONTRAST = np.geomspace(1.0, 2000.0, 64).astype(np.float32)
 
 
 def scene_capture(exposure_s, *, frames=4, seed=3, spec=PLAIN):
-    """A ramp of 2000 : 1 that a shutter of 1 s brings from 10 to 20,000 photo-electrons."""
+    """Return a ramp of 2000 : 1 that a shutter of 1 s maps to 10 to 20,000 photo-electrons."""
     radiance = np.tile(CONTRAST * 10 / spec.responsivity, (frames, 3000, 1))
     radiance *= np.linspace(1.0, 0.5, frames, dtype=np.float32)[:, None, None]
     return expose(radiance, None, spec, exposure_s=exposure_s, seed=seed)
 
 
-def test_three_exposures_hold_a_scene_of_2000_to_1():
-    """Each level has the signal-to-noise ratio of the longest exposure that holds it."""
+def test_three_exposures_cover_a_scene_of_2000_to_1():
+    """Each level has the signal-to-noise ratio of the longest exposure that does not saturate."""
     spec = sensor(full_well_e=6000.0)
     captures = [scene_capture(t, seed=i, spec=spec) for i, t in enumerate((0.2, 30.0, 2.0))]
     merged = merge_exposures(captures)
@@ -334,8 +334,8 @@ def test_three_exposures_hold_a_scene_of_2000_to_1():
         assert abs(signal.mean() / signal.std() / ratio - 1) < 6 * math.sqrt(0.5 / len(signal))
 
 
-def test_all_frames_of_a_pixel_come_from_one_exposure():
-    """Of three values, the second frame alone is full in the longest exposure."""
+def test_all_frames_of_a_pixel_are_from_one_exposure():
+    """For one of three values, only the second frame saturates in the longest exposure."""
     full = stored_saturation_dn(PLAIN)
     values = {1.0: (10, 20), 2.0: (20, 40), 4.0: (40, full)}
     captures = [
@@ -351,7 +351,7 @@ def test_all_frames_of_a_pixel_come_from_one_exposure():
     assert merged.exposure_s.tolist() == [[0.5]] and (merged.frames == full).all()
 
 
-def test_captures_that_do_not_belong_together_are_not_merged():
+def test_captures_of_different_scenes_are_not_merged():
     one, two = scene_capture(1.0), scene_capture(2.0)
     with pytest.raises(ValueError, match="at least one"):
         merge_exposures([])
@@ -366,10 +366,10 @@ def test_captures_that_do_not_belong_together_are_not_merged():
 @pytest.mark.parametrize("percentile", [50.0, 99.0])
 @pytest.mark.parametrize("target", [0.3, 0.8])
 @pytest.mark.parametrize("dark_share", [0.0, 0.5])
-def test_auto_exposure_puts_the_percentile_on_its_target(percentile, target, dark_share):
-    """Measured in the noise-free limit: a stack of one constant level equal to the percentile.
+def test_automatic_exposure_brings_the_percentile_to_its_target(percentile, target, dark_share):
+    """Without noise, the stack has one constant level, which equals the percentile.
 
-    A dark current of half the light's own electrons takes a third of the exposure away.
+    A dark current of half the light's electrons reduces the exposure by a third.
     """
     spec = SensorSpec()
     brightest = np.random.default_rng(0).gamma(2.0, 3.0, (60, 80))
@@ -382,7 +382,7 @@ def test_auto_exposure_puts_the_percentile_on_its_target(percentile, target, dar
     assert abs(share - target) < 0.01
 
 
-def test_auto_exposure_refuses_the_dark():
+def test_automatic_exposure_refuses_a_dark_picture():
     with pytest.raises(ValueError, match="dark"):
         auto_exposure_s(np.zeros((4, 4)), PLAIN, percentile=99.0, target=0.8)
 
@@ -422,7 +422,7 @@ def test_impossible_sensors_are_refused_by_name(name, value):
         sensor(**{name: value})
 
 
-def test_pictures_cannot_be_changed_afterwards():
+def test_pictures_are_read_only():
     dn = frames_of(1.0)
     with pytest.raises(ValueError, match="read-only"):
         dn[0, 0, 0] = 1

@@ -1,4 +1,4 @@
-"""Sigma of depth: each term alone has its law, and together they are the whole.
+"""Sigma of depth: each term alone follows its law, and their sum is the total.
 
 The scene is one wall across the axis under parallel devices, so that dz/du is z^2 / (f b).
 """
@@ -79,10 +79,10 @@ def variance_m2(scanner, capture, *, noise=None):
     return np.square(depth.sigma_m.astype(np.float64))[INNER]
 
 
-def test_terms_alone_add_up_to_the_whole(scanner, capture):
+def test_the_terms_of_the_variance_add_up_to_the_total(scanner, capture):
     """Law: variances of independent terms add. The pictures are the same in all five runs, so only
-    what the scanner's settings state can differ. The medians leave out the few pixels where noise
-    looks like a bend, whose threshold depends on all other terms.
+    the scanner's settings differ. The medians leave out the few pixels where noise looks like a
+    bend, whose threshold depends on all other terms.
     """
     quiet = variance_m2(scanner, capture)
     noise = path_noise(capture)
@@ -95,21 +95,21 @@ def test_terms_alone_add_up_to_the_whole(scanner, capture):
     np.testing.assert_allclose(np.median(whole / (quiet + sum(alone))), 1, rtol=1e-3)
 
 
-def test_line_noise_has_its_law(scanner, capture):
+def test_the_term_of_line_noise_follows_its_law(scanner, capture):
     own = variance_m2(with_lines(scanner), capture) - variance_m2(scanner, capture)
     expected_px = PERIOD_PX / (2 * np.pi) * LINES * np.sqrt(5 / (2 * STEPS))
     np.testing.assert_allclose(np.sqrt(np.median(own)), expected_px * METRES_PER_PX, rtol=2e-3)
 
 
-def test_light_paths_have_their_law(scanner, capture):
+def test_the_term_of_light_paths_follows_its_law(scanner, capture):
     noise = path_noise(capture)
     own = variance_m2(scanner, capture, noise=noise) - variance_m2(scanner, capture)
     expected_px = np.hypot(PLACE_PX, STRAY / np.sqrt(2) * PERIOD_PX / (2 * np.pi))
     np.testing.assert_allclose(np.sqrt(np.median(own)), expected_px * METRES_PER_PX, rtol=2e-3)
 
 
-def test_speckle_has_its_law(scanner, capture):
-    """On a facing wall a pixel's light moves the place by as much as it is off the centre."""
+def test_the_term_of_speckle_follows_its_law(scanner, capture):
+    """On a facing wall, a pixel's light moves the position by its distance from the centre."""
     own = variance_m2(with_speckle(scanner), capture) - variance_m2(scanner, capture)
     black = SPECKLE * pixel_contrast(scanner.sensor) * footprint_px(scanner.sensor)
     volume = scanner.rig.speckle_volume
@@ -120,15 +120,15 @@ def test_speckle_has_its_law(scanner, capture):
     assert 0.98 * low * METRES_PER_PX < middle_m < 1.02 * high * METRES_PER_PX
 
 
-def test_the_raster_has_its_law(scanner, capture):
-    """Law: the point lies j beside the pixel, so depth is off by j times its own slope there."""
+def test_the_term_of_the_raster_follows_its_law(scanner, capture):
+    """Law: the point is j beside the pixel, so depth is off by j times its own slope there."""
     plain = measure(scanner, capture, path_noise=None)[1]
     depth = plain.depth_m.astype(np.float64)
     slope = np.hypot(
         0.5 * (np.roll(depth, -1, 1) - np.roll(depth, 1, 1)),
         0.5 * (np.roll(depth, -1, 0) - np.roll(depth, 1, 0)),
     )
-    # A bend of the jagged depth would come on top, so the raster is judged before it.
+    # A bend of the jagged depth would be added, so the raster is evaluated before it.
     jagged = with_faults(plain, FaultSpec(raster_px=RASTER_PX), seed=0)
     own = jagged.sigma_m.astype(np.float64) ** 2 - plain.sigma_m.astype(np.float64) ** 2
     np.testing.assert_allclose(
@@ -136,7 +136,7 @@ def test_the_raster_has_its_law(scanner, capture):
     )
 
 
-def test_noise_that_is_stated_is_there(scanner, radiance):
+def test_the_stated_noise_agrees_with_the_scatter_of_captures(scanner, radiance):
     """The sensor's term: several captures of one light scatter by the sigma of each."""
     scans = [
         measure(scanner, take(scanner, radiance, seed=seed), path_noise=None)[1]
@@ -151,9 +151,9 @@ def test_noise_that_is_stated_is_there(scanner, radiance):
 
 
 def phases_of(gamma, *, steps, rng, noise=0.0):
-    """Places that steps of a cosine give, of a display whose light is a power of the grey level.
+    """Return positions from steps of a cosine; the display's light is a power of the grey level.
 
-    The pictures are of a plane with 234.4 periods: the part of one is chance, a share of 1 / 234.
+    The pictures show a plane with 234.4 periods; the part of a period matters by 1 / 234.
     """
     place = np.linspace(3.0, 3.0 + 234.4 * PERIOD_PX, 40_000)
     shift = 2 * np.pi * np.arange(steps)[:, None] / steps
@@ -178,8 +178,8 @@ def codes_of(column):
 
 
 @pytest.mark.parametrize(("gamma", "steps"), [(1.5, 3), (2.2, 3), (2.2, 4)])
-def test_a_display_that_is_not_linear_widens_sigma_by_its_error(gamma, steps):
-    """Oracle: the true places of the plane. A display of gamma 2.2 is off by 0.3 rad in 3 steps."""
+def test_a_nonlinear_display_increases_sigma_by_its_error(gamma, steps):
+    """Oracle: the true positions of the plane. A gamma of 2.2 is off by 0.3 rad in 3 steps."""
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=steps).code(
         512, 8
     )
@@ -200,7 +200,7 @@ def test_linear_light_has_no_ripple(noise):
     assert ripple_px(codes_of(column), code) == {"column": 0.0}
 
 
-def test_a_code_of_two_periods_has_its_ripple_in_their_disagreement():
+def test_the_ripple_of_two_periods_is_estimated_from_their_disagreement():
     code = CodeSpec(
         codec="gray_phase", axes=("column",), period_px=48.0, fine_period_px=PERIOD_PX
     ).code(4096, 8)
@@ -211,7 +211,7 @@ def test_a_code_of_two_periods_has_its_ripple_in_their_disagreement():
 # --- the list ----------------------------------------------------------------------------------
 
 
-def test_each_term_names_a_function_that_exists():
+def test_each_term_names_an_existing_function():
     for term in TERMS:
         for source in term.source.split(", "):
             module, name = f"graycast.camera.{source}".rsplit(".", 1)

@@ -1,4 +1,4 @@
-"""Speckle on the sensor: its contrast, grain and laws, and what it does to positions and depth."""
+"""Speckle on the sensor: its contrast, grain and laws, and its effect on positions and depth."""
 
 import math
 from dataclasses import replace
@@ -30,11 +30,11 @@ def field(contrast, *, sensor=RED, seed=1):
     return draw_speckle(np.full(SHAPE, contrast), sensor, seed=seed)
 
 
-# --- how many speckles a pixel sums ------------------------------------------------------------
+# --- number of speckles in a pixel --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sensor", [RED, FINE])
-def test_a_pixel_sums_as_many_speckles_as_the_book_says(sensor):
+def test_a_pixel_sums_the_number_of_speckles_in_goodman_s_book(sensor):
     """Goodman 2007: M of a square in Gaussian speckle, by the ratio of areas r = Sm / Sc:
     `sqrt(1/r) erf(sqrt(pi r)) - (1 - exp(-pi r)) / (pi r)`, and M is one over its square.
     """
@@ -45,11 +45,11 @@ def test_a_pixel_sums_as_many_speckles_as_the_book_says(sensor):
     assert pixel_contrast(sensor) ** 2 == pytest.approx(root**2, rel=1e-9)
 
 
-def test_the_round_pupils_own_speckle_gives_the_same_contrast_within_8_percent():
+def test_speckle_of_a_round_pupil_gives_the_same_contrast_within_8_percent():
     """Oracle: random phases through a round pupil by Fourier transform, summed over pixels. The
-    Gaussian in the law's place of Airy's pattern lacks its rings: 6 % at two speckles a pixel.
+    Gaussian of the law lacks the rings of Airy's pattern: 6 % at two speckles per pixel.
     """
-    n, pupil_px = 1024, 128  # samples a speckle: lambda N / sample = n / pupil
+    n, pupil_px = 1024, 128  # samples per speckle: lambda N / sample = n / pupil
     y, x = np.mgrid[:n, :n] - n / 2
     pupil = np.hypot(x, y) <= pupil_px / 2
     light = []
@@ -74,12 +74,12 @@ def test_the_round_pupils_own_speckle_gives_the_same_contrast_within_8_percent()
 
 
 @pytest.mark.parametrize("contrast", [0.05, 0.3, 1.0])
-def test_light_is_conserved_and_has_the_contrast_asked_for(contrast):
+def test_light_is_conserved_and_has_the_requested_contrast(contrast):
     bright = field(contrast).brightness.astype(float)
     n = bright.size
     assert bright.min() >= 0
     assert bright.mean() == pytest.approx(1, abs=5 * contrast / math.sqrt(n))
-    # A gamma law's fourth moment is 3 + 6 C^2; neighbours that agree widen both errors a little.
+    # A gamma law's fourth moment is 3 + 6 C^2; correlated neighbours increase both errors a little.
     error = math.sqrt((2 + 6 * contrast**2) / n)
     assert bright.std() == pytest.approx(contrast, rel=0.006 + 2.5 * error)
     skew = ((bright - 1) ** 3).mean() / bright.std() ** 3
@@ -87,7 +87,7 @@ def test_light_is_conserved_and_has_the_contrast_asked_for(contrast):
 
 
 @pytest.mark.parametrize("sensor", [RED, FINE])
-def test_neighbours_agree_as_far_as_a_speckle_lies_on_both(sensor):
+def test_neighbours_correlate_by_the_speckles_that_they_share(sensor):
     one = field(0.05, sensor=sensor)
     for image in (one.brightness - 1, one.right_px, one.down_px):
         image = image.astype(float)
@@ -98,7 +98,7 @@ def test_neighbours_agree_as_far_as_a_speckle_lies_on_both(sensor):
                 assert correlation == pytest.approx(expected, abs=0.02)
 
 
-def test_a_seed_is_one_pattern_and_seeds_are_unrelated():
+def test_one_seed_gives_one_pattern_and_seeds_are_unrelated():
     a, b, c = field(0.2, seed=0), field(0.2, seed=0), field(0.2, seed=1)
     assert np.array_equal(a.brightness, b.brightness) and np.array_equal(a.right_px, b.right_px)
     n = a.brightness.size
@@ -111,22 +111,22 @@ def test_a_seed_is_one_pattern_and_seeds_are_unrelated():
         assert abs((x * y).mean()) < 4 * x.std() * y.std() / math.sqrt(n)
 
 
-def test_weights_of_many_specks_move_a_pixels_centre_as_stated():
-    """Oracle: pixels made of 24 x 24 places with independent exponential light (speckles smaller
-    than a place) have the contrast 1 / 24 and the centre that their weights make.
+def test_weights_of_many_specks_move_a_pixel_s_centre_as_stated():
+    """Oracle: pixels of 24 x 24 points with independent exponential light (speckles smaller than a
+    point) have the contrast 1 / 24 and the centre of their weights.
     """
     rng = np.random.default_rng(3)
     weight = rng.exponential(size=(4000, 24, 24))
     place = (np.arange(24) - 11.5) / 24
     centre = (weight.sum(axis=1) @ place) / weight.sum(axis=(1, 2))
-    coarse = replace(RED, pixel_pitch_m=1e-3)  # lambda N / pi is nothing beside it
+    coarse = replace(RED, pixel_pitch_m=1e-3)  # lambda N / pi is negligible
     shift_px = draw_speckle(np.full(SHAPE, 1 / 24), coarse, seed=2).right_px
     assert shift_px.std() == pytest.approx(centre.std(), rel=3 / math.sqrt(2 * 4000))
 
 
-def test_a_tiny_pixels_centre_is_uncertain_by_the_law_of_dorsch_and_others():
-    """delta x = C lambda / (2 pi sin u), sin u = 1 / (2 N) on the sensor; for any pixel that is
-    large the product of contrast and footprint comes to the same order: the law knows no pixels.
+def test_the_centre_of_a_tiny_pixel_is_uncertain_by_the_law_of_dorsch_and_others():
+    """delta x = C lambda / (2 pi sin u), sin u = 1 / (2 N) on the sensor; for any large pixel, the
+    product of contrast and footprint is of the same order: the law is independent of pixels.
     """
     sin_u = 1 / (2 * RED.f_number)
     law_m = RED.wavelength_m / (2 * math.pi * sin_u)
@@ -138,13 +138,13 @@ def test_a_tiny_pixels_centre_is_uncertain_by_the_law_of_dorsch_and_others():
         assert 0.8 * law_m < error_m < 1.25 * law_m
 
 
-# --- matter ------------------------------------------------------------------------------------
+# --- material -----------------------------------------------------------------------------------
 
 
-def test_white_matter_keeps_light_as_long_as_a_random_walk_says():
-    """Oracle: photons that go up or down a line, turn after exponential ways of mean 1, and are
-    absorbed with k dl: two fluxes, as Kubelka and Munk. Mean path of what returns, weighted by what
-    is left of it.
+def test_the_path_of_light_in_white_material_agrees_with_a_random_walk():
+    """Oracle: photons on a line turn after exponential paths of mean 1 and are absorbed with k dl:
+    two fluxes, as in Kubelka and Munk. The result is the mean path of returning light, weighted by
+    it.
     """
     rng = np.random.default_rng(4)
     count = 40_000
@@ -152,7 +152,7 @@ def test_white_matter_keeps_light_as_long_as_a_random_walk_says():
     back = np.zeros(count, dtype=bool)
     for turn in range(300):
         way = rng.exponential(size=count)
-        here = np.minimum(way, depth) if turn % 2 else way  # the surface ends a way up
+        here = np.minimum(way, depth) if turn % 2 else way  # the path ends at the surface
         path += np.where(back, 0, here)
         back |= (turn % 2 == 1) & (way > depth)
         depth += -here if turn % 2 else here
@@ -166,7 +166,7 @@ def test_white_matter_keeps_light_as_long_as_a_random_walk_says():
     assert material_contrast(np.array([0.0]), 9.0)[0] == 1
 
 
-# --- what it does to pictures ------------------------------------------------------------------
+# --- effect on pictures -------------------------------------------------------------------------
 
 
 def ramp_speckle(right, down, bright=1.0):
@@ -178,7 +178,7 @@ def ramp_speckle(right, down, bright=1.0):
     )
 
 
-def test_a_slope_is_seen_where_the_light_is_centred():
+def test_a_slope_has_the_depth_of_the_point_where_its_light_is_centred():
     y, x = np.mgrid[:12, :14].astype(np.float32)
     stack = np.stack([5 + 3 * x, 90 - 2 * y, 0 * x + 7])
     picture = speckled(stack, ramp_speckle(0.2, -0.3, 1.1))[:, 1:-1, 1:-1] / 1.1
@@ -186,7 +186,7 @@ def test_a_slope_is_seen_where_the_light_is_centred():
     assert np.allclose(picture, inner + np.array([0.6, 0.6, 0])[:, None, None], atol=1e-4)
 
 
-def test_no_light_comes_over_a_silhouette_and_none_is_negative():
+def test_speckle_brings_no_light_across_a_silhouette_and_none_is_negative():
     stack = np.full((1, 12, 14), 0.01, dtype=np.float32)
     stack[:, :, 7:] = 5.0
     for right in (-0.5, 0.5):
@@ -195,11 +195,11 @@ def test_no_light_comes_over_a_silhouette_and_none_is_negative():
     assert speckled(wild, ramp_speckle(0.5, -0.5)).min() >= 0
 
 
-# --- what is known of it -----------------------------------------------------------------------
+# --- what sigma includes -------------------------------------------------------------------------
 
 
-def test_sigma_of_a_displaced_plane_is_that_of_its_errors():
-    """Oracle: similar triangles on a tilted plane z = z0 / (1 - s x): the column seen at x + d,
+def test_sigma_of_a_displaced_plane_agrees_with_its_errors():
+    """Oracle: similar triangles on a tilted plane z = z0 / (1 - s x): the column of x + d is
     triangulated at x.
     """
     f_px, b_m = 300.0, 0.2
@@ -239,7 +239,7 @@ def _codes(column):
     )
 
 
-def test_a_pixel_that_senses_with_a_half_is_every_second_one_of_a_finer_sensor():
+def test_a_pixel_with_half_of_its_area_sensitive_is_every_second_pixel_of_a_finer_sensor():
     finer = replace(RED, pixel_pitch_m=RED.pixel_pitch_m / 2)
     for lag in (0, 1, 2):
         assert shared_light(RED, lag, side=0.5) == pytest.approx(

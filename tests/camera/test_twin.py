@@ -17,14 +17,14 @@ from graycast.world.scene import EMPTY_LAYOUT, Sphere
 
 # |P - I| / (W - B) of the sea shell's columns, coarse to fine (J. DeWitt's scan, measured).
 REAL = [0.97, 0.96, 0.96, 0.94, 0.93, 0.90, 0.87, 0.80, 0.61, 0.30, 0.06]
-# Fitted to the figures above by the closed form of a disc's blur and of the veil: the projector was
+# Fitted to the values above by the closed form of a disc's blur and of the veil: the projector was
 # out of focus by three pixels, and a sixth of the camera's light was stray.
 PROJECTOR_BLUR_PX, CAMERA_BLUR_PX, VEIL = 3.1, 0.8, 0.175
 
 
 @pytest.fixture(scope="module")
 def twin(shared) -> Rig:
-    """The scanner's own calibration, at half the camera's resolution to save time."""
+    """Return the scanner's own calibration, at half the camera's resolution to save time."""
     file = shared / "data" / "scans" / "sea_shell" / "calibration.yaml"
     if not file.is_file():
         pytest.skip("needs ../shared/data/scans/sea_shell, which is not here")
@@ -53,7 +53,7 @@ def twin(shared) -> Rig:
 
 @pytest.mark.slow
 def test_the_twin_of_the_sea_shell_s_scanner_has_its_modulation(twin, mitsuba_renderer):
-    """Within 0.06 in the seven coarse bits, and the same cliff in the last three."""
+    """The error is under 0.06 in the seven coarse bits; the last three have the same cliff."""
     spec = CodeSpec(codec="gray", axes=("column",), inverses=True)
     scanner = Scanner(rig=twin, code=spec, sensor=SensorSpec(bit_depth=8, gain_dn_per_e=0.025,
                                                              offset_dn=0.0))  # fmt: skip

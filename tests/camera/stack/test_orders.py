@@ -1,4 +1,4 @@
-"""Stacks whose pictures, bits or steps are in the opposite order: one sentence names it."""
+"""Pictures, bits or steps in the opposite order are named in one sentence."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ LOOK = Look(squares=0.3)
 
 
 def warnings_of(folder, name, stack, edit=lambda content: None, rig=None):
-    """The warnings; of a stack that is refused, the first, which the refusal ends with."""
+    """Return the warnings; for a refused stack, the first one, with which the error ends."""
     content = describe(CODES[name])
     save(folder, content, stack)
     edit(content)
@@ -55,18 +55,18 @@ def backwards(content):
         slow("gray and 3 steps"),
         slow("gray and 8 steps"),
         slow("three frequencies"),
-        "three frequencies of 3 steps",  # whose sums of wrong frames seem to move by 28 px
+        "three frequencies of 3 steps",  # sums of wrong frames seem to move by 28 px
     ],
 )
-def test_pictures_in_the_opposite_order_are_named_and_nothing_else(name, tmp_path):
+def test_pictures_in_the_opposite_order_cause_one_warning(name, tmp_path):
     stack = np.ascontiguousarray(shoot_cluttered(CODES[name], LOOK)[::-1])
     (warning,) = warnings_of(tmp_path, name, stack, rig=small_rig())
     assert warning.startswith("the pictures are in the opposite order: state the files")
 
 
 @pytest.mark.parametrize("name", ["gray and 8 steps", slow("gray and 3 steps"), slow("gray")])
-def test_bits_in_the_opposite_order_beside_a_phase_are_named_and_nothing_else(name, tmp_path):
-    """It was only said that places lie outside of the working range."""
+def test_gray_bits_in_the_opposite_order_next_to_a_phase_cause_one_warning(name, tmp_path):
+    """The only warning was of depth outside the working range."""
     stack = shoot_cluttered(CODES[name], LOOK)
     warnings = warnings_of(tmp_path, name, stack, opposite_bits, small_rig())
     assert len(warnings) == 2
@@ -75,15 +75,15 @@ def test_bits_in_the_opposite_order_beside_a_phase_are_named_and_nothing_else(na
 
 
 @pytest.mark.parametrize("name", ["half a period", slow("gray and 3 steps")])
-def test_steps_backwards_beside_cells_of_half_a_period_are_named(name, tmp_path):
-    """Edges of half a period meet the phases of both directions; how these change tells."""
+def test_steps_in_reverse_are_named_for_gray_cells_of_half_a_period(name, tmp_path):
+    """Edges of half a period coincide with the phases of both directions; their change decides."""
     stack = shoot_cluttered(CODES[name], LOOK)
     warnings = warnings_of(tmp_path, name, stack, backwards)
     assert len(warnings) == len(CODES[name].axes)
     assert all("the steps run backwards" in warning for warning in warnings)
 
 
-def test_steps_backwards_without_gray_bits_are_named_in_the_refusal(tmp_path):
+def test_steps_in_reverse_without_gray_bits_are_named_in_the_refusal(tmp_path):
     stack = shoot_cluttered(CODES["three frequencies"], LOOK)
     content = describe(CODES["three frequencies"])
     backwards(content)

@@ -1,4 +1,4 @@
-"""Noise of stacks that show phases alone: no inverses, no white frame."""
+"""Noise of stacks that have phases only, without inverses and white frame."""
 
 from dataclasses import replace
 
@@ -32,9 +32,9 @@ def variance_dn2(levels, light_dn, offset_dn=0.02 * 255):
 
 @pytest.mark.parametrize("gain", [0.0, 0.05, 0.2])
 @pytest.mark.parametrize("name", CODES)
-def test_the_noise_law_comes_out_of_phases_alone(name, gain):
-    """Oracle: the noise that went in, variance 0.25 + gain * light and 1/12 of rounding. What was
-    assumed instead was 4 and 2 times as much for the least of these gains.
+def test_the_noise_is_estimated_from_phases_alone(name, gain):
+    """Oracle: the simulated noise, variance 0.25 + gain * light and 1/12 of rounding. The default
+    was 4 and 2 times as much for the smallest of these gains.
     """
     code, why = CODES[name]
     frames = shoot(small_rig(), alone(code), gain=gain)
@@ -45,8 +45,8 @@ def test_the_noise_law_comes_out_of_phases_alone(name, gain):
         assert variance_dn2(estimate.levels, light_dn) == pytest.approx(true, rel=0.17)
 
 
-def test_a_lone_period_of_three_steps_says_it_by_its_mean_s_texture():
-    """Of the smoother half of the pixels: a fifth too low where there is no texture at all."""
+def test_the_noise_of_one_period_of_three_steps_is_estimated_from_neighbouring_means():
+    """The smoother half of the pixels is used: without texture, the result is a fifth too low."""
     code = alone(micro_phase(128, 96))
     estimate = measure_levels(shoot(small_rig(), code, gain=0.05), code, LevelsSection())
     assert TEXTURE in estimate.source
@@ -55,9 +55,9 @@ def test_a_lone_period_of_three_steps_says_it_by_its_mean_s_texture():
 
 @pytest.mark.parametrize("power", [1.0, 1.1, 1.3, 2.0])
 @pytest.mark.parametrize(("measure", "steps"), [(from_steps, 4), (from_steps, 5), (from_means, 3)])
-def test_what_is_not_linear_is_no_noise(measure, steps, power):
-    """Of four steps the second harmonic is all of what they leave: with powers of 1.1, 1.3 and 2
-    that were 53, 163 and 469 DN, were it not taken off.
+def test_a_nonlinear_response_is_not_counted_as_noise(measure, steps, power):
+    """The residual of four steps is the second harmonic: 53, 163 and 469 DN for powers of 1.1, 1.3
+    and 2 if it is not subtracted.
     """
     code = alone(multi_frequency(128, 96, steps=steps))
     clean = shoot(small_rig(), code, bits=16, gain=0.0) / 65535

@@ -1,4 +1,4 @@
-"""Real stacks stay without a warning, and faults that are put into them are named."""
+"""Real stacks cause no warning, and faults that are added to them are named."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ BITS = {"column": 5, "row": 4}
 
 
 def _kamino(folder: Path):
-    """Two phases and Gray cells, in the order in which they were taken."""
+    """Two phases and Gray cells, in the order of the pictures."""
     frames = [
         {"kind": "phase", "axis": axis, "period_px": period_px, "step": step, "steps": 3}
         for axis in BITS
@@ -38,7 +38,7 @@ def _kamino(folder: Path):
 
 
 def _yarn(folder: Path):
-    """Three periods of eight steps, both axes."""
+    """Three periods of eight steps on both axes."""
     frames, files = [], []
     for way, axis in (("horizontal", "column"), ("vertical", "row")):
         for count in (35, 36, 37):
@@ -50,7 +50,7 @@ def _yarn(folder: Path):
 
 
 def _xema(folder: Path):
-    """Machined metal, four periods of both axes and a white frame."""
+    """Machined metal: four periods of both axes, and a white frame."""
     content = yaml.safe_load((folder / "stack.yaml").read_text(encoding="utf-8"))
     return content, [folder / frame["file"] for frame in content["frames"]]
 
@@ -60,7 +60,7 @@ STACKS = {"kamino_phase": _kamino, "yarn_three_frequencies": _yarn, "xema_metal"
 
 @pytest.fixture(scope="module")
 def stacks(shared):
-    """Description and frames of a real stack, by its folder's name."""
+    """Return description and frames of a real stack, by its folder's name."""
 
     def read(name):
         folder = shared / "data" / "stacks" / name
@@ -86,13 +86,13 @@ def warnings_of(folder, content, stack):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_a_real_stack_is_not_warned_of(name, stacks, tmp_path):
+def test_a_real_stack_causes_no_warning(name, stacks, tmp_path):
     assert warnings_of(tmp_path, *stacks(name)) == ()
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
 def test_a_bump_of_a_real_camera_is_named(name, stacks, tmp_path):
-    """Oracle: the frames of the rows were moved by 2 px to the right and 1 px down."""
+    """Oracle: the frames of the rows were shifted by 2 px to the right and 1 px down."""
     content, stack = stacks(name)
     at = next(k for k, frame in enumerate(content["frames"]) if frame.get("axis") == "row")
     stack[at:] = np.roll(stack[at:], (1, 2), axis=(1, 2))
@@ -101,7 +101,7 @@ def test_a_bump_of_a_real_camera_is_named(name, stacks, tmp_path):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_a_real_step_that_is_brighter_is_named(name, stacks, tmp_path):
+def test_a_brighter_step_of_a_real_stack_is_named(name, stacks, tmp_path):
     content, stack = stacks(name)
     k = 1 + next(
         k for k, f in enumerate(content["frames"]) if f["kind"] == "phase" and f["period_px"] < 200
@@ -128,8 +128,8 @@ def test_real_pictures_in_the_opposite_order_are_named(name, stacks, tmp_path):
         slow("xema_metal", 9, 10, "step01 (10.png) and column_phase_40px_step02 (09.png)"),
     ],
 )
-def test_two_real_pictures_that_are_exchanged_are_named(name, one, other, says, stacks, tmp_path):
-    """Stripes are no sine in the right order, either: an exchange doubles their difference."""
+def test_two_exchanged_real_pictures_are_named(name, one, other, says, stacks, tmp_path):
+    """Stripes are not a sine even in the right order: an exchange doubles their difference."""
     content, stack = stacks(name)
     stack[[one, other]] = stack[[other, one]]
     (warning,) = warnings_of(tmp_path, content, stack)
@@ -137,8 +137,8 @@ def test_two_real_pictures_that_are_exchanged_are_named(name, one, other, says, 
 
 
 @pytest.mark.slow
-def test_each_real_period_that_runs_backwards_is_named(stacks, tmp_path):
-    """Only one of four was, because a phase changes little from one of the many pixels to the next.
+def test_each_reversed_period_of_a_real_stack_is_named(stacks, tmp_path):
+    """Only one of four was named, because a phase changes little between neighbouring pixels.
 
     Gray values of 100 px are one and a half of one period and a whole one of the other.
     """

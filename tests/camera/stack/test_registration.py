@@ -1,4 +1,4 @@
-"""Two pictures of one scene are registered to a small part of a pixel, or not at all."""
+"""Two pictures of a scene are registered to a small fraction of a pixel, or not at all."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ SIZE = (90, 130)
 
 
 def scene(x_px, y_px, *, seed=1, size=SIZE):
-    """A sum of waves in closed form, moved by a distance to the right and down."""
+    """Return a sum of waves in closed form, shifted to the right and down."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[: size[0], : size[1]].astype(float)
     picture = np.full(size, 100.0)
@@ -25,8 +25,8 @@ def motion_of(first, second, valid=None):
 
 
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (0.3, -0.15), (2.1, 0.6), (-10.4, 3.0)])
-def test_a_motion_is_measured_in_light_noise_and_exposure_that_change(moved):
-    """Oracle: the distance by which the closed form was moved."""
+def test_a_shift_is_measured_despite_other_light_noise_and_exposure(moved):
+    """Oracle: the distance by which the closed form was shifted."""
     rng = np.random.default_rng(2)
     first, second = (p + rng.normal(size=SIZE) for p in (scene(0, 0), 0.7 * scene(*moved) + 20))
     motion = motion_of(first, second)
@@ -35,8 +35,8 @@ def test_a_motion_is_measured_in_light_noise_and_exposure_that_change(moved):
     assert motion.sigma_px < 0.03
 
 
-def test_saturated_pixels_and_a_passer_by_do_not_move_it():
-    """Clipped places are not valid; what passes by is a bright block of a tenth of the picture."""
+def test_saturated_pixels_and_a_moving_object_do_not_change_the_shift():
+    """Saturated pixels are not valid; the object is a bright block of a tenth of the picture."""
     first, second = scene(0, 0), scene(1.3, 0.4)
     valid = np.maximum(first, second) < 115
     second[:30, :40] = 250
@@ -44,7 +44,7 @@ def test_saturated_pixels_and_a_passer_by_do_not_move_it():
     assert np.hypot(motion.x_px - 1.3, motion.y_px - 0.4) < 0.1
 
 
-def test_a_scene_of_vertical_edges_says_nothing_of_up_and_down():
+def test_a_scene_of_vertical_edges_gives_no_vertical_shift():
     rng = np.random.default_rng(3)
     stripes = np.broadcast_to(scene(0, 0)[:1], SIZE)
     moved = np.roll(stripes, (2, 2), axis=(0, 1))
@@ -55,7 +55,7 @@ def test_a_scene_of_vertical_edges_says_nothing_of_up_and_down():
 
 
 @pytest.mark.parametrize("other", ["noise", "another scene"])
-def test_what_the_pictures_do_not_share_is_no_motion(other):
+def test_two_unrelated_pictures_give_no_shift(other):
     rng = np.random.default_rng(4)
     if other == "noise":
         first, second = (100 + rng.normal(size=SIZE) for _ in range(2))
@@ -64,9 +64,9 @@ def test_what_the_pictures_do_not_share_is_no_motion(other):
     assert not motion_of(first, second).known
 
 
-def test_registering_leaves_what_it_is_given_as_it_was():
+def test_registration_does_not_change_its_arguments():
     """OpenCV's phase correlation multiplies its arguments by a window, in place."""
-    size = (96, 128)  # Pictures of other sizes are copied there.
+    size = (96, 128)  # pictures of other sizes are copied there
     whole = np.ones(size, dtype=bool)
     first = prepare(scene(0, 0, size=size), whole)
     second = prepare(scene(0, 0, seed=7, size=size), whole)

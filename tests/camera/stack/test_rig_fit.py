@@ -1,4 +1,4 @@
-"""A rig or pictures that are turned are named, with what would set them right."""
+"""A rig or pictures with a wrong orientation are named, with the remedy."""
 
 from dataclasses import replace
 
@@ -45,16 +45,16 @@ def misfits(folder, code, stack, rig):
 
 
 @pytest.mark.parametrize("name", ["both", "columns", "rows"])
-def test_a_rig_whose_R_and_T_are_inverted_is_named(name, shots, tmp_path):
-    """With one axis coded nothing but the edge of the projector's picture tells."""
+def test_a_rig_with_inverted_R_and_T_is_named(name, shots, tmp_path):
+    """With one coded axis, only the edge of the projector's picture shows it."""
     rig, code, stack = shots[name]
     assert misfits(tmp_path, code, stack, rig) == []
     (message,) = misfits(tmp_path, code, stack, inverted(rig))
     assert "invert R and T of the rig" in message
 
 
-def test_one_axis_says_that_it_cannot_tell_an_inverted_rig(tmp_path):
-    """All points of an inverted rig were wrong in silence; the camera sees no edge of the light."""
+def test_a_stack_of_one_axis_notes_that_an_inverted_rig_cannot_be_detected(tmp_path):
+    """All points of an inverted rig were wrong without a message if no edge was visible."""
     rig = small_rig()
     path = save(tmp_path, describe(COLUMNS), shoot(rig, COLUMNS))
     for own in (rig, inverted(rig)):
@@ -64,8 +64,8 @@ def test_one_axis_says_that_it_cannot_tell_an_inverted_rig(tmp_path):
         assert f"note: {result.notes[0]}" in describe_result(result)
 
 
-def test_points_out_of_the_working_range_tell_an_inverted_rig_of_one_axis(tmp_path):
-    """The axes cross at 0.55 m; inverting moves the wall from behind that place before it."""
+def test_points_out_of_the_working_range_reveal_an_inverted_rig_of_one_axis(tmp_path):
+    """The axes cross at 0.55 m; the inversion moves the wall from behind this point before it."""
     T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
     tight = replace(small_rig(), T_cam_proj=T_cam_proj, near_m=0.6, far_m=0.9)
     path = save(tmp_path, describe(COLUMNS), shoot(tight, COLUMNS))
@@ -75,7 +75,7 @@ def test_points_out_of_the_working_range_tell_an_inverted_rig_of_one_axis(tmp_pa
     assert "invert R and T of the rig: then 100 % of the points lie in the" in wrong.warnings[0]
 
 
-def test_both_axes_and_an_edge_of_the_light_leave_no_doubt(shots, tmp_path):
+def test_both_axes_or_an_edge_of_the_light_leave_no_doubt_about_the_rig(shots, tmp_path):
     for name, (rig, code, stack) in shots.items():
         folder = tmp_path / name
         folder.mkdir()
@@ -92,7 +92,7 @@ def test_both_axes_and_an_edge_of_the_light_leave_no_doubt(shots, tmp_path):
         ("columns", np.s_[:, :, ::-1], "mirror the pictures left to right"),
     ],
 )
-def test_turned_pictures_are_named_with_the_turn_that_undoes_it(name, turn, says, shots, tmp_path):
+def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says, shots, tmp_path):
     rig, code, stack = shots[name]
     (message,) = misfits(tmp_path, code, np.ascontiguousarray(stack[turn]), rig)
     assert says in message
@@ -107,8 +107,10 @@ def test_turned_pictures_are_named_with_the_turn_that_undoes_it(name, turn, says
         (-1, True, "left to right, then turn them by 90 degrees counter-clockwise"),
     ],
 )
-def test_pictures_on_their_side_are_refused_with_the_turn(turns, mirror, says, shots, tmp_path):
-    """`np.rot90` turns counter-clockwise, so what undoes one turn is clockwise."""
+def test_pictures_on_their_side_are_refused_with_the_rotation_to_apply(
+    turns, mirror, says, shots, tmp_path
+):
+    """`np.rot90` rotates counter-clockwise, so the correction is clockwise."""
     rig, code, stack = shots["both"]
     turned = np.rot90(stack, turns, axes=(1, 2))
     if mirror:
@@ -118,8 +120,8 @@ def test_pictures_on_their_side_are_refused_with_the_turn(turns, mirror, says, s
 
 
 @pytest.mark.slow
-def test_a_real_rig_that_is_inverted_is_named_with_columns_alone(shared, tmp_path):
-    """The sea shell: of its 1.4 million points none looked wrong, and all were."""
+def test_a_real_rig_that_is_inverted_is_named_from_columns_alone(shared, tmp_path):
+    """The sea shell: none of its 1.4 million points looked wrong, and all were."""
     scan = shared / "data" / "scans" / "sea_shell"
     if not scan.is_dir():
         pytest.skip("needs ../shared/data/scans/sea_shell, which is not here")

@@ -1,4 +1,4 @@
-"""A real scan (J. DeWitt's sea shell), against its author's own point cloud."""
+"""A real scan (J. DeWitt's sea shell), compared with its author's own point cloud."""
 
 import re
 
@@ -26,7 +26,7 @@ def scan(shared):
 
 @pytest.fixture(scope="module")
 def stack_file(scan, tmp_path_factory):
-    """Names are TIME_[AXIS-BIT-INVERSE_NUMBER]; there is no white and no black."""
+    """Write the stack file of pictures TIME_[AXIS-BIT-INVERSE_NUMBER], without white and black."""
     frames = []
     for file in sorted((scan / "stack").glob("*.jpg")):
         axis, bit, inverse = map(int, re.search(r"\[(\d+)-(\d+)-(\d+)_", file.name).groups())
@@ -64,46 +64,46 @@ def result(stack_file, rig):
 
 @pytest.fixture(scope="module")
 def author_m(scan):
-    """The author's points, camera frame; the file has y and z negated and is in millimetres."""
+    """Return the author's points [m] in the camera frame; the file has mm, y and z negated."""
     content = (scan / "reference_cloud.ply").read_bytes().split(b"end_header\n", 1)[1]
     table = np.frombuffer(content, dtype=[("xyz", "<f4", 3), ("color", "u1", 3)])
     return table["xyz"] * np.array([1e-3, -1e-3, -1e-3])
 
 
-def test_nothing_is_wrong_with_it(result):
+def test_the_sea_shell_causes_no_warning(result):
     assert result.warnings == ()
 
 
 def test_at_least_three_quarters_of_the_lit_pixels_decode_in_both_axes(result):
-    """Lit: the frames differ by more than six standard deviations of the noise."""
+    """A pixel is lit if its frames differ by more than six standard deviations of the noise."""
     assert result.figures.decoded_share >= 0.75
     known = result.codes.reason == 0
     assert np.isfinite(result.codes.column[known]).all()
     assert np.isfinite(result.codes.row[known]).all()
 
 
-def test_its_modulation_per_bit_is_the_known_one(result):
-    """Figures of the project's design, taken independently: coarse to fine."""
+def test_the_modulation_of_each_bit_agrees_with_known_values(result):
+    """Oracle: values of the project's design, computed independently, from coarse to fine."""
     known = [0.97, 0.96, 0.96, 0.94, 0.93, 0.90, 0.87, 0.80, 0.61, 0.30, 0.06]
     for axis in ("column", "row"):
         estimate = [result.figures.modulation[f"{axis}_bit{bit:02d}"] for bit in range(10, -1, -1)]
         np.testing.assert_allclose(estimate, known, atol=0.06)
 
 
-def test_its_epipolar_residual_is_the_known_one(result):
-    """0.34 px of the pixels whose bits are in no doubt; beyond the shell the calibration ends."""
+def test_the_epipolar_residual_agrees_with_its_known_value(result):
+    """It is 0.34 px where no bit is in doubt; the calibration does not extend beyond the shell."""
     assert result.figures.epipolar_sure_px == pytest.approx(0.34, abs=0.04)
 
 
 @pytest.mark.parametrize("filters", PRESET_FILTERS)
-def test_filters_of_a_preset_add_nothing_to_its_depth(result, stack_file, rig, filters):
+def test_filters_of_a_preset_add_no_noise_to_its_depth(result, stack_file, rig, filters):
     check_depth_of_no_filters(stack_file, rig, result.depth, filters)
 
 
 def off_the_plane_around_px(place, known, *, window_px=25):
-    """Each pixel's place less a plane through those around it, and where that plane is one.
+    """Return each pixel's position minus a plane through its neighbours, and where it is valid.
 
-    Four rounds of least squares by sums over windows, leaving out what is off by 4 px.
+    Four rounds of least squares by sums over windows, without pixels that are off by 4 px.
     """
     y, x = (axis / 100 for axis in np.mgrid[0 : place.shape[0], 0 : place.shape[1]].astype(float))
     place = np.where(known, place, 0).astype(float)
@@ -127,9 +127,9 @@ def off_the_plane_around_px(place, known, *, window_px=25):
 
 
 @pytest.mark.parametrize("axis", ["column", "row"])
-def test_its_bits_scatter_by_their_sigma(result, axis):
-    """About the plane around each pixel, on the shell itself. With noise alone as the error of the
-    finest bits, of modulation 0.06 and 0.30, it was 1.71 in columns and 1.39 in rows.
+def test_errors_of_the_bits_agree_with_sigma(result, axis):
+    """Errors are relative to the plane around each pixel of the shell. With noise as the only error
+    of the finest bits, of modulation 0.06 and 0.30, the ratio was 1.71 in columns and 1.39 in rows.
     """
     codes = result.codes
     off_px, smooth = off_the_plane_around_px(getattr(codes, axis), codes.reason == 0)
@@ -139,7 +139,7 @@ def test_its_bits_scatter_by_their_sigma(result, axis):
     assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.3
 
 
-def test_the_authors_points_are_found_to_hundredths_of_a_millimetre(result, author_m):
+def test_the_author_s_points_are_reproduced_to_hundredths_of_a_millimetre(result, author_m):
     ours_m = result.cloud.point_m
     away_m, _ = cKDTree(ours_m).query(author_m)
     assert len(ours_m) >= len(author_m) == 104_809
@@ -147,8 +147,8 @@ def test_the_authors_points_are_found_to_hundredths_of_a_millimetre(result, auth
     assert (away_m < 0.5e-3).mean() >= 0.99
 
 
-def test_points_in_no_doubt_are_the_authors_in_the_median(result, author_m):
-    """The other way round holds where the author has points: he left out the dim background."""
+def test_the_median_point_without_doubt_agrees_with_the_author_s(result, author_m):
+    """Only points near the author's are compared, since he left out the dim background."""
     sure_m = result.cloud.point_m[result.cloud.sure_pixels > 0]
     away_m, _ = cKDTree(author_m).query(sure_m)
     assert len(sure_m) >= len(author_m)

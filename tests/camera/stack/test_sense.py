@@ -1,4 +1,4 @@
-"""Phase steps that run the other way, or from elsewhere, are found by the Gray code beside them."""
+"""Phase steps with another direction or origin are detected by the Gray code."""
 
 import re
 
@@ -14,13 +14,13 @@ from .cluttered import Look, shoot_cluttered
 from .simulated import describe, save, small_rig, view_of, write_yaml
 
 FOUR = gray_phase(128, 96, axes=("column", "row"), steps=4)
-THREE = gray_phase(128, 96, steps=3, inverses=True)  # cells of half a period alone
+THREE = gray_phase(128, 96, steps=3, inverses=True)  # cells of half a period only
 EIGHT = gray_phase(128, 96, period_px=32.0, steps=8)
 LINE = gray_line_shift(128, 96)
 
 
 def decoded(folder, code, stack, renumber=None):
-    """The stack with each column step `k` of the scanner's own written as `renumber(k)`."""
+    """Return the stack with each column step `k` of the scanner renamed to `renumber(k)`."""
     content = describe(code)
     for e in content["frames"]:
         if renumber and e["kind"] in ("phase", "line") and e["axis"] == "column":
@@ -30,7 +30,7 @@ def decoded(folder, code, stack, renumber=None):
 
 
 def proposal(result):
-    """Proposed and stated steps, px by which the first are off, px by which places move."""
+    """Return proposed and stated steps, their distance in px, and the change of positions in px."""
     (warning,) = [w for w in result.warnings if "do not fit the Gray code of the columns" in w]
     match = re.search(
         r"With step (.*) of \d+ instead of (.*) they .* within (\S+) px, .* by (\S+) px", warning
@@ -44,7 +44,7 @@ CASES = [
     slow(FOUR, -1, 0.0),
     (FOUR, -1, 1.0),
     slow(FOUR, 1, 2.0),
-    (THREE, -1, 0.75),  # a sine that runs backwards
+    (THREE, -1, 0.75),  # a sine in reverse
     slow(THREE, 1, 0.75),
     (EIGHT, 1, 1.0),
     (EIGHT, -1, 3.5),
@@ -53,8 +53,8 @@ CASES = [
 
 
 @pytest.mark.parametrize(("code", "sign", "by"), CASES)
-def test_a_wrong_sense_or_origin_is_named_with_the_right_one(code, sign, by, tmp_path):
-    """Oracle: the renumbering that was done to the file is known, and undone gives the truth."""
+def test_a_wrong_direction_or_origin_is_named_with_the_right_one(code, sign, by, tmp_path):
+    """Oracle: the known renumbering of the file; its inverse gives the truth."""
     stack = shoot_cluttered(code, HARD)
     steps, period_px = next((f.steps, f.period_px) for f in code.frames if f.steps)
     result = decoded(tmp_path, code, stack, lambda k: sign * k + by)
@@ -68,7 +68,7 @@ def test_a_wrong_sense_or_origin_is_named_with_the_right_one(code, sign, by, tmp
 
 
 @pytest.mark.parametrize("code", [slow(FOUR), THREE, slow(EIGHT), LINE])
-def test_phases_that_run_as_they_should_are_not_warned_of(code, tmp_path):
+def test_phases_in_the_right_direction_cause_no_warning(code, tmp_path):
     for k, look in enumerate((HARD, Look(gain=0.4, read_dn=3.0, blur_px=1.0))):
         folder = tmp_path / str(k)
         folder.mkdir()
@@ -76,7 +76,7 @@ def test_phases_that_run_as_they_should_are_not_warned_of(code, tmp_path):
 
 
 def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_path):
-    """Oracle: the projection of the wall and the ball. A sine that runs backwards, in 3 steps."""
+    """Oracle: the projection of the wall and the ball. A sine in reverse, in 3 steps."""
     stack = shoot_cluttered(THREE, Look())
     truth = view_of(small_rig()).column
     miss_px = {}
@@ -92,7 +92,7 @@ def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_p
     assert miss_px["proposed"] < 0.5 < 2 < miss_px["stated"]
 
 
-def test_a_period_that_is_wrong_is_said_to_agree_in_no_sense(tmp_path):
+def test_a_wrong_period_is_reported_to_agree_in_no_direction(tmp_path):
     content = describe(FOUR)
     for e in content["frames"]:
         if e["kind"] == "phase" and e["axis"] == "column":
@@ -106,7 +106,7 @@ def test_a_period_that_is_wrong_is_said_to_agree_in_no_sense(tmp_path):
 
 @pytest.mark.parametrize("first", [0.25, 0.75])
 def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first, tmp_path):
-    """Oracle: the pictures are made by hand from the cosine's own formula, not by the code."""
+    """Oracle: pictures computed from the cosine's formula, not by the code under test."""
     code = gray_phase(128, 96, steps=3)
     truth = view_of(small_rig()).column
     stack = shoot_cluttered(code, Look(indirect=0.0))
@@ -120,15 +120,15 @@ def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first,
     off = (result.codes.column - truth)[lit]
     assert not result.warnings
     assert np.isfinite(off).mean() > 0.99
-    assert np.nanmax(np.abs(off)) < 0.02  # of 0.5 DN of rounding in 3 frames of amplitude 85
+    assert np.nanmax(np.abs(off)) < 0.02  # from 0.5 DN of rounding in 3 frames of amplitude 85
 
 
 @pytest.mark.parametrize(("steps", "worst"), [(3, 1 / 12), (4, 1 / 8), (8, 1 / 16)])
-def test_stripes_given_as_phase_are_off_by_what_docs_stacks_says(steps, worst, tmp_path):
-    """Oracle: the sharp stripes' own formula, and the error of their odd harmonics in closed form.
+def test_stripes_in_place_of_a_cosine_have_the_error_stated_in_docs_stacks(steps, worst, tmp_path):
+    """Oracle: the formula of sharp stripes, and the error of their odd harmonics in closed form.
 
-    Of N shifts only harmonics next to multiples of N are left; the largest error, 1 / (4 N) or
-    1 / (2 N) of odd and of even N, is half of the place that a stripe's edge keeps for itself.
+    Of N shifts, only harmonics next to multiples of N are left; the largest error is 1 / (4 N) for
+    odd N and 1 / (2 N) for even N, half of the range in which a stripe's edge gives one position.
     """
     code = gray_phase(128, 96, period_px=32.0, steps=steps, inverses=True)
     truth = view_of(small_rig()).column
@@ -141,14 +141,14 @@ def test_stripes_given_as_phase_are_off_by_what_docs_stacks_says(steps, worst, t
     assert 0.8 * worst * 32 < np.nanmax(np.abs(off)) < 1.03 * worst * 32
 
 
-def test_a_saturation_above_the_cameras_range_says_that_nothing_saturates(tmp_path):
+def test_a_saturation_above_the_camera_s_range_means_that_no_pixel_saturates(tmp_path):
     code = gray_phase(128, 96, steps=4)
     content = describe(code) | {"levels": {"saturation_dn": 300.0}}
     save(tmp_path, content, shoot_cluttered(code, Look(bright=1.4)))
     assert decode_stack(write_yaml(tmp_path, content)).figures.reasons["saturated"] == 0
 
 
-def test_steps_of_one_period_that_are_not_evenly_spread_are_refused(tmp_path):
+def test_unevenly_spaced_steps_of_one_period_are_refused(tmp_path):
     content = describe(FOUR)
     steps = [e for e in content["frames"] if e["kind"] == "phase" and e["axis"] == "column"]
     steps[1]["step"] = 1.5

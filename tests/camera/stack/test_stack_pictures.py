@@ -21,8 +21,8 @@ def files(tmp_path):
     return paths
 
 
-def test_reading_needs_little_memory_beside_the_stack(files):
-    """Pictures that waited for the last one doubled the memory: 440 MB of 44 pictures of 5 MP."""
+def test_reading_needs_little_memory_in_addition_to_the_stack(files):
+    """Pictures that waited for the last one doubled the memory: 440 MB for 44 pictures of 5 MP."""
     read_pictures(files[:2])
     tracemalloc.start()
     try:
@@ -35,7 +35,7 @@ def test_reading_needs_little_memory_beside_the_stack(files):
         assert np.array_equal(pictures.frames[k], np.asarray(Image.open(files[k])))
 
 
-def test_the_first_file_that_is_wrong_is_named_whichever_thread_reads_it(files):
+def test_the_first_wrong_file_is_named_whichever_thread_reads_it(files):
     Image.fromarray(np.zeros((200, 301), np.uint8)).save(files[9])
     files[5].write_bytes(files[5].read_bytes()[:2000])
     files[20].unlink()

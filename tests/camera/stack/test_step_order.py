@@ -1,4 +1,4 @@
-"""Two exchanged pictures of a period are named, and no other remedy or fault beside them."""
+"""Two exchanged pictures of a period are named, and no other fault or remedy."""
 
 import re
 from itertools import combinations
@@ -27,7 +27,7 @@ CODES = {
 
 
 def warnings_of(folder, name, one, other, stack=None):
-    """The warnings where two steps of the columns' first period have changed places."""
+    """Return the warnings if two steps of the columns' first period are exchanged."""
     code = CODES[name]
     content = describe(code)
     steps = [e for e in content["frames"] if e["kind"] == "phase" and e["axis"] == "column"]
@@ -38,17 +38,17 @@ def warnings_of(folder, name, one, other, stack=None):
 
 
 def named(warning):
-    """The pairs of steps that a warning calls exchanged."""
+    """Return the pairs of steps that a warning calls exchanged."""
     steps = [int(k) for k in re.findall(r"column_phase_\w*?step(\d+) ", warning)]
     return sorted(zip(steps[::2], steps[1::2], strict=True))
 
 
 CASES = [
-    ("four", 0, 1),  # no warning at all before
+    ("four", 0, 1),  # no warning in earlier versions
     slow("four", 2, 3),
     ("four", 1, 2),  # another origin
     slow("five", 0, 1),
-    ("five", 1, 4),  # steps that run backwards
+    ("five", 1, 4),  # steps in reverse
     ("six", 1, 5),
     ("eight", 1, 4),  # six steps that were not equally bright
     slow("eight", 0, 2),
@@ -58,8 +58,8 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "one", "other"), CASES)
-def test_two_exchanged_pictures_are_named_and_nothing_else(name, one, other, tmp_path):
-    """Oracle: the two that changed places. All other pairs of four to six steps are ruled out."""
+def test_two_exchanged_pictures_are_the_only_warning(name, one, other, tmp_path):
+    """Oracle: the two exchanged pictures. All other pairs of four to six steps are excluded."""
     (warning,) = warnings_of(tmp_path, name, one, other)
     assert named(warning) == [(one, other)], warning
     assert "of the columns are in a wrong order" in warning and "may be exchanged" in warning
@@ -67,8 +67,8 @@ def test_two_exchanged_pictures_are_named_and_nothing_else(name, one, other, tmp
 
 
 @pytest.mark.parametrize(("one", "other", "twin"), [(0, 1, (2, 3)), slow(1, 2, (0, 3))])
-def test_both_pairs_are_named_where_no_gray_bits_tell_them_apart(one, other, twin, tmp_path):
-    """Oracle: 1, 0, 2, 3 with the last two exchanged is 1 - k, a sine that runs backwards."""
+def test_both_possible_pairs_are_named_if_no_gray_bits_distinguish_them(one, other, twin, tmp_path):
+    """Oracle: 1, 0, 2, 3 with the last two exchanged is 1 - k, a sine in reverse."""
     (warning,) = warnings_of(tmp_path, "three frequencies", one, other)
     assert named(warning) == sorted([(one, other), twin]), warning
     assert "which these pictures cannot tell apart" in warning
@@ -77,10 +77,10 @@ def test_both_pairs_are_named_where_no_gray_bits_tell_them_apart(one, other, twi
 @pytest.mark.parametrize(
     ("name", "one", "other"), [("three", 0, 1), slow("three", 1, 2), ("four", 1, 3)]
 )
-def test_an_exchange_that_is_also_a_sense_is_named_first_and_then_the_sense(
+def test_an_exchange_that_equals_a_reversed_sine_is_named_before_the_reversal(
     name, one, other, tmp_path
 ):
-    """Oracle: k and c - k are the same but for two steps, of three, or of four where c is even."""
+    """Oracle: k and c - k differ in two of three steps, or of four if c is even."""
     (warning,) = warnings_of(tmp_path, name, one, other)
     first, second = warning.split(" may be exchanged, or ")
     assert named(first + " ") == [(one, other)]
@@ -97,8 +97,8 @@ def test_a_picture_in_place_of_another_is_called_a_copy_and_not_an_exchange(tmp_
     assert not any("exchanged" in w for w in warnings)
 
 
-def test_a_step_that_is_brighter_is_named_where_another_period_is_exchanged(tmp_path):
-    """Only the period with the exchange is not asked whether its steps are equally bright."""
+def test_a_brighter_step_is_named_even_if_another_period_has_exchanged_pictures(tmp_path):
+    """Only the period with the exchange is not checked for equal brightness."""
     code = CODES["three frequencies"]
     stack = shoot_cluttered(code, HARD).astype(float)
     k = next(i for i, f in enumerate(code.frames) if f.axis == "row" and f.step == 1)
@@ -110,7 +110,7 @@ def test_a_step_that_is_brighter_is_named_where_another_period_is_exchanged(tmp_
 
 
 @pytest.mark.parametrize("power", [slow(0.6), 1.8])
-def test_a_response_that_is_not_linear_hides_no_exchange_and_makes_none(power, tmp_path):
+def test_a_nonlinear_response_neither_hides_nor_simulates_an_exchange(power, tmp_path):
     code = CODES["eight"]
     stack = shoot_cluttered(code, Look(squares=0.4, blur_px=0.8, indirect=0.1)) / 255
     stack = np.rint(255 * stack**power).astype(np.uint8)

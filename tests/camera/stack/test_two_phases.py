@@ -1,4 +1,4 @@
-"""A real stack of two phases and wide Gray cells (kamino410), against its author's own result."""
+"""A real stack of two phases and wide Gray cells (kamino410), and its author's own result."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def kamino(shared):
 
 
 def described(folder: Path, *, phases_px=PHASES_PX, complementary=False) -> dict:
-    """Pictures in the order of their numbers: phases of both axes, Gray bits of both, the ends."""
+    """Return pictures by number: phases of both axes, Gray bits of both, white and black."""
     frames = [
         {"kind": "phase", "axis": axis, "period_px": period_px, "step": step, "steps": 3}
         for axis in BITS
@@ -57,9 +57,9 @@ def decoded(tmp_path, content):
 
 
 @pytest.mark.parametrize("complementary", [slow(False), True])
-def test_the_author_s_places_are_found(kamino, complementary, tmp_path):
-    """He gives places modulo 256, columns in blue and rows in green, where red is 128. A
-    complementary bit of 200 px is another statement of the finest bit, so it is no less right.
+def test_the_author_s_positions_are_reproduced(kamino, complementary, tmp_path):
+    """He gives positions modulo 256, columns in blue and rows in green, where red is 128. The
+    finest bit may also be declared a complementary bit of 200 px.
     """
     result = decoded(tmp_path, described(kamino, complementary=complementary))
     assert result.warnings == ()
@@ -72,8 +72,8 @@ def test_the_author_s_places_are_found(kamino, complementary, tmp_path):
 
 @pytest.mark.parametrize("complementary", [False, True])
 @pytest.mark.parametrize("period_px", PHASES_PX)
-def test_one_of_its_phases_alone_is_refused(kamino, period_px, complementary, tmp_path):
-    """Read so, 30 % of the pixels were wrong by a period, without a word."""
+def test_one_of_the_two_phases_alone_is_refused(kamino, period_px, complementary, tmp_path):
+    """With one phase, 30 % of the pixels were wrong by a period, without a message."""
     content = described(kamino, phases_px=[period_px], complementary=complementary)
     with pytest.raises(DecodeError, match=f"cannot count the phases of period {period_px:g} px"):
         decoded(tmp_path, content)

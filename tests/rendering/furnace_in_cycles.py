@@ -1,10 +1,10 @@
-"""What Cycles shows of materials on a plane, for `test_materials_in_both.py`; runs under bpy.
+"""Radiance of materials on a plane in Cycles, for `test_materials_in_both.py`; runs under bpy.
 
     python furnace_in_cycles.py WORKER CASES ANSWERS
 
-WORKER is the folder of Graycast's Cycles worker, whose materials these are. CASES is JSON: a list
-of {"words": of the material, "view": angle in rad to the normal, "light": [angle in rad, turn
-in rad] of a distant lamp with 1 W/m2 across its rays, or null for a world of radiance 1}. ANSWERS
+WORKER is the folder of Graycast's Cycles worker, which defines the materials. CASES is JSON: a list
+of {"words": of the material, "view": angle in rad to the normal, "light": [angle in rad, turn in
+rad] of a distant lamp with 1 W/m2 across its rays, or null for a world of radiance 1}. ANSWERS
 becomes a list of [mean, standard error], three bands each.
 """
 
@@ -19,11 +19,11 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 SIDE_PX = 8
-FURNACE_SAMPLES, LAMP_SAMPLES = 1024, 4  # a lamp without size leaves nothing to chance
+FURNACE_SAMPLES, LAMP_SAMPLES = 1024, 4  # a lamp without size has no noise
 
 
 def stage() -> tuple[bpy.types.Object, bpy.types.Object, bpy.types.Object]:
-    """A plane, an orthographic camera that sees a piece of it, a distant lamp."""
+    """Make a plane, an orthographic camera that sees a piece of it, and a distant lamp."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -51,7 +51,7 @@ def stage() -> tuple[bpy.types.Object, bpy.types.Object, bpy.types.Object]:
 
 
 def aim(body: bpy.types.Object, angle: float, turn: float = 0.0) -> None:
-    """Look, or shine, at the origin from 3 m away."""
+    """Aim a camera or a lamp at the origin from 3 m away."""
     z = Vector(
         (math.sin(angle) * math.cos(turn), math.sin(angle) * math.sin(turn), math.cos(angle))
     )

@@ -1,4 +1,4 @@
-"""Metal with grooves: all light kept, the published shape, samples as they say, the right way."""
+"""Metal with grooves: energy, published shape, samples and their density, direction of grooves."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from graycast.base.frames import axis_rotation, rigid
 from graycast.world.parts import Grain, Material, Mesh
 
 WHITE, GOLD = (1.0, 1.0, 1.0), (1.0, 0.7, 0.3)
-# Roughness, anisotropy, and how far white metal may be from returning all light.
+# Roughness, anisotropy, and the share of light that white metal may lose.
 CASES = [
     (0.1, 0.8, 0.003), slow(0.3, 0.6, 0.003), (0.35, 0.8, 0.003), (0.5, 1.0, 0.003),
     (0.8, 0.8, 0.007), (1.0, 1.0, 0.014),
@@ -26,7 +26,7 @@ SHAPES = [(0.25, 0.7), (0.35, 0.8), (0.5, 1.0)]
 
 
 def widths(roughness, anisotropy):
-    """Along and across the grain: Burley's aspect, whose x lies across the grooves."""
+    """Return the widths along and across the grain, with Burley's aspect."""
     aspect = np.sqrt(1 - 0.9 * anisotropy)
     return roughness**2 * aspect, roughness**2 / aspect
 
@@ -42,7 +42,7 @@ def metal(along, across, reflectance=GOLD):
 
 
 def one_reflection(wi, wo, along, across):
-    """D G2 / (4 cos cos) of white facets, by Heitz' D over slopes and his Lambda of each direction.
+    """Return D G2 / (4 cos cos) of white facets, by Heitz' D over slopes and his Lambda.
 
     x lies along the grain.
     """
@@ -66,10 +66,10 @@ def one_reflection(wi, wo, along, across):
         for turn in (0, 30, 45, 70, 90)
     ],
 )
-def test_white_grooves_return_all_light(
+def test_white_metal_with_grooves_reflects_all_light(
     cpu_device, roughness, anisotropy, limit, turn_deg, angle_deg
 ):
-    """The limits are those that `grained_lost_share` states."""
+    """The limits are those in `grained_lost_share`."""
     bsdf = metal(*widths(roughness, anisotropy), WHITE)
     weight = samples_of(bsdf, leaning(angle_deg, turn_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
@@ -78,9 +78,9 @@ def test_white_grooves_return_all_light(
 
 
 @pytest.mark.parametrize(("roughness", "anisotropy"), SHAPES)
-def test_the_shape_is_that_of_the_published_formula(cpu_device, roughness, anisotropy):
-    """Light that is given back is one factor for all directions in which light leaves: of white
-    metal 1 / E, with E as a sum over a fine grid of directions.
+def test_the_lobe_has_the_shape_of_the_published_formula(cpu_device, roughness, anisotropy):
+    """The compensation is one factor for all outgoing directions: for white metal 1 / E, with E as
+    a sum over a fine grid of directions.
     """
     along, across = widths(roughness, anisotropy)
     wi = leaning(40, 25)
@@ -100,7 +100,7 @@ def test_the_shape_is_that_of_the_published_formula(cpu_device, roughness, aniso
 
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
 def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
-    """Float32's last digits are all that may differ."""
+    """Only the last digits of float32 may differ."""
     import mitsuba as mi
 
     alpha, color = roughness**2, {"type": "rgb", "value": list(GOLD)}
@@ -116,7 +116,7 @@ def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
 
 @pytest.mark.parametrize(("roughness", "anisotropy"), SHAPES)
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(50, 25), (75, 80)])
-def test_samples_bring_value_over_density(cpu_device, roughness, anisotropy, angle_deg, turn_deg):
+def test_weights_are_value_over_density(cpu_device, roughness, anisotropy, angle_deg, turn_deg):
     bsdf, wi = metal(*widths(roughness, anisotropy)), leaning(angle_deg, turn_deg)
     wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
@@ -129,7 +129,7 @@ def test_samples_bring_value_over_density(cpu_device, roughness, anisotropy, ang
 
 @pytest.mark.parametrize(("roughness", "anisotropy"), [(0.5, 0.6), (0.6, 0.9)])
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(0, 0), (50, 25), slow(75, 80)])
-def test_densities_sum_to_one_and_samples_fall_where_they_say(
+def test_densities_integrate_to_one_and_samples_follow_them(
     cpu_device, roughness, anisotropy, angle_deg, turn_deg
 ):
     bsdf, wi = metal(*widths(roughness, anisotropy)), leaning(angle_deg, turn_deg)
@@ -138,7 +138,7 @@ def test_densities_sum_to_one_and_samples_fall_where_they_say(
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
-    """The light that leaves, and where it goes on the whole, by samples and by a sum of values."""
+    """The reflected light and its mean direction, from samples and from a sum of values."""
     bsdf, wi, n = metal(*widths(0.7, 0.8)), leaning(angle_deg, 25), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)
@@ -149,7 +149,7 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
 
 
 @pytest.mark.parametrize(("roughness", "limit"), [(0.3, 1.05), (0.5, 1.04)])
-def test_light_may_run_backwards_up_to_what_the_page_states(cpu_device, roughness, limit):
+def test_the_error_of_reciprocity_is_below_the_documented_one(cpu_device, roughness, limit):
     """The table in docs/explanation/light.md: within 60 degrees, at anisotropy 0.8."""
     import mitsuba as mi
 
@@ -175,8 +175,8 @@ def plate(half_m=0.1):
 
 
 def hits(mesh, grain, poses, origin, ray, material=None):
-    """A scene of parts, which has to live as long as its hits, and where rays along `ray` from
-    `origin` (n, 3) meet them.
+    """Return a scene of parts, which must live as long as its hits, and the hits of rays along
+    `ray` from `origin` (n, 3).
     """
     import mitsuba as mi
 
@@ -190,7 +190,7 @@ def hits(mesh, grain, poses, origin, ray, material=None):
 
 
 def values_at(mesh, grain, poses, origin, ray, to_light, material=None):
-    """Hits (n, 3), normals, and the values towards a light, without the cosine."""
+    """Return hits (n, 3), normals, and the values towards a light, without the cosine."""
     import mitsuba as mi
 
     scene, si = hits(mesh, grain, poses, origin, ray.tolist(), material)
@@ -202,7 +202,7 @@ def values_at(mesh, grain, poses, origin, ray, to_light, material=None):
 
 
 def expected_at(normal, grain, ray, to_light, *, roughness=0.35, anisotropy=0.8):
-    """The closed form at each hit: frames of grain and normal, then the published formula."""
+    """Return the closed form at each hit, in the frame of grain and normal."""
     grain = grain - (grain * normal).sum(axis=1, keepdims=True) * normal
     x = grain / np.linalg.norm(grain, axis=1, keepdims=True)
     frame = np.stack([x, np.cross(normal, x), normal])
@@ -226,8 +226,8 @@ def origins(places_m):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_grooves_turn_with_each_instance(cpu_device, turned):
-    """Two plates at poses of their own; each hit against the formula in its own frame."""
+def test_grooves_rotate_with_each_instance(cpu_device, turned):
+    """Two plates have different poses; each hit agrees with the formula in its own frame."""
     point_m = (0.02, -0.03, 0.0)
     grain = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=point_m)
     grain = grain if turned else Grain(axis=(0.6, 0.8, 0.0))
@@ -246,8 +246,8 @@ def test_grooves_turn_with_each_instance(cpu_device, turned):
     assert 1 < np.median(ratio) < 1.06
 
 
-def test_samples_leave_where_the_grooves_send_them(cpu_device):
-    """On a plate with grooves aslant: each weight is value over density, asked anew."""
+def test_samples_are_reflected_by_the_grooves_of_their_plate(cpu_device):
+    """On a plate with diagonal grooves, each weight is value over density, evaluated again."""
     import mitsuba as mi
 
     rng = np.random.default_rng(6)
@@ -265,10 +265,10 @@ def test_samples_leave_where_the_grooves_send_them(cpu_device):
     assert np.abs(value / density / weight - 1).max() < 2e-3
 
 
-def test_a_faced_disc_shows_its_light_on_a_line_through_the_centre(cpu_device):
-    """Grooves run in circles, so a place shines where the half vector has no part along them: on
-    the line from the centre along the half vector's own projection, however the disc is turned
-    about its axis. Brushed in one direction it shines evenly.
+def test_a_faced_disc_reflects_light_on_a_line_through_its_centre(cpu_device):
+    """Grooves are circles, so a point shines if the half vector is at right angles to them: on the
+    line from the centre along the half vector's projection, for any rotation of the disc about its
+    axis. A disc brushed in one direction shines evenly.
     """
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -285,10 +285,10 @@ def test_a_faced_disc_shows_its_light_on_a_line_through_the_centre(cpu_device):
         assert np.ptp(even) < 0.01 * even.max()
 
 
-def test_a_turned_cylinder_shines_along_one_line_and_a_drawn_one_across(cpu_device):
-    """Seen and lit far away, every place has the same half vector h. Grooves about the axis spread
-    light along the axis: a line of light at the azimuth of h, whose width is the roughness across
-    the line. Grooves along the axis spread it around: the line is wider.
+def test_a_turned_cylinder_has_a_narrow_highlight_and_a_drawn_one_a_wide_highlight(cpu_device):
+    """Seen and lit from far away, all points have the same half vector h. Grooves around the axis
+    spread light along it: a line at the azimuth of h, whose width is the roughness across the line.
+    Grooves along the axis spread light around it: the line is wider.
     """
     n = 256
     angle = 2 * np.pi * np.arange(n) / n
@@ -307,15 +307,15 @@ def test_a_turned_cylinder_shines_along_one_line_and_a_drawn_one_across(cpu_devi
         hit, _, value = values_at(mesh, grain, [pose], origin, ray, light)
         azimuth = np.arcsin(hit[:, 1] / np.linalg.norm(hit[:, 1:], axis=1))
         bright = azimuth[value > 0.5 * value.max()]
-        assert abs(bright.mean() - 0.3) < 0.02  # halfway between eye and lamp
+        assert abs(bright.mean() - 0.3) < 0.02  # halfway between camera and lamp
         wide[turned] = np.ptp(bright)
     along, wide_alpha = widths(0.35, 0.8)
-    # D falls to a half where the slope is sqrt(sqrt 2 - 1) widths, to both sides.
+    # D falls to a half at a slope of sqrt(sqrt 2 - 1) widths, on both sides.
     assert abs(wide[True] / (2 * along * np.sqrt(np.sqrt(2) - 1)) - 1) < 0.3
     assert abs(wide[False] / (2 * wide_alpha * np.sqrt(np.sqrt(2) - 1)) - 1) < 0.2
 
 
-def test_a_plain_metal_has_no_grain_on_its_mesh(cpu_device):
+def test_plain_metal_has_no_grain_on_its_mesh(cpu_device):
     import mitsuba as mi
 
     from graycast.rendering.mitsuba_scene import _mesh
@@ -325,7 +325,7 @@ def test_a_plain_metal_has_no_grain_on_its_mesh(cpu_device):
     assert "RoughConductor" in str(shape.bsdf())
 
 
-def test_half_a_metal_has_half_of_its_grooves_and_half_of_the_plastic(cpu_device):
+def test_a_half_metallic_surface_has_half_of_the_grooves_and_half_of_the_plastic(cpu_device):
     grain = Grain(axis=(0.6, 0.8, 0.0))
     looks = [
         Material(metallic=m, roughness=0.35, anisotropy=a, grain=grain)

@@ -1,4 +1,4 @@
-"""Paths from the projector by themselves, on 32 x 32 pixels: a mirror's patch of light on a wall.
+"""Paths from the projector only, on 32 x 32 pixels: a mirror's patch of light on a wall.
 
 The camera's paths are not traced, so the kernel of Mitsuba compiles in about a second.
 """
@@ -25,7 +25,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Quad
 SIZE, ALBEDO, SUB, SAMPLES, MOST_SAMPLES = 32, 0.5, 8, 256, 65536
 MIRROR_X, NEAR, FAR, HALF_Y = 0.3, 0.5, 0.9, 0.06
 CAMERA_PSF, PROJECTOR_PSF, PERIOD, FOCAL = 1.6, 3.0, 12.0, 140.0
-# The patch of light lies at x = 0.1 to 0.28 on the wall at z = 1, and is in the picture's middle.
+# The patch of light is at x = 0.1 to 0.28 on the wall at z = 1, in the picture's middle.
 RIG = make_rig(
     replace(centred(SIZE, SIZE, FOCAL), cx_px=0.5 * (SIZE - 1) - 0.19 * FOCAL, psf_px=CAMERA_PSF),
     replace(centred(64, 64, 200), cx_px=31.5 - 0.311 * 200, psf_px=PROJECTOR_PSF),
@@ -34,7 +34,7 @@ RIG = make_rig(
 
 
 def stripes():
-    """A wave over the columns, and columns that are dark and bright in turn."""
+    """Return a wave over the columns, and columns that are alternately dark and bright."""
     column = np.arange(RIG.projector.width_px)
     wave = np.rint(127.5 * (1 + np.cos(2 * np.pi * column / PERIOD)))
     lines = np.stack([wave, 255 * (column % 2)]).astype(np.uint8)
@@ -43,7 +43,7 @@ def stripes():
 
 @dataclass(frozen=True)
 class Traced:
-    """The sums over all samples that the paths from the projector add to each pixel."""
+    """Sums over all samples that the paths from the projector add to each pixel."""
 
     white: np.ndarray
     wave: np.ndarray
@@ -91,10 +91,10 @@ def in_the_camera_s_picture(values):
 
 @pytest.fixture(scope="module")
 def expected():
-    """White light and the wave's share of it, in closed form: the projector's mirror image.
+    """Return white light and the wave's share of it in closed form, from the mirror image.
 
-    Over a disc of the radius r, a wave of the period p keeps 2 J1(x) / x of its height, where x is
-    2 pi r / p (the Fourier transform of a disc).
+    A disc of radius r reduces a wave of period p to 2 J1(x) / x of its height, with x = 2 pi r / p
+    (the Fourier transform of a disc).
     """
     at = (np.arange(SIZE * SUB) + 0.5) / SUB - 0.5
     x = (at[None, :] - RIG.camera.cx_px) / RIG.camera.fx_px
@@ -104,11 +104,11 @@ def expected():
     met = image + (point - image) * ((MIRROR_X - image[0]) / (point - image)[..., :1])
     lit = (np.abs(met[..., 1]) < HALF_Y) & (met[..., 2] > NEAR) & (met[..., 2] < FAR)
     white = lit * ALBEDO / np.pi * RIG.intensity_w_sr / np.linalg.norm(point - image, axis=-1) ** 3
-    back = point * [-1, 1, 1] + [2 * MIRROR_X, 0, 0]  # The projector sees the wall there.
+    back = point * [-1, 1, 1] + [2 * MIRROR_X, 0, 0]  # the projector sees the wall there
     column = project(RIG.projector, transform_points(np.linalg.inv(RIG.T_cam_proj), back))[..., 0]
     turn = 2 * np.pi * PROJECTOR_PSF / PERIOD
     height = 2 * j1(turn) / turn
-    # A pixel is as wide as 1 column: a wave loses the sinc of that, too.
+    # A pixel is as wide as 1 column, so a wave is also reduced by its sinc.
     height *= np.sinc(1 / PERIOD)
     wave = white * height * np.cos(2 * np.pi * column / PERIOD) / 2
     return in_the_camera_s_picture(white), in_the_camera_s_picture(wave)
@@ -120,13 +120,13 @@ def runs(open_tracer):
 
 
 def agreement(pictures, picture, template):
-    """What the pictures have of a template, over what the expected one has; its standard error."""
+    """Return the ratio of a template's share in the pictures to the expected one, and its error."""
     each = np.array([(one * template).sum() for one in pictures]) / (picture * template).sum()
     return each.mean(), each.std(ddof=1) / np.sqrt(len(each))
 
 
-def test_a_mirror_s_patch_of_light_is_as_bright_and_as_blurred_as_it_should_be(runs, expected):
-    """The borders of the patch are what is left when a mean over 5 x 5 pixels is taken off."""
+def test_a_mirror_s_patch_of_light_has_the_expected_radiance_and_blur(runs, expected):
+    """The borders of the patch remain when a mean over 5 x 5 pixels is subtracted."""
     white, _ = expected
     pictures = [run.white / SAMPLES for run in runs]
     brightness, _ = agreement(pictures, white, white)
@@ -136,7 +136,7 @@ def test_a_mirror_s_patch_of_light_is_as_bright_and_as_blurred_as_it_should_be(r
     assert abs(sharpness - 1) < 4 * error
 
 
-def test_stripes_in_a_mirror_s_light_are_as_blurred_as_the_projector_shows_them(runs, expected):
+def test_stripes_in_a_mirror_s_light_have_the_blur_of_the_projector(runs, expected):
     _, wave = expected
     contrast, error = agreement([run.wave - run.white / 2 for run in runs], wave, wave)
     contrast, error = contrast / SAMPLES, error / SAMPLES
@@ -144,9 +144,9 @@ def test_stripes_in_a_mirror_s_light_are_as_blurred_as_the_projector_shows_them(
     assert abs(contrast - 1) < 4 * error
 
 
-def test_one_path_s_light_has_its_own_square_as_variance(open_tracer):
-    """Lines that are bright and dark in turn are off their mean by the path's whole light, either
-    way. The square of a sum is that of its parts at most, and equal where a pixel has one path.
+def test_the_variance_of_one_path_s_light_is_its_square(open_tracer):
+    """Lines that are alternately bright and dark differ from their mean by the path's whole light.
+    The variance is at most the square of the sum, and equal to it if a pixel has one path.
     """
     run = traced(open_tracer(1), seed=3)
     lit = run.white > 0
@@ -156,8 +156,8 @@ def test_one_path_s_light_has_its_own_square_as_variance(open_tracer):
     assert (ratio > 0.9999).mean() > 0.4
 
 
-def test_paths_beyond_two_to_the_32_start_at_even_places(open_tracer):
-    """Oracle: Python's own integers, which have no end."""
+def test_paths_beyond_two_to_the_32_start_at_even_distances(open_tracer):
+    """Oracle: Python's own integers, which have no limit."""
     from graycast.rendering.mitsuba_projector import CELL_PX, R2_STEPS
 
     field, total, lanes, start = open_tracer(1).field, 2**34 + 5, 16, (11, 13)
@@ -177,10 +177,10 @@ def test_paths_beyond_two_to_the_32_start_at_even_places(open_tracer):
 
 
 def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, expected, monkeypatch):
-    """So many are the paths of a full picture with some thousands of samples; an error ended it.
+    """A full picture with thousands of samples has that many paths, which caused an error.
 
-    Of 2^34 paths, the first thousand through each of the projector's cells are followed: a thousand
-    paths of each cell are as bright as all of them.
+    Of 2^34 paths, the first thousand of each of the projector's cells are traced: they are as
+    bright as all of them.
     """
     tracer = open_tracer(SAMPLES)
     tracer.total = 2**34
@@ -193,13 +193,13 @@ def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, exp
 
 @pytest.mark.parametrize("samples", [1, 256, 257, MOST_SAMPLES])
 def test_the_brightest_light_of_every_sample_does_not_overflow_a_sum(open_tracer, samples):
-    """At 2^64 a sum would begin again at nothing."""
+    """A sum of 2^64 would start again at 0."""
     from graycast.rendering.mitsuba_caustics import BRIGHTEST
 
     tracer = open_tracer(samples)
     lanes = SimpleNamespace(pixel=dr.zeros(mi.UInt32, samples))
     every = dr.full(mi.Bool, True, samples)
-    add = inspect.unwrap(type(tracer)._add)  # the lanes stand in for whole paths
+    add = inspect.unwrap(type(tracer)._add)  # each lane counts as whole paths
     add(tracer, lanes, dr.zeros(mi.UInt32, samples), mi.Color3f(1e30), every)
     most = samples * BRIGHTEST * RIG.intensity_w_sr / np.pi
     sums = tracer._result()

@@ -1,4 +1,4 @@
-"""Light that comes by shiny surfaces: a mirror in closed form, and two kinds of path that agree."""
+"""Light reflected by shiny surfaces: a mirror in closed form, and two kinds of paths that agree."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def metal(roughness, base=1.0):
 
 
 def strip(material):
-    """Upright beside the camera's axis, from z = NEAR to FAR, its front towards the axis."""
+    """Return an upright strip beside the camera's axis, from z = NEAR to FAR, facing the axis."""
     half_z = (FAR - NEAR) / 2
     return Quad(
         center_m=(MIRROR_X, 0.0, (NEAR + FAR) / 2),
@@ -33,14 +33,14 @@ def strip(material):
 
 
 def ramp(rig):
-    """Levels that grow with the projector's columns."""
+    """Return levels that grow with the projector's columns."""
     level = np.arange(rig.projector.width_px, dtype=np.uint8)
     return np.broadcast_to(level, (1, rig.projector.height_px, rig.projector.width_px)).copy()
 
 
 def expected_on_the_wall(rig, width, height):
-    """Per pixel: radiance straight from the projector and by its mirror image, and the latter
-    times the level of `ramp`; each pixel is 8 x 8 points of the wall at z = 1.
+    """Return per pixel the radiance directly from the projector and from its mirror image, and the
+    latter times the level of `ramp`; each pixel is 8 x 8 points of the wall at z = 1.
     """
     at = (np.arange(8) + 0.5) / 8 - 0.5
     u = (np.arange(width)[:, None] + at).ravel()
@@ -58,7 +58,7 @@ def expected_on_the_wall(rig, width, height):
         & (met[..., 2] < FAR)
         & (point[..., 0] < MIRROR_X)
     )
-    # What the mirror hides of the wall is not looked at by the test, nor what it shades.
+    # The part of the wall that the mirror hides or shades is not tested.
     paper = ALBEDO / np.pi * rig.intensity_w_sr
     straight = paper / np.linalg.norm(point - lens, axis=-1) ** 3
     mirrored = by_mirror * paper / np.linalg.norm(point - image, axis=-1) ** 3
@@ -74,11 +74,11 @@ def expected_on_the_wall(rig, width, height):
 
 RIG = make_rig(centred(96, 72, 110), centred(160, 120, 140), baseline_m=(0.1, 0.0, 0.0))
 WALL = wall(1.0, lambert(ALBEDO), half_m=2.0)
-CLEAR = np.s_[8:64, 52:80]  # wall alone, beside what the mirror shades and hides of it
+CLEAR = np.s_[8:64, 52:80]  # wall alone, outside the part that the mirror shades or hides
 
 
 def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
-    """A wall and what is beside it, once for each seed, without a third vertex."""
+    """Render a wall and other objects, once for each seed, without a third vertex."""
     scene = in_camera(RIG, WALL, *surfaces)
     quality = Quality(samples=samples, depth=2)
     return [
@@ -89,7 +89,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
 
 @pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
 def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_renderer, roughness):
-    """Irradiance, edges and columns in closed form; facets blur the edges by a pixel or two."""
+    """Irradiance, edges and columns in closed form; facets blur the edges by one or two pixels."""
     mirror = strip(metal(roughness))
     runs = lit_walls(mitsuba_renderer, mirror, pattern=ramp(RIG), seeds=range(6))
     straight, mirrored, level = expected_on_the_wall(RIG, 96, 72)
@@ -103,7 +103,7 @@ def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_r
     assert np.sqrt(np.square(off).mean()) < 1.3, "pixels are off by more than their noise"
     outer = binary_erosion(mirrored == 0, iterations=3)[CLEAR]
     assert np.abs(light[CLEAR][outer]).max() < 0.03 * mirrored.max()
-    # The levels in the caustic's own light are those of the mirror image's columns.
+    # The levels in the caustic's light are those of the mirror image's columns.
     (wall_alone,) = lit_walls(mitsuba_renderer, pattern=ramp(RIG), seeds=[0])
     ramped = np.mean([run.pattern[0] for run in runs], axis=0) - wall_alone.pattern[0]
     column = 255 * (ramped[inner] / light[inner] - level[inner] / mirrored[inner])
@@ -112,7 +112,7 @@ def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_r
 
 @pytest.fixture
 def from_the_camera_alone(monkeypatch):
-    """Paths as they are without any light tracing."""
+    """Render without light tracing."""
 
     def switch():
         monkeypatch.setattr("graycast.rendering.mitsuba._shiny_field", lambda *of: None)
@@ -160,7 +160,7 @@ CASES = {
 
 
 def room(camera, projector, material):
-    """A wall, two upright strips and a ball, askew."""
+    """Return a wall, two upright strips and a ball at an angle."""
     rig = make_rig(
         camera,
         projector,
@@ -183,7 +183,7 @@ def room(camera, projector, material):
 
 
 def pictures(renderer, scene, *, samples, seeds, depth=4):
-    """White, a fine pattern and the bands, of each seed; every eighth pixel square is summed."""
+    """Return white, a fine pattern and the bands per seed, summed over 8 x 8 pixels."""
     pattern = plain_pattern(scene.rig, 255)
     pattern[:, :, ::2] = 0
     quality = Quality(samples=samples, depth=depth, footprint=False)
@@ -202,11 +202,11 @@ def z_of(a, b):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_both_kinds_of_path_together_find_what_many_from_the_camera_find(
+def test_both_kinds_of_paths_give_the_light_of_very_many_camera_paths(
     mitsuba_renderer, from_the_camera_alone, case
 ):
-    """Brute force is the oracle: 32,768 paths a pixel from the camera. A wrong weight, Jacobian or
-    pupil of 0.5 % would be five standard errors of the whole picture.
+    """The oracle is brute force: 32,768 camera paths per pixel. A weight, Jacobian or pupil wrong
+    by 0.5 % would be five standard errors of the whole picture.
     """
     scene = room(*CASES[case])
     both = pictures(mitsuba_renderer, scene, samples=512, seeds=range(8))
@@ -214,14 +214,14 @@ def test_both_kinds_of_path_together_find_what_many_from_the_camera_find(
     alone = pictures(mitsuba_renderer, scene, samples=4096, seeds=range(100, 108))
     whole = z_of(both.sum(axis=(2, 3)), alone.sum(axis=(2, 3)))
     assert np.abs(whole).max() < 4, whole
-    # A caustic in a wrong place would be tens; its noise has longer tails than Gauss's.
+    # A misplaced caustic would be tens; its noise has longer tails than a Gaussian.
     assert np.sqrt(np.square(z_of(both, alone)).mean()) < 2.2
 
 
 @pytest.mark.slow
-def test_each_kind_of_path_alone_finds_the_same_energy(mitsuba_renderer, monkeypatch):
-    """All light of the shiny surfaces' from the projector's side, and all of it from the camera's;
-    the rough metal is one on which both are good.
+def test_each_kind_of_path_alone_gives_the_same_energy(mitsuba_renderer, monkeypatch):
+    """All light of shiny surfaces from the projector's side, and all of it from the camera's; on
+    the rough metal, both have little noise.
     """
     scene = room(CAMERA, PROJECTOR, metal(0.5, 0.9))
     shares = {"projector": (0.0, 1.0), "camera": (1.0, 0.0)}
@@ -237,9 +237,9 @@ def test_each_kind_of_path_alone_finds_the_same_energy(mitsuba_renderer, monkeyp
     assert np.abs(a.mean(axis=0) / b.mean(axis=0) - 1).max() < 0.01
 
 
-def test_a_matt_room_is_the_same_from_both_sides(mitsuba_renderer, monkeypatch):
-    """Without anything shiny no path starts at the projector; where all is called shiny, the mean
-    stays.
+def test_a_matt_room_is_the_same_with_both_kinds_of_paths(mitsuba_renderer, monkeypatch):
+    """Without shiny surfaces, no path starts at the projector; if all count as shiny, the mean is
+    equal.
     """
     scene = room(CAMERA, PROJECTOR, lambert(0.7))
     plain = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
@@ -252,9 +252,9 @@ def test_a_matt_room_is_the_same_from_both_sides(mitsuba_renderer, monkeypatch):
 
 
 @pytest.mark.slow
-def test_light_runs_backwards(mitsuba_renderer):
-    """Helmholtz: what a region of the camera's picture gets from one of the projector's is what
-    this gets from that when both change places. A black glossy coat may run backwards exactly.
+def test_light_transport_is_reciprocal(mitsuba_renderer):
+    """Helmholtz: light between a region of the camera's picture and one of the projector's is the
+    same if camera and projector are exchanged. A black glossy coat is exactly reciprocal.
     """
     material = Material(base_color=(0.0, 0.0, 0.0), roughness=0.15, specular=1.0)
     a, b = centred(40, 32, 50), centred(40, 32, 50)
@@ -300,8 +300,8 @@ def test_one_seed_gives_one_picture(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_a_mirror_s_light_has_a_hundredth_of_the_variance(mitsuba_renderer, from_the_camera_alone):
-    """At roughness 0.1, paths from the camera find the strip's light by chance."""
+def test_light_tracing_has_a_hundredth_of_the_variance(mitsuba_renderer, from_the_camera_alone):
+    """At roughness 0.1, paths from the camera hit the strip's light by chance."""
 
     def variance():
         runs = lit_walls(
@@ -315,8 +315,8 @@ def test_a_mirror_s_light_has_a_hundredth_of_the_variance(mitsuba_renderer, from
 
 
 @pytest.mark.slow
-def test_stray_light_of_caustics_is_in_the_path_noise(mitsuba_renderer):
-    """The stated deviation is that of many renderings, where a caustic lies on lit wall."""
+def test_the_stated_path_noise_includes_caustics(mitsuba_renderer):
+    """The stated deviation is that of many renderings, where a caustic is on a lit wall."""
     pattern = plain_pattern(RIG, 0)
     pattern[0] = 255 * (np.arange(160) // 2 % 2)
     mirror = strip(metal(0.15))
@@ -324,15 +324,15 @@ def test_stray_light_of_caustics_is_in_the_path_noise(mitsuba_renderer):
     straight, mirrored, _ = expected_on_the_wall(RIG, 96, 72)
     caustic = binary_erosion(mirrored > 0, iterations=3)
     stated = np.mean([run.path_noise.stray[0][caustic] for run in runs])
-    # Half of the white light is the pattern's mean, and its deviation is a half.
+    # The pattern's mean is half of the white light, and its deviation is a half.
     stray = [(run.pattern[0] - run.white / 2)[caustic] * 2 / straight[caustic] for run in runs]
     measured = np.sqrt(np.var(stray, axis=0, ddof=1).mean())
     assert 0.7 < stated / measured < 1.4, (stated, measured)
 
 
 @pytest.mark.slow
-def test_cycles_finds_the_same_caustic(mitsuba_renderer, cycles_renderer):
-    """Another program, which has the camera's paths alone: the wall in four strips, to 3 %."""
+def test_cycles_renders_the_same_caustic(mitsuba_renderer, cycles_renderer):
+    """Another program, with camera paths only: the wall in four strips, to 3 %."""
 
     def strips(renderer, samples):
         mirror = strip(metal(0.3))

@@ -1,4 +1,4 @@
-"""The coated material: reciprocity, a density that is one, and energy that is kept to the last."""
+"""The coated material: reciprocity, a normalised density, and conservation of energy."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def incidence(cosine, n):
 
 
 def hemisphere(n, seed):
-    """Uniform directions, density 1 / (2 pi)."""
+    """Return uniform directions of density 1 / (2 pi)."""
     rng = np.random.default_rng(seed)
     z, turn = rng.random(n), 2 * np.pi * rng.random(n)
     across = np.sqrt(1 - z * z)
@@ -41,7 +41,7 @@ def hemisphere(n, seed):
 
 
 @pytest.mark.parametrize("alpha", ALPHAS)
-def test_light_may_run_backwards(cpu_device, alpha):
+def test_the_coated_material_is_reciprocal(cpu_device, alpha):
     """Helmholtz: f(wi, wo) = f(wo, wi) for every pair."""
     import mitsuba as mi
 
@@ -81,9 +81,9 @@ def test_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
 
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("cosine", [0.98, 0.6, 0.2])
-def test_samples_follow_the_density_and_the_value(cpu_device, alpha, cosine):
-    """The mean weight of samples is the integral of the value, and the mean of 1 over the density
-    that they claim is the solid angle of a cap that they can reach.
+def test_samples_agree_with_the_density_and_the_value(cpu_device, alpha, cosine):
+    """The mean weight of samples is the integral of the value, and the mean of 1 over their density
+    is the solid angle of a cap that they can reach.
     """
     import mitsuba as mi
 
@@ -100,7 +100,7 @@ def test_samples_follow_the_density_and_the_value(cpu_device, alpha, cosine):
     cap = (wo[2] > 0.3) & (wo[2] < 0.7) & ~lost
     inverse = np.where(cap, 1 / np.maximum(pdf, 1e-9), 0)
     assert abs(inverse.mean() - 2 * np.pi * 0.4) < 5 * inverse.std() / np.sqrt(n)
-    if alpha > 0.05:  # else uniform directions miss the lobe
+    if alpha > 0.05:  # otherwise uniform directions miss the lobe
         wo = hemisphere(n, 4)
         value = (
             np.array(bsdf.eval(context, si, mi.Vector3f(wo.astype(np.float32)), True))[0]
@@ -111,7 +111,7 @@ def test_samples_follow_the_density_and_the_value(cpu_device, alpha, cosine):
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
-def test_a_coat_over_a_white_base_returns_all_light(mitsuba_renderer, roughness):
+def test_a_coat_over_a_white_base_reflects_all_light(mitsuba_renderer, roughness):
     """Furnace: E + base (1 - E) is 1 for a white base, and linear in the base for any other."""
     rig = make_rig(centred(24, 24, 40), centred(8, 8, 8))
     sky = Environment(radiance=(1.0, 1.0, 1.0))
@@ -128,12 +128,12 @@ def test_a_coat_over_a_white_base_returns_all_light(mitsuba_renderer, roughness)
     ball_rgb = light.radiance.ambient_rgb[np.isfinite(light.truth.depth_m)].astype(float)
     error = ball_rgb.std(axis=0) / np.sqrt(len(ball_rgb))
     white, half, black = ball_rgb.mean(axis=0)
-    assert abs(white - 1) < 4 * error[0] + 0.002  # the table's 64 nodes
+    assert abs(white - 1) < 4 * error[0] + 0.002  # 64 nodes of the table
     assert abs(half - 0.5 * (white + black)) < 4 * error[1] + 0.002
     assert 0.01 < black < 0.2
 
 
-def test_a_smooth_coat_over_black_has_fresnels_reflectance_at_an_angle(mitsuba_renderer):
+def test_a_smooth_coat_over_black_has_fresnel_s_reflectance_at_an_angle(mitsuba_renderer):
     """At 60 degrees an index of 1.5 reflects 8.9 % (Fresnel, by hand)."""
     import mitsuba as mi
 
@@ -151,7 +151,7 @@ def test_a_smooth_coat_over_black_has_fresnels_reflectance_at_an_angle(mitsuba_r
 
 
 def test_a_wall_with_a_coat_is_not_darker_than_without(mitsuba_renderer):
-    """White light on a white wall, straight on: 1 with and without the coat."""
+    """White light on a white wall at normal incidence: 1 with and without the coat."""
     rig = make_rig(centred(16, 16, 100), centred(8, 8, 8))
     sky = Environment(radiance=(1.0, 1.0, 1.0))
     for specular in (0.0, 0.5, 1.0):

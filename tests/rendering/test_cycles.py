@@ -1,4 +1,4 @@
-"""Cycles' child process: it may die and nothing is lost; and what Cycles alone has."""
+"""Cycles' child process, which may die without a loss, and features that only Cycles has."""
 
 import os
 import re
@@ -37,7 +37,7 @@ from graycast.rig.pattern import gray
 from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
 
-pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
+pytestmark = pytest.mark.slow  # each render of Cycles takes some seconds
 
 ON_LINUX = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
 SOURCE = WORKER.parents[2]
@@ -45,7 +45,7 @@ SOURCE = WORKER.parents[2]
 
 @pytest.fixture
 def open_cycles():
-    """Renderers of their own, which a test may hurt."""
+    """Open renderers that a test may damage."""
     state = examine_cycles()
     if not state.usable:
         pytest.skip(state.problem)
@@ -61,7 +61,7 @@ def open_cycles():
 
 
 def children(parent):
-    """Process ids of a process's living children, of whom zombies are none."""
+    """Return process ids of a process's living children, without zombies."""
     pids = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -74,7 +74,7 @@ def children(parent):
 
 
 def small_scene():
-    """A wall and a ball in the light of a projector and a lamp."""
+    """Return a wall and a ball in the light of a projector and a lamp."""
     rig = make_rig(centred(40, 30, 50), centred(32, 24, 40), baseline_m=(0.1, 0.0, 0.0))
     ball = Sphere(center_m=(0.0, 0.02, 0.7), radius_m=0.1, material=lambert(0.6))
     lamp = Lamp(center_m=(0.2, -0.3, 0.2), target_m=(0.0, 0.0, 0.9))
@@ -99,10 +99,10 @@ def assert_same_bits(one, other):
 
 
 @ON_LINUX
-def test_a_child_that_is_killed_in_a_scene_is_replaced_and_no_frame_is_lost_or_made_twice(
+def test_a_child_that_is_killed_in_a_scene_is_replaced_and_every_frame_is_rendered_once(
     open_cycles, cycles_renderer
 ):
-    """Killed after its second frame, so in its third. Same bits as without."""
+    """It is killed in its third frame; the bits are the same as without."""
     before = set(children(os.getpid()))
     done, killed = [], []
 
@@ -117,13 +117,13 @@ def test_a_child_that_is_killed_in_a_scene_is_replaced_and_no_frame_is_lost_or_m
     (child,) = set(children(os.getpid())) - before
     assert killed and child != killed[0]
     total = done[0][1]
-    assert [count for count, _ in done] == sorted({count for count, _ in done})  # none again
+    assert [count for count, _ in done] == sorted({count for count, _ in done})  # never twice
     assert done[-1] == (total, total)
     assert_same_bits(rendering, render_small(cycles_renderer))
 
 
 @ON_LINUX
-def test_a_scene_that_kills_every_child_ends_with_one_error_and_the_next_scene_goes_on(open_cycles):
+def test_a_scene_that_kills_every_child_gives_one_error_and_the_next_scene_is_rendered(open_cycles):
     before, deaths = set(children(os.getpid())), []
 
     def on_frame(count, total):
@@ -159,7 +159,7 @@ for seed in range(10**6):
 
 @ON_LINUX
 def test_the_child_ends_with_a_parent_that_is_killed(open_cycles):
-    """In the middle of a frame that takes a minute."""
+    """It is killed during a frame that takes a minute."""
     open_cycles()  # or skip
     program = PARENT.format(tests=str(Path(__file__).parents[1]))
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
@@ -185,8 +185,8 @@ def rss_mib(pid):
 
 
 @ON_LINUX
-def test_one_child_renders_scene_after_scene_in_the_same_memory(open_cycles):
-    """Meshes and textures of 5 MiB a scene, new ones each time: leaks of any would show."""
+def test_one_child_renders_many_scenes_without_using_more_memory(open_cycles):
+    """Each scene has 5 MiB of new meshes and textures, so that leaks would be noticed."""
     before = set(children(os.getpid()))
     renderer, rng = open_cycles(), np.random.default_rng(0)
     rig = make_rig(centred(40, 30, 50), centred(256, 192, 300), baseline_m=(0.1, 0.0, 0.0))
@@ -206,14 +206,14 @@ def test_one_child_renders_scene_after_scene_in_the_same_memory(open_cycles):
         (child,) = set(children(os.getpid())) - before
         memory.append(rss_mib(child))
     assert len(set(children(os.getpid())) - before) == 1
-    growth = np.polyfit(np.arange(12), memory[4:], 1)[0]  # MiB a scene, after warming up
+    growth = np.polyfit(np.arange(12), memory[4:], 1)[0]  # MiB per scene, after some scenes
     assert abs(growth) < 0.5, memory
     assert max(memory[4:]) < memory[4] + 10, memory
 
 
 @pytest.mark.parametrize("kind", ["missing", "no program", "without Blender"])
 def test_a_python_that_cannot_run_cycles_is_named(monkeypatch, tmp_path, kind):
-    """Found before anything is rendered."""
+    """It is noticed before anything is rendered."""
     place = {"missing": tmp_path / "gone", "no program": tmp_path / "text"}
     (tmp_path / "text").write_text("not a program")
     (tmp_path / "text").chmod(0o755)
@@ -223,7 +223,7 @@ def test_a_python_that_cannot_run_cycles_is_named(monkeypatch, tmp_path, kind):
         open_renderer("cycles", device="cpu")
 
 
-def test_what_cycles_refuses_surfaces_with_its_reason_and_the_next_scene_renders(
+def test_an_error_of_cycles_has_its_reason_and_the_next_scene_is_rendered(
     cycles_renderer, tmp_path
 ):
     scene, pattern = small_scene()
@@ -236,7 +236,7 @@ def test_what_cycles_refuses_surfaces_with_its_reason_and_the_next_scene_renders
     assert np.isfinite(render_small(cycles_renderer).truth.depth_m).all()
 
 
-def test_blender_is_imported_by_the_child_alone(cycles_renderer):
+def test_blender_is_imported_by_the_child_only(cycles_renderer):
     render_small(cycles_renderer)
     assert "bpy" not in sys.modules and "_cycles" not in sys.modules
     imports = re.compile(r"^\s*(import|from) (bpy|_cycles|mathutils)\b", re.MULTILINE)
@@ -244,7 +244,7 @@ def test_blender_is_imported_by_the_child_alone(cycles_renderer):
     assert places and all(WORKER in file.parents for file in places)
 
 
-def test_frames_of_one_scene_have_noise_of_their_own(cycles_renderer):
+def test_frames_of_one_scene_have_independent_noise(cycles_renderer):
     """Two equal patterns of one render differ by as much as those of two renders."""
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 254, 254)
@@ -260,9 +260,9 @@ def test_frames_of_one_scene_have_noise_of_their_own(cycles_renderer):
 
 
 @pytest.mark.parametrize("size", [(48, 36), (36, 48)])
-def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, size):
-    """Square pixels and an axis off the middle, in a broad and in a tall picture. The middle of 64
-    well spread places lies within a twentieth of a pixel of the pixel's own.
+def test_blender_s_own_camera_agrees_with_the_exact_renderer(cycles_renderer, size):
+    """Square pixels and an off-centre axis, in a wide and in a tall picture. The mean of 64 well
+    spread samples is within a twentieth of a pixel of the pixel's centre.
     """
     width, height = size
     camera = replace(centred(width, height, 60), cx_px=0.5 * width - 5.3, cy_px=0.5 * height + 3.2)
@@ -280,14 +280,14 @@ def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, 
     inside = (a > 0) & (slope < 0.1 * a)
     assert inside.mean() > 0.5
     assert (np.abs(a - b) < 1e-4 * a + 0.05 * slope)[inside].all()
-    # Half a pixel aside would be seen: neighbours differ by far more than that.
+    # Half a pixel would be noticed: neighbours differ by far more.
     assert np.median(slope[inside] / a[inside]) > 0.005
 
 
-def test_the_denoiser_makes_a_lit_wall_quieter_and_keeps_its_brightness(cycles_renderer):
-    """A lamp's noise at 4 samples, against 256. The lamp itself is out of sight.
+def test_the_denoiser_reduces_noise_of_a_lit_wall_and_keeps_its_brightness(cycles_renderer):
+    """A lamp's noise at 4 samples, compared with 256. The lamp itself is out of sight.
 
-    The picture's border is left out: Open Image Denoise brightens its first pixel by a fifth.
+    The picture's border is ignored: Open Image Denoise brightens its first pixel by a fifth.
     """
     rig = make_rig(centred(48, 36, 50), centred(8, 8, 8))
     lamp = Lamp(center_m=(0.2, -0.6, 0.4), target_m=(0.0, 0.0, 0.9))
@@ -310,8 +310,8 @@ def test_the_denoiser_makes_a_lit_wall_quieter_and_keeps_its_brightness(cycles_r
     assert abs(clean.mean()) < 0.01
 
 
-def test_three_patterns_in_one_render_are_what_each_is_in_its_own(open_cycles, cycles_renderer):
-    """Of a laser on coloured things; four patterns leave two bands of the second render over."""
+def test_three_patterns_in_one_render_equal_separate_renders(open_cycles, cycles_renderer):
+    """A laser lights coloured objects; the last render of four patterns has two unused bands."""
     scene, layout = corner_scene()
     rig = replace(scene.rig, band_weights=(0.0, 1.0, 0.0))
     scene = replace(scene, rig=rig)
@@ -334,8 +334,8 @@ def test_three_patterns_in_one_render_are_what_each_is_in_its_own(open_cycles, c
         assert not agree(1.03 * one[:, k], other[:, k])
 
 
-def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cycles):
-    """Else each pattern would be of another colour."""
+def test_three_patterns_in_one_render_need_one_wavelength_or_grey_surfaces(open_cycles):
+    """Otherwise each pattern would have another colour."""
     three = open_cycles(patterns_per_render=3)
     rig = askew_rig(camera=optics(24, 18, 30))
     pattern = plain_pattern(rig, 254, 128)
@@ -347,12 +347,12 @@ def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cy
     light = three.render(grey, EMPTY_LAYOUT, pattern, quality=quality, seed=0).radiance
     lit = light.pattern[0] > 0
     assert lit.mean() > 0.5
-    # Two bands of one render share its paths, and so its noise.
+    # Two bands of one render have the same paths, and therefore the same noise.
     assert np.abs(light.pattern[1][lit] / light.pattern[0][lit] - 128 / 254).max() < 1e-5
 
 
 @pytest.mark.parametrize("per_render", [1, 3])
-def test_white_is_rendered_once_and_black_not_at_all(open_cycles, per_render):
+def test_white_is_rendered_once_and_black_never(open_cycles, per_render):
     rig = askew_rig(camera=optics(24, 18, 30))
     frames = []
     renderer = open_cycles(patterns_per_render=per_render, on_frame=lambda *end: frames.append(end))
@@ -376,7 +376,7 @@ def test_white_is_rendered_once_and_black_not_at_all(open_cycles, per_render):
         ),
     ],
 )
-def test_light_that_cycles_cannot_give_is_refused(cycles_renderer, rig, says):
+def test_light_that_cycles_cannot_render_is_refused(cycles_renderer, rig, says):
     scene, quality = in_camera(rig, wall(0.8, lambert(0.5))), Quality(samples=1, depth=1)
     with pytest.raises(ValueError, match=says):
         cycles_renderer.render(
@@ -385,9 +385,9 @@ def test_light_that_cycles_cannot_give_is_refused(cycles_renderer, rig, says):
 
 
 @pytest.mark.parametrize("weights", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-def test_light_of_one_line_is_denoised_in_grey(cycles_renderer, weights):
-    """A denoiser blurs the stripes of a picture in one pure colour; in grey it is what it is for
-    white light, and the colour picture keeps its colour.
+def test_light_of_one_wavelength_is_denoised_in_grey(cycles_renderer, weights):
+    """A denoiser blurs the stripes of a picture in one pure colour; in grey it works as for white
+    light, and the colour picture keeps its colour.
     """
     rig = askew_rig(camera=optics(48, 36, 60), band_weights=weights)
     white = replace(rig, band_weights=(1 / 3, 1 / 3, 1 / 3))
@@ -407,7 +407,7 @@ def test_light_of_one_line_is_denoised_in_grey(cycles_renderer, weights):
     assert one.white_rgb[lit][:, band].mean() == pytest.approx(one.white[lit].mean(), rel=0.05)
 
 
-def test_three_patterns_are_not_denoised_together(open_cycles):
+def test_three_patterns_in_one_render_are_not_denoised_together(open_cycles):
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     quality = Quality(samples=1, depth=1, denoise="oidn")
     with pytest.raises(ValueError, match="patterns_per_render"):

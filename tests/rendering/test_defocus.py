@@ -1,4 +1,4 @@
-"""Blur of both lenses in Mitsuba: stripes, places, and a rig that was measured."""
+"""Blur of both lenses in Mitsuba: stripes, positions, and a measured rig."""
 
 import json
 import math
@@ -16,13 +16,13 @@ from graycast.world.scene import Quad
 
 
 @pytest.mark.parametrize("z_m", [0.5, 0.7, 1.0, 1.6])
-def test_stripes_lose_contrast_with_distance_as_the_disc_has_it(mitsuba_renderer, z_m):
+def test_stripes_lose_contrast_with_distance_as_the_blur_disc_predicts(mitsuba_renderer, z_m):
     """Transfer of a disc at frequency 1 / P: 2 J1(x) / x, x = 2 pi R / P, below 0 beyond its first
-    zero (Goodman, "Introduction to Fourier Optics"); each pixel on the way is a sinc.
+    zero (Goodman, "Introduction to Fourier Optics"); each pixel adds a sinc.
     """
     period_px, f_px, focus_m = 16, 160.0, 0.5
     projector = blurred(centred(160, 16, f_px), focus_m, aperture_m=40e-3)
-    finer = 2.07  # so that camera pixels lie anywhere in projector pixels
+    finer = 2.07  # so that camera pixels are anywhere in projector pixels
     camera = centred(256, ROWS, finer * f_px)
     column = np.arange(160)
     sines = [127.5 * (1 - np.cos(2 * np.pi * (column / period_px - k / 4))) for k in range(4)]
@@ -30,7 +30,7 @@ def test_stripes_lose_contrast_with_distance_as_the_disc_has_it(mitsuba_renderer
     rig = make_rig(camera, projector, baseline_m=(0.05, 0.0, 0.0))
     scene = in_camera(rig, wall(z_m, lambert(0.8)))
     light = light_of(mitsuba_renderer, scene, pattern, samples=64)
-    # Oracle of the place: similar triangles, x_cam / f_cam - b / z = x_proj / f_proj.
+    # Oracle of the position: similar triangles, x_cam / f_cam - b / z = x_proj / f_proj.
     place = (np.arange(256) - 127.5) / finer - f_px * 0.05 / z_m + 79.5
     lit = (place > 24) & (place < 136)
     carrier = np.exp(2j * np.pi * place / period_px)
@@ -48,7 +48,7 @@ def test_stripes_lose_contrast_with_distance_as_the_disc_has_it(mitsuba_renderer
 
 
 def ramp_error_px(renderer, rig, *, samples, seeds):
-    """Where a ramp of grey puts each pixel of a tilted wall, less where it is [camera pixels]."""
+    """Return the error of a grey ramp's position in each pixel of a tilted wall [camera pixels]."""
     size = (rig.projector.height_px, rig.projector.width_px)
     ramp = np.broadcast_to(np.arange(256, dtype=np.uint8), (1, *size))
     normal = np.array([0.3, 0.1, 1.0])
@@ -76,8 +76,8 @@ def ramp_error_px(renderer, rig, *, samples, seeds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("soft", [False, True])
-def test_a_ramp_on_a_tilted_plane_comes_back_in_its_place_and_without_noise(mitsuba_renderer, soft):
-    """Mirrored samples cancel in any linear picture. What is left is rounding to the projector's
+def test_a_ramp_on_a_tilted_plane_has_its_exact_position_without_noise(mitsuba_renderer, soft):
+    """Mirrored samples cancel in any linear picture. The rest is rounding to the projector's
     pixels, 1 / sqrt(12) of a sixteenth of a pixel over 4 for 16 samples, and curvature.
     """
     rig = make_rig(centred(14, 40, 160), centred(256, 700, 2560), baseline_m=(5e-3, 0.0, 0.0))
@@ -87,18 +87,18 @@ def test_a_ramp_on_a_tilted_plane_comes_back_in_its_place_and_without_noise(mits
     error = ramp_error_px(mitsuba_renderer, rig, samples=16, seeds=4)
     bound = 1 / math.sqrt(12) / 16 / 4
     assert error.size > 800
-    assert error.std() < 1.6 * bound  # unpaired R2 leaves 0.02 of a pixel, four times that
+    assert error.std() < 1.6 * bound  # unpaired R2 has 0.02 of a pixel, four times that
     assert abs(error.mean()) < 4 * bound / math.sqrt(error.size) + 4e-4
 
 
-# What scanner_sim calls blur, over the standard deviation D / 4 of the disc's line spread.
-# Camera: twice the scale of a logistic fitted to an edge, whose deviation is pi / sqrt(3) scales.
-# Projector: the width of a spot, for which the line spread's full width at half maximum stands.
+# Blur in scanner_sim, over the standard deviation D / 4 of the disc's line spread. Camera: twice
+# the scale of a logistic fitted to an edge, whose deviation is pi / sqrt(3) scales. Projector: the
+# width of a spot, represented by the line spread's full width at half maximum.
 PER_DEVIATION = {"camera": 2 * math.sqrt(3) / math.pi, "projector": 2 * math.sqrt(3)}
 
 
 def measured_curve(shared, device):
-    """Distance [m] and blur [m on the plane, or pixels], and the file's other figures in SI."""
+    """Return distance [m], blur [m on the plane, or pixels], and other values of the file in SI."""
     content = json.loads((shared / "data/rigs/scanner_sim" / f"{device}_focus.json").read_text())
     curve = next(value for key, value in content.items() if key.startswith("dof"))
     z_mm, blur = np.array(curve)
@@ -110,7 +110,7 @@ def measured_curve(shared, device):
 
 
 def simulated_over_measured(renderer, shared, device, z, blur, lens_of):
-    """Ratio of the standard deviation of an edge's spread to the published blur, by distance."""
+    """Return the ratio of the deviation of an edge's spread to the published blur, by distance."""
     aperture_m, focus_m, best = lens_of
     geometry = json.loads((shared / f"data/rigs/scanner_sim/{device}_geometry.json").read_text())
     f_px = geometry["mtx"][0][0]
@@ -123,9 +123,9 @@ def simulated_over_measured(renderer, shared, device, z, blur, lens_of):
 
 
 @pytest.mark.slow
-def test_a_measured_cameras_blur_follows_its_curve_over_all_distances(mitsuba_renderer, shared):
-    """scanner_sim's camera (CC BY 4.0), aperture and focus as its file has them. The measure is the
-    edge's line spread's standard deviation. One factor is fitted, and lies near the one expected.
+def test_the_blur_of_a_measured_camera_follows_its_curve_at_all_distances(mitsuba_renderer, shared):
+    """scanner_sim's camera (CC BY 4.0), with the aperture and focus of its file. The measure is the
+    deviation of the edge's line spread. One factor is fitted, and is near the expected one.
     """
     z, blur, *lens = measured_curve(shared, "camera")
     pick = np.linspace(0, len(z) - 1, 9).astype(int)
@@ -136,7 +136,7 @@ def test_a_measured_cameras_blur_follows_its_curve_over_all_distances(mitsuba_re
 
 
 @pytest.mark.slow
-def test_a_measured_projectors_blur_has_its_shape_over_all_distances(mitsuba_renderer, shared):
+def test_the_blur_of_a_measured_projector_has_its_shape_at_all_distances(mitsuba_renderer, shared):
     """scanner_sim's projector: the curve, scaled to a largest value of 1, is met within 0.1.
 
     It is not met within 10 % point by point: between 0.35 and 0.595 m the published figures are up
@@ -156,8 +156,8 @@ def test_a_measured_projectors_blur_has_its_shape_over_all_distances(mitsuba_ren
     assert off[best].max() < 0.10
 
 
-def test_the_radius_in_the_renderer_is_the_one_that_optics_states(mitsuba_renderer):
-    """`optics.blur_radius_px` is what others plan with."""
+def test_the_blur_radius_in_the_renderer_is_that_of_optics(mitsuba_renderer):
+    """Others use `optics.blur_radius_px` to plan."""
     lens = blurred(centred(96, ROWS, 300.0), 0.5, psf_px=2.0)
     deviation, error = camera_spread(mitsuba_renderer, lens, 0.9, samples=256)
     assert isinstance(lens, Optics)

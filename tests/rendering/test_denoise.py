@@ -1,4 +1,4 @@
-"""Open Image Denoise, as the library's own shortcut uses it, and where there is no GPU."""
+"""Open Image Denoise, called as its own shortcut does, with and without a GPU."""
 
 import subprocess
 import sys
@@ -12,14 +12,14 @@ from graycast.rendering.denoise import OpenImageDenoise, denoise, open_denoiser
 
 
 def noisy_wall(h, w):
-    """A wall that gets brighter to the right, with noise of a tenth."""
+    """Return a wall that is brighter on the right, with noise of a tenth."""
     rng = np.random.default_rng(0)
     clean = np.repeat(np.tile(np.linspace(0.4, 0.6, w), (h, 1))[..., None], 3, axis=2)
     normal = np.broadcast_to([0.0, 0.0, -1.0], clean.shape)
     return clean, clean + rng.normal(0, 0.1, clean.shape), np.full(clean.shape, 0.5), normal
 
 
-def test_noise_goes_light_stays_and_another_size_gets_a_network_of_its_own():
+def test_denoising_removes_noise_keeps_light_and_builds_a_network_per_size():
     by = open_denoiser("cpu")
     for h, w in ((48, 64), (48, 64), (64, 48)):
         clean, noisy, albedo, normal = noisy_wall(h, w)
@@ -30,7 +30,7 @@ def test_noise_goes_light_stays_and_another_size_gets_a_network_of_its_own():
         assert np.array_equal(result, pyoidn.denoise(*inputs, hdr=True))
 
 
-def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(monkeypatch):
+def test_if_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(monkeypatch):
     monkeypatch.setattr(pyoidn.Device, "is_cuda_available", staticmethod(lambda: False))
     with TestCase().assertLogs() as logs:
         by = open_denoiser("cuda")
@@ -42,7 +42,7 @@ def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(mo
 
 @pytest.mark.slow
 def test_the_denoiser_does_not_load_pytorch(tmp_path):
-    """PyTorch takes 2 s and 500 MB of every worker; who needs it can load it afterwards."""
+    """PyTorch costs 2 s and 500 MB in every worker; code that needs it can load it afterwards."""
     (tmp_path / "torch.py").write_text("name = 'stand-in'")
     program = """
 import sys

@@ -1,4 +1,4 @@
-"""The LLVM is chosen by name alone, the old ones are never loaded, and the chosen one computes."""
+"""LLVM is chosen by file name; old versions are never loaded, and the chosen one computes."""
 
 import json
 import os
@@ -25,7 +25,7 @@ def no_user_choice(monkeypatch):
 
 
 def make_library(folder, name, *, header=None):
-    """A file that looks like a library of this machine: the head of the running Python."""
+    """Write a file that looks like a library of this machine: the head of the running Python."""
     folder.mkdir(parents=True, exist_ok=True)
     own = Path(sys.executable).read_bytes()[:64]
     (folder / name).write_bytes(own if header is None else header)
@@ -45,7 +45,7 @@ def make_library(folder, name, *, header=None):
         ("libLLVM.so.100.0", 100),
     ],
 )
-def test_the_release_is_read_off_the_usual_names(tmp_path, name, major):
+def test_the_release_is_read_from_the_usual_names(tmp_path, name, major):
     path = make_library(tmp_path, name)
     assert [(library.path, library.major) for library in list_llvm([tmp_path])] == [(path, major)]
 
@@ -53,12 +53,12 @@ def test_the_release_is_read_off_the_usual_names(tmp_path, name, major):
 @pytest.mark.parametrize(
     "name", ["libLLVM.so", "libLLVM-C.so", "libLLVM-19-rust-1.82.0-stable.so", "libLLVMCore.so.19"]
 )
-def test_names_that_do_not_tell_a_release_are_passed_over(tmp_path, name):
+def test_names_without_a_release_are_ignored(tmp_path, name):
     make_library(tmp_path, name)
     assert list_llvm([tmp_path]) == ()
 
 
-def test_files_of_another_machine_or_none_are_passed_over(tmp_path):
+def test_files_of_another_machine_and_other_files_are_ignored(tmp_path):
     own = bytearray(Path(sys.executable).read_bytes()[:64])
     other_size, other_machine = own.copy(), own.copy()
     other_size[4] ^= 3  # 64 bit to 32 bit
@@ -70,7 +70,7 @@ def test_files_of_another_machine_or_none_are_passed_over(tmp_path):
     assert list_llvm([tmp_path]) == ()
 
 
-def test_the_newest_wins_and_links_to_one_file_count_once(tmp_path, no_user_choice):
+def test_the_newest_library_is_chosen_and_links_to_one_file_count_once(tmp_path, no_user_choice):
     old = make_library(tmp_path / "a", "libLLVM-15.so.1")
     good = make_library(tmp_path / "a", "libLLVM.so.19.1")
     newest = make_library(tmp_path / "b", "libLLVM.so.22.1")
@@ -82,20 +82,20 @@ def test_the_newest_wins_and_links_to_one_file_count_once(tmp_path, no_user_choi
     assert find_llvm(folders) == newest
 
 
-def test_old_libraries_alone_are_none(tmp_path, no_user_choice):
+def test_libraries_that_are_too_old_are_not_used(tmp_path, no_user_choice):
     for major in (14, 15, 16, 18):
         make_library(tmp_path, f"libLLVM-{major}.so.1")
     assert find_llvm([tmp_path]) is None
 
 
-def test_the_user_s_library_goes_before_a_newer_one(tmp_path, monkeypatch):
+def test_the_user_s_library_is_preferred_to_a_newer_one(tmp_path, monkeypatch):
     library = make_library(tmp_path / "mine", "libLLVM.so.19.1")
     make_library(tmp_path / "system", "libLLVM.so.22.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     assert find_llvm([tmp_path / "system"]) == library
 
 
-def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
+def test_a_user_s_link_is_checked_by_its_target(tmp_path, monkeypatch):
     make_library(tmp_path, "libLLVM-15.so.1")
     (tmp_path / "libLLVM-19.so").symlink_to("libLLVM-15.so.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-19.so"))
@@ -107,7 +107,7 @@ def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
     ("name", "message"),
     [("gone/libLLVM-19.so", "which is not a file: unset"), ("odd.so", "whose version is unknown")],
 )
-def test_a_user_s_library_that_cannot_be_is_refused(tmp_path, monkeypatch, name, message):
+def test_a_user_s_library_that_is_unusable_is_refused(tmp_path, monkeypatch, name, message):
     make_library(tmp_path, "odd.so")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / name))
     with pytest.raises(DeviceError, match=message) as error:
@@ -117,7 +117,7 @@ def test_a_user_s_library_that_cannot_be_is_refused(tmp_path, monkeypatch, name,
 
 
 @NEEDS_LLVM
-def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeypatch):
+def test_a_library_without_a_release_in_its_name_is_examined_in_a_child(tmp_path, monkeypatch):
     real = next(library for library in list_llvm() if library.major >= 19)
     copy = tmp_path / "libfoo.so"
     copy.symlink_to(real.path)
@@ -140,7 +140,7 @@ def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeyp
         ("cuda", GPU, False, "cuda"),
     ],
 )
-def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, expected):
+def test_the_device_auto_is_the_best_existing_one(monkeypatch, name, cuda, llvm, expected):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1") if llvm else None)
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
@@ -150,7 +150,7 @@ def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, ex
 
 @pytest.mark.parametrize("name", ["auto", "cpu", "llvm"])
 @pytest.mark.parametrize(("user", "sudo"), [(0, ""), (1000, "sudo ")])
-def test_without_a_library_the_one_command_is_told(monkeypatch, tmp_path, name, user, sudo):
+def test_without_a_library_the_error_names_one_command(monkeypatch, tmp_path, name, user, sudo):
     old = (
         device.LlvmLibrary(path=Path("a"), major=15),
         device.LlvmLibrary(path=Path("b"), major=14),
@@ -171,13 +171,13 @@ def test_without_a_library_the_one_command_is_told(monkeypatch, tmp_path, name, 
     ("cuda", "why"),
     [(NO_GPU, "no NVIDIA driver"), (CudaState(devices=("X",)), "libnvoptix.so.1 cannot be loaded")],
 )
-def test_cuda_that_is_not_there_says_why(monkeypatch, cuda, why):
+def test_the_error_without_cuda_has_the_reason(monkeypatch, cuda, why):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     with pytest.raises(DeviceError, match=why):
         choose_device("cuda")
 
 
-def test_an_unknown_device_lists_those_there_are():
+def test_the_error_for_an_unknown_device_lists_the_devices():
     with pytest.raises(ValueError, match="auto, cpu, llvm, cuda"):
         choose_device("gpu")
     with pytest.raises(ValueError, match="llvm or cuda"):
@@ -229,7 +229,7 @@ def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
 
 @pytest.mark.slow
 @NEEDS_LLVM
-def test_opening_after_drjit_came_up_without_llvm_says_so():
+def test_opening_after_drjit_was_loaded_without_llvm_gives_an_error():
     program = (
         "import os; os.environ['DRJIT_LIBLLVM_PATH'] = '/gone.so'\n"
         "import drjit\nfrom graycast.rendering.device import open_device\n"
@@ -244,7 +244,7 @@ def test_threads_below_one_are_refused():
         open_device("llvm", threads=0)
 
 
-def test_optix_under_mitsuba_is_refused_with_the_choices_that_there_are():
+def test_optix_with_mitsuba_is_refused_with_the_possible_devices():
     with pytest.raises(
         ValueError, match=r"optix exists only for Cycles .*choose auto, cpu or cuda"
     ):
@@ -252,7 +252,7 @@ def test_optix_under_mitsuba_is_refused_with_the_choices_that_there_are():
 
 
 def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch, tmp_path):
-    """As where a file of the driver is missing: the child dies, this process goes on."""
+    """For example, a file of the driver is missing: the child dies, and this process continues."""
     dying = partial(trial.try_device, program=("-c", "import os; os.abort()"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(trial, "try_device", dying)
@@ -264,7 +264,7 @@ def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch,
     assert not list(tmp_path.rglob("*.json"))  # so that it is tried again after a repair
 
 
-def test_a_trial_that_went_well_is_not_made_again_until_the_machine_changes(monkeypatch, tmp_path):
+def test_a_successful_trial_is_not_repeated_until_the_machine_changes(monkeypatch, tmp_path):
     names = []
 
     def good(name):
@@ -279,7 +279,7 @@ def test_a_trial_that_went_well_is_not_made_again_until_the_machine_changes(monk
     assert len(names) == 2
 
 
-def test_a_good_device_is_used_also_where_no_file_can_be_kept(monkeypatch, tmp_path):
+def test_a_good_device_is_used_even_if_no_file_can_be_written(monkeypatch, tmp_path):
     (tmp_path / "home").write_text("a file in the place of a folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")

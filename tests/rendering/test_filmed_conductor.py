@@ -1,4 +1,4 @@
-"""Metal under oil: all light kept, plates in closed form, and a walk of light through the film."""
+"""Metal under oil: conservation of energy, plates in closed form, and a random walk in the film."""
 
 from contextlib import nullcontext
 
@@ -25,7 +25,7 @@ def filmed(roughness, film, reflectance=(1.0, 0.5, 0.1), index=INDEX):
 
 
 def fresnel(cosine, index=INDEX):
-    """Unpolarised reflectance of a plane film, by the two angles."""
+    """Return the unpolarised reflectance of a plane film, by the two angles."""
     angle = np.arccos(np.minimum(cosine, 1 - 1e-12))
     inside = np.arcsin(np.sin(angle) / index)
     across = np.sin(angle - inside) / np.sin(angle + inside)
@@ -34,7 +34,7 @@ def fresnel(cosine, index=INDEX):
 
 @pytest.mark.parametrize("roughness", [slow(0.05), 0.3, slow(0.5), 0.8])
 @pytest.mark.parametrize("film", [0.02, slow(0.3)])
-def test_white_metal_under_a_film_returns_all_light(cpu_device, roughness, film):
+def test_white_metal_under_a_film_reflects_all_light(cpu_device, roughness, film):
     bsdf = filmed(roughness, film)
     for angle_deg in (0, 45, 70, 85):
         weight = samples_of(bsdf, leaning(angle_deg), 400_000)[2]
@@ -42,9 +42,9 @@ def test_white_metal_under_a_film_returns_all_light(cpu_device, roughness, film)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 45, 70, 80])
-def test_two_smooth_planes_reflect_as_the_sum_of_all_ways(cpu_device, angle_deg):
-    """`E + T^2 R / (1 - R E)` to 1 %, with Schlick's R at the angle inside: `S_2` is one mean over
-    all angles, and not that of this one.
+def test_two_smooth_planes_reflect_the_sum_of_all_paths(cpu_device, angle_deg):
+    """`E + T^2 R / (1 - R E)` to 1 %, with Schlick's R at the angle inside: `S_2` is a mean over
+    all angles.
     """
     weight = samples_of(filmed(0.05, 0.02), leaning(angle_deg), 400_000)[2].mean(axis=1)
     cosine = np.cos(np.radians(angle_deg))
@@ -56,7 +56,7 @@ def test_two_smooth_planes_reflect_as_the_sum_of_all_ways(cpu_device, angle_deg)
 
 
 def walked(wi, alpha, n, index=INDEX):
-    """Light that leaves a plane film over GGX facets after one reflection: directions, weights.
+    """Return directions and weights of light that leaves a plane film over GGX facets.
 
     Facets by their whole distribution and Heitz' Lambda, refraction by Snell's angles.
     """
@@ -83,9 +83,9 @@ def walked(wi, alpha, n, index=INDEX):
 @pytest.mark.parametrize(
     ("roughness", "angle_deg"), [slow(0.3, 0), slow(0.3, 50), (0.5, 30), slow(0.7, 60)]
 )
-def test_the_lobe_is_that_of_a_walk_through_the_film(cpu_device, roughness, angle_deg):
-    """In 12 x 12 cells of the hemisphere without those where the film itself mirrors: 1 %
-    and four times the noise of the walk."""
+def test_the_lobe_agrees_with_a_random_walk_in_the_film(cpu_device, roughness, angle_deg):
+    """In 12 x 12 cells of the hemisphere, without those where the film itself reflects: 1 % plus
+    four times the noise of the walk."""
     wi = leaning(angle_deg)
     above, weight = walked(wi, roughness**2, 1_000_000)
     fine, cells = 480, 12
@@ -113,12 +113,12 @@ def test_the_lobe_is_that_of_a_walk_through_the_film(cpu_device, roughness, angl
 
 
 @pytest.mark.parametrize(("roughness", "film", "angle_deg"), [(0.5, 0.4, 30), slow(0.7, 0.5, 70)])
-def test_samples_fall_where_the_density_says(cpu_device, roughness, film, angle_deg):
+def test_samples_follow_the_density(cpu_device, roughness, film, angle_deg):
     assert_samples_fall_where_densities_say(filmed(roughness, film), leaning(angle_deg), fine=800)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
-def test_samples_bring_value_over_density(cpu_device, angle_deg):
+def test_weights_are_value_over_density(cpu_device, angle_deg):
     bsdf, wi = filmed(0.3, 0.3), leaning(angle_deg)
     wo, density, weight = samples_of(bsdf, wi, 20_000)
     above = weight[0] > 0
@@ -127,7 +127,7 @@ def test_samples_bring_value_over_density(cpu_device, angle_deg):
     assert np.abs(value * wo[2, above] / again / weight[:, above] - 1).max() < 1e-3
 
 
-def test_a_film_is_for_metal_alone():
+def test_only_metal_may_have_a_film():
     assert Material(metallic=1.0, film=0.05).words["film"] == 0.05
     for words, message in (
         ({"film": 0.05}, "has metallic 0"),

@@ -1,4 +1,4 @@
-"""Glass: panes, slabs and balls by the closed forms of Snell, Fresnel and Beer."""
+"""Glass: panes, slabs and balls, compared with closed forms of Snell, Fresnel and Beer."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def glass(kind, color=(1.0, 1.0, 1.0)):
 
 
 def fresnel(cosine, index=INDEX):
-    """Reflectance by the tangents and sines of both angles."""
+    """Return the reflectance by the tangents and sines of both angles."""
     a = np.arccos(np.clip(cosine, 0, 1))
     b = np.arcsin(np.sin(a) / index)
     with np.errstate(invalid="ignore"):
@@ -47,7 +47,7 @@ def slab(cosine):
 
 
 def ramp(rig):
-    """Levels that grow with the projector's columns."""
+    """Return levels that grow with the projector's columns."""
     level = np.arange(rig.projector.width_px, dtype=np.uint8)
     return np.broadcast_to(level, (1, rig.projector.height_px, rig.projector.width_px)).copy()
 
@@ -67,7 +67,7 @@ NARROW = make_rig(centred(24, 18, 60), centred(96, 72, 140), baseline_m=(0.1, 0.
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.5, 1.0, 1.15])
-def test_a_wall_behind_a_thin_pane_is_dimmed_on_the_way_in_and_out(mitsuba_renderer, lean_rad):
+def test_a_thin_pane_dims_a_wall_behind_it_on_the_way_in_and_out(mitsuba_renderer, lean_rad):
     """Each way has the closed form of all reflections between two surfaces, times the colour."""
     color = 0.9, 0.6, 0.3
     normal = np.array([np.sin(lean_rad), 0.0, np.cos(lean_rad)])
@@ -83,9 +83,9 @@ def test_a_wall_behind_a_thin_pane_is_dimmed_on_the_way_in_and_out(mitsuba_rende
     assert np.abs(ratio - 1).max() < max(5 * noise, 1e-5), ratio
 
 
-def test_a_thin_pane_mirrors_the_projector_onto_a_wall(mitsuba_renderer):
-    """By the projector's mirror image, at Fresnel's share of two surfaces; nothing else sends light
-    there, and without a third vertex nothing comes back.
+def test_a_thin_pane_reflects_the_projector_onto_a_wall(mitsuba_renderer):
+    """Oracle: the projector's mirror image with Fresnel's share of two surfaces; no other light
+    arrives there, and without a third vertex none returns.
     """
     rig = make_rig(centred(40, 24, 50), centred(96, 72, 90), baseline_m=(0.1, 0.0, 0.0))
     pane = Quad(
@@ -109,7 +109,7 @@ def test_a_thin_pane_mirrors_the_projector_onto_a_wall(mitsuba_renderer):
 
 
 def orders(cosine, thickness_m, color):
-    """Per number k of pairs of reflections inside a slab: power, and how far across light moves."""
+    """Return per number k of pairs of reflections in a slab: power, and distance across."""
     r = fresnel(cosine)
     inner = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
     left = color ** (thickness_m / inner / DEPTH_M)
@@ -118,7 +118,7 @@ def orders(cosine, thickness_m, color):
         yield (1 - r) ** 2 * left ** (2 * k + 1) * r ** (2 * k), (2 * k + 1) * across
 
 
-def test_a_slab_before_the_camera_displaces_and_dims_what_is_behind(mitsuba_renderer):
+def test_a_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
     """Snell's parallel shift, Fresnel's losses and Beer's law, in each pixel's column and level."""
     thickness_m, color = 0.06, 0.7
     rig = make_rig(centred(24, 18, 60), centred(240, 120, 140), baseline_m=(0.35, 0.0, 0.0))
@@ -148,8 +148,8 @@ def test_a_slab_before_the_camera_displaces_and_dims_what_is_behind(mitsuba_rend
 
 
 def test_a_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_renderer):
-    """On a wall parallel to it, by `I T sin(a) da / (r dr)`: the rays of the angle a from the axis
-    come to the distance r. The camera sees the wall beside the slab.
+    """A parallel wall has `I T sin(a) da / (r dr)`: rays of the angle a from the axis arrive at the
+    distance r. The camera sees the wall beside the slab.
     """
     thickness_m, color = 0.1, 0.7
     rig = make_rig(centred(48, 24, 40), centred(200, 120, 400), baseline_m=(0.3, 0.0, 0.0))
@@ -184,10 +184,10 @@ def test_a_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_ren
 
 
 @pytest.mark.parametrize("color", [1.0, 0.5])
-def test_a_ball_in_a_white_furnace_loses_what_its_colour_takes_and_nothing_else(
+def test_a_ball_in_a_white_furnace_loses_only_the_light_that_its_colour_absorbs(
     mitsuba_renderer, color
 ):
-    """All chords of a ray are alike: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
+    """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid", (color,) * 3))
     scene = in_camera(NARROW, ball, environment=Environment(radiance=(1 / 3,) * 3))
     light = radiance(mitsuba_renderer, scene, depth=4, samples=512).ambient
@@ -210,8 +210,8 @@ def test_a_ball_in_a_white_furnace_loses_what_its_colour_takes_and_nothing_else(
 
 
 def test_the_sky_lights_a_patch_in_the_middle_of_a_ball(mitsuba_renderer):
-    """All light goes through the ball's surface along its normal, R is mirrored each time: `R +
-    (1 - R)^2 albedo` is seen. Inside, radiance is larger by the square of the index.
+    """All light passes the ball's surface along its normal, where R is reflected: `R + (1 - R)^2
+    albedo` is seen. Inside, radiance is larger by the square of the index.
     """
     rig = make_rig(centred(8, 6, 400), centred(8, 6, 400), baseline_m=(0.1, 0.0, 0.0))
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid"))
@@ -223,7 +223,7 @@ def test_the_sky_lights_a_patch_in_the_middle_of_a_ball(mitsuba_renderer):
 
 
 def traced_ball(points, direction, center, radius, color):
-    """Rays through a ball by vectors: ends and directions of what leaves it, with its share."""
+    """Return ends and directions of rays through a ball by vectors, with the share of each."""
     b = ((center - points) * direction).sum(-1)
     c = np.square(center - points).sum(-1) - radius**2
     hit = b**2 > c
@@ -247,8 +247,8 @@ def traced_ball(points, direction, center, radius, color):
 
 
 def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer):
-    """Rays by vectors in NumPy are the oracle: all light goes into the ball, and squares of the
-    wall get what they say.
+    """Oracle: rays by vectors in NumPy. All light enters the ball, and squares of the wall receive
+    the light of these rays.
     """
     color, radius_m, x_m = 0.8, 0.05, 0.5
     camera = replace(centred(24, 24, 200), cx_px=11.5 - 200 * x_m)
@@ -257,7 +257,7 @@ def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer
     ball = Sphere(center_m=tuple(center), radius_m=radius_m, material=glass("solid", (color,) * 3))
     scene = in_camera(rig, wall(1.0, lambert(ALBEDO), half_m=2.0), ball)
     white = radiance(mitsuba_renderer, scene, depth=2, samples=2048).white
-    flux = white / PAPER / 200**2  # of the wall in a pixel
+    flux = white / PAPER / 200**2  # wall in a pixel
     n = 400
     u = 0.04 * (2 * (np.arange(n) + 0.5) / n - 1)  # the projector's field at unit depth
     ray = np.stack([*(axis.ravel() for axis in np.meshgrid(u, u)), np.ones(n * n)], axis=-1)
@@ -282,7 +282,7 @@ def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer
 
 @pytest.mark.slow
 def test_no_light_by_metal_and_glass_is_counted_twice(mitsuba_renderer, monkeypatch):
-    """What the camera's paths find alone is what both kinds find, if none starts at glass. Metal
+    """Camera paths alone give the light of both kinds of paths, if none starts at glass. Metal
     lights the wall by a glass ball and a pane; its own reflections are seen through them.
     """
     rig = make_rig(centred(24, 16, 28), centred(96, 72, 70), baseline_m=(0.1, 0.02, 0.01))
@@ -326,7 +326,7 @@ def test_no_light_by_metal_and_glass_is_counted_twice(mitsuba_renderer, monkeypa
 
 
 def test_only_mitsuba_renders_glass():
-    """The reference names it as the remedy."""
+    """The error of the reference renderer names it as the remedy."""
     scene = in_camera(NARROW, wall(1.0, replace(glass("thin"), specular=0.0)))
     with open_renderer("reference") as renderer, pytest.raises(ValueError, match="use mitsuba"):
         quality = Quality(samples=1, depth=1)

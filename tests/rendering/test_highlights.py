@@ -1,4 +1,4 @@
-"""Highlights against the microfacet model, where camera, projector and normal are one line."""
+"""Highlights, compared with the microfacet model with camera, projector and normal on one line."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ def test_a_highlight_seen_along_the_normal_has_the_height_of_ggx(
 ):
     """f = F D / 4 with D = 1 / (pi alpha^2) and alpha = roughness^2 (Walter et al. 2007), so the
     radiance is F I / (4 pi alpha^2 d^2). The lenses are 2 mm apart at 1 m: half vectors lean by
-    1e-3, which lowers D by (1e-3 / alpha)^2. White metal gives back in the same directions what
-    one reflection loses, so its highlight is higher by one over the share E that is kept.
+    1e-3, which lowers D by (1e-3 / alpha)^2. White metal returns in the same directions what one
+    reflection loses, so its highlight is higher by one over the share E that it keeps.
     """
     base = reflectance if metallic else (0.0, 0.0, 0.0)
     material = Material(base_color=base, metallic=metallic, roughness=roughness)
@@ -44,8 +44,8 @@ def test_a_highlight_seen_along_the_normal_has_the_height_of_ggx(
 
 
 def directional_albedo(alpha):
-    """E along the normal: the integral of D G cos over facets, which mirror to twice their lean;
-    G is Smith's masking at that angle.
+    """Return E along the normal: the integral of D G cos over facets, which reflect to twice their
+    slope; G is Smith's masking at that angle.
     """
     lean = np.pi / 4 * (np.arange(100_000) + 0.5) / 100_000
     d = alpha**2 / np.pi / np.cos(lean) ** 4 / (alpha**2 + np.tan(lean) ** 2) ** 2

@@ -1,4 +1,4 @@
-"""What changes from scene to scene must not be compiled into the kernels: each costs a second."""
+"""Values that change between scenes are not compiled into kernels, which cost a second each."""
 
 import numpy as np
 from stage import (
@@ -19,7 +19,7 @@ from graycast.rendering import Quality
 from graycast.world.scene import Environment, Lamp
 
 
-def test_another_seed_pose_colour_lamp_layout_and_count_compile_nothing(mitsuba_renderer):
+def test_another_seed_pose_colour_lamp_layout_or_count_compiles_no_kernel(mitsuba_renderer):
     """Light, ground truth and silhouettes; 40 and 70 parts need more than one word of bits."""
     import drjit as dr
 
@@ -49,7 +49,7 @@ def test_another_seed_pose_colour_lamp_layout_and_count_compile_nothing(mitsuba_
             )
             history = dr.kernel_history([dr.KernelType.JIT])
         assert sum(kernel["size"] >= 32 * 24 for kernel in history) >= 3
-        # One that an earlier run left on the disk is new to this process, too.
+        # A kernel that an earlier run left on the disk is new to this process, too.
         return sum(not kernel["cache_hit"] or kernel["cache_disk"] for kernel in history)
 
     compiled(0, 3)

@@ -1,4 +1,4 @@
-"""Lamps are asked by every second sample of a pixel: each number of samples must say the same."""
+"""Lamps use every second sample of a pixel: each number of samples must have the same mean."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Environment
 
 @pytest.mark.parametrize("depth", [1, 3])
 @pytest.mark.parametrize("samples", [1, 2, 3, 5])
-def test_an_open_wall_sends_back_its_share_of_an_even_sky(mitsuba_renderer, samples, depth):
+def test_an_open_wall_reflects_its_share_of_a_uniform_sky(mitsuba_renderer, samples, depth):
     """Oracle: `L = albedo L_sky`; a wrong weight of odd counts is off by a sixth or more."""
     rig = make_rig(centred(64, 48, 80), centred(16, 12, 20))
     scene = in_camera(
@@ -25,5 +25,5 @@ def test_an_open_wall_sends_back_its_share_of_an_even_sky(mitsuba_renderer, samp
     )
     green = light.radiance.ambient_rgb[..., 1].astype(np.float64)
     error = green.std() / np.sqrt(green.size)
-    assert 0 < error < 0.03  # four of them are less than a sixth of what is asserted
+    assert 0 < error < 0.03  # four of them are less than a sixth of the tested value
     assert abs(green.mean() - 0.6 * 2.0) < 4 * error

@@ -1,4 +1,4 @@
-"""The same few words of a material, shown by Cycles and by our BSDFs: furnace and distant lamp."""
+"""The same description of a material in Cycles and in our BSDFs: furnace and distant lamp."""
 
 import json
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 
 from graycast.world.parts import Grain, Material
 
-pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
+pytestmark = pytest.mark.slow  # each render of Cycles takes some seconds
 
 BANDS = (0.2, 0.5, 0.9)
 LAMPS_DEG = [(0, 0), (30, 0), (30, 180), (45, 90), (60, 0), (60, 180), (75, 0), (75, 180)]
@@ -21,7 +21,7 @@ ROUGHNESS = (0.1, 0.3, 0.5, 0.8, 1.0)
 
 @pytest.fixture(scope="module")
 def in_cycles(tmp_path_factory):
-    """Renders of a list of (material, view [deg], lamp [deg, deg] or None): (n, 2, 3), mean and
+    """Render a list of (material, view [deg], lamp [deg, deg] or None); return (n, 2, 3), mean and
     standard error.
     """
     from graycast.rendering.cycles.process import WORKER, find_cycles
@@ -53,7 +53,7 @@ def in_words(material, view_deg, lamp_deg):
 
 
 def in_mitsuba(material, view_deg, lamp_deg):
-    """(2, 3), like Cycles'; a lamp leaves nothing to chance."""
+    """Return (2, 3), as Cycles does; a lamp has no noise."""
     import drjit as dr
     import mitsuba as mi
 
@@ -79,7 +79,7 @@ def towards(angle_deg, turn_deg=0):
 
 
 def compared(in_cycles, cases):
-    """Cycles over ours (n, 3), and its standard error."""
+    """Return Cycles over ours (n, 3), and its standard error."""
     theirs, ours = in_cycles(cases), np.stack([in_mitsuba(*case) for case in cases])
     ratio = theirs[:, 0] / ours[:, 0]
     return ratio, ratio * np.hypot(theirs[:, 1] / theirs[:, 0], ours[:, 1] / ours[:, 0])
@@ -89,8 +89,8 @@ def with_words(**words):
     return Material(base_color=BANDS, **words)
 
 
-def test_the_words_arrive_and_lambert_is_lambert_in_both(cpu_device, in_cycles):
-    """A furnace and a lamp; a metal and a plastic, too, show that their words arrive."""
+def test_descriptions_are_applied_and_lambert_is_the_same_in_both(cpu_device, in_cycles):
+    """Furnace and lamp; a metal and a plastic show that their descriptions are applied, too."""
     lambert = with_words(specular=0.0)
     lit = [with_words(metallic=1.0, roughness=0.4), with_words(roughness=0.5)]
     cases = [(lambert, 30, None), (lambert, 30, (60, 45)), *((one, 30, (45, 180)) for one in lit)]
@@ -103,7 +103,7 @@ def test_the_words_arrive_and_lambert_is_lambert_in_both(cpu_device, in_cycles):
 
 
 def test_metal_is_the_same_in_both(cpu_device, in_cycles):
-    """0.3 % in any direction: both are one published model, through tables of their own."""
+    """To 0.3 % in any direction: both are one published model with their own tables."""
     lamps = [(0, 0), (40, 0), (40, 180), (60, 90), (80, 180)]
     cases = [
         (with_words(metallic=1.0, roughness=r), view, lamp)
@@ -115,9 +115,9 @@ def test_metal_is_the_same_in_both(cpu_device, in_cycles):
 
 
 def test_grooves_have_the_same_shape_in_both(cpu_device, in_cycles):
-    """Along x, seen and lit from all sides. Cycles' table of what is given back knows no grooves:
-    its metal is darker by one factor for all lamps, of this brightest band by 0.2 % at roughness
-    0.2, 2 % at 0.35 and 8 % at 0.5.
+    """Along x, seen and lit from all sides. Cycles' table of compensation ignores grooves: its
+    metal is darker by one factor for all lamps, in the brightest band by 0.2 % at roughness 0.2, 2
+    % at 0.35 and 8 % at 0.5.
     """
     lamps = [(40, 0), (40, 70), (30, 180), (60, 90), (70, 200)]
     grooves = {"anisotropy": 0.8, "grain": Grain(axis=(1.0, 0, 0)), "metallic": 1.0}
@@ -133,9 +133,9 @@ def test_grooves_have_the_same_shape_in_both(cpu_device, in_cycles):
     assert (np.abs(darker - [0.002, 0.02, 0.083]) < [0.002, 0.002, 0.003]).all()
 
 
-def test_what_plastic_reflects_in_all_is_the_same_in_both(cpu_device, in_cycles):
-    """In the furnace. A very rough coat of Cycles reflects 9 % more, as light that strikes twice
-    among its facets comes back; ours leaves it to the base. With a base of 0.2 that is 1 %.
+def test_the_total_reflection_of_plastic_is_the_same_in_both(cpu_device, in_cycles):
+    """In the furnace, a very rough coat of Cycles reflects 9 % more, as light that hits two of its
+    facets returns; ours leaves it to the base. With a base of 0.2 that is 1 %.
     """
     cases = [
         (with_words(roughness=r, specular=s), view, None)
@@ -146,9 +146,9 @@ def test_what_plastic_reflects_in_all_is_the_same_in_both(cpu_device, in_cycles)
     assert (np.abs(ratio - 1) < 0.015 + 4 * error).all()
 
 
-def test_plastic_under_a_lamp_differs_by_what_the_coat_dims_on_the_way_in(cpu_device, in_cycles):
-    """Cycles leaves out `(1 - E(light)) / (1 - mean E)`: its base is darker under steep light and
-    brighter under grazing light. Within 60 degrees that is 6 %, and 5 % from roughness 0.3 on.
+def test_plastic_under_a_lamp_differs_by_the_light_absorbed_in_the_coat(cpu_device, in_cycles):
+    """Cycles has no factor `(1 - E(light)) / (1 - mean E)`: its base is darker under steep light
+    and brighter under grazing light. Within 60 degrees that is 6 %, and 5 % from roughness 0.3 on.
     """
     cases = [
         (with_words(roughness=r), view, lamp)
@@ -163,7 +163,7 @@ def test_plastic_under_a_lamp_differs_by_what_the_coat_dims_on_the_way_in(cpu_de
     assert (ratio[~steep] < 1.22).all()
 
 
-def test_half_a_metal_is_half_of_each_in_both(cpu_device, in_cycles):
+def test_a_half_metallic_surface_is_half_of_each_material_in_both(cpu_device, in_cycles):
     cases = [
         (with_words(metallic=0.4, roughness=r, specular=s), view, lamp)
         for r, s, view, lamp in product((0.3, 0.8), (0.0, 0.5), (0, 60), [None, (60, 180)])

@@ -1,4 +1,4 @@
-"""Every pattern from one set of paths must be what each pattern alone would give."""
+"""All patterns from one set of paths must equal each pattern rendered alone."""
 
 import mitsuba_alone
 import numpy as np
@@ -22,7 +22,7 @@ def patterns_of(rig, names):
 
 
 def one_pass_and_alone(renderer, names, *, seeds, samples):
-    """Blocks (seeds, patterns, blocks) of one pass, and of each pattern by Mitsuba's own means."""
+    """Return blocks (seeds, patterns, blocks) of one pass, and of each pattern by Mitsuba alone."""
     scene, layout = corner_scene()
     pattern = patterns_of(scene.rig, names)
     quality = Quality(samples=samples, depth=DEPTH, footprint=False)
@@ -50,15 +50,15 @@ def quick_pair(mitsuba_renderer):
 
 
 def test_one_pass_equals_each_pattern_alone_by_an_independent_integrator(quick_pair):
-    """Mitsuba's path tracer with its own camera, projector and random numbers knows nothing of
-    our loop. Each pattern by itself, since the patterns of one pass share their errors.
+    """Mitsuba's path tracer with its own camera, projector and random numbers is independent of our
+    loop. Patterns are compared one by one, since those of one pass share their errors.
     """
     together, alone = quick_pair
     for k in range(together.shape[1]):
         assert agree(together[:, k], alone[:, k])
 
 
-def test_that_comparison_notices_two_percent_and_a_lost_bounce(quick_pair, mitsuba_renderer):
+def test_that_comparison_notices_two_percent_and_a_missing_bounce(quick_pair, mitsuba_renderer):
     together, alone = quick_pair
     for k in range(together.shape[1]):
         assert not agree(1.02 * together[:, k], alone[:, k])
@@ -88,7 +88,7 @@ def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_rend
 
 @pytest.mark.parametrize("levels", [slow(2), 256])
 def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsuba_renderer, levels):
-    """The stack's patterns see the same paths; 34 of them fill more than one word of bits."""
+    """The stack's patterns share the same paths; 34 of them need more than one word of bits."""
     scene, layout = corner_scene()
     size = (34, scene.rig.projector.height_px, scene.rig.projector.width_px)
     pattern = np.random.default_rng(3).integers(0, levels, size) * (255 // (levels - 1))
@@ -102,7 +102,7 @@ def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsub
 
 
 @pytest.mark.parametrize("footprint", [False, True])
-def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_renderer, footprint):
+def test_a_pattern_and_its_inverse_add_up_to_white_and_black_is_zero(mitsuba_renderer, footprint):
     """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
     scene, layout = corner_scene()
     code = gray(48, 36, inverses=True)
@@ -116,7 +116,7 @@ def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_rende
     assert np.abs(light.white_rgb.sum(axis=-1) - white).max() < 1e-5 * white.max()
 
 
-def test_a_grey_level_is_that_share_of_white_also_after_reflections(mitsuba_renderer):
+def test_a_grey_level_gives_this_share_of_white_also_after_reflections(mitsuba_renderer):
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 255, 1, 77, 128, 254)
     quality = Quality(samples=4, depth=DEPTH)
@@ -126,7 +126,7 @@ def test_a_grey_level_is_that_share_of_white_also_after_reflections(mitsuba_rend
         assert np.abs(image - white * (level / 255)).max() < 1e-5 * white.max()
 
 
-def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any(mitsuba_renderer):
+def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any_other(mitsuba_renderer):
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 255)
     quality = Quality(samples=4, depth=DEPTH)
@@ -138,11 +138,11 @@ def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any(mitsuba_rend
     for a, b in [(0, 2), (0, 3), (2, 3)]:
         lit = (images[a] > 0) & (images[b] > 0)
         assert (images[a] != images[b])[lit].mean() > 0.99
-        # Means of 200 seeds spread by 0.0075, so ratios by 0.0106; five times that.
+        # Means of 200 seeds scatter by 0.0075, so ratios by 0.0106; the limit is five times that.
         assert abs(images[a].mean() / images[b].mean() - 1) < 0.053
 
 
-def test_the_footprint_leaves_direct_light_alone(mitsuba_renderer):
+def test_the_footprint_does_not_change_direct_light(mitsuba_renderer):
     rig = askew_rig()
     flat = in_camera(rig, leaning_wall([0.2, 0.1, 1.0], 0.8, lambert(0.7)))
     stripes = np.zeros((1, 48, 64), dtype=np.uint8)
@@ -161,9 +161,9 @@ def test_the_footprint_leaves_direct_light_alone(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_the_footprint_keeps_the_sum_of_a_reflection(mitsuba_renderer):
-    """One wall is lit by stripes, the other sees it alone: the stripes' reflection is blurred,
-    by which its mean brightness may not change.
+def test_the_footprint_conserves_the_light_of_a_reflection(mitsuba_renderer):
+    """Stripes light one wall, which alone lights the other: the footprint blurs the stripes'
+    reflection, which must not change its mean.
     """
     scene, layout = corner_scene()
     stripes = np.zeros((1, 36, 48), dtype=np.uint8)

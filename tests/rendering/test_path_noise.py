@@ -1,4 +1,4 @@
-"""The error that few light paths leave is in sigma: of the mean place, and of stray light."""
+"""The error of few light paths is in sigma: error of the mean position, and of stray light."""
 
 from dataclasses import replace
 
@@ -45,8 +45,8 @@ def rms(values):
         ),
     ],
 )
-def test_sigma_has_the_share_of_few_paths(mitsuba_renderer, codec, samples, rig):
-    """Oracle: the true depth of a plane that leans along both axes."""
+def test_sigma_includes_the_error_of_few_paths(mitsuba_renderer, codec, samples, rig):
+    """Oracle: the true depth of a plane that is inclined along both axes."""
     scanner = Scanner(rig=rig, code=CodeSpec(codec=codec, axes=("column",)))
     wall = leaning_wall((0.35, 0.2, 1.0), 0.8, lambert(0.6))
     quality = replace(FINE, samples=samples)
@@ -56,9 +56,9 @@ def test_sigma_has_the_share_of_few_paths(mitsuba_renderer, codec, samples, rig)
     assert 0.8 < rms(off_m / shot.depth.sigma_m) < 1.3
 
 
-def test_the_code_alone_does_not_know_of_few_paths(mitsuba_renderer):
-    """The test above has something to find: without the renderer's share, sigma is far too small;
-    and the share is that of the paths, so it falls with their number.
+def test_the_code_alone_does_not_include_the_error_of_few_paths(mitsuba_renderer):
+    """This shows that the test above can fail: without the renderer's share, sigma is far too
+    small; the share comes from paths, so it falls with their number.
     """
     scanner = Scanner(rig=RIG, code=CodeSpec(codec="gray_phase", axes=("column",)))
     wall = leaning_wall((0.35, 0.2, 1.0), 0.8, lambert(0.6))
@@ -70,13 +70,13 @@ def test_the_code_alone_does_not_know_of_few_paths(mitsuba_renderer):
         share_px[samples] = np.median(light_path_px(scanner.light_code(), noise)["column"])
     assert share_px[16] < share_px[1] / 4
     codes = scan(scanner, replace(rendering.radiance, path_noise=None), seed=3).codes
-    alone = triangulate(codes, scanner.rig)  # sigma as the code has it
+    alone = triangulate(codes, scanner.rig)  # sigma of the code
     assert rms((alone.depth_m - rendering.truth.depth_m) / alone.sigma_m) > 2
 
 
-def test_sigma_has_the_share_of_stray_light(mitsuba_renderer):
-    """Oracle: two renderings by other paths differ by sqrt(2) sigma; what both have of
-    interreflection cancels. Two white walls face each other, and the sensor has no noise.
+def test_sigma_includes_the_error_of_stray_light(mitsuba_renderer):
+    """Oracle: two renderings with other paths differ by sqrt(2) sigma; their common interreflection
+    cancels. Two white walls face each other, and the sensor has no noise.
     """
     scanner = Scanner(
         rig=RIG, code=CodeSpec(codec="gray_phase", axes=("column",)), sensor=QUIET_SENSOR
@@ -96,9 +96,9 @@ def test_sigma_has_the_share_of_stray_light(mitsuba_renderer):
     assert 0.8 < np.nanquantile(off, 0.6827) < 1.2
 
 
-def test_edges_and_shadows_leave_the_place_alone():
+def test_edges_and_shadows_do_not_change_the_error_of_the_position():
     """Oracle: noise of a known size on a ramp; a step of 30 px, whose pixels see both sides, and a
-    dark stripe, beside which light is one-sided, do not widen it. Where nothing shines it is 0.
+    dark stripe, next to which light is one-sided, do not increase it. Without light it is 0.
     """
     rng = np.random.default_rng(5)
     y, x = np.mgrid[:60, :80].astype(np.float32)
@@ -119,8 +119,8 @@ def test_edges_and_shadows_leave_the_place_alone():
     assert (noise.stray[1] == 0).all()
 
 
-def test_what_has_no_known_error_adds_none(mitsuba_renderer):
-    """Real pictures have no path noise, nor have those of renderers that do not know theirs."""
+def test_pictures_without_a_known_path_noise_add_none(mitsuba_renderer):
+    """Real pictures have no path noise, and some renderers do not know theirs."""
     scanner = Scanner(rig=RIG, code=CodeSpec(codec="gray_phase", axes=("column",)))
     wall = leaning_wall((0.35, 0.2, 1.0), 0.8, lambert(0.6))
     rendering, shot = taken(mitsuba_renderer, scanner, wall, quality=FINE, seed=1)

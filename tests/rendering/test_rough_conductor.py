@@ -1,4 +1,4 @@
-"""The metal: all light kept, the value by another formula, a density that is the samples' own."""
+"""The metal: conservation of energy, the value by another formula, density and samples."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def metal(roughness, reflectance=GOLD):
 
 
 def first_reflection(wi, wo, alpha):
-    """D G2 / (4 cos cos) by Walter's D over the tangent and Heitz' Lambda (columns)."""
+    """Return D G2 / (4 cos cos) by Walter's D of the tangent and Heitz' Lambda (columns)."""
     half = (wi + wo) / np.linalg.norm(wi + wo, axis=0)
     tangent2 = 1 / half[2] ** 2 - 1
     d = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tangent2) ** 2)
@@ -38,7 +38,7 @@ def first_reflection(wi, wo, alpha):
 
 
 def directional_albedo(cosine, alpha):
-    """E by brute force: the first reflection summed over a fine grid of where it goes."""
+    """Return E by brute force: the first reflection summed over a fine grid of directions."""
     z, turn = (np.arange(400) + 0.5) / 400, np.pi * (np.arange(400) + 0.5) / 400
     wo = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
     wi = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])[:, None]
@@ -46,7 +46,7 @@ def directional_albedo(cosine, alpha):
 
 
 def compensation(cosine, alpha, normal, mean):
-    """1 + F_ms (1 - E) / E, with F_avg as an integral."""
+    """Return 1 + F_ms (1 - E) / E, with F_avg as an integral."""
     c = (np.arange(10_000) + 0.5) / 10_000
     average = (2 * c * (normal + (1 - normal) * (1 - c) ** 5)).mean()
     bounces = average * mean / (1 - average * (1 - mean))
@@ -56,8 +56,8 @@ def compensation(cosine, alpha, normal, mean):
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", [slow(0), 45, slow(70), 85, slow(89)])
-def test_white_metal_returns_all_light(cpu_device, roughness, angle_deg):
-    """A limit of 0.2 %: 128 nodes of a table that is itself a mean of 4096 facets."""
+def test_white_metal_reflects_all_light(cpu_device, roughness, angle_deg):
+    """The limit of 0.2 % is for 128 nodes of a table, each a mean of 4096 facets."""
     weight = samples_of(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
     assert error < 0.002
@@ -65,9 +65,9 @@ def test_white_metal_returns_all_light(cpu_device, roughness, angle_deg):
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
-def test_the_value_is_that_of_the_published_formulas(cpu_device, roughness):
+def test_the_value_agrees_with_the_published_formulas(cpu_device, roughness):
     """Oracle: other forms of D and G2, E summed over directions instead of facets, F_avg as an
-    integral; the code under test shares none of them.
+    integral; the code under test uses none of them.
     """
     wo = upper(500, 3)
     wo = wo[:, wo[2] > 0.05]
@@ -86,9 +86,9 @@ def test_the_value_is_that_of_the_published_formulas(cpu_device, roughness):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_what_one_reflection_shows_is_the_published_shape(cpu_device, roughness):
-    """What gives later light back is one factor for all directions in which light leaves: the
-    shape stays that of one reflection, by other forms of D and G2.
+def test_the_lobe_of_one_reflection_has_the_published_shape(cpu_device, roughness):
+    """The compensation is one factor for all outgoing directions, so the shape is that of one
+    reflection, computed with other forms of D and G2.
     """
     alpha, wi = roughness**2, leaning(40)
     mirror = wi * [-1, -1, 1]
@@ -104,9 +104,9 @@ def test_what_one_reflection_shows_is_the_published_shape(cpu_device, roughness)
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
+def test_facets_seen_at_normal_incidence_have_the_slopes_of_ggx(cpu_device, roughness):
     """Along the normal no facet hides another: tan^2 / (alpha^2 + tan^2) is the share of samples
-    whose facet leans less (the integral of D cos). Kolmogorov's bound at one in a million.
+    whose facet has a smaller slope (the integral of D cos). Kolmogorov's bound at one in a million.
     """
     n = 100_000
     wo = samples_of(metal(roughness), np.array([0.0, 0.0, 1.0]), n)[0]
@@ -117,7 +117,7 @@ def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
-def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
+def test_weights_are_value_over_density(cpu_device, roughness, angle_deg):
     bsdf, wi = metal(roughness), leaning(angle_deg)
     wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
@@ -130,13 +130,13 @@ def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
-def test_densities_sum_to_one_and_samples_fall_where_they_say(cpu_device, roughness, angle_deg):
+def test_densities_integrate_to_one_and_samples_follow_them(cpu_device, roughness, angle_deg):
     assert_samples_fall_where_densities_say(metal(roughness), leaning(angle_deg), fine=512)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
-    """The light that leaves, and where it goes on the whole, by samples and by a sum of values."""
+    """The reflected light and its mean direction, from samples and from a sum of values."""
     bsdf, wi, n = metal(0.7), leaning(angle_deg), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)
@@ -146,8 +146,8 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
         assert (np.abs(moment.mean(axis=-1) - same.mean(axis=-1)) < 5 * error).all()
 
 
-def test_colours_deepen_as_metal_gets_rough(cpu_device):
-    """Reflected twice, a colour is squared: half of the light that strikes again is lost."""
+def test_colours_are_more_saturated_on_rougher_metal(cpu_device):
+    """Two reflections square a colour: half of the light that hits another facet is lost."""
     shares = [
         samples_of(metal(roughness, (0.5, 0.5, 0.5)), leaning(0), 100_000)[2][0].mean()
         for roughness in (0.1, 0.5, 1.0)
@@ -156,7 +156,7 @@ def test_colours_deepen_as_metal_gets_rough(cpu_device):
     assert shares[0] > shares[1] + 0.01 > shares[2] + 0.1
 
 
-def test_a_texture_takes_the_colours_place(cpu_device):
+def test_a_texture_replaces_the_colour(cpu_device):
     """Two texels; smooth metal shows them at normal incidence (sRGB curve of IEC 61966-2-1)."""
     import drjit as dr
     import mitsuba as mi
@@ -176,7 +176,7 @@ def test_a_texture_takes_the_colours_place(cpu_device):
     assert np.abs(np.array(bsdf.eval_diffuse_reflectance(si, True)).T - linear).max() < 1e-3
 
 
-def test_the_back_reflects_nothing(cpu_device):
+def test_the_back_of_a_metal_reflects_nothing(cpu_device):
     below = leaning(30) * [1, 1, -1]
     bsdf = metal(0.5)
     assert (samples_of(bsdf, below, 100)[2] == 0).all()
@@ -185,7 +185,7 @@ def test_the_back_reflects_nothing(cpu_device):
 
 
 def test_another_roughness_needs_no_new_kernel(cpu_device):
-    """What differs from metal to metal is data: many materials, or another run, compile once."""
+    """Differences between metals are data: many materials, or another run, compile once."""
     import drjit as dr
 
     samples_of(metal(0.31), leaning(20), 64)

@@ -1,4 +1,4 @@
-"""Roughness by a map: each place is a material of its own roughness, and no light is lost."""
+"""A map of roughness: each point is a material of its own roughness, and no light is lost."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ WHITE = {
 
 
 def halves(left, right):
-    """A map of two greys, of which no hit at u = 0.25 or 0.75 meets the border."""
+    """Return a map of two greys; no hit at u = 0.25 or 0.75 is at its border."""
     return np.repeat([[left, right]], 8, axis=1).astype(np.uint8)
 
 
@@ -51,7 +51,7 @@ def hits(wi, n, u):
 
 
 def evaluated(bsdf, wi, wo, u=0.25):
-    """Values times the cosine (3, n), and densities."""
+    """Return values times the cosine (3, n), and densities."""
     import mitsuba as mi
 
     towards = mi.Vector3f(wo.astype(np.float32))
@@ -60,7 +60,7 @@ def evaluated(bsdf, wi, wo, u=0.25):
 
 
 def samples_of(bsdf, wi, n, u):
-    """Directions (3, n), densities and weights (3, n) of samples."""
+    """Return directions (3, n), densities and weights (3, n) of samples."""
     import mitsuba as mi
 
     one, *two = np.random.default_rng(0).random((3, n)).astype(np.float32)
@@ -72,7 +72,7 @@ def samples_of(bsdf, wi, n, u):
 
 @pytest.mark.parametrize("look", [METAL, PLASTIC, replace(METAL, metallic=0.5)])
 @pytest.mark.parametrize("grey", [slow(255), 130, slow(40)])
-def test_a_map_of_one_grey_is_a_material_of_that_roughness(cpu_device, look, grey):
+def test_a_map_of_one_grey_equals_a_material_of_that_roughness(cpu_device, look, grey):
     """Oracle: the material without a map, whose tables are made for its roughness."""
     varied = replace(look, roughness_map=np.full((2, 3), grey, dtype=np.uint8))
     plain = replace(look, roughness=look.roughness * grey / 255)
@@ -94,8 +94,8 @@ def test_a_map_of_one_grey_is_a_material_of_that_roughness(cpu_device, look, gre
         slow("metal", 26), slow("metal", 97), slow("plastic", 97), slow("plastic", 235),
     ],
 )  # fmt: skip
-def test_white_of_two_roughnesses_returns_all_light(cpu_device, kind, grey):
-    """The limits that the BSDFs state. The greys lie between the rows of their tables."""
+def test_a_white_surface_of_two_roughnesses_reflects_all_light(cpu_device, kind, grey):
+    """The limits are those of the BSDFs. The greys are between the rows of their tables."""
     bsdf = bsdf_of(replace(WHITE[kind], roughness_map=halves(255 - grey, grey)))
     for angle_deg in (0, 60, 84, 88):
         limit = {"metal": 0.004, "plastic": 0.003 if angle_deg < 85 else 0.005}[kind]
@@ -108,9 +108,9 @@ def test_white_of_two_roughnesses_returns_all_light(cpu_device, kind, grey):
 
 @pytest.mark.parametrize("look", [METAL, PLASTIC, BLACK])
 @pytest.mark.parametrize("u", [0.25, slow(0.75)])
-def test_samples_bring_value_over_density_at_their_place(cpu_device, look, u):
-    """And as many fall close to the mirror's direction as the density says, which is 1 in all with
-    what dips below the surface.
+def test_the_weight_of_a_sample_is_value_over_density_at_its_point(cpu_device, look, u):
+    """The density also predicts how many are near the mirror direction; its integral is 1,
+    including directions below the surface.
     """
     bsdf, wi, n = bsdf_of(replace(look, roughness_map=halves(110, 220))), leaning(50), 200_000
     wo, density, weight = samples_of(bsdf, wi, n, u)
@@ -128,9 +128,9 @@ def test_samples_bring_value_over_density_at_their_place(cpu_device, look, u):
 
 
 @pytest.mark.parametrize(("look", "normal"), [(METAL, 0.9), (BLACK, 0.04)])
-def test_highlights_are_as_bright_as_the_local_roughness_says(cpu_device, look, normal):
-    """Straight on and back, `F D / 4` is `F / (4 pi roughness^4)`; at most 0.3 % comes later, and
-    black has no base.
+def test_highlights_have_the_radiance_of_the_local_roughness(cpu_device, look, normal):
+    """At normal incidence, `F D / 4` is `F / (4 pi roughness^4)`; later reflections add at most 0.3
+    %, and black has no base.
     """
     look = replace(look, roughness=0.5, roughness_map=halves(51, 102))
     up = np.array([[0.0], [0.0], [1.0]])
@@ -142,8 +142,8 @@ def test_highlights_are_as_bright_as_the_local_roughness_says(cpu_device, look, 
 @pytest.mark.parametrize(
     ("engine", "noise"), [("mitsuba", 0.01), pytest.param("cycles", 0.05, marks=pytest.mark.slow)]
 )
-def test_each_quarter_of_a_wall_looks_like_one_of_its_own_roughness(request, engine, noise):
-    """Oracle: pictures of walls of one roughness. Row 0 of the map is on top of the picture."""
+def test_each_quarter_of_a_wall_equals_a_wall_of_its_roughness(request, engine, noise):
+    """Oracle: pictures of walls of one roughness. Row 0 of the map is at the top of the picture."""
     renderer = request.getfixturevalue(f"{engine}_renderer")
     rig = make_rig(centred(16, 16, 20), centred(8, 8, 8))
     lamp = Lamp(
@@ -179,13 +179,13 @@ def test_one_scratch_makes_rough_metal_shiny(cpu_device):
     assert _is_shiny(replace(METAL, roughness_map=scratch))
 
 
-def test_no_place_is_a_mirror():
+def test_no_point_of_a_map_is_a_perfect_mirror():
     varied = replace(METAL, roughness_map=np.array([[0, 3, 4, 255]], dtype=np.uint8))
     assert varied.local_roughness[0] == pytest.approx([0.01, 0.01, 0.8 * 4 / 255, 0.8])
     assert varied.smoothest == 0.01 and METAL.smoothest == 0.8
 
 
-def test_a_map_is_read_as_numbers(tmp_path):
+def test_a_map_is_read_as_linear_numbers(tmp_path):
     level = np.arange(256, dtype=np.uint8).reshape(16, 16)
     Image.fromarray(level).save(tmp_path / "grey.png")
     Image.fromarray(np.stack([level] * 3, axis=-1)).save(tmp_path / "rgb.png")
@@ -204,7 +204,7 @@ def test_a_map_is_read_as_numbers(tmp_path):
         ({"transparent": "solid"}, "roughness_map is transparent: remove one of the two"),
     ],
 )
-def test_what_cannot_be_a_map_is_refused_in_one_line(tmp_path, words, says):
+def test_an_invalid_map_is_refused_in_one_line(tmp_path, words, says):
     Image.fromarray(np.zeros((4, 4), dtype=np.uint8)).save(tmp_path / "grey.png")
     Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(tmp_path / "deep.png")
     Image.fromarray(np.full((4, 4, 3), (200, 0, 0), dtype=np.uint8)).save(tmp_path / "red.png")

@@ -1,4 +1,4 @@
-"""What the measuring camera sees in one narrow line of the spectrum: greys, of every surface."""
+"""The measuring camera sees all surfaces as greys in one narrow line of the spectrum."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ PLACES = ("part", "surface", "table", "walls", "floor")
 
 
 def scene_of(**materials):
-    """One material in each place; elsewhere a red that has no line of its own."""
+    """Return a scene with this material in one place, and elsewhere a red without a line value."""
     red = Material(base_color=(0.6, 0.2, 0.1))
     by_place = dict.fromkeys(PLACES, red) | materials
     return Scene(
@@ -47,7 +47,7 @@ def materials_of(scene):
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("texture", [None, PICTURE])
-def test_a_reflectance_at_the_line_takes_the_place_of_colour_and_texture(place, texture):
+def test_a_reflectance_at_the_line_replaces_colour_and_texture(place, texture):
     known = Material(base_color=(0.9, 0.8, 0.7), texture=texture, projector_reflectance=0.3)
     scene = scene_of(**{place: known})
     before, after = (materials_of(one) for one in (scene, at_projector_wavelength(scene)))
@@ -56,13 +56,13 @@ def test_a_reflectance_at_the_line_takes_the_place_of_colour_and_texture(place, 
         assert after[other] is before[other]
 
 
-def test_a_scene_without_such_a_surface_is_the_same_scene():
+def test_a_scene_without_such_a_surface_is_the_same_object():
     scene = scene_of()
     assert at_projector_wavelength(scene) is scene
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_one_band_makes_greys_of_what_surfaces_are_in_it(place):
+def test_in_one_band_surfaces_become_the_grey_of_that_band(place):
     pictured = Material(base_color=(0.9, 0.8, 0.7), texture=PICTURE)
     after = materials_of(at_one_wavelength(scene_of(**{place: pictured})))
     assert np.array_equal(after[place].texture, np.repeat(PICTURE[..., :1], 3, axis=-1))
@@ -70,7 +70,7 @@ def test_one_band_makes_greys_of_what_surfaces_are_in_it(place):
         assert after[other].base_color == (0.6, 0.6, 0.6)
 
 
-def test_several_bands_have_no_one_grey_for_a_colour():
+def test_in_several_bands_a_colour_has_no_single_grey():
     scene = scene_of()
     scene = replace(scene, rig=replace(scene.rig, band_weights=(0.5, 0.5, 0.0)))
     with pytest.raises(ValueError, match="shines in 2 bands, and a material has the colour"):

@@ -107,9 +107,7 @@ def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says,
         (-1, True, "left to right, then turn them by 90 degrees counter-clockwise"),
     ],
 )
-def test_pictures_on_their_side_are_refused_with_the_rotation_to_apply(
-    turns, mirror, says, shots, tmp_path
-):
+def test_pictures_on_their_side_are_refused_with_the_remedy(turns, mirror, says, shots, tmp_path):
     """`np.rot90` rotates counter-clockwise, so the correction is clockwise."""
     rig, code, stack = shots["both"]
     turned = np.rot90(stack, turns, axes=(1, 2))

@@ -1,4 +1,4 @@
-"""Every test in this folder runs on every back end that knows what it is about."""
+"""Every test in this folder runs on each renderer that supports the subject of the test."""
 
 import pytest
 from backends import CYCLES, MITSUBA, REFERENCE
@@ -8,7 +8,7 @@ from graycast.rendering import open_renderer
 
 @pytest.fixture(params=[REFERENCE, MITSUBA, CYCLES], scope="session")
 def renderer(request):
-    """All: surfaces, sharp lenses and direct light of the projector."""
+    """All renderers: surfaces, sharp lenses and direct light of the projector."""
     if request.param == REFERENCE:
         return open_renderer(REFERENCE)
     return request.getfixturevalue(f"{request.param}_renderer")
@@ -16,5 +16,5 @@ def renderer(request):
 
 @pytest.fixture(params=[MITSUBA, CYCLES], scope="session")
 def path_tracer(request):
-    """Those that know parts, lamps, interreflection and blur, too."""
+    """Renderers that also have parts, lamps, interreflection and blur."""
     return request.getfixturevalue(f"{request.param}_renderer")

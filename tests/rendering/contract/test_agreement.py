@@ -1,4 +1,4 @@
-"""Each back end against the exact reference, on one picture that has everything."""
+"""Each renderer, compared with the exact reference on one picture of everything."""
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -10,13 +10,13 @@ from graycast.world.scene import EMPTY_LAYOUT, Sphere
 DIRECT = Quality(samples=64, depth=1)
 
 
-def test_each_agrees_with_the_exact_renderer(path_tracer):
+def test_each_renderer_agrees_with_the_exact_one(path_tracer):
     """Two programs without common code, on a scene with distortion in both lenses, shadows and
-    borders. Inside surfaces both find the pixel's centre, one by a regular grid and Mitsuba by
-    mirrored pairs: a hundredth of what neighbours differ by is plenty. At borders each may miss an
-    eighth of a pixel's range (8 x 8 positions), and both together a quarter. Cycles' places are
-    random, well spread: their middle lies within a twentieth of a pixel, and at a border their
-    mean has a standard deviation of a sixteenth of the range.
+    borders. Inside surfaces both give the value at the pixel's centre, one by a regular grid and
+    Mitsuba by mirrored pairs: a hundredth of the difference of neighbours is enough. At borders
+    each may miss an eighth of a pixel's range (8 x 8 positions), and both together a quarter.
+    Cycles' samples are random but well spread: their mean is within a twentieth of a pixel, and at
+    a border their mean has a standard deviation of a sixteenth of the range.
     """
     lens, beam = (-0.2, 0.08, 0.003, -0.002, 0.0), (0.1, -0.03, -0.003, 0.004, 0.0)
     camera, projector = optics(96, 72, 90, distortion=lens), optics(33, 21, 24, distortion=beam)
@@ -33,7 +33,7 @@ def test_each_agrees_with_the_exact_renderer(path_tracer):
         for one in (open_renderer("reference"), path_tracer)
     )
     same = np.abs(exact.truth.depth_m - other.truth.depth_m) < 1e-5
-    assert (~same).sum() <= 5  # pixels whose centre is on a border to within float32
+    assert (~same).sum() <= 5  # centres on a border in float32
     a, b = exact.radiance.pattern, other.radiance.pattern
     assert np.abs(a - b).max() < 0.25 * a.max()
     depth = exact.truth.depth_m

@@ -1,4 +1,4 @@
-"""What camera and projector do to light besides geometry: falloff, response, pixels, wavelength."""
+"""Properties of camera and projector besides geometry: falloff, response, pixels, wavelength."""
 
 import math
 from dataclasses import replace
@@ -37,11 +37,11 @@ def changed(rig, device, **words):
 
 
 def assert_same_light(renderer, one, other, *, rounding):
-    """To rounding, where a renderer's pictures share their places in the pixel.
+    """Check equal light up to rounding if a renderer's pictures share their samples in the pixel.
 
-    Cycles draws anew for each. On a smooth surface the middle of 64 well spread places lies within
-    a twentieth of a pixel of the pixel's middle, in both pictures. Anywhere, a mean of n has a
-    standard deviation of at most the range over 2 sqrt(n) (Popoviciu).
+    Cycles draws new samples for each. On a smooth surface, the mean of 64 well spread samples is
+    within a twentieth of a pixel of the pixel's centre, in both pictures. Anywhere, a mean of n has
+    a standard deviation of at most the range over 2 sqrt(n) (Popoviciu).
     """
     if renderer.name != "cycles":
         assert np.abs(one - other).max() < rounding
@@ -56,8 +56,8 @@ def assert_same_light(renderer, one, other, *, rounding):
 
 
 def plain_and_dimmed(renderer, device, **words):
-    """A wall's light without and with a device's words, its points in the device's frame, and the
-    pixels that are lit and have lit neighbours.
+    """Return a wall's light without and with a device's settings, its points in the device's frame,
+    and the lit pixels with lit neighbours.
     """
     rig = askew_rig(camera=optics(96, 72, 70))
     pattern = plain_pattern(rig, 255)
@@ -73,10 +73,10 @@ def plain_and_dimmed(renderer, device, **words):
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_light_falls_with_the_cosine_to_the_fourth_of_a_camera_and_the_first_of_a_projector(
+def test_light_falls_by_the_fourth_power_of_the_cosine_for_a_camera_and_the_first_for_a_projector(
     renderer, device
 ):
-    """The ratio of pictures with and without falloff, against angles by the dot product."""
+    """Oracle: the ratio of pictures with and without falloff; angles by the dot product."""
     plain, dimmed, _, point, lit = plain_and_dimmed(renderer, device, natural_vignetting=True)
     cosine = np.cos(np.arccos(point[..., 2] / np.linalg.norm(point, axis=-1)))
     expected = cosine ** {"camera": 4, "projector": 1}[device]
@@ -91,10 +91,8 @@ def test_light_falls_with_the_cosine_to_the_fourth_of_a_camera_and_the_first_of_
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_light_falls_off_with_the_square_of_the_distance_from_the_picture_s_middle(
-    renderer, device
-):
-    """The ratio of pictures with and without: a half is missing in the corners."""
+def test_light_falls_with_the_squared_distance_from_the_picture_s_centre(renderer, device):
+    """Oracle: the ratio of pictures with and without falloff, which is a half in the corners."""
     plain, dimmed, own, point, lit = plain_and_dimmed(renderer, device, falloff=0.5)
     x, y = np.moveaxis(project(own, point), -1, 0)
     x, y = (2 * x + 1) / own.width_px - 1, (2 * y + 1) / own.height_px - 1
@@ -105,8 +103,8 @@ def test_light_falls_off_with_the_square_of_the_distance_from_the_picture_s_midd
 
 
 @pytest.mark.parametrize("levels", [(0, 255), (0, 51, 64, 128, 200, 255)])
-def test_grey_levels_have_the_radiance_that_the_response_says(renderer, levels):
-    """By hand between the knots at 0, 127.5 and 255: 0, 0.2 and 1."""
+def test_grey_levels_have_the_radiance_of_the_response_curve(renderer, levels):
+    """By hand, between the knots at 0, 127.5 and 255: 0, 0.2 and 1."""
     by_hand = {0: 0.0, 51: 0.08, 64: 0.2 * 64 / 127.5, 128: 0.2 + 0.8 * 0.5 / 127.5}
     by_hand |= {200: 0.2 + 0.8 * 72.5 / 127.5, 255: 1.0}
     rig = askew_rig(response=(0.0, 0.2, 1.0))
@@ -131,10 +129,8 @@ def test_white_is_the_picture_of_a_white_pattern_and_the_sum_of_its_bands(render
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fill_factor", [0.25, 0.7])
-def test_gaps_between_projector_pixels_are_dark_and_take_their_share_of_the_light(
-    renderer, fill_factor
-):
-    """A camera with 12 pixels to one of the projector sees each square and the gap around it."""
+def test_gaps_between_projector_pixels_are_dark_in_proportion_to_their_area(renderer, fill_factor):
+    """A camera with 12 pixels per projector pixel sees each square and the gap around it."""
     rig = make_rig(centred(120, 60, 240), centred(40, 40, 20), baseline_m=(1e-4, 0.0, 0.0))
     pattern = plain_pattern(rig, 255)
     full = light_of(renderer, rig, pattern)
@@ -153,8 +149,8 @@ def test_gaps_between_projector_pixels_are_dark_and_take_their_share_of_the_ligh
 
 
 @pytest.mark.parametrize(("side", "covered"), [(0.0, 0.5), (0.2, 0.9), (0.3, 1.0), (-0.3, 0.0)])
-def test_a_camera_pixel_senses_within_its_square_alone(renderer, side, covered):
-    """Fill 1/4: half a pixel wide. A lit half plane ends at `side` of a pixel past its centre."""
+def test_a_camera_pixel_receives_light_only_in_its_sensitive_square(renderer, side, covered):
+    """With a fill of 1/4 it is half a pixel wide. A lit half plane ends at `side` of a pixel."""
     camera = replace(centred(41, 9, 200), fill_factor=0.25)
     rig = make_rig(camera, centred(64, 64, 40), baseline_m=(1e-4, 0.0, 0.0))
     edge_m = (20 + side - 20) / 200 * 0.8
@@ -172,8 +168,8 @@ def test_a_camera_pixel_senses_within_its_square_alone(renderer, side, covered):
     assert abs(share.mean() - covered) < 0.02
 
 
-def test_the_measuring_camera_sees_the_reflectance_at_the_projectors_wavelength(renderer):
-    """And the colour picture the colour, both in proportion to a grey wall's."""
+def test_the_measuring_camera_sees_the_reflectance_at_the_projector_s_wavelength(renderer):
+    """The colour picture shows the colour; both are relative to a grey wall's."""
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255, 100)
     red = replace(lambert(0.9, 0.1, 0.1), projector_reflectance=0.25)
@@ -193,7 +189,7 @@ def test_the_measuring_camera_sees_the_reflectance_at_the_projectors_wavelength(
 
 
 @pytest.mark.slow
-def test_a_surface_without_that_reflectance_keeps_its_colour_beside_one_that_has_it(renderer):
+def test_a_surface_without_that_reflectance_keeps_its_colour_next_to_one_with_it(renderer):
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255)
     patch = wall(0.7, replace(lambert(0.9), projector_reflectance=0.3), half_m=0.06)

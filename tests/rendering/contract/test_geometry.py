@@ -1,4 +1,4 @@
-"""Where things are: pixels, depth, normals, handedness, distortion of both lenses."""
+"""Geometry: pixels, depth, normals, handedness, distortion of both lenses."""
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from graycast.rig.pattern import gray
 from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 
 GRAY = lambert(0.5)
-FLOAT32 = 2e-6  # of a depth: some roundings of 6e-8 each
+FLOAT32 = 2e-6  # share of a depth: some roundings of 6e-8 each
 LENS = (-0.21, 0.11, 0.004, -0.003, -0.02)
 
 
@@ -30,8 +30,8 @@ def render(renderer, scene, pattern=None, *, samples=4):
     return renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0)
 
 
-def test_depth_of_a_plane_is_z_where_the_centre_ray_meets_it(renderer):
-    """Oracle: z = d / (n . ray). Half a pixel would change z by over 1e-3 of itself here."""
+def test_depth_of_a_plane_is_z_of_its_intersection_with_the_centre_ray(renderer):
+    """Oracle: z = d / (n . ray). Half a pixel would change z by over 1e-3 of its value here."""
     rig = askew_rig()
     normal, offset_m = np.array([0.6, -0.3, 1.0]), 0.8
     truth = render(renderer, in_camera(rig, leaning_wall(normal, offset_m, GRAY))).truth
@@ -40,8 +40,8 @@ def test_depth_of_a_plane_is_z_where_the_centre_ray_meets_it(renderer):
     assert (truth.instance == -1).all() and truth.amodal == ()
 
 
-def test_depth_and_normal_of_a_sphere_are_those_of_the_quadratic(renderer):
-    """Oracle: |z ray - centre| = radius; the normal is the radius vector itself."""
+def test_depth_and_normal_of_a_sphere_solve_its_quadratic_equation(renderer):
+    """Oracle: |z ray - centre| = radius; the normal is the radius vector."""
     rig = askew_rig()
     centre, radius = np.array([0.05, -0.04, 0.9]), 0.2
     sphere = Sphere(center_m=tuple(centre.tolist()), radius_m=radius, material=GRAY)
@@ -54,7 +54,7 @@ def test_depth_and_normal_of_a_sphere_are_those_of_the_quadratic(renderer):
     assert np.isnan(truth.depth_m[sure_miss]).all()
     assert np.isnan(truth.normal[sure_miss]).all()
     z = ((b - np.sqrt(np.maximum(discriminant, 0))) / a)[sure_hit]
-    assert np.abs(truth.depth_m[sure_hit] / z - 1).max() < 20 * FLOAT32  # grazing rays included
+    assert np.abs(truth.depth_m[sure_hit] / z - 1).max() < 20 * FLOAT32  # including grazing rays
     normal = (ray[sure_hit] * z[:, None] - centre) / radius
     assert np.abs(truth.normal[sure_hit] - normal).max() < 1e-4
 
@@ -71,9 +71,9 @@ def test_the_normal_of_a_plane_is_a_unit_vector_towards_the_camera(renderer, fro
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("side", [-1, 1])
-def test_an_edge_splits_the_pixels_at_the_place_where_it_is(renderer, axis, side):
-    """A quad ends at pixel position e. Centres short of e see it, centres past e do not, and the
-    pixel that e cuts gets the share of light that it covers: 3/4 for e = k + 1/4.
+def test_an_edge_divides_the_pixels_at_its_true_position(renderer, axis, side):
+    """A quad ends at pixel position e. Pixel centres before e see it, those after e do not, and the
+    pixel at e receives the share of light that it covers: 3/4 for e = k + 1/4.
     """
     rig = askew_rig(camera=optics(96, 9, 110) if axis == 0 else optics(9, 96, 110))
     k, z = 40, 0.8
@@ -81,7 +81,7 @@ def test_an_edge_splits_the_pixels_at_the_place_where_it_is(renderer, axis, side
     ray = (k + 0.25 * side - centre[axis]) / focal[axis]
     half = np.full(2, 2.0)
     middle = np.zeros(2)
-    middle[axis] = ray * z - side * half[axis]  # the quad lies on the `-side` of its edge
+    middle[axis] = ray * z - side * half[axis]  # the quad is on the `-side` of its edge
     quad = Quad(
         center_m=(*middle.tolist(), z),
         half_u_m=(half[0], 0.0, 0.0),
@@ -97,13 +97,13 @@ def test_an_edge_splits_the_pixels_at_the_place_where_it_is(renderer, axis, side
     light = rendering.radiance.pattern[0]
     light = light[4] if axis == 0 else light[:, 4]
     full = light[k - side] + (light[k - side] - light[k - 2 * side])
-    assert abs(light[k] / full - 0.75) < 0.06  # half of what 8 x 8 positions could miss
+    assert abs(light[k] / full - 0.75) < 0.06  # half of the error of 8 x 8 positions
     assert light[k + side] == 0
 
 
-def test_one_sample_lies_anywhere_in_its_pixel(path_tracer):
-    """A border that covers 3/4 of each pixel of a column is met by 3/4 of the pixels' samples; one
-    that always is the pixel's middle would meet it everywhere.
+def test_one_sample_may_be_anywhere_in_its_pixel(path_tracer):
+    """If a surface covers 3/4 of each pixel of a column, 3/4 of the pixels' samples hit it; samples
+    at the pixels' centres would all hit it.
     """
     rig = askew_rig(camera=optics(9, 192, 110))
     k, z = 4, 0.8
@@ -128,7 +128,7 @@ def test_one_sample_lies_anywhere_in_its_pixel(path_tracer):
     assert abs(hit.mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / len(hit))
 
 
-def test_right_and_up_of_the_camera_are_right_and_up_in_the_picture(renderer):
+def test_right_and_up_in_the_camera_frame_are_right_and_up_in_the_picture(renderer):
     sphere = Sphere(center_m=(0.1, -0.08, 0.8), radius_m=0.05, material=GRAY)
     visible = np.isfinite(render(renderer, in_camera(askew_rig(), sphere)).truth.depth_m)
     rows, columns = np.nonzero(visible)
@@ -137,7 +137,7 @@ def test_right_and_up_of_the_camera_are_right_and_up_in_the_picture(renderer):
 
 
 def test_the_projector_draws_columns_to_the_right_and_rows_down(renderer):
-    """Grey ramps on a wall: the level seen over white must grow with x, or with y."""
+    """Grey ramps on a wall: the level relative to white must grow with x, or with y."""
     rig = askew_rig()
     h, w = rig.projector.height_px, rig.projector.width_px
     across = np.broadcast_to(np.arange(w, dtype=np.uint8) * 3, (h, w))
@@ -152,9 +152,9 @@ def test_the_projector_draws_columns_to_the_right_and_rows_down(renderer):
         assert (other > one + 0.2).all()
 
 
-def test_camera_rays_obey_the_distortion_of_opencv(renderer):
-    """The ray of every pixel is measured: on the plane a x + z = d a depth tells x, as
-    x / z = (d / z - 1) / a; a second plane tells y. OpenCV must send the ray back to its pixel.
+def test_camera_rays_have_the_distortion_of_opencv(renderer):
+    """The ray of every pixel is measured: on the plane a x + z = d, a depth gives x / z = (d / z -
+    1) / a; a second plane gives y. OpenCV must project the ray to its pixel.
     """
     camera = optics(96, 72, 80, distortion=LENS)
     rig = askew_rig(camera=camera)
@@ -174,7 +174,7 @@ def test_camera_rays_obey_the_distortion_of_opencv(renderer):
 
 
 def projector_pixel(code, light, axis):
-    """Projector pixel by majority of light per bit, looked up among the pictures themselves."""
+    """Return the projector pixel: each bit by majority of light, looked up in the patterns."""
     use = [k for k, frame in enumerate(code.frames) if frame.axis == axis]
     pictures = code.render()[use] > 127
     words = pictures[:, 0, :] if axis == "column" else pictures[:, :, 0]
@@ -189,10 +189,10 @@ def projector_pixel(code, light, axis):
     "distortion", [(0.0, 0.0, 0.0, 0.0, 0.0), (-0.15, 0.08, 0.01, -0.008, 0.02)]
 )
 def test_every_pattern_lights_the_projector_pixel_that_sees_the_point(renderer, distortion):
-    """Oracle: OpenCV projects the true point. The pixel centre decides by majority, so the
-    decoded place is within half a projector pixel; 25 positions per pixel blur that by a quarter
-    of the pixel's own span. The place that the renderer states is a mean over projector pixels, so
-    it has the same bound; it is off by nothing on average, where half a pixel would show.
+    """Oracle: OpenCV projects the true point. The majority of a pixel is its centre, so the decoded
+    position is within half a projector pixel; 25 positions per pixel blur that by a quarter of the
+    pixel's width. The renderer's own position is a mean over projector pixels with the same bound;
+    its mean error is 0, so that half a pixel would be noticed.
     """
     projector = optics(31, 26, 44, distortion=distortion)
     rig = askew_rig(camera=optics(150, 110, 110), projector=projector)
@@ -226,8 +226,8 @@ def test_every_pattern_lights_the_projector_pixel_that_sees_the_point(renderer, 
     assert np.isnan(place_px[np.any(beyond, axis=(0, 3))]).all()
 
 
-def test_a_point_far_beside_the_field_of_a_barrel_projector_stays_dark(renderer):
-    """Far off the axis r (1 + k1 r^2) turns back: it would light a ghost of the picture there."""
+def test_a_point_far_outside_the_field_of_a_barrel_projector_stays_dark(renderer):
+    """Far off the axis r (1 + k1 r^2) decreases: it would light a ghost of the picture there."""
     projector = optics(32, 24, 40, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
     rig = make_rig(optics(96, 72, 16), projector)  # the camera sees 71 degrees off its axis
     light = render(renderer, in_camera(rig, wall(0.5, GRAY, half_m=9.0))).radiance.pattern[0]
@@ -235,7 +235,7 @@ def test_a_point_far_beside_the_field_of_a_barrel_projector_stays_dark(renderer)
     off_axis = np.hypot(ray[..., 0], ray[..., 1]) / ray[..., 2]
     assert (light[off_axis < 0.2] > 0).all() and (off_axis < 0.2).any()
     assert not light[off_axis > 1.0].any()
-    assert (np.abs(off_axis - np.sqrt(1 / 0.3)) < 0.05).any()  # where the ghost would be
+    assert (np.abs(off_axis - np.sqrt(1 / 0.3)) < 0.05).any()  # position of the ghost
 
 
 def test_patterns_of_another_size_than_the_projector_are_refused(renderer):

@@ -1,4 +1,4 @@
-"""Which instance each pixel sees, whole silhouettes, and what a part's surface looks like."""
+"""The visible instance of each pixel, complete silhouettes, and surfaces of parts."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ ONE = Quality(samples=1, depth=1)
 HALVES = (np.array([0.05, 0.03, 0.02]), np.array([0.02, 0.06, 0.03]))
 KINDS = tuple(
     box_part(half, lambert(0.5), name=f"box{i}") for i, half in enumerate(HALVES)
-)  # of one material: they must not become one shape
+)  # two kinds of one material must not become one shape
 
 
 def truth_of(renderer, scene, layout):
@@ -38,7 +38,7 @@ def truth_of(renderer, scene, layout):
 
 
 def slab_depth(ray, pose, half):
-    """z at which rays (h, w, 3) of unit z enter a box, infinity for none (slab method)."""
+    """Return z at which rays (h, w, 3) of unit z enter a box; infinity for none (slab method)."""
     T_box_cam = inverse(pose)
     origin, direction = T_box_cam[:3, 3], ray @ T_box_cam[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -48,7 +48,7 @@ def slab_depth(ray, pose, half):
 
 
 def heap(count, seed, *, spread_m=(0.35, 0.25, 0.1)):
-    """Boxes of both kinds in disorder: some hidden, some cut by the border, some beyond it."""
+    """Return boxes of both kinds: some hidden, some cut by the border, some outside."""
     rng = np.random.default_rng(seed)
     rotations = rotation_from_quaternion(random_quaternions(count, rng))
     places = rng.uniform(-1, 1, (count, 3)) * spread_m + [0.0, 0.0, 0.8]
@@ -56,9 +56,9 @@ def heap(count, seed, *, spread_m=(0.35, 0.25, 0.1)):
     return rng.integers(0, 2, count), poses
 
 
-def test_ids_depth_and_silhouettes_of_a_heap_are_those_of_the_boxes_alone(path_tracer):
-    """Oracle: the slab method, box by box. 70 instances fill more than two words of bits; the
-    silhouettes reach over the border up to one image size. Edges may differ by rounding.
+def test_ids_depth_and_silhouettes_of_a_heap_agree_with_those_of_single_boxes(path_tracer):
+    """Oracle: the slab method, box by box. 70 instances need more than two words of bits;
+    silhouettes extend beyond the border by up to one image size. Edges may differ by rounding.
     """
     camera = optics(96, 72, 110)
     rig = askew_rig(camera=camera)
@@ -88,13 +88,13 @@ def test_ids_depth_and_silhouettes_of_a_heap_are_those_of_the_boxes_alone(path_t
     expected = np.minimum(inside.min(axis=0), 1.2)
     assert np.abs(truth.depth_m - expected)[same].max() < 1e-5
     visible = np.unique(truth.instance)
-    assert 20 < len(visible) < 70  # the heap hides some and loses some beside the image
+    assert 20 < len(visible) < 70  # some boxes are hidden and some are outside of the image
     for i in visible[visible >= 0]:
         assert truth.amodal[i].in_image(72, 96)[truth.instance == i].all()
 
 
-def test_a_silhouette_does_not_know_the_others(path_tracer):
-    """Each instance alone in the scene has the same silhouette, and is seen in all of it."""
+def test_a_silhouette_does_not_depend_on_other_parts(path_tracer):
+    """Each instance alone in the scene has the same silhouette, and all of it is visible."""
     rig = askew_rig()
     index, poses = heap(12, 3)
     scene = in_camera(rig, parts=KINDS)
@@ -120,7 +120,7 @@ def test_a_part_half_outside_the_image_has_a_complete_silhouette(path_tracer):
     assert silhouette.in_image(48, 64).sum() == 8 * 16
 
 
-def test_parts_out_of_sight_have_empty_or_outside_silhouettes(path_tracer):
+def test_parts_out_of_sight_have_silhouettes_that_are_empty_or_outside_the_image(path_tracer):
     rig = make_rig(centred(64, 48, 80), centred(32, 24, 40))
     places = [(0.0, 0.0, -0.5), (5.0, 0.0, 1.0), (0.6, 0.0, 1.0)]
     poses = [rigid(np.eye(3), np.array(p)) for p in places]
@@ -135,8 +135,8 @@ def test_parts_out_of_sight_have_empty_or_outside_silhouettes(path_tracer):
 
 def test_a_distorted_lens_bends_silhouettes_and_makes_no_ghosts_beyond_its_fold(path_tracer):
     """A barrel lens folds over at r^2 = 1 / (3 |k1|), which it images at 2/3 of that radius: pixels
-    further out have no ray. Within, slab method on undistorted rays, for a rod across the top whose
-    image bulges between its ends, a box in the middle and one far beside the field.
+    further out have no ray. Inside, the oracle is the slab method on undistorted rays, for a rod
+    across the top whose image bulges, a box in the middle and one far outside.
     """
     k1 = -0.15
     camera = optics(96, 72, 72, distortion=(k1, 0.0, 0.0, 0.0, 0.0))
@@ -155,7 +155,7 @@ def test_a_distorted_lens_bends_silhouettes_and_makes_no_ghosts_beyond_its_fold(
     assert within[72:144, 96:192].all() and beyond.sum() > 1000
     ray = np.full((*x.shape, 3), np.nan)
     ray[within] = rays(camera, np.stack([x, y], axis=-1)[within])
-    if path_tracer.name == "cycles":  # its silhouettes end at the image of a distorted lens
+    if path_tracer.name == "cycles":  # silhouettes end at the border of the distorted image
         within[:72], within[144:], within[:, :96], within[:, 192:] = False, False, False, False
     for i, silhouette in enumerate(truth.amodal):
         whole = np.zeros(x.shape, dtype=bool)
@@ -170,8 +170,8 @@ def test_a_distorted_lens_bends_silhouettes_and_makes_no_ghosts_beyond_its_fold(
 
 
 def square_part(material, *, corner_normals=None):
-    """A square of one metre's tenth, front along its -z, so that a part pose of identity faces the
-    camera: u to the camera's right, v up.
+    """Return a square of 0.1 m whose front is its -z side, so that with a pose of identity it faces
+    the camera: u to the camera's right, v up.
     """
     vertices = 0.1 * np.array(
         [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
@@ -185,8 +185,8 @@ def square_part(material, *, corner_normals=None):
 
 
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
-def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metallic):
-    """Four quarters of known colours; linear value by the sRGB curve of IEC 61966-2-1."""
+def test_row_0_of_a_texture_is_at_the_top_and_its_levels_are_srgb(path_tracer, metallic):
+    """Four quarters of known colours; linear values by the sRGB curve of IEC 61966-2-1."""
     texture = np.zeros((64, 64, 3), dtype=np.uint8)
     texture[:32, :32], texture[:32, 32:] = (255, 0, 0), (0, 255, 0)
     texture[32:, :32], texture[32:, 32:] = (0, 0, 255), (188, 100, 30)
@@ -197,7 +197,7 @@ def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metal
     rendering = path_tracer.render(scene, layout, plain_pattern(rig, 255), quality=ONE, seed=0)
     albedo = rendering.radiance.albedo
     linear = ((np.array([188, 100, 30]) / 255 + 0.055) / 1.055) ** 2.4
-    rounding = 2e-3 if path_tracer.device == "cuda" else 1e-3  # its texture unit keeps 16 bits
+    rounding = 2e-3 if path_tracer.device == "cuda" else 1e-3  # Cycles' textures have 16 bits
     assert np.abs(albedo[8:14, 8:14] - [1, 0, 0]).max() < rounding
     assert np.abs(albedo[8:14, 18:24] - [0, 1, 0]).max() < rounding
     assert np.abs(albedo[18:24, 8:14] - [0, 0, 1]).max() < rounding
@@ -208,8 +208,8 @@ def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metal
         assert light[10, 10, 0] > 0 and light[10, 10, 1] == 0 and light[10, 20, 0] == 0
 
 
-def test_corner_normals_shade_and_geometric_normals_stay(path_tracer):
-    """Lambert's cosine with the given normal, while truth keeps the plane's."""
+def test_corner_normals_change_the_shading_but_not_the_geometric_normals(path_tracer):
+    """Lambert's cosine with the given normal; the truth keeps the plane's normal."""
     normal = np.array([0.3, 0.2, -1.0]) / np.linalg.norm([0.3, 0.2, -1.0])
     part = square_part(lambert(0.8), corner_normals=np.tile(normal, (2, 3, 1)))
     rig = make_rig(centred(32, 32, 100), centred(32, 24, 40), baseline_m=(0.2, 0.0, 0.0))
@@ -231,7 +231,7 @@ def test_corner_normals_shade_and_geometric_normals_stay(path_tracer):
 
 
 def smooth_ball(radius_m, material):
-    """A sphere of flat triangles, 4 degrees wide, that is shaded as a true one."""
+    """Return a sphere of flat triangles, 4 degrees wide, that is shaded as a smooth one."""
     turn, height = np.meshgrid(np.linspace(0, 2 * np.pi, 91), np.linspace(0, np.pi, 46))
     ring = np.sin(height)
     point = np.stack([ring * np.cos(turn), ring * np.sin(turn), np.cos(height)], axis=-1)
@@ -239,17 +239,17 @@ def smooth_ball(radius_m, material):
     a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
     c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
     lower, upper = np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)
-    faces = np.concatenate([lower[:-90], upper[90:]])  # at the poles squares are triangles
+    faces = np.concatenate([lower[:-90], upper[90:]])  # squares at the poles are triangles
     point = point.reshape(-1, 3)
     mesh = Mesh(vertices_m=radius_m * point, faces=faces, corner_normals=point[faces])
     return Part(name="ball", mesh=mesh, material=material, density_kg_m3=1.0, friction=0.5)
 
 
-def test_a_smooth_mesh_is_lit_like_the_ball_that_it_stands_for(path_tracer):
-    """Lambert's cosine to the true normal, where neither lens grazes it.
+def test_a_smooth_mesh_is_lit_like_the_sphere_that_it_approximates(path_tracer):
+    """Lambert's cosine with the true normal, where neither lens is at a grazing angle.
 
-    A pixel spans 0.08 rad of the ball, and twice that where it leans by 66 degrees: its mean is
-    below its middle's value by up to 0.3 %. Facets add 0.06 %.
+    A pixel spans 0.08 rad of the ball, and twice that at a slope of 66 degrees: its mean is up to
+    0.3 % below the value at its centre. Facets add 0.06 %.
     """
     rig = make_rig(centred(48, 36, 100), centred(32, 32, 40), baseline_m=(0.2, 0.05, 0.0))
     centre, radius = np.array([0.02, -0.01, 0.8]), 0.1
@@ -279,8 +279,8 @@ def test_a_smooth_mesh_is_lit_like_the_ball_that_it_stands_for(path_tracer):
     assert np.abs(rendering.truth.depth_m - z)[inside].max() < 3e-4
 
 
-def test_a_bin_stands_on_its_table_around_the_origin(path_tracer):
-    """From straight above: rim, floor and table at their heights, walls where the sizes say."""
+def test_a_bin_is_on_its_table_and_centred_on_the_origin(path_tracer):
+    """Seen from straight above: rim, floor and table at their heights, walls at their sizes."""
     box = Bin(inner_m=(0.4, 0.3, 0.1), wall_m=0.02, material=lambert(0.5))
     rig = make_rig(centred(120, 90, 150), centred(32, 24, 40))
     pose = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -302,9 +302,9 @@ def test_a_bin_stands_on_its_table_around_the_origin(path_tracer):
     assert (truth.instance == -1).all()
 
 
-def test_a_bin_that_is_a_mesh_is_seen_with_its_leaning_walls(path_tracer, tmp_path):
-    """From straight above: each ray ends where it leaves the room, on the rim, or on the table."""
-    crate = Crate(lean=0.5, rim_m=0.03)  # it opens wider than the rays do
+def test_a_mesh_bin_is_seen_with_its_inclined_walls(path_tracer, tmp_path):
+    """Seen from straight above, each ray ends at a wall, on the rim, or on the table."""
+    crate = Crate(lean=0.5, rim_m=0.03)  # it opens wider than the cone of rays
     rig = make_rig(centred(120, 90, 110), centred(32, 24, 40))
     pose = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     scene = in_camera(rig, T_world_cam=pose, bin=crate.bin(tmp_path))
@@ -327,7 +327,7 @@ def test_a_bin_that_is_a_mesh_is_seen_with_its_leaning_walls(path_tracer, tmp_pa
     assert (truth.instance == -1).all()
 
 
-def test_the_scene_behind_a_camera_in_an_empty_world_is_nothing(path_tracer):
+def test_the_scene_behind_a_camera_is_invisible(path_tracer):
     rig = askew_rig()
     scene = in_camera(rig, wall(1.0, lambert(0.5)), T_world_cam=SOMEWHERE)
     flipped = in_camera(
@@ -339,10 +339,10 @@ def test_the_scene_behind_a_camera_in_an_empty_world_is_nothing(path_tracer):
 
 
 @pytest.mark.parametrize("turned_grain", [False, True])
-def test_grooves_lie_as_the_part_lies(path_tracer, turned_grain):
-    """Two squares, turned apart, under the projector: each pixel against GGX with two widths, its
-    x along the grooves of the part that it sees (Burley's aspect, Heitz' masking). At roughness
-    0.25 less than 1 % is given back.
+def test_grooves_have_the_direction_of_their_part(path_tracer, turned_grain):
+    """Two squares with different rotations under the projector. Oracle for each pixel: GGX with two
+    widths, its x along the grooves of the part (Burley's aspect, Heitz' masking). At roughness
+    0.25, multiple reflection adds less than 1 %.
     """
     point_m = np.array([0.03, -0.02, 0.0])
     grain = Grain(axis=(0.6, 0.8, 0.0))

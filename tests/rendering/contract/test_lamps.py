@@ -1,4 +1,4 @@
-"""Lamps and surroundings against closed forms."""
+"""Lamps and environment, compared with closed forms."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def ambient(renderer, scene, *, samples=256, depth=1, seed=0):
 
 
 def corner_form_factor(a, b, h):
-    """Of a rectangle a x b at height h, parallel to the surface, one corner above the point.
+    """Form factor of a rectangle a x b at height h, parallel, with one corner above the point.
 
     Source: J. R. Howell, "A Catalog of Radiation Heat Transfer Configuration Factors", B-3.
     """
@@ -33,7 +33,7 @@ def corner_form_factor(a, b, h):
 @pytest.mark.parametrize(("depth", "sky"), [slow(1, 0.0), slow(1, 0.7), slow(3, 0.0), (3, 0.7)])
 def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(path_tracer, sky, depth):
     """albedo * (L_lamp F + L_sky (1 - F)): the black lamp hides the sky behind it. A floor alone
-    has no second bounce, so a deeper path may change nothing but the noise.
+    has no second bounce, so deeper paths change only the noise.
     """
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     lamp_rgb, albedo = np.array([5.0, 3.0, 1.0]), np.array([0.8, 0.6, 0.4])
@@ -52,7 +52,7 @@ def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(path_trac
         environment=Environment(radiance=(sky, sky, sky)),
         lamps=(Lamp(center_m=(0.0, 0.0, height), size_m=side, radiance=tuple(lamp_rgb.tolist())),),
     )
-    samples = 4096 if path_tracer.name == "mitsuba" else 1024  # 0.2 and 0.3 % noise a block
+    samples = 4096 if path_tracer.name == "mitsuba" else 1024  # 0.2 and 0.3 % noise per block
     image = ambient(path_tracer, scene, samples=samples, depth=depth)
     ray = centre_rays(rig.camera) @ T_world_cam[:3, :3].T
     t = -T_world_cam[2, 3] / ray[..., 2]
@@ -71,8 +71,8 @@ def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(path_trac
     assert abs(blocks.mean() - 1) < 0.004
 
 
-def test_a_lamp_and_the_sky_themselves_look_as_bright_as_they_are_said_to_be(path_tracer):
-    """Seen straight, at any depth; the back of a lamp is black."""
+def test_a_lamp_and_the_sky_have_their_stated_radiance_when_seen_directly(path_tracer):
+    """This holds at any depth of path; the back of a lamp is black."""
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     sky = (0.4, 0.2, 0.1)
     for front in (True, False):
@@ -94,8 +94,8 @@ def test_a_lamp_and_the_sky_themselves_look_as_bright_as_they_are_said_to_be(pat
             assert np.allclose(image[:3, :3], sky, atol=1e-5)
 
 
-def test_a_lamp_stands_in_the_projectors_light_and_is_black_in_it(path_tracer):
-    """The shadow of its square on a wall, by rays from the wall to the lens."""
+def test_a_lamp_in_the_projector_s_light_casts_a_shadow_and_looks_black(path_tracer):
+    """Oracle: the shadow of its square on a wall, by rays from the wall to the lens."""
     rig = make_rig(centred(48, 36, 50), centred(32, 32, 16), baseline_m=(0.2, 0.0, 0.0))
     half_m, lamp_m, wall_m = 0.06, 0.5, 1.0
     lamp = Lamp(center_m=(0.0, 0.0, lamp_m), target_m=(0.0, 0.0, 9.0), size_m=2 * half_m)
@@ -116,7 +116,7 @@ def test_a_lamp_stands_in_the_projectors_light_and_is_black_in_it(path_tracer):
     assert on_lamp.sum() > 50 and not white[on_lamp].any()
 
 
-def test_constant_light_on_a_wall_is_albedo_times_it_in_every_band(path_tracer):
+def test_a_wall_in_constant_light_has_albedo_times_this_light_in_every_band(path_tracer):
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     sky, albedo = (0.9, 0.5, 0.2), (0.3, 0.6, 0.9)
     scene = in_camera(
@@ -129,7 +129,7 @@ def test_constant_light_on_a_wall_is_albedo_times_it_in_every_band(path_tracer):
 
 
 def hemisphere_map(path):
-    """Upper half of the sphere bright, lower half black."""
+    """Return a map whose upper half is bright and whose lower half is black."""
     import mitsuba as mi
 
     pixels = np.zeros((64, 128, 3), dtype=np.float32)
@@ -142,7 +142,7 @@ def hemisphere_map(path):
     ("normal", "share"), [((0, 0, 1), 1.0), ((0, 0, -1), 0.0), ((1, 0, 0), 0.5), ((0, 1, 0), 0.5)]
 )
 def test_the_top_row_of_a_map_is_at_the_zenith_of_the_world(path_tracer, tmp_path, normal, share):
-    """A white wall under the bright half of the sky gets all, none or half of it."""
+    """A white wall under the bright half of the sky receives all, none or half of it."""
     file = hemisphere_map(tmp_path / "sky.exr")
     normal = np.array(normal, dtype=float)
     u = np.roll(normal, 1)
@@ -161,7 +161,7 @@ def test_the_top_row_of_a_map_is_at_the_zenith_of_the_world(path_tracer, tmp_pat
         environment=Environment(radiance=(2.0, 1.0, 0.5), map_file=file),
     )
     image = ambient(path_tracer, scene).mean(axis=(0, 1))
-    # Half a texel at the horizon is interpolated: sin(1.4 deg) of the light at grazing angles.
+    # Half a texel is interpolated at the horizon: sin(1.4 deg) of the light at grazing angles.
     assert np.abs(image - share * np.array([2.0, 1.0, 0.5])).max() < 0.03
 
 
@@ -180,11 +180,11 @@ def test_a_bright_spot_at_the_zenith_is_seen_when_looking_up(path_tracer, tmp_pa
         assert (image[8, 8] > 4.9).all() == bright
 
 
-FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # of the spot of `spot_map`
+FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # share of the spot of `spot_map`
 
 
 def spot_map(path):
-    """A dark sky with one spot of radiance 300, 8 of 256 x 512 texels high and wide."""
+    """Return a dark sky with one spot of radiance 300, 8 of 256 x 512 texels high and wide."""
     import mitsuba as mi
 
     pixels = np.zeros((256, 512, 3), dtype=np.float32)
@@ -194,15 +194,15 @@ def spot_map(path):
 
 
 def spot_direction():
-    """A map begins at the world's +y and goes on by +x, -y and -x; its rows go from +z to -z."""
+    """The first column of a map is at +y, then +x, -y and -x; its rows go from +z to -z."""
     north, height = np.radians([FROM_NORTH_DEG, HEIGHT_DEG])
     assert FROM_NORTH_DEG / 360 * 512 == 164 and (90 - HEIGHT_DEG) / 180 * 256 == 86
     aside = np.cos(height)
     return np.array([aside * np.sin(north), aside * np.cos(north), np.sin(height)])
 
 
-def test_a_spot_of_a_map_is_seen_in_its_direction(path_tracer, tmp_path):
-    """A camera that looks there has it in its middle: eight texels are 5.6 degrees."""
+def test_a_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_path):
+    """A camera in that direction has it in its centre: eight texels are 5.6 degrees."""
     direction = spot_direction()
     rig = make_rig(centred(33, 33, 80), centred(8, 8, 8))
     scene = Scene(
@@ -244,13 +244,13 @@ def test_a_spot_of_a_map_lights_a_wall_by_its_angle_and_solid_angle(path_tracer,
     expected = 0.7 / np.pi * 300.0 * solid_angle * abs(direction[axis])
     error = image[..., 0].std() / np.sqrt(16 * 12)
     assert error < 0.005 * expected
-    # Half a texel at the middle of the sky, which the two place by different rules, is 0.3 %.
+    # The two renderers place the middle of the sky half a texel apart, which is 0.3 %.
     assert abs(image[..., 0].mean() - expected) < 4 * error + 0.005 * expected
 
 
 @pytest.mark.parametrize("turn_deg", [90.0, -35.0])
-def test_a_map_turns_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
-    """The spot is seen, and lights a wall by its cosine, where the turn takes it."""
+def test_a_map_rotates_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
+    """Where the rotation moves the spot, it is visible and lights a wall by its cosine."""
     turn = axis_rotation("z", np.radians(turn_deg))
     direction = turn @ spot_direction()
     environment = Environment(
@@ -287,12 +287,12 @@ def test_a_map_turns_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp
     assert abs(image.mean() - expected) < 4 * error + 0.005 * expected
 
 
-def test_a_levelled_map_has_the_stated_mean_over_all_directions(path_tracer, tmp_path):
-    """A cap of 45 degrees is (1 - cos 45) / 2 of the sphere; by pixels it is a quarter of it."""
+def test_a_map_with_a_stated_level_has_this_mean_over_all_directions(path_tracer, tmp_path):
+    """A cap of 45 degrees is (1 - cos 45) / 2 of the sphere, but a quarter of the pixels."""
     import mitsuba as mi
 
     pixels = np.zeros((64, 128, 3), dtype=np.float32)
-    pixels[:16] = (4000.0, 2000.0, 0.0)  # of any unit; the mean of the bands is 2000
+    pixels[:16] = (4000.0, 2000.0, 0.0)  # in any unit; the mean of the bands is 2000
     mi.Bitmap(pixels).write(str(tmp_path / "cap.exr"))
     scene = Scene(
         rig=make_rig(centred(16, 16, 80), centred(8, 8, 8)),
@@ -306,7 +306,7 @@ def test_a_levelled_map_has_the_stated_mean_over_all_directions(path_tracer, tmp
     assert image == pytest.approx(np.array([0.6, 0.3, 0.0]) / share, rel=1e-3)
 
 
-def test_a_levelled_map_without_light_or_with_infinite_light_is_refused(path_tracer, tmp_path):
+def test_a_map_without_light_or_with_infinite_light_cannot_have_a_level(path_tracer, tmp_path):
     import mitsuba as mi
 
     rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
@@ -318,9 +318,9 @@ def test_a_levelled_map_without_light_or_with_infinite_light_is_refused(path_tra
             ambient(path_tracer, in_camera(rig, wall(1.0, lambert(0.5)), environment=sky))
 
 
-def test_a_quad_repeats_its_texture_from_its_corner_on_upright(path_tracer):
-    """Red above green in the picture is red above green on the wall, every 0.2 m."""
-    picture = np.zeros((256, 8, 3), dtype=np.uint8)  # fine enough that it is sharp
+def test_a_quad_repeats_its_texture_upright_from_its_corner(path_tracer):
+    """Red above green in the texture is red above green on the wall, every 0.2 m."""
+    picture = np.zeros((256, 8, 3), dtype=np.uint8)  # fine enough to be sharp
     picture[:128, :, 0], picture[128:, :, 1] = 255, 255
     rig = make_rig(centred(40, 40, 40), centred(8, 8, 8))
     quad = Quad(
@@ -335,7 +335,7 @@ def test_a_quad_repeats_its_texture_from_its_corner_on_upright(path_tracer):
         rig=rig, T_world_cam=pose, surfaces=(quad,), environment=Environment(radiance=(1.0,) * 3)
     )
     image = ambient(path_tracer, scene, samples=64)
-    # 40 px a metre: four rows of red and four of green in each period of eight, top row first.
+    # At 40 px per metre, each period of eight has four rows of red and then four of green.
     height = image[:, 20]
     for row in range(40):
         red = row % 8 < 4
@@ -353,7 +353,7 @@ def test_a_map_that_cannot_be_read_is_named(path_tracer, tmp_path):
 
 
 def test_real_maps_are_read(path_tracer, shared):
-    """Mean of a real sky over all directions, by the map's own cosine weights and by rendering."""
+    """Oracle: the mean of a real sky over all directions, by cosine weights and by rendering."""
     import mitsuba as mi
 
     file = shared / "data" / "hdri" / "forest.exr"

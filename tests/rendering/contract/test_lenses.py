@@ -1,4 +1,4 @@
-"""Blur of both lenses against the thin lens's closed forms."""
+"""Blur of both lenses, compared with closed forms of the thin lens."""
 
 import math
 from dataclasses import replace
@@ -28,16 +28,16 @@ from graycast.world.scene import Quad, Sphere
         slow("projector", 0.35), slow("projector", 0.5), slow("projector", 0.8), ("projector", 1.5),
     ],
 )  # fmt: skip
-def test_an_edge_spreads_by_half_the_radius_of_the_thin_lens(path_tracer, device, z_m):
+def test_an_edge_is_blurred_by_half_the_radius_of_the_thin_lens(path_tracer, device, z_m):
     """The line spread of a disc of radius R has the standard deviation R / 2. R by similar
-    triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, apart by
-    A |z - f| / z, which is seen under a pixel per f / fx.
+    triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, apart by A
+    |z - f| / z, where f / fx is a pixel.
     """
     focus_m, psf_px, f_px, samples = 0.5, 1.5, 300.0, 1024
     if path_tracer.name == "cycles":
         samples = 256
         if device == "projector":
-            psf_px = 0.0  # it knows no blur that is there at every depth
+            psf_px = 0.0  # it has no blur that is the same at every depth
             if z_m == focus_m:
                 pytest.skip("a projector in focus has no blur in Cycles")
     lens = blurred(centred(96, ROWS, f_px), focus_m, psf_px=psf_px)
@@ -50,7 +50,7 @@ def test_an_edge_spreads_by_half_the_radius_of_the_thin_lens(path_tracer, device
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_a_pupil_that_shrinks_gives_the_picture_of_a_pinhole(path_tracer, device):
+def test_a_pupil_that_becomes_small_gives_the_picture_of_a_pinhole(path_tracer, device):
     plain = make_rig(centred(48, 36, 60), centred(32, 24, 40), baseline_m=(0.1, 0.0, 0.0))
     lens = replace(getattr(plain, device), aperture_m=1e-7, focus_m=0.3)
     checker = (np.indices((24, 32)).sum(axis=0) % 2 * 255).astype(np.uint8)[None]
@@ -94,12 +94,12 @@ def test_defocus_loses_no_light(path_tracer, picture):
 
 @pytest.mark.slow
 def test_the_shadow_of_an_edge_is_as_soft_as_the_pupil_is_wide(path_tracer):
-    """Similar triangles: the pupil's disc, seen through the edge, is (z2 - z1) / z1 as large."""
+    """Oracle: by similar triangles, the pupil's disc is (z2 - z1) / z1 as large on the wall."""
     z1, z2, f_px, aperture_m = 0.5, 0.8, 200.0, 30e-3
     camera = centred(120, ROWS, f_px)
     projector = blurred(centred(64, 64, 20), z2, aperture_m=aperture_m)
     rig = make_rig(camera, projector, baseline_m=(0.2, 0.0, 0.0))
-    edge_m = 0.13  # in the camera frame; its shadow falls beside what the camera sees of it
+    edge_m = 0.13  # in the camera frame; its shadow is next to its image
     screen = Quad(
         center_m=(edge_m + 1.0, 0.0, z1),
         half_u_m=(1.0, 0.0, 0.0),

@@ -1,4 +1,4 @@
-"""How bright things are under the projector's direct light, and where shadows fall."""
+"""Radiance under the projector's direct light, and positions of shadows."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(renderer):
     """L = albedo / pi * I cos(theta) / d^2, and white, half and black patterns in proportion.
 
-    L is linear over a pixel to 1e-4 of itself, so its mean is the centre's value; the middle of 64
-    well spread positions lies within a twentieth of a pixel of the centre.
+    L is linear over a pixel to 1e-4, so its mean is the value at the centre; the mean of 64 well
+    spread positions is within a twentieth of a pixel of the centre.
     """
     albedo, weights = np.array([0.8, 0.5, 0.2]), np.array([0.5, 0.3, 0.2])
     rig = askew_rig(intensity_w_sr=7.0, band_weights=tuple(weights.tolist()))
@@ -62,8 +62,8 @@ def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(rendere
     assert not image.ambient_rgb.any()
 
 
-def test_a_surface_that_looks_away_from_the_projector_is_dark(renderer):
-    """Seen by the camera from its front, while the projector is behind its plane."""
+def test_a_surface_that_faces_away_from_the_projector_is_dark(renderer):
+    """The camera sees its front, while the projector is behind its plane."""
     rig = make_rig(optics(96, 72, 110), optics(64, 48, 40), baseline_m=(0.4, 0.0, 0.0))
     normal = np.array([0.9, 0.0, 0.3])  # the plane passes between the two lenses
     scene = in_camera(rig, leaning_wall(normal, 0.2, lambert(0.9)))
@@ -95,11 +95,11 @@ def test_the_back_of_a_quad_is_dark(renderer):
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_shadow_lies_away_from_the_projector_and_has_the_width_of_similar_triangles(
+def test_a_shadow_is_away_from_the_projector_and_has_the_width_of_similar_triangles(
     renderer, axis, side
 ):
-    """A black square before a wall: dark on one line are f s / z1 of the square itself and
-    f b (1 / z1 - 1 / z2) of its shadow, all of it on the side away from the projector.
+    """A black square in front of a wall: a line has f s / z1 dark pixels of the square itself and f
+    b (1 / z1 - 1 / z2) of its shadow, on the side away from the projector.
     """
     f_px, z1, z2, half_m, baseline_m = 110.0, 0.7, 1.0, 0.11, 0.25
     baseline = np.zeros(3)
@@ -122,13 +122,13 @@ def test_a_shadow_lies_away_from_the_projector_and_has_the_width_of_similar_tria
     edge = 47.5 + side * 0.5 * square_px  # towards the projector, which lights all beyond it
     beyond = (np.arange(96) - edge) * side > 0.6
     assert np.abs(line[beyond]).max() < 0.02
-    assert abs(line.sum() - square_px - width_px) < 0.2  # two cut pixels, 1/16 each at worst
+    assert abs(line.sum() - square_px - width_px) < 0.2  # two border pixels, 1/16 each at worst
     far_end = edge - side * (square_px + width_px)
     assert np.abs(line[(far_end - np.arange(96)) * side > 0.6]).max() < 0.02
 
 
-def test_the_shadow_of_a_sphere_lies_away_from_the_projector(renderer):
-    """The cone from the lens around the sphere meets the wall where similar triangles say."""
+def test_the_shadow_of_a_sphere_is_away_from_the_projector(renderer):
+    """Oracle: the cone from the lens around the sphere, cut with the wall."""
     rig = make_rig(centred(96, 72, 80.0), centred(64, 48, 22), baseline_m=(0.2, 0.0, 0.0))
     centre, radius, wall_m = np.array([0.0, 0.0, 0.7]), 0.06, 1.0
     sphere = Sphere(center_m=tuple(centre.tolist()), radius_m=radius, material=lambert(0.5))
@@ -145,13 +145,13 @@ def test_the_shadow_of_a_sphere_lies_away_from_the_projector(renderer):
     length = np.linalg.norm(to_centre)
     cosine = (to_point @ to_centre) / np.linalg.norm(to_point, axis=-1) / length
     angle, half_angle = np.arccos(cosine), np.arcsin(radius / length)
-    slack = 1.0 / 80.0  # a pixel
+    slack = 1.0 / 80.0  # one pixel
     assert dark[on_wall & (angle < half_angle - slack)].all()
     assert not dark[angle > half_angle + slack].any()
     assert dark.sum() > 50 and (np.nonzero(dark)[1] < 48).all()
 
 
-def test_the_same_seed_gives_the_same_bits(renderer):
+def test_one_seed_gives_the_same_bits_again(renderer):
     rig = askew_rig(camera=optics(40, 30, 50))
     scene = in_camera(rig, wall(0.9, lambert(0.5)))
     pattern = np.random.default_rng(1).integers(0, 2, (3, 48, 64)).astype(np.uint8) * 255

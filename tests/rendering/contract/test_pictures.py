@@ -1,4 +1,4 @@
-"""Mitsuba and Cycles on one scene with interreflection: one mean, within the noise of both."""
+"""Mitsuba and Cycles on a scene with interreflection: equal means within the noise of both."""
 
 import numpy as np
 import pytest
@@ -9,21 +9,21 @@ from stage import lambert, plain_pattern
 from graycast.rendering import Quality
 from graycast.rig.pattern import gray
 
-pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
+pytestmark = pytest.mark.slow  # each render of Cycles takes some seconds
 
 DEPTH = 3
 DULL = {"metal": lambert(0.6, 0.5, 0.4), "coat": lambert(0.6, 0.3, 0.2)}
 
 
 def stripes(rig):
-    """White, and the second coarsest stripes."""
+    """Return white, and the second coarsest stripes."""
     code = gray(rig.projector.width_px, rig.projector.height_px)
     order = [frame.name for frame in code.frames]
     return code.render()[[order.index("white"), order.index("column_bit01")]]
 
 
 def pictures(renderer, scene, layout, pattern, *, seeds, samples, depth=DEPTH):
-    """(seeds, patterns, h, w), and the truth."""
+    """Return pictures (seeds, patterns, h, w), and the truth."""
     quality = Quality(samples=samples, depth=depth, footprint=False)
     renderings = [
         renderer.render(scene, layout, pattern, quality=quality, seed=seed) for seed in seeds
@@ -34,7 +34,7 @@ def pictures(renderer, scene, layout, pattern, *, seeds, samples, depth=DEPTH):
 
 @pytest.fixture(scope="module")
 def dull_pair(mitsuba_renderer, cycles_renderer):
-    """Blocks (seeds, patterns, blocks) of a scene of Lambertian things alone."""
+    """Return blocks (seeds, patterns, blocks) of a scene of Lambertian surfaces only."""
     scene, layout = corner_scene(**DULL)
     pattern = stripes(scene.rig)
     return [
@@ -43,14 +43,14 @@ def dull_pair(mitsuba_renderer, cycles_renderer):
     ]
 
 
-def test_mitsuba_and_cycles_give_one_picture(dull_pair):
-    """Two programs without common code, each with random numbers of its own."""
+def test_mitsuba_and_cycles_render_the_same_picture(dull_pair):
+    """Two programs without common code, each with its own random numbers."""
     ours, theirs = dull_pair
     for k in range(ours.shape[1]):
         assert agree(ours[:, k], theirs[:, k])
 
 
-def test_that_comparison_notices_two_percent_and_a_lost_bounce(dull_pair, mitsuba_renderer):
+def test_that_comparison_notices_two_percent_and_a_missing_bounce(dull_pair, mitsuba_renderer):
     ours, theirs = dull_pair
     for k in range(ours.shape[1]):
         assert not agree(1.02 * ours[:, k], theirs[:, k])
@@ -63,7 +63,7 @@ def test_that_comparison_notices_two_percent_and_a_lost_bounce(dull_pair, mitsub
     assert not agree(blocks(shallow)[:, 0], theirs[:, 0])
 
 
-def test_mitsuba_and_cycles_give_one_picture_to_half_a_percent(mitsuba_renderer, cycles_renderer):
+def test_mitsuba_and_cycles_render_one_picture_to_half_a_percent(mitsuba_renderer, cycles_renderer):
     scene, layout = corner_scene(**DULL)
     pattern = stripes(scene.rig)
     ours, theirs = (
@@ -75,9 +75,9 @@ def test_mitsuba_and_cycles_give_one_picture_to_half_a_percent(mitsuba_renderer,
         assert not agree(1.005 * ours[:, k], theirs[:, k])
 
 
-# What models may differ by: metal is one published model in both; Cycles' coat dims its base by
-# another rule, 3 % at this roughness under steep light (`test_materials_in_both.py`); the walls see
-# either. Noise is that of the few pixels that see the projector's image in the metal.
+# Allowed differences of the models: metal is one published model in both; Cycles' coat dims its
+# base by another rule, 3 % at this roughness under steep light (`test_materials_in_both.py`); the
+# walls see both. The noise is that of the few pixels that see the projector's image in the metal.
 LIMITS = {"wall": 0.002, "metal": 0.005, "coat": 0.03}
 NOISE = {"wall": 0.001, "metal": 0.007, "coat": 0.003}
 
@@ -104,7 +104,7 @@ def test_each_material_is_as_bright_in_both_as_its_model_allows(mitsuba_renderer
 
 
 def on_walls(depth_m, scene):
-    """Pixels whose depth is that of one of the two leaning walls."""
+    """Return the pixels whose depth is that of one of the two inclined walls."""
     camera = scene.rig.camera
     x = (np.arange(camera.width_px) - camera.cx_px) / camera.fx_px
     normal_z, normal_x = 1 / np.hypot(0.8, 1.0), 0.8 / np.hypot(0.8, 1.0)

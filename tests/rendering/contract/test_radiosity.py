@@ -1,4 +1,4 @@
-"""Light that comes over several surfaces, against radiosity and against conservation."""
+"""Light over several surfaces, compared with radiosity and with conservation of energy."""
 
 import numpy as np
 import pytest
@@ -14,11 +14,11 @@ WHITE = Environment(radiance=(1.0, 1.0, 1.0))
 
 
 def form_factors(point, normal, corners):
-    """Share of the hemisphere's cosine-weighted light that comes from each polygon.
+    """Return the share of the hemisphere's cosine-weighted light that comes from each polygon.
 
     Lambert's formula, 1 / (2 pi) sum over edges of angle times cosine (1760); exact for polygons
-    wholly above the horizon. Shapes: points (p, 3), one normal, polygons (q, 4, 3) seen
-    clockwise along the normal's side; returns (p, q).
+    above the horizon. Shapes: points (p, 3), one normal, polygons (q, 4, 3) seen clockwise along
+    the normal's side; returns (p, q).
     """
     total = np.zeros((len(point), len(corners)))
     arm = corners[None] - point[:, None, None]
@@ -33,11 +33,11 @@ def form_factors(point, normal, corners):
 
 
 class Groove:
-    """Two white squares at a right angle, x = 0 and z = 0, that meet in the y axis."""
+    """Two white squares at a right angle, x = 0 and z = 0, with the y axis as their edge."""
 
     def __init__(self, n, lens_m):
         self.lens_m = lens_m
-        edge = SIDE_M * np.linspace(0, 1, n + 1) ** 2  # finer towards the corner
+        edge = SIDE_M * np.linspace(0, 1, n + 1) ** 2  # finer towards the edge
         along = SIDE_M * np.linspace(-1, 1, n + 1)
         a0, y0 = (g.ravel() for g in np.meshgrid(edge[:-1], along[:-1], indexing="ij"))
         a1, y1 = (g.ravel() for g in np.meshgrid(edge[1:], along[1:], indexing="ij"))
@@ -60,7 +60,7 @@ class Groove:
         return INTENSITY * (to_lens @ normal) / np.linalg.norm(to_lens, axis=-1) ** 3
 
     def radiance(self, point, side, depth):
-        """Radiance [W sr^-1 m^-2] at points of one square, from paths of up to `depth` vertices.
+        """Return the radiance [W sr^-1 m^-2] of points of a square for up to `depth` vertices.
 
         Radiosity as a Neumann series on the patches; the last gathering is exact per point.
         """
@@ -95,7 +95,7 @@ def groove_scene(material, environment):
 
 
 def whole_pixels(truth, T_world_cam, camera):
-    """World point of each pixel, and which pixels lie a pixel or more inside either square."""
+    """Return each pixel's world point, and the pixels at least a pixel inside either square."""
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], axis=-1)
     ray = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1)
@@ -111,7 +111,7 @@ def whole_pixels(truth, T_world_cam, camera):
 
 @pytest.fixture(scope="module")
 def groove(path_tracer):
-    """The scene, its radiosity solution, and pictures of it (seeds, h, w) with their truth."""
+    """Return the scene, its radiosity solution, its pictures (seeds, h, w) and their truth."""
     dark = Environment(radiance=(0.0, 0.0, 0.0))
     scene = groove_scene(lambert(ALBEDO), dark)
     lens_m = (scene.T_world_cam @ scene.rig.T_cam_proj)[:3, 3]
@@ -130,7 +130,7 @@ def groove(path_tracer):
 
 
 def deviation(images, truth, scene, model, depth):
-    """Mean of simulated over predicted per square and its standard error, and block scores."""
+    """Return mean and standard error of simulated over predicted per square, and block scores."""
     point, sides = whole_pixels(truth, scene.T_world_cam, scene.rig.camera)
     ratios, scores = [], []
     for side, mask in enumerate(sides):
@@ -154,7 +154,7 @@ def test_two_walls_light_each_other_as_radiosity_predicts(groove, depth):
     assert np.abs(score).max() < 5
 
 
-def test_the_radiosity_solution_is_converged_and_direct_light_alone_is_not_it(groove):
+def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groove):
     scene, fine, images = groove
     coarse = Groove(10, fine.lens_m)
     point = np.stack([np.linspace(0.02, 0.28, 9), np.linspace(-0.2, 0.2, 9), np.zeros(9)], axis=1)
@@ -165,8 +165,8 @@ def test_the_radiosity_solution_is_converged_and_direct_light_alone_is_not_it(gr
 
 
 @pytest.mark.parametrize("shape", ["sphere", "groove"])
-def test_a_white_thing_in_white_light_cannot_be_seen(path_tracer, shape):
-    """White furnace: albedo 1 under constant radiance 1 is 1 at every pixel."""
+def test_a_white_object_in_white_light_is_invisible(path_tracer, shape):
+    """White furnace: with albedo 1 and a constant radiance of 1, every pixel is 1."""
     if shape == "groove":
         scene = groove_scene(lambert(1.0), WHITE)
     else:

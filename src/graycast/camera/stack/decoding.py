@@ -40,18 +40,18 @@ from .rig_fit import better_reading, doubts
 from .stack_figures import StackFigures, figures_of
 from .stack_pictures import StackPictures, read_color, read_pictures
 
-MISPLACED_PX = 3.0  # With a greater median epipolar residual, the rig is not the stack's.
-OUT_OF_RANGE = 0.3  # The rig is doubtful if more than this share of what decodes is out of range.
-DECODED_AT_LEAST = 0.01  # A stack is refused if no more than this share of its lit pixels decodes.
+MISPLACED_PX = 3.0  # A larger median epipolar residual means that the rig is not that of the stack.
+OUT_OF_RANGE = 0.3  # The rig is doubtful if a larger share of the decoded pixels is out of range.
+DECODED_AT_LEAST = 0.01  # A stack is refused unless a larger share of its lit pixels is decoded.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
-    """Points in the camera frame [m], with the colours that the camera stored, 8 bits each.
+    """Points in the camera frame [m], with 8-bit colours from the camera's pictures.
 
-    `sure_pixels`, of an averaged cloud: how many camera pixels a point is the mean of; 0 where all
-    were in doubt about the finest bit. `sigma_m`, of any other: standard deviation of z [m].
+    An averaged cloud has `sure_pixels`, the number of camera pixels that were averaged (0 if the
+    finest bit of all was uncertain). Any other has `sigma_m`, the standard deviation of z [m].
     """
 
     point_m: Float[np.ndarray, "n 3"]
@@ -68,9 +68,9 @@ class Cloud:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackResult:
-    """The result of a stack. Without a rig there is no depth and no cloud.
+    """The result of decoding a stack. Without a rig there is no depth and no cloud.
 
-    `light` is direct and global light [DN above offset], where the code tells them apart.
+    `light` is direct and global light [DN above offset], or None if the code cannot separate them.
     """
 
     code: Code
@@ -79,7 +79,7 @@ class StackResult:
     levels: MeasuredLevels
     figures: StackFigures
     warnings: tuple[str, ...]
-    notes: tuple[str, ...]  # what the stack cannot tell
+    notes: tuple[str, ...]  # Facts that the stack does not determine, and settings without effect
     seconds: dict[str, float]
     depth: DepthMap | None = None
     cloud: Cloud | None = None
@@ -95,14 +95,14 @@ def decode_stack(
 ) -> StackResult:
     """Decode the stack that a YAML file describes.
 
-    With a rig, each camera pixel's ray meets the plane of its column (or row, by the baseline); the
-    other axis checks it. `average` joins the camera pixels of each projector pixel into one point
-    of the cloud; the depth map stays. `filters` change the depth, and no averaged cloud.
+    With a rig, depth is computed from the coded axis along the baseline, and the other axis serves
+    as a check. `average` joins the camera pixels of each projector pixel to one point of the
+    cloud, and leaves the depth map unchanged. `filters` apply to depth, but not to averaged clouds.
 
     Raises:
-        ConfigError: the file says something that cannot be used.
-        DecodeError: pictures are missing, damaged or unlike; frames do not make a code; nothing is
-            lit; the rig is another camera's; averaging, or depth, lacks an axis.
+        ConfigError: the stack file has a wrong value.
+        DecodeError: pictures are missing, damaged or of different sizes; the frames are no code;
+            nothing is lit; the rig has another camera; an axis that is needed is not coded.
     """
     path = Path(path)
     clock, description = _Clock(), read_description(path)
@@ -146,7 +146,7 @@ def decode_stack(
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     notes += idle_settings(spec, stated_px, code, rig)
-    if depth is not None:  # Only now it is known what is out of range or an outlier.
+    if depth is not None:  # Only depth shows which pixels are outliers or out of range.
         figures = replace(figures, reasons=reason_shares(depth.reason))
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
@@ -166,7 +166,7 @@ def decode_stack(
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):
-    """Direct and global light; None where the code does not tell them apart."""
+    """Return direct and global light, or None if the code cannot separate them."""
     with suppress(DecodeError):
         return separate(pictures.frames, code, levels)
     return None
@@ -174,7 +174,7 @@ def _light(pictures: StackPictures, code: Code, levels: Levels):
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Name the stack's file in what is wrong with its frames."""
+    """Add the path of the stack file to errors about its frames."""
     try:
         yield
     except DecodeError as error:
@@ -184,11 +184,11 @@ def _naming(path: Path) -> Iterator[None]:
 def _by_noise(
     pictures: StackPictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
 ) -> CodeMap:
-    """The codes with the uncertainty that noise causes.
+    """Return the codes with only the uncertainty from noise, which averaging uses.
 
-    Of the pixels of a cell those are sure whose bits noise does not turn over: all over the cell,
-    where a bound on the finest bit's signal would leave out those next to its edge and so move the
-    cell's mean by a fifth of a column.
+    With it, certain pixels are spread over the whole cell. With other errors of fine bits, pixels
+    next to an edge of the finest bit would be uncertain and left out, which would move the mean of
+    the cell by a fifth of a column.
     """
     if code.subpixel:
         return codes
@@ -207,7 +207,7 @@ class _Clock:
 
 
 def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
-    """Check the frames against the options before pictures are read."""
+    """Check that the coded axes suffice for the options, before pictures are read."""
     if average and rig is None:
         raise DecodeError(f"{path}: averaging computes 3D points, which need a rig: give --rig")
     if average and len(code.axes) < 2:
@@ -223,13 +223,13 @@ def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
 
 
 def _check_camera(pictures: StackPictures, rig: Rig | None, path: Path) -> None:
-    """Refuse pictures of another camera's size, which no turn by 90 degrees explains."""
+    """Refuse pictures that do not have the camera's size, even after a turn by 90 degrees."""
     if rig is not None and sorted(pictures.frames.shape[1:]) != sorted(_camera_shape(rig)):
         raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
 
 
 def _refuse_turned(codes: CodeMap, rig: Rig, path: Path) -> None:
-    """Refuse pictures that lie on their side, and name the turn that sets them up."""
+    """Refuse pictures that are turned by 90 degrees, and name the turn that corrects them."""
     if codes.column.shape == _camera_shape(rig):
         return
     turn = better_reading(codes, rig)
@@ -279,12 +279,12 @@ _REMEDY = {
 
 
 def _picture(pictures: StackPictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
-    """The scene by the projector's light: white, or else the brighter of each pixel's frames."""
+    """Return the scene in the projector's light: the white frame, or else the brightest values."""
     white = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
     if not pictures.converted:
         grey = pictures.frames[white[0]] if white else pictures.frames.max(axis=0)
         return np.repeat(_eight_bits(grey, pictures.frames)[..., None], 3, axis=-1)
-    # A coarse bit and its inverse, or both ends of a phase, light all that is lit.
+    # A coarse bit and its inverse, or two opposite phase steps, together light the whole scene.
     lit = white[:1] or list(range(len(code.frames)))[:2]
     color = np.maximum.reduce([read_color(pictures.files[k]) for k in lit])
     return _eight_bits(color, pictures.frames)

@@ -68,7 +68,7 @@ class FrameSection(Settings):
         return self
 
     def frame(self) -> Frame:
-        """The frame, without its file."""
+        """Return the frame, without its file."""
         return Frame(
             kind=self.kind,
             axis=self.axis,
@@ -86,21 +86,21 @@ def _whole(number: float) -> int | float:
 
 
 class ProjectorSection(Settings):
-    """The projector's picture."""
+    """Size of the projector's picture."""
 
     width_px: int = Field(ge=2, le=65535, description="The width in pixels.")
     height_px: int = Field(ge=2, le=65535, description="The height in pixels.")
 
 
 class OffsetSection(Settings):
-    """Where code 0 lies on the projector."""
+    """Position of code 0 on the projector."""
 
     column: float = Field(default=0.0, description="The projector column of code 0, in pixels.")
     row: float = Field(default=0.0, description="The projector row of code 0, in pixels.")
 
 
 class StrideSection(Settings):
-    """Projector pixels per code."""
+    """Projector pixels per coded value."""
 
     column: Positive | None = Field(
         default=None,
@@ -115,7 +115,7 @@ class StrideSection(Settings):
 
 
 class LevelsSection(Settings):
-    """Known properties of the camera (EMVA 1288); others are measured in the stack."""
+    """Known properties of the camera (EMVA 1288); the others are measured in the stack."""
 
     offset_dn: float | None = Field(
         default=None, ge=0, description="The stored value without light."
@@ -152,7 +152,7 @@ DecodeSection = section_of(
 
 
 class StackDescription(Settings):
-    """A stack: the frame that each picture shows."""
+    """The description of a stack, with the frame that each picture shows."""
 
     projector: ProjectorSection
     frames: tuple[FrameSection, ...] = Field(min_length=1, description="The pictures in order.")
@@ -165,7 +165,7 @@ class StackDescription(Settings):
     )
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:
-        """What a pixel must show, and its farthest from the epipolar line where that is stated."""
+        """Return the conditions of decoding, and the stated limit of epipolar distance or None."""
         settings = self.decode.model_dump()
         limit_px = settings.pop("max_epipolar_px")
         return DecodeSpec(**settings), limit_px
@@ -188,32 +188,32 @@ class StackDescription(Settings):
 
 
 def stack_schema() -> dict[str, Any]:
-    """JSON Schema of a stack file, from which editors complete."""
+    """Return the JSON Schema of a stack file, which editors use for completion."""
     return StackDescription.model_json_schema()
 
 
 def read_description(path: Path) -> StackDescription:
-    """Read and check a stack file; the pictures are not looked at.
+    """Read and check a stack file, but not its pictures.
 
     Raises:
-        ConfigError: the text names the file, the key and the remedy.
+        ConfigError: a value is wrong; the message names the file, the key and the remedy.
     """
     return read_settings(path, StackDescription)
 
 
 def describe_code(code: Code, files: Sequence[str]) -> str:
-    """The stack file of a code whose pictures have these names, one per frame in order."""
+    """Return the text of a stack file for a code and the names of its pictures, in order."""
     return _as_yaml(_code_section(code, files))
 
 
 def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
-    """The stack file of a scanner's own pictures, by which they are read as it reads them.
+    """Return the text of a stack file with which pictures are decoded as the scanner decodes them.
 
-    Sensor and thresholds are stated, so nothing is measured in the pictures.
+    It states sensor levels and thresholds, so that nothing is measured in the pictures.
 
     Args:
         files: one name per frame of the scanner's code, in order.
-        rig: name of its rig file, which has the filters; beside the stack file.
+        rig: name of the rig file in the same folder, which has the filters.
     """
     levels, decode = levels_of(scanner.sensor), scanner.decode
     content = _code_section(scanner.light_code(), files) | {
@@ -238,7 +238,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
 
 
 def describe_frames(code: Code, files: Sequence[str]) -> list[dict[str, Any]]:
-    """What each picture shows, in a stack file's words."""
+    """Return the entries of a stack file that describe the pictures."""
     frames = []
     for frame, file in zip(code.frames, files, strict=True):
         entry: dict[str, Any] = {"file": file, "kind": frame.kind}
@@ -269,10 +269,10 @@ def _as_yaml(content: dict[str, Any]) -> str:
 
 
 def code_of(description: StackDescription, path: Path) -> Code:
-    """The code that the frames make.
+    """Return the code of the described frames.
 
     Raises:
-        ConfigError: they make none.
+        ConfigError: the frames do not make a code.
     """
     try:
         return Code(
@@ -287,7 +287,7 @@ def code_of(description: StackDescription, path: Path) -> Code:
 
 
 def _stride_px(description: StackDescription, axis: Axis) -> float:
-    """As stated; else the period, where a complementary bit says that Gray bits count periods."""
+    """Return the stated stride; else the period if Gray bits count periods, and 1 otherwise."""
     stated = (description.stride_px.column, description.stride_px.row)[AXES.index(axis)]
     if stated is not None:
         return stated

@@ -1,4 +1,4 @@
-"""Symptoms of wrong stacks that can still be read, each with its measure."""
+"""Detection of faults in stacks that can be decoded all the same, with a measure for each fault."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -22,28 +22,28 @@ from .stack_pictures import StackPictures
 from .step_order import step_exchanges
 from .white_sums import white_sums
 
-CLEAR = 0.75  # A value this far from the middle, in halves of the contrast, is not blurred.
-ALIKE = 0.25  # This share of well lit pixels may be clearly bright, or dark, in both of a pair.
-DRIFT = 0.15  # The brightness may change by this much between frames.
-OUTSIDE = 0.05  # This share may be beyond white, black or the projector's picture.
-CONFLICT = 0.2  # This share of the well lit pixels may have frames that contradict.
-CLEAR_OF_NOISE = 20.0  # Below this contrast over noise, noise alone can make frames contradict.
+CLEAR = 0.75  # A value this far from the middle, in units of half the contrast, is not blurred.
+ALIKE = 0.25  # At most this share of well lit pixels may be equally bright in both of a pair.
+DRIFT = 0.15  # The relative brightness may change by this much between frames.
+OUTSIDE = 0.05  # At most this share may be beyond white, black or the projector's picture.
+CONFLICT = 0.2  # At most this share of the well lit pixels may have contradictory frames.
+CLEAR_OF_NOISE = 20.0  # Below this ratio of contrast to noise, noise can cause contradictions.
 SATURATED = 0.2
 UNLIT = 0.01
 MIRRORED = 0.7
-ROUGH = 0.15  # This share of neighbours may be more than FAR_PX apart.
-TRIED_PX = 800  # Pictures in the opposite order are tried in a window of this width and height.
-SOUND = 0.5  # In the right order more than this share of the well lit pixels decodes.
+ROUGH = 0.15  # At most this share of neighbours may be more than FAR_PX apart.
+TRIED_PX = 800  # Other orders of the pictures are tried in a window of this width and height.
+SOUND = 0.5  # In the right order, more than this share of the well lit pixels is decoded.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """Warnings of a stack, and whether they name a cause from which all else that looks wrong
-    follows, in the stack and in how the rig fits it."""
+    """Warnings about a stack, and whether they name a cause that explains all other symptoms,
+    including those of a wrong rig."""
 
     warnings: tuple[str, ...]
     explained: bool
-    exchanged: frozenset[int] = frozenset()  # frames of periods with two exchanged pictures
+    exchanged: frozenset[int] = frozenset()  # Frames of periods with two exchanged pictures
 
 
 def diagnose(
@@ -55,13 +55,13 @@ def diagnose(
     *,
     known: LevelsSection,
 ) -> Diagnosis:
-    """Return the warnings of a stack. If the cause is known, what follows from it is left out.
+    """Return the warnings about a stack; symptoms of a known cause are left out.
 
-    Only the well lit pixels are asked whether frames, order and sizes are right: dark and shaded
-    ones contradict themselves in healthy stacks too.
+    Only well lit pixels are used to check frames, order and sizes, because dark and shaded pixels
+    have contradictions in healthy stacks, too.
 
     Args:
-        levels: as `codes` were decoded with; measured, except for what is `known`.
+        levels: levels with which `codes` were decoded; `known` has those that the file states.
     """
     names = [file.name for file in pictures.files]
     facts = [*_twins(pictures), *_exposure(codes)]
@@ -73,7 +73,7 @@ def diagnose(
     moved = describe_motion(motion, names)
     computed = [*_computed(pictures.frames, code)]
     faults = _faults(pictures, code, codes, spec, levels)
-    if faults.warnings:  # Sums of the wrong frames have stripes, which seem to move.
+    if faults.warnings:  # Sums of wrong frames have stripes, which can look like motion.
         explained = faults.explained or motion.explains
         reading = _better_reading(pictures, code, codes, spec, known, explained)
         if reading is not None:
@@ -82,7 +82,7 @@ def diagnose(
         return Diagnosis(warnings=(*moved, *facts), explained=True)
     unequal = _brightness(pictures, code, well_lit(codes), levels, faults.exchanged)
     facts = [*unequal, *moved, *facts]
-    if computed and not faults.explained:  # Levels that are not the camera's look wrong, too.
+    if computed and not faults.explained:  # Levels of computed frames cause wrong symptoms.
         return Diagnosis(warnings=(*computed, *facts), explained=False)
     return Diagnosis(warnings=(*computed, *faults.warnings, *facts), explained=faults.explained)
 
@@ -90,7 +90,7 @@ def diagnose(
 def _faults(
     pictures: StackPictures, code: Code, codes: CodeMap, spec: DecodeSpec, levels: Levels
 ) -> Diagnosis:
-    """Return the faults of the frames and their order, the cause before the effect."""
+    """Return the faults of the frames and their order, with causes before effects."""
     well, frames = well_lit(codes), pictures.frames
     plans = plan_axes(code, spec.fine_bits)
     exchanges = step_exchanges(pictures, code, plans, spec, levels)
@@ -129,9 +129,9 @@ def _better_reading(
     known: LevelsSection,
     explained: bool,
 ) -> str | None:
-    """A warning if nothing is wrong any more where the stack is read in another order.
+    """Return a warning if another order of frames removes all faults, or None.
 
-    Only the order of all pictures is tried where something else explains the faults, too.
+    If another cause explains the faults, only the opposite order of all pictures is tried.
     """
     window = (slice(None), *_window(codes.reason != Reason.SHADOW))
     stack = np.ascontiguousarray(pictures.frames[window])
@@ -155,7 +155,7 @@ _OPPOSITE = (
 
 
 def _other_codes(code: Code) -> Iterator[tuple[str, Code]]:
-    """The code with its bits, or its steps, in the opposite order, in all axes and in each."""
+    """Yield codes with the order of bits or of steps reversed, for all axes and for each axis."""
     choices = [code.axes, *((axis,) for axis in code.axes if len(code.axes) > 1)]
     for axes in choices:
         whose = " and ".join(f"{axis}s" for axis in axes)
@@ -184,7 +184,7 @@ def _turned_step(frame: Frame) -> Frame:
 
 
 def _window(lit: Bool[np.ndarray, "h w"]) -> tuple[slice, slice]:
-    """A window about the middle of the lit pixels."""
+    """Return a window about the median position of the lit pixels."""
     y, x = np.nonzero(lit)
     middle = [float(np.median(place)) if len(place) else 0.0 for place in (y, x)]
     starts = [
@@ -212,7 +212,7 @@ def _twins(pictures: StackPictures) -> Iterator[str]:
 
 
 def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """White must be brightest and black darkest."""
+    """Yield a warning if white is not the brightest frame, or black not the darkest."""
     kinds = [frame.kind for frame in code.frames]
     taken = samples(well)
     if not len(taken):
@@ -239,10 +239,10 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
 
 
 def _alike(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """A pattern and its inverse are opposite."""
+    """Yield a warning for each pattern that is not the opposite of its inverse."""
     for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
         first, second = ((flat[i].astype(np.float32) - middle) / half for i in (k, other))
-        clear = (np.abs(first) > CLEAR) & (np.abs(second) > CLEAR)  # well inside a stripe
+        clear = (np.abs(first) > CLEAR) & (np.abs(second) > CLEAR)  # Far from edges of stripes
         alike = clear & (first * second > 0)
         if alike.mean() > ALIKE:
             both = np.corrcoef(first[clear], second[clear])[0, 1] if first[clear].std() else 0.0
@@ -260,11 +260,11 @@ def _brightness(
     levels: Levels,
     exchanged: frozenset[int],
 ) -> Iterator[str]:
-    """Yield a warning for each pair, and each step, that is not as bright as the others."""
+    """Yield a warning for each pair, and each step, with another brightness than the others."""
     sums = {}
     for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
         first, second = (flat[i].astype(np.float32) for i in (k, other))
-        striped = np.abs(first - second) > half  # half of the contrast: not blurred to grey
+        striped = np.abs(first - second) > half  # Stripes that are not blurred to grey
         if striped.mean() > 0.3:
             sums[k] = float(np.median((first + second)[striped] / (2 * middle)[striped]))
     usual = float(np.median([*sums.values()])) if sums else 1.0
@@ -281,7 +281,7 @@ def _brightness(
 
 
 def _well_lit_pairs(pictures: StackPictures, code: Code, well: Bool[np.ndarray, "h w"]):
-    """Each pair with samples of all frames, and the middle and half of their range."""
+    """Yield each pair with samples of all frames, and the middle and half width of their range."""
     pairs = inverse_pairs(code)
     if not pairs or not well.any():
         return
@@ -319,7 +319,7 @@ def _outside(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Itera
 def _contradictions(
     code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"], levels: Levels
 ) -> Iterator[str]:
-    """Frames that do not belong together contradict where they are best seen."""
+    """Yield a warning if frames contradict each other in many well lit pixels."""
     conflict = np.isin(codes.reason[well], (Reason.CONTRADICTORY, Reason.INTERREFLECTION))
     if not conflict.any() or conflict.mean() <= CONFLICT:
         return
@@ -338,7 +338,7 @@ def _contradictions(
 
 
 def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """Neighbouring pixels should have neighbouring codes."""
+    """Yield warnings if neighbouring pixels do not have similar codes, or the code is mirrored."""
     for axis in code.axes:
         place_px = np.where(well, codes.column if axis == "column" else codes.row, np.nan)
         pairs_px = _neighbours(place_px)
@@ -361,13 +361,13 @@ def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
 def mirror_symptom(
     column: Float[np.ndarray, "h w"], row: Float[np.ndarray, "h w"], *, step: int = 8
 ) -> str | None:
-    """A sentence if columns and rows turn the other way round than the picture's x and y.
+    """Return a warning if the code is a mirror image in the camera's picture, or None.
 
-    No camera sees that, since it looks at the side of a surface that the projector lights.
+    A camera cannot see a mirrored code, because it sees the side of a surface that is lit.
 
     Args:
-        step: camera pixels between the places that are compared: over single ones the whole columns
-            and rows of a Gray code seldom change.
+        step: distance of compared pixels. Between adjacent pixels, the whole columns and rows of a
+            Gray code seldom change.
     """
     column, row = column[::step, ::step], row[::step, ::step]
     cx, cy = np.diff(column, axis=1)[:-1], np.diff(column, axis=0)[:, :-1]
@@ -385,7 +385,7 @@ def mirror_symptom(
 
 
 def _neighbours(position: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:
-    """Positions of neighbouring decoded pixels, an even choice along x and along y."""
+    """Return positions of pairs of neighbouring decoded pixels, sampled evenly along x and y."""
     step = max(1, round(np.sqrt(position.size / MAX_SAMPLES)))
     rows, columns = position[::step], position[:, ::step]
     first = np.concatenate([rows[:, :-1].ravel(), columns[:-1].ravel()])

@@ -1,10 +1,10 @@
-"""Frames of a code that belong together: a pattern with its inverse, and the steps of a period."""
+"""Groups of frames in a code: a pattern with its inverse, and the steps of a period."""
 
 from ...rig.pattern import Code
 
 
 def inverse_pairs(code: Code) -> list[tuple[int, int]]:
-    """Return frames and their inverses, by index, coarse bits first as the code shows them."""
+    """Return the indices of frames and their inverses, in the order of the code."""
     index = {
         (f.kind, f.axis, f.bit, f.period_px): k for k, f in enumerate(code.frames) if f.inverse
     }
@@ -16,11 +16,11 @@ def inverse_pairs(code: Code) -> list[tuple[int, int]]:
 
 
 def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> list[list[int]]:
-    """Return the frames of each period that has all its steps, in their order."""
+    """Return the frames of each period that has all its steps, in the order of the steps."""
     groups: dict[tuple, dict[int, int]] = {}
     for k, frame in enumerate(code.frames):
         if frame.kind in kinds:
-            whole, start = int(frame.step), frame.step % 1  # a cosine may begin between steps
+            whole, start = int(frame.step), frame.step % 1  # A cosine may begin between steps.
             key = frame.axis, frame.kind, frame.period_px, frame.steps, start
             groups.setdefault(key, {})[whole] = k
     return [
@@ -29,7 +29,7 @@ def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> l
 
 
 def opposite_steps(code: Code) -> list[tuple[int, int]]:
-    """Return the steps of cosines that are half a period apart, as pattern and inverse are."""
+    """Return the pairs of cosine steps half a period apart, which are like pattern and inverse."""
     return [
         (steps[k], steps[k + len(steps) // 2])
         for steps in full_periods(code, kinds=("phase",))
@@ -39,9 +39,9 @@ def opposite_steps(code: Code) -> list[tuple[int, int]]:
 
 
 def white_groups(code: Code) -> list[tuple[int, ...]]:
-    """Return the frames that add up to the same white picture, in the order of the code.
+    """Return the groups of frames that add up to a white picture, in the order of the code.
 
-    These are pairs of a pattern and its inverse, all steps of a period, and a white frame.
+    A group is a pattern with its inverse, all steps of a period, or a white frame.
     """
     white = [(k,) for k, frame in enumerate(code.frames) if frame.kind == "white"]
     groups = [*map(tuple, inverse_pairs(code)), *map(tuple, full_periods(code)), *white]

@@ -1,4 +1,4 @@
-"""Settings of a stack file that change nothing for the stack at hand."""
+"""Detection of settings that have no effect on a stack."""
 
 from dataclasses import fields
 
@@ -21,12 +21,12 @@ _NEEDS = {
 def idle_settings(
     spec: DecodeSpec, max_epipolar_px: float | None, code: Code, rig: Rig | None
 ) -> list[str]:
-    """Return a note that names the stated settings without effect; nothing if all have one.
+    """Return a note that names the stated settings without effect; empty if all have an effect.
 
-    A setting counts as stated if it differs from the usual one, and a guard if it is switched on.
+    A setting counts as stated if it differs from its default, or if it switches a check on.
 
     Args:
-        max_epipolar_px: as the stack file states it; None if it does not.
+        max_epipolar_px: the value in the stack file; None if it states none.
     """
     plans = plan_axes(code, spec.fine_bits).values()
     phases = any(plan.periods for plan in plans)
@@ -53,9 +53,9 @@ def idle_settings(
 
 
 def unread_settings(description: StackDescription, rig_file: DecodeSpec) -> list[str]:
-    """Return a note that names settings of a rig's own section `decode`, which no stack is read by.
+    """Return a note that names settings in the section `decode` of a rig file, which are not used.
 
-    Those count that differ from the usual ones and that the stack file does not state itself.
+    Only settings count that differ from the default and that the stack file does not state.
     """
     stated = description.decode.model_fields_set
     unread = [

@@ -1,6 +1,6 @@
-"""Offset, saturation and noise of an unknown camera, measured in the stack itself.
+"""Measurement of offset, saturation and noise of an unknown camera in the stack itself.
 
-Noise is what light does not explain: in sums of pairs, in steps of a period, in one picture.
+Noise is what light cannot explain: in sums of pairs, in steps of a period, or in one picture.
 """
 
 from collections.abc import Iterator
@@ -21,20 +21,20 @@ from .frame_groups import full_periods, inverse_pairs, opposite_steps
 
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
-FULL_SCALES = (1023, 4095, 16383, 65535)  # They are of 10 to 16 bits, stored in 16.
-PILE_SHARE = 1e-3  # The highest value is the top if more of the lit pixels share it than this.
-MAX_PAIRS = 8  # Only coarse pairs serve, because the finest have edges everywhere.
-FIRM = 0.8  # At a stripe's edge |pattern - inverse| is less, as a share of the contrast.
-# An unknown camera gets dark noise of 1/250 of the range and a full well of 10,000 e.
+FULL_SCALES = (1023, 4095, 16383, 65535)  # Largest values of 10 to 16 bits that are stored in 16.
+PILE_SHARE = 1e-3  # If more lit pixels than this share have the highest value, it is saturation.
+MAX_PAIRS = 8  # The number of coarse pairs that are used; the finest have edges everywhere.
+FIRM = 0.8  # Next to edges, |pattern - inverse| is below this share of the contrast.
+# Assumption for an unknown camera: dark noise of 1/250 of the range, and a full well of 10,000 e.
 DEFAULT_NOISE, DEFAULT_WELL_E = 1 / 250, 10_000.0
-MAX_PERIODS = 4  # More periods say the same.
-SURELY_HARMONIC = 3  # A response that is not linear puts its light into the harmonics up to here.
-BAND_PX, MAX_BANDS = 32, 12  # Bands of rows are enough to measure the noise.
-WINDOW_PX = 15  # Light is smooth over it; noise that a camera's own filters blurred is not.
-# Squares are averaged below their 90 % quantile, which outliers do not reach; for a normal law that
-# mean is this share of the variance. (Medians of whole numbers are coarse.)
+MAX_PERIODS = 4  # More periods do not improve the result.
+SURELY_HARMONIC = 3  # A non-linear response affects the harmonics up to this order.
+BAND_PX, MAX_BANDS = 32, 12  # A few bands of rows are enough to measure the noise.
+WINDOW_PX = 15  # Light is smooth over this window, but noise is not, even after a camera's filters.
+# The mean of squares below their 90 % quantile is robust against outliers, and this share of the
+# variance of a normal distribution. A median would be coarse, as the values are whole numbers.
 TRIM, TRIMMED_SHARE = 0.9, 0.6235
-BINS = 12  # The brightness is divided into so many bins.
+BINS = 12  # The number of bins of brightness.
 MIN_IN_BIN = 200
 QUANTISATION_DN2 = 1 / 12
 ONE_MEAN = "texture of a period's mean"
@@ -43,34 +43,34 @@ ONE_MEAN = "texture of a period's mean"
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredLevels:
-    """The levels taken, and in words where each comes from."""
+    """Measured levels, and a text with the source of each."""
 
     levels: Levels
     source: str
 
 
 def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredLevels:
-    """Offset, saturation and noise law of the camera that took a stack.
+    """Measure offset, saturation and noise law of the camera that took a stack.
 
-    - Saturation: the highest number of the depth (8 bits: 255; in 16 bits the least of 1023, 4095,
-      16383 and 65535 that holds all values), or the highest value met, where it is within a tenth
-      of that and many pixels share it.
-    - Offset: the darkest frame's first percentile.
+    - Saturation: the largest number of the bit depth (8 bits: 255; in 16 bits the smallest of 1023,
+      4095, 16383 and 65535 that is not exceeded), or the highest value in the stack if it is within
+      a tenth of that and many pixels have it.
+    - Offset: the first percentile of the darkest values.
     - Noise: pattern plus inverse is the same light for every bit, so two such sums differ by the
-      noise of four frames, less its mean over 15 x 15 pixels, which takes off drift and what a
-      camera's gamma makes of light from elsewhere. Only lit pixels well inside a stripe count.
-      Against brightness it gives floor and slope. Without inverses, of phases: what steps of one
-      period leave beside mean, cosine and low harmonics, if they are four or more; or by what the
-      means of two periods differ. Else what a 3 x 3 mask blind to planes finds in the white frame,
-      or in the mean of a period's steps (Immerkaer), in the smoother half of it; else a stated
-      default. docs/explanation/depth.md, "Real stacks".
+      noise of four frames. The mean over 15 x 15 pixels is subtracted, which removes drift and the
+      effect of gamma on indirect light. Only lit pixels well inside a stripe count. A fit against
+      brightness gives floor and slope. Without inverses, phases serve: the residuals of four or
+      more steps after mean, cosine and low harmonics, or else the differences between the means of
+      two periods. Otherwise a 3 x 3 mask that is blind to planes (Immerkaer) is applied to the
+      smoother half of the white frame, or of the mean of a period's steps. The last resort is a
+      default. See docs/explanation/depth.md, "Real stacks".
 
     Values in the stack file take precedence.
 
     Raises:
-        DecodeError: the offset that is stated lies above saturation.
+        DecodeError: the stated offset is above saturation.
 
-    Leaves out: a gamma, which makes noise fall with brightness where photons make it rise.
+    Leaves out: gamma, with which noise decreases with brightness and does not increase.
 
     Source: J. Immerkaer, "Fast Noise Variance Estimation", CVIU 64, 1996.
     """
@@ -120,9 +120,9 @@ def _saturation(high, low, dtype) -> tuple[float, str]:
 def _noise(
     frames: Stack, code: Code, high, low, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float, str]:
-    """Floor [DN^2], slope [DN], and how they were found."""
+    """Return floor [DN^2], slope [DN], and the method by which they were measured."""
     bounds = offset_dn, saturation_dn
-    computed = set(computed_pairs(frames, code))  # Their noise is that of one picture, or none.
+    computed = set(computed_pairs(frames, code))  # These lack the noise of a second picture.
     pairs = [pair for pair in inverse_pairs(code) if pair not in computed]
     measured_steps = computed.isdisjoint(opposite_steps(code))
     for measure, why in (
@@ -141,7 +141,7 @@ def _noise(
 
 
 def _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn):
-    """Sums of neighbouring pairs differ by the noise of four frames, once smooth light is off."""
+    """Measure noise in differences of the sums of adjacent pairs, minus smooth light."""
     if len(pairs) < 2:
         return None
     light, squares = [], []
@@ -170,7 +170,7 @@ def _from_white(frames, code: Code, offset_dn, saturation_dn):
 
 
 def _from_one_mean(frames, code: Code, offset_dn, saturation_dn):
-    """The mean of N steps shows no stripes, and an N-th of a frame's variance."""
+    """Measure noise in the mean of N steps, which has no stripes and 1/N of a frame's variance."""
     steps = full_periods(code)
     if not steps:
         return None
@@ -180,7 +180,7 @@ def _from_one_mean(frames, code: Code, offset_dn, saturation_dn):
 
 
 def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
-    """Noise of one picture; the smoother half of the pixels of each brightness speaks."""
+    """Measure noise in one picture, from the smoother half of its pixels."""
     value = white.astype(np.float32)
     square_dn2 = convolve(value, _MASK)[1:-1, 1:-1] ** 2 / 36
     mean = uniform_filter(value, 7)[1:-1, 1:-1]
@@ -195,11 +195,11 @@ def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
 def from_steps(
     frames: Num[np.ndarray, "n h w"], code: Code, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float] | None:
-    """Floor [DN^2] and slope [DN] from four or more steps of one cosine; None where there are none.
+    """Return floor [DN^2] and slope [DN] from four or more steps of a cosine, or None without them.
 
-    Of N steps, the N - 3 numbers beside mean, cosine and sine are noise, and the harmonics of what
-    is not linear: the highest frequencies over the steps are taken, of N > 7 those above the third,
-    and off them what follows the phase within a band of rows.
+    In N steps, the N - 3 components other than mean, cosine and sine are noise, and harmonics of a
+    non-linear response. The highest frequencies are used (for N > 7 those above the third), after
+    subtraction of the part that correlates with the phase within a band of rows.
     """
     light, squares = [], []
     for steps in [s for s in full_periods(code, kinds=("phase",)) if len(s) > 3][:MAX_PERIODS]:
@@ -210,7 +210,7 @@ def from_steps(
             valid = values.max(axis=0) < saturation_dn
             spectrum = np.fft.rfft(values, axis=0).astype(np.complex64)
             for k in range(first, count // 2 + 1):
-                alone = 2 * k == count  # the highest of an even number has no imaginary part
+                alone = 2 * k == count  # The highest frequency of an even number is real.
                 scale = np.sqrt((1 if alone else 2) / count).astype(np.float32)
                 for part in (spectrum[k].real, spectrum[k].imag)[: 1 if alone else 2]:
                     rest = _less_harmonics(
@@ -225,7 +225,7 @@ def from_steps(
 def from_means(
     frames: Num[np.ndarray, "n h w"], code: Code, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float] | None:
-    """Floor [DN^2] and slope [DN]: the means of two periods' steps are the same light."""
+    """Return floor [DN^2] and slope [DN] from two periods, whose mean light is the same."""
     periods = full_periods(code)
     light, squares = [], []
     for pair in islice(pairwise(periods), MAX_PERIODS):
@@ -244,9 +244,9 @@ def from_means(
 def _less_harmonics(
     value: Float[np.ndarray, "h w"], waves: list[tuple[np.ndarray, int]]
 ) -> Float[np.ndarray, "h w"]:
-    """Values less what is a wave's harmonic of some order, by least squares over all of them.
+    """Subtract the harmonics of waves from values, by least squares over all harmonics.
 
-    A harmonic's size follows the wave's own: as its first and second power, and its root.
+    The size of a harmonic may be proportional to the wave's size, its square or its root.
     """
     terms = []
     for wave, order in waves:
@@ -264,7 +264,7 @@ def _less_harmonics(
 
 
 def bands(height_px: int) -> Iterator[slice]:
-    """Rows spread over the picture."""
+    """Yield bands of rows that are spread over the picture."""
     count = max(1, min(MAX_BANDS, height_px // BAND_PX))
     for y in np.linspace(0, max(height_px - BAND_PX, 0), count).astype(int):
         yield slice(y, min(y + BAND_PX, height_px))
@@ -273,7 +273,7 @@ def bands(height_px: int) -> Iterator[slice]:
 def less_local_mean(
     value: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Values less the mean of the valid ones around; and where most around are valid."""
+    """Subtract the mean of valid pixels around, and return a mask where most of them are valid."""
     share = uniform_filter(valid.astype(np.float32), WINDOW_PX)
     mean = uniform_filter(np.where(valid, value, 0), WINDOW_PX) / np.maximum(share, 0.1)
     return value - mean, valid & (share > 0.9)
@@ -283,7 +283,7 @@ def line(
     light_dn: Float[np.ndarray, "*n"],
     square_dn2: Float[np.ndarray, "*n"],
 ) -> tuple[float, float] | None:
-    """Floor and slope of variance against light: a line through the mean of each brightness."""
+    """Return floor and slope of variance against light, by a line through the bins' means."""
     if len(light_dn) < MIN_IN_BIN:
         return None
     brightest = max(float(np.quantile(light_dn, 0.999)), 1.0)

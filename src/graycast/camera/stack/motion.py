@@ -1,4 +1,4 @@
-"""Stacks during which something moved: the camera, the projector, or the scene."""
+"""Detection of motion during a stack: of the camera, the projector, or the scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from jaxtyping import Float
 
 from .white_sums import Displacement, WhiteSum, displacements
 
-LEAST_PX = 0.08  # Of the compared pictures; healthy real stacks move by 0.025 at most.
-SURE_SIGMAS = 5.0  # A motion must be this many times its sigma.
-SPREAD = 6.0  # A jump must be this many times the median deviation of all motions.
-EXPLAINS_PX = 0.5  # A motion this large makes frames and rigs look wrong that are not.
+LEAST_PX = 0.08  # Smallest motion [px of the compared pictures]; healthy stacks have 0.025 at most.
+SURE_SIGMAS = 5.0  # A motion must be at least this many times its sigma.
+SPREAD = 6.0  # A jump must be at least this many times the median deviation of all motions.
+EXPLAINS_PX = 0.5  # A motion this large makes correct frames and rigs look wrong.
 MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A motion that happened after frame `before` and before frame `after`, steady motion off."""
+    """A sudden motion between the frames `before` and `after`, without steady motion."""
 
     before: int
     after: int
@@ -32,9 +32,9 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackMotion:
-    """The jumps of a stack, its steady motion in all [px], and the extent of an uneven motion [px].
+    """The motion in a stack: jumps, the length of steady motion, and the extent of uneven motion.
 
-    A length is 0 where there is no such motion.
+    A length is 0 if there is no such motion.
     """
 
     jumps: tuple[Jump, ...] = ()
@@ -43,19 +43,19 @@ class StackMotion:
 
     @property
     def explains(self) -> bool:
-        """Whether it is enough to make frames contradict, and a good rig misfit."""
+        """Whether the motion alone can make frames contradict, or make the right rig look wrong."""
         lengths_px = (self.steady_px, self.uneven_px, *(jump.length_px for jump in self.jumps))
         return max(lengths_px) >= EXPLAINS_PX
 
 
 def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
-    """Return what moved from one white sum of a stack to the next.
+    """Return the motion between the white sums of a stack.
 
-    The median motion is steady; a jump is what is far from it. A jump within a white sum moves the
-    sum by a part, and the next by the rest: two in a row along one way are one. Where half of the
-    motions or more are far from the median, as of a camera that shakes, or that creeps during half
-    of the stack, the median is no steady motion and nothing is far beyond the others: the motion is
-    uneven.
+    The median motion is steady; a motion far from it is a jump. A jump within a white sum moves
+    this sum by a part and the next one by the rest, so two jumps in a row in the same direction are
+    one. If half of the motions or more are far from the median, because the camera shakes or creeps
+    during half of the stack, then the median is no steady motion, and no motion is much larger than
+    the others: the motion is uneven.
     """
     steps = displacements(sums)
     if not steps:
@@ -92,13 +92,13 @@ def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
 
 
 def _extent_px(motion_px: Float[np.ndarray, "n 2"]) -> float:
-    """Return the diagonal of the box about all places of the picture."""
+    """Return the diagonal of the bounding box of all positions of the picture."""
     place_px = np.concatenate([np.zeros((1, 2)), np.cumsum(motion_px, axis=0)])
     return float(np.linalg.norm(np.ptp(place_px, axis=0)))
 
 
 def _between(step: Displacement) -> tuple[int, int]:
-    """The frames between which a motion happened; of groups that interlace, the outermost."""
+    """Return the frames between which a motion happened; the outermost of interlaced groups."""
     last, first = max(step.before), min(step.after)
     if last < first:
         return last, first
@@ -109,7 +109,7 @@ def _between(step: Displacement) -> tuple[int, int]:
 
 
 def describe_motion(motion: StackMotion, names: Sequence[str]) -> list[str]:
-    """Return a warning for each motion; `names` are those of the pictures."""
+    """Return a warning for each motion; `names` has the names of the pictures."""
     remedy = "fasten camera, projector and scene, and take the stack again"
     warnings = [
         f"the picture moved by {jump.length_px:.1f} px between pictures {jump.before + 1} and "

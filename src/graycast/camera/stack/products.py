@@ -17,16 +17,16 @@ FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW
 
 
 def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
-    """Write a result's files into a folder; each appears whole or not at all.
+    """Write the files of a result to a folder; each file is complete or does not appear.
 
-    They are made in a folder beside it first, then renamed one by one. Files of these names from
-    an earlier run that this one does not make (no rig, no depth) are removed.
+    They are first written to a temporary folder next to it and then renamed one by one. Files of an
+    earlier run that this run does not replace (such as depth, without a rig) are removed.
 
     Returns:
-        The files written.
+        The paths of the files.
 
     Raises:
-        GraycastError: the folder cannot be written, or holds something else.
+        GraycastError: the folder cannot be written, or has other content.
     """
     refuse_foreign(out, CODE)
     with whole_folder(out) as aside:
@@ -63,7 +63,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
     if result.cloud is not None:
         write_ply(result.cloud, folder / "cloud.ply")
         yield "cloud.ply"
-    # Matplotlib is loaded by those who draw, not by whoever reads a dataset.
+    # Import here, so that only programs that draw have to load Matplotlib.
     from .stack_sheet import draw_sheet
 
     draw_sheet(result, folder / PREVIEW)
@@ -71,7 +71,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
 
 
 def _save_npz(path: Path, **arrays: np.ndarray) -> None:
-    """An NPZ deflated at its fastest, where NumPy's own takes four times as long for a tenth."""
+    """Write an NPZ with the fastest compression; NumPy's takes 4 times as long to save a tenth."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -79,10 +79,10 @@ def _save_npz(path: Path, **arrays: np.ndarray) -> None:
 
 
 def write_ply(cloud: Cloud, path: Path) -> None:
-    """A binary PLY: x, y, z [m, camera frame], red, green, blue, and what is known of each point.
+    """Write a binary PLY with x, y, z [m, camera frame], red, green, blue, and one more property.
 
-    An averaged cloud has `pixels`, the camera pixels joined (0: all in doubt); any other `sigma`,
-    the standard deviation of z [m].
+    It is `pixels` for an averaged cloud, the number of averaged camera pixels (0: all uncertain),
+    and `sigma` for any other, the standard deviation of z [m].
     """
     more = {"pixels": cloud.sure_pixels, "sigma": cloud.sigma_m}
     known = {name: column for name, column in more.items() if column is not None}
@@ -90,7 +90,7 @@ def write_ply(cloud: Cloud, path: Path) -> None:
 
 
 def describe_result(result: StackResult) -> str:
-    """The figures, as lines of text; warnings last."""
+    """Return a summary of the result as lines of text, with warnings at the end."""
     figures = result.figures
     lines = [
         f"camera: {result.levels.source}",

@@ -1,4 +1,4 @@
-"""Motion of one picture of a scene against another, to a small part of a pixel."""
+"""Registration of two pictures of a scene: the motion between them, to a fraction of a pixel."""
 
 from dataclasses import dataclass
 
@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-COARSEST_PX = 40  # Each picture of the pyramid is half of the one before; none is smaller.
-AROUND_PX = 15  # Light is smooth over this length, so what differs by more of it is no motion.
-TILES = 8  # The picture has this many tiles across and down; how they differ gives sigma.
-ROUNDS = 6  # It converges in two or three, unless the motion is large.
+COARSEST_PX = 40  # Smallest side in the pyramid, in which each picture has half the size.
+AROUND_PX = 15  # The local mean over this window is subtracted, as changes of light are smooth.
+TILES = 8  # The number of tiles per row and per column; sigma follows from their scatter.
+ROUNDS = 6  # Two or three rounds are enough unless the motion is large.
 CONVERGED_PX = 0.01
-NEAR_PX = 0.5  # Optical flow is linear over this length even where the picture is sharp.
-FAR_SIGMAS = 3.0  # What differs by more has little weight: highlights, clipped light, passers-by.
-# The slopes that both pictures share must be this much stronger (in squares) than those that they
-# do not share: noise, and fringes that a camera which is not linear leaves in sums of patterns.
+NEAR_PX = 0.5  # Optical flow is linear over this distance even in a sharp picture.
+FAR_SIGMAS = 3.0  # Larger differences (highlights, clipped light, moving objects) get less weight.
+# The slopes that both pictures have in common must be this much stronger (in squares) than the
+# others, which are noise, and fringes that a non-linear camera leaves in sums of patterns.
 SHARED = 3.0
 
 
@@ -22,9 +22,9 @@ SHARED = 3.0
 class PictureMotion:
     """The motion from one picture to another [px], x right and y down.
 
-    `sigma_px` is that of the length. Of a direction in which the pictures have no structure (a
-    vertical edge is the same above and below) nothing is known, and the motion along it is 0;
-    `known` is false if that is so of both.
+    `sigma_px` is the standard deviation of the length. In a direction in which the pictures have
+    no structure (such as along an edge), the motion is unknown and set to 0; `known` is false if
+    both directions are unknown.
     """
 
     x_px: float
@@ -40,7 +40,7 @@ class PictureMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
-    """A picture that is ready for `register`."""
+    """A picture with its slopes, as `register` needs it."""
 
     picture: Float[np.ndarray, "h w"]
     valid: Bool[np.ndarray, "h w"]
@@ -49,7 +49,7 @@ class Prepared:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Level:
-    """A picture and its slopes, each less its mean around."""
+    """A picture and its slopes, each minus its local mean."""
 
     value: Float[np.ndarray, "h w"]
     x_slope: Float[np.ndarray, "h w"]
@@ -58,14 +58,14 @@ class _Level:
 
 
 def prepare(picture: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]) -> Prepared:
-    """Return a picture that is ready for `register`; pixels that are not valid take no part."""
+    """Prepare a picture for `register`, which ignores pixels that are not valid."""
     value = picture.astype(np.float32)
     finest = _level(value, valid.astype(np.float32))
     return Prepared(picture=value, valid=valid, finest=finest)
 
 
 def _pyramid(prepared: Prepared) -> list[_Level]:
-    """The picture and ever smaller ones, the smallest first."""
+    """Return the pyramid of a picture, the smallest level first."""
     value, mask = prepared.picture, prepared.valid.astype(np.float32)
     levels = [prepared.finest]
     while min(value.shape) >= 2 * COARSEST_PX:
@@ -79,7 +79,7 @@ def _pyramid(prepared: Prepared) -> list[_Level]:
 def _level(value: Float[np.ndarray, "h w"], mask: Float[np.ndarray, "h w"]) -> _Level:
     value = value * mask
     inner = cv2.erode(mask, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT)
-    rim = AROUND_PX // 2  # There the mean around is that of a part, which is no part of the motion.
+    rim = AROUND_PX // 2  # Near the border the local mean is not comparable between the pictures.
     for edge in (np.s_[:rim], np.s_[-rim:], np.s_[:, :rim], np.s_[:, -rim:]):
         inner[edge] = 0
     x_slope, y_slope = (
@@ -96,16 +96,16 @@ def _less_around(value: Float[np.ndarray, "h w"], mask: Float[np.ndarray, "h w"]
 
 
 def register(first: Prepared, second: Prepared) -> PictureMotion:
-    """Return the motion that carries the first picture onto the second, of the same size.
+    """Return the motion from the first picture to the second, which has the same size.
 
     Each step solves the linear equations of optical flow for one motion of the whole picture:
-    difference = slope . motion, with a brightness of its own for each picture. The products of
-    slopes are taken between both pictures, whose noise is not the same, so that noise is no
-    structure. Where the pictures do not fit at once, this is done from coarse to fine, and
-    from where the phases of their spectra correlate, and the best fit is taken. Sigma comes from
-    how the tiles of the picture disagree.
+    difference = slope . motion, with a separate brightness for each picture. Products of slopes are
+    taken between the two pictures, whose noise is independent, so that noise does not count as
+    structure. If this does not fit at once, it is repeated from coarse to fine, with and without a
+    start by phase correlation, and the best fit is used. Sigma follows from the scatter between
+    tiles of the picture.
 
-    Leaves out: a roll about the optical axis, whose motion is 0 in the mean; scenes of which a part
+    Leaves out: a roll about the optical axis, whose mean motion is 0; scenes of which only a part
     moved, where most of the structure decides; motions of over a tenth of the picture.
 
     Source: Lucas & Kanade, "An Iterative Image Registration Technique", IJCAI 1981 (optical flow);
@@ -132,7 +132,7 @@ def _by_phase(first: _Level, second: _Level) -> Float[np.ndarray, "2"]:
 
 
 def _converged(levels, motion):
-    """The motion after steps on each pair of levels, and the equations of the last step."""
+    """Return the motion after steps on each pair of levels, and the equations of the last step."""
     for number, (level, other) in enumerate(levels):
         motion = 2 * motion if number else motion
         for _ in range(ROUNDS):
@@ -146,9 +146,9 @@ def _converged(levels, motion):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Equations:
     step: Float[np.ndarray, "2"]
-    axes: Float[np.ndarray, "2 2"]  # directions, in columns
-    known: Bool[np.ndarray, "2"]  # whether there is structure along each
-    likeness: float  # the slopes that both pictures share, over those that they do not
+    axes: Float[np.ndarray, "2 2"]  # Directions, in columns
+    known: Bool[np.ndarray, "2"]  # Whether the pictures have structure along each direction
+    likeness: float  # Ratio of the slopes that both pictures have in common to the others
     sigma_px: float
 
     def known_part(self, motion: Float[np.ndarray, "2"]) -> tuple[float, float]:
@@ -157,7 +157,7 @@ class _Equations:
 
 
 def _equations(first: _Level, second: _Level, motion: Float[np.ndarray, "2"]) -> _Equations:
-    """The linear equations about a motion, and their solution where there is structure."""
+    """Linearise about a motion, and solve the equations along the directions with structure."""
     moved = _Level(
         value=_moved(second.value, motion),
         x_slope=_moved(second.x_slope, motion),
@@ -190,32 +190,32 @@ def _equations(first: _Level, second: _Level, motion: Float[np.ndarray, "2"]) ->
 
 
 def _moved(value: Float[np.ndarray, "h w"], motion: Float[np.ndarray, "2"]):
-    """The picture taken back by a motion; 0 where it ends."""
+    """Shift a picture back by a motion; pixels from outside the picture are 0."""
     place = np.array([[1, 0, motion[0]], [0, 1, motion[1]]], dtype=np.float64)
-    # OpenCV's cubic kernel moves fine structure by up to 0.04 px; the linear one only blurs it.
+    # OpenCV's cubic kernel shifts fine structure by up to 0.04 px; the linear one only blurs it.
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(value, place, value.shape[::-1], flags=flags)
 
 
 def _ratio(weight, value, other) -> float:
-    """Return the factor by which a picture is brighter than the other."""
+    """Return the factor by which the first picture is brighter than the other."""
     return float(np.vdot(weight * value, other) / max(float(np.vdot(weight * other, other)), 1e-9))
 
 
 def _spread(off, valid) -> float:
-    """Deviation of the differences, from the median of their sizes."""
+    """Return a robust standard deviation of the differences, from their median size."""
     sizes = np.abs(off[valid > 0][::7])
     return 1.4826 * float(np.median(sizes)) + 1e-6 if len(sizes) else 1.0
 
 
 def _tiled(value: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
-    """Sums over the tiles."""
+    """Return the sum over each tile."""
     y, x = ((np.arange(TILES) * size) // TILES for size in value.shape)
     return np.add.reduceat(np.add.reduceat(value, y, axis=0), x, axis=1).ravel().astype(float)
 
 
 def _tiled_products(weight, x1, y1, x2, y2) -> Float[np.ndarray, "n 2 2"]:
-    """Sums over the tiles of the products of two slopes, symmetric."""
+    """Return the sum over each tile of the products of two slopes, as symmetric matrices."""
     xx, yy = _tiled(weight * x1 * x2), _tiled(weight * y1 * y2)
     xy = _tiled(weight * (x1 * y2 + y1 * x2)) / 2
     return np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2)

@@ -1,13 +1,13 @@
-"""Whether a rig is that of a stack, and which turn of the pictures, or of R and T, would fit.
+"""Check of whether a rig fits a stack, or would fit if the pictures, or R and T, were turned.
 
-What depth does not use tells. With both axes coded that is the other coordinate of each pixel. With
-one axis it is the edge of the projector's picture across the stripes, where the camera sees it:
-the rig must put the last lit pixels on the projector's first and last row.
+The check uses data that depth does not use. If both axes are coded, this is the other coordinate of
+each pixel. With one axis, it is the edge of the projector's picture across the stripes, if the
+camera sees it: the rig must put the last lit pixels on the projector's first and last row.
 
-Where the camera sees no such edge, the points tell, if they lie out of the working range or beside
-the projector's picture with one reading and not with the other. If they do neither, one axis cannot
-tell, and `doubts` says so. The sides of shadows do not tell: inverting R and T exchanges near and
-far, and the side of the projector too, and each shadow lies where it should.
+If the camera sees no such edge, the check uses the share of points in the working range and in the
+projector's picture for each reading. If the shares do not differ, one axis does not determine the
+reading, and `doubts` yields a note. The sides of shadows do not help: inverting R and T exchanges
+near and far as well as the side of the projector, so shadows still are where they should be.
 """
 
 from collections.abc import Iterator
@@ -22,17 +22,17 @@ from ...rig.pair import Rig
 from ..decode import CodeMap, Reason, meet_planes, triangulation_axis
 
 SAMPLES = 4000
-LEAST = 30  # Fewer samples are too few to judge the rig.
-# A sample fits within NEAR_PX of its place, or within NEAR of the projector's size if that is more.
+LEAST = 30  # The fewest samples that suffice to check the rig.
+# A sample fits if its error is below NEAR_PX or below the share NEAR of the projector's size.
 NEAR_PX, NEAR = 3.0, 0.01
-FITS = 0.3  # The rig fits if this share of the samples lies where it puts them.
+FITS = 0.3  # The rig fits if this share of the samples fits.
 TIMES = 4.0  # Another reading must fit this many times better.
-# The other reading must put this share of the points into range and light, and the stated one less
-# than half of that; it is possible if it puts half of them there.
+# The other reading is certain if this share of its points is in range and lit, and the stated one
+# has less than half of that; it is possible with the second share.
 SURELY_LIT, POSSIBLE = 0.9, 0.5
-RIM_PX = 5  # The outermost decoded pixel may lie this far inside the outermost lit one.
+RIM_PX = 5  # The outermost decoded pixel may be this far inside the outermost lit one.
 
-# Each says what to do with the pictures, and where that moves a pixel (x, y) about their middle.
+# Each remedy for the pictures, and the matrix by which it moves a pixel (x, y) about their middle.
 _TURNS = {
     "turn the pictures by 180 degrees": ((-1, 0), (0, -1)),
     "mirror the pictures left to right": ((-1, 0), (0, 1)),
@@ -49,7 +49,7 @@ _AS_IT_IS = ((1, 0), (0, 1))
 
 
 def better_reading(codes: CodeMap, rig: Rig) -> str | None:
-    """The change with which the rig fits the stack, in words; None if none fits much better."""
+    """Return a text with the change that makes the rig fit the stack, or None without one."""
     both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
     y, x = _decoded(codes) if both else _edge(codes, triangulation_axis(rig) == "row")
     if len(y) < LEAST:
@@ -79,7 +79,7 @@ def better_reading(codes: CodeMap, rig: Rig) -> str | None:
 
 
 def doubts(codes: CodeMap, rig: Rig) -> Iterator[str]:
-    """Yield a note if a rig with R and T inverted would do as well, for all that the stack says."""
+    """Yield a note if the stack cannot exclude that R and T of the rig are inverted."""
     both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
     if both or len(_edge(codes, triangulation_axis(rig) == "row")[0]) >= LEAST:
         return
@@ -105,14 +105,14 @@ def _better_by_light(codes: CodeMap, rig: Rig) -> str | None:
 
 
 def _surely(stated: float, inverted: float) -> bool:
-    """Whether shares of `_lit_shares` say that the rig is inverted."""
+    """Return whether the shares of `_lit_shares` prove that R and T are inverted."""
     return inverted >= SURELY_LIT and stated <= 0.5 * inverted
 
 
 def _lit_shares(codes: CodeMap, rig: Rig) -> tuple[float, float]:
-    """Shares of points in range and in the projector's picture: of the rig, and R and T inverted.
+    """Return the share of points in range and lit, for the rig and with R and T inverted.
 
-    Where a pixel decodes there is light of the projector.
+    A decoded pixel must be lit, so its point must be in the projector's picture.
     """
     if codes.column.shape != (rig.camera.height_px, rig.camera.width_px):
         return 0.0, 0.0
@@ -133,7 +133,7 @@ def _lit_shares(codes: CodeMap, rig: Rig) -> tuple[float, float]:
 
 
 def _decoded(codes: CodeMap) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Row and column of an even choice of the decoded pixels."""
+    """Return row and column of evenly sampled decoded pixels."""
     index = np.flatnonzero(codes.reason == Reason.DECODED)
     index = index[:: max(1, len(index) // SAMPLES)]
     y, x = np.unravel_index(index, codes.reason.shape)
@@ -141,7 +141,7 @@ def _decoded(codes: CodeMap) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n
 
 
 def _edge(codes: CodeMap, by_rows: bool) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Row and column of the outermost lit pixels of each picture column, or of each row."""
+    """Return row and column of the outermost lit pixels in each picture column, or in each row."""
     lit, decoded = codes.reason != Reason.SHADOW, codes.reason == Reason.DECODED
     if by_rows:
         lit, decoded = lit.T, decoded.T
@@ -155,7 +155,7 @@ def _edge(codes: CodeMap, by_rows: bool) -> tuple[Int[np.ndarray, " n"], Int[np.
 def _first(
     lit: Bool[np.ndarray, "h w"], decoded: Bool[np.ndarray, "h w"]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Where each column's first decoded pixel is, if dark ones and a lit one lie before it."""
+    """Return row and column of each column's first decoded pixel, if dark pixels precede it."""
     dark, first = lit.argmax(axis=0), decoded.argmax(axis=0)
     good = decoded.any(axis=0) & (dark > RIM_PX) & (first - dark <= RIM_PX)
     return first[good], np.flatnonzero(good)
@@ -164,7 +164,7 @@ def _first(
 def _moved(
     pixel: Int[np.ndarray, "n 2"], turn, size_px: tuple[int, int], rig: Rig
 ) -> Float[np.ndarray, "n 2"] | None:
-    """Pixels of the turned picture; None where that is not of the camera's size."""
+    """Return the pixels in the turned picture, or None if it does not have the camera's size."""
     camera_px = (rig.camera.width_px, rig.camera.height_px)
     if (size_px if turn[0][0] else size_px[::-1]) != camera_px:
         return None
@@ -173,9 +173,9 @@ def _moved(
 
 
 def _fit(pixel, column, row, rig: Rig) -> float:
-    """Share of the pixels in the working range whose other coordinate is as the rig says.
+    """Return the share of pixels in the working range whose other coordinate fits the rig.
 
-    If that is not coded, it must be the projector's first or last.
+    If that axis is not coded, the coordinate must be the projector's first or last.
     """
     point = meet_planes(pixel, column, row, rig)
     place = project(rig.projector, transform_points(rig.T_proj_cam, point))

@@ -1,7 +1,7 @@
-"""Direction and origin of the phases of a stack, compared with its Gray code.
+"""Check of the direction and the origin of phases by the Gray code of the same stack.
 
-A phase whose steps are counted backwards, or from another origin, still lies in the right Gray cell
-by chance at most pixels, and decodes to a wrong place. The Gray code knows better.
+If steps are counted backwards, or from another origin, most phases are still in the right Gray cell
+by chance, and are decoded to a wrong position. The edges of the Gray code reveal this.
 """
 
 import math
@@ -17,33 +17,33 @@ from ..decode.plan import AxisPlan, Period, plan_axes
 from .levels import Stack
 from .stack_figures import MAX_SAMPLES
 
-BAND_PX = 8  # Rows are read together, so that neighbours are there in both directions.
-LEAST = 200  # Fewer edges of cells are too few to judge the phases.
-FAR_PERIODS = 0.25  # Neighbours whose cells are farther apart lie on different surfaces.
-SURE_SIGMAS = 5.0  # Neighbours must say by this much that the steps run backwards.
-UNRELATED = 0.5  # Below this resultant the phases at the edges are anywhere.
-ORIGIN_PERIODS = 0.04  # An origin this near is the stated one.
-USUAL_PERIODS = 0.02  # An origin this near to a whole step or a quarter of a period is that.
+BAND_PX = 8  # Height of a band of rows, in which pixels have neighbours in both directions.
+LEAST = 200  # The fewest edges of cells that suffice to check the phases.
+FAR_PERIODS = 0.25  # Neighbours whose cells are farther apart are on different surfaces.
+SURE_SIGMAS = 5.0  # The certainty that is required to report that steps run backwards.
+UNRELATED = 0.5  # Below this length of the mean vector, phases do not fit the edges at all.
+ORIGIN_PERIODS = 0.04  # An origin this near to the stated one counts as equal.
+USUAL_PERIODS = 0.02  # An origin is rounded to a step or a quarter of a period this near.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Edges:
-    """Where one neighbour sees one Gray cell and the other the next, which is between the two."""
+    """Edges between two neighbouring pixels that see two adjacent Gray cells."""
 
     place: Float[np.ndarray, " n"]  # [periods]
-    phase: Float[np.ndarray, " n"]  # It is the phase there [periods], as the stated steps make it.
-    forwards: float  # It is the mean of sin(change of phase) towards higher places.
-    # The deviation of this mean, from its scatter: a camera of small pixels sees small changes.
+    phase: Float[np.ndarray, " n"]  # The phase at the edge [periods], with the stated steps.
+    forwards: float  # Mean of sin(change of phase) in the direction of increasing position.
+    # Standard deviation of this mean, from its scatter; the changes are small if pixels are small.
     sigma: float
 
     @property
     def backwards(self) -> bool:
-        """Whether the phase surely falls where the place grows."""
+        """Whether the phase certainly decreases with increasing position."""
         return self.forwards < -SURE_SIGMAS * self.sigma
 
     @property
     def as_stated(self) -> bool:
-        """Whether sense and origin are the stated ones."""
+        """Whether direction and origin are as stated."""
         origin, strength = self.origin(1)
         return not self.backwards and strength >= UNRELATED and abs(origin) <= ORIGIN_PERIODS
 
@@ -53,21 +53,21 @@ class _Edges:
         return float(np.angle(mean) / (2 * np.pi)), float(abs(mean))
 
     def miss(self, sign: int, origin: float) -> float:
-        """Median distance of the phases' places from the edges [periods]."""
+        """Return the median distance between positions by phase and the edges [periods]."""
         apart = self.place - sign * self.phase - origin
         return float(np.median(np.abs(apart - np.rint(apart))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrayBands:
-    """Bands of rows of a stack, and the places that the Gray bits of one axis alone say there."""
+    """Bands of rows of a stack, and their positions by the Gray bits of one axis alone."""
 
     frames: Stack
-    rows: Int[np.ndarray, " h"]  # the numbers of the rows
-    place_px: Float[np.ndarray, "h w"]  # the middle of the Gray value; NaN where nothing is known
+    rows: Int[np.ndarray, " h"]  # Row numbers in the picture
+    place_px: Float[np.ndarray, "h w"]  # The middle of the Gray cell; NaN if unknown
 
     def neighbours(self, value: Num[np.ndarray, "h w"]) -> Num[np.ndarray, "n 2"]:
-        """Return values of pixels beside and below one another."""
+        """Return the values of pairs of horizontal and vertical neighbours."""
         below = np.diff(self.rows) == 1
         pairs = [
             (value[:, :-1].ravel(), value[:, 1:].ravel()),
@@ -76,7 +76,7 @@ class GrayBands:
         return np.stack([np.concatenate(ends) for ends in zip(*pairs, strict=True)], axis=-1)
 
     def neighbour_places_px(self) -> Float[np.ndarray, "n 2"]:
-        """Return places of neighbours that are both known."""
+        """Return the positions of neighbours if both are known."""
         pairs_px = self.neighbours(self.place_px)
         return pairs_px[np.isfinite(pairs_px).all(axis=-1)]
 
@@ -89,7 +89,7 @@ def gray_bands(
     levels: Levels,
     well_lit: Bool[np.ndarray, "h w"],
 ) -> GrayBands:
-    """Return what the Gray bits of an axis say, in bands of rows over the whole picture."""
+    """Decode the Gray bits of an axis in bands of rows that are spread over the picture."""
     rows = _rows(*well_lit.shape)
     stack = frames[:, rows]
     place_px = _gray_place_px(stack, code, axis, spec, levels)
@@ -99,22 +99,22 @@ def gray_bands(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseFault:
-    """A warning of a period, and whether it says which steps are right."""
+    """A warning about a period; `remedy` is true if it states the right steps."""
 
     text: str
     remedy: bool
 
 
 def phase_faults(bands: GrayBands, code: Code, axis: Axis, plan: AxisPlan) -> Iterator[PhaseFault]:
-    """Yield a warning for each period whose steps do not run as the Gray code of its axis says.
+    """Yield a warning for each period whose steps do not fit the Gray code of its axis.
 
-    Two neighbours in cells side by side see the edge between them, whose place is known, so the
-    mean direction of exp 2 pi i (place / period - phase) over many edges is the origin: all are
-    tried at once. From one neighbour to the other the phase grows where the place does; this tells
-    the sense, which cells of half a period cannot.
+    Between two neighbours in adjacent cells there is an edge with a known position, so the mean
+    direction of exp 2 pi i (place / period - phase) over many edges is the origin. From one
+    neighbour to the other, the phase must increase with the position, which determines the
+    direction of the steps.
 
-    Leaves out: codes whose periods count one another; without Gray bits a sense that is wrong
-    for all periods gives a mirror image, which only the other axis or a rig can tell.
+    Leaves out: codes without Gray bits. If all of their periods run backwards, the result is a
+    mirror image, which only the other axis or a rig can reveal.
     """
     for period in plan.periods:
         if period.full:
@@ -122,7 +122,7 @@ def phase_faults(bands: GrayBands, code: Code, axis: Axis, plan: AxisPlan) -> It
 
 
 def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
-    """Bands of rows, evenly over the picture."""
+    """Return the rows of bands that are spread evenly over the picture."""
     bands = max(1, MAX_SAMPLES // (BAND_PX * width))
     if bands * BAND_PX >= height:
         return np.arange(height)
@@ -133,14 +133,14 @@ def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
 def _gray_place_px(
     stack: Stack, code: Code, axis: Axis, spec: DecodeSpec, levels: Levels
 ) -> Float[np.ndarray, "h w"]:
-    """Middle of the cell that the bits of one axis alone say."""
+    """Return the middle of the cell to which the bits of one axis are decoded."""
     index = [
         k
         for k, f in enumerate(code.frames)
         if f.kind in ("white", "black") or (f.kind in ("gray", "complementary") and f.axis == axis)
     ]
     plan = plan_axes(code, spec.fine_bits)[axis]
-    # Bits in a wrong order say places beyond the projector, which are places, too.
+    # Bits in a wrong order lead to positions beyond the projector, which are valid here.
     reach_px = max(2, math.floor(plan.first_px + 0.5 + plan.cell_px * 2 ** len(plan.bits)))
     size_px = {"width_px" if axis == "column" else "height_px": reach_px}
     bits = replace(code, frames=tuple(code.frames[k] for k in index), **size_px)
@@ -175,7 +175,7 @@ def _judge(
     moved = (1 - sign) * usable_phase - origin
     wrong = [k for k, one, other in zip(period.frames, before, after, strict=True) if one != other]
     cause = "the steps run backwards" if sign < 0 else "the steps run from another origin"
-    if len(wrong) == 2 and sorted(before) == sorted(after):  # so two pictures in each other's place
+    if len(wrong) == 2 and sorted(before) == sorted(after):  # Two pictures may be exchanged.
         both = " and ".join(code.frames[k].name for k in wrong)
         cause = f"{both} may be exchanged, or {cause}"
     text = (
@@ -188,13 +188,13 @@ def _judge(
 
 
 def phases_agree(bands: GrayBands, plan: AxisPlan, period: Period) -> bool:
-    """Return whether enough edges of the Gray code are seen, and the phases run as these say."""
+    """Return whether the phases fit the edges of the Gray code, and these are enough."""
     edges = _edges(bands, _phase(bands, period), plan, period)
     return edges is not None and edges.as_stated
 
 
 def _phase(bands: GrayBands, period: Period) -> Float[np.ndarray, "h w"]:
-    """Return the phase of a period [periods], as the stated steps make it."""
+    """Return the phase of a period [periods], with the stated steps."""
     turns = np.tensordot(
         np.exp(1j * np.array(period.delta_rad)), bands.frames[list(period.frames)], axes=1
     )
@@ -204,9 +204,9 @@ def _phase(bands: GrayBands, period: Period) -> Float[np.ndarray, "h w"]:
 def _edges(
     bands: GrayBands, phase: Float[np.ndarray, "h w"], plan: AxisPlan, period: Period
 ) -> _Edges | None:
-    """Return all pairs of neighbours with an edge of the Gray cells between them.
+    """Return all pairs of neighbours with an edge of Gray cells between them.
 
-    None where they are too few.
+    The result is None if they are too few.
     """
     place, cell = bands.place_px / period.period_px, plan.cell_px / period.period_px
     first, second = bands.neighbours(place).T
@@ -228,7 +228,7 @@ def _edges(
 
 
 def _usual(origin: float, steps: int) -> float:
-    """A whole step or a quarter of a period, where one is near: that is what programs write."""
+    """Round an origin to a whole step or a quarter of a period, which are usual, if one is near."""
     likely = [round(origin * n) / n for n in (steps, 4)]
     nearest = min(likely, key=lambda value: abs(value - origin))
     return nearest if abs(nearest - origin) <= USUAL_PERIODS else origin

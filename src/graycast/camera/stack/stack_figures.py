@@ -10,23 +10,23 @@ from ...rig.pattern import Code
 from ..decode import CodeMap, Mark, Reason, reason_shares
 from .frame_groups import inverse_pairs
 
-WELL = 0.4  # Well lit is this share of the contrast that two of a hundred lit pixels exceed.
-MAX_SAMPLES = 150_000  # Medians are taken of at most so many pixels.
+WELL = 0.4  # A well lit pixel has this share of the contrast that 2 % of the lit pixels exceed.
+MAX_SAMPLES = 150_000  # Medians are taken over at most this many pixels.
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackFigures:
-    """Shares of pixels, and medians over the better lit half of the decoded ones.
+    """Shares of pixels, and medians over the better lit half of the decoded pixels.
 
-    `lit_share` is that of pixels whose frames differ by more than their noise; `decoded_share` is
-    of those. Of the pixels that decode, `clipped_share` have a frame at the top of the range, and
-    of `settled_share` the neighbours said which period they see. `modulation` is
-    |pattern - inverse| over white minus black, by frame name; without an inverse twice the distance
-    from the middle of white and black; without these two, of the pixel's brightest and darkest
-    frame. Of a phase code, twice its amplitude. The epipolar residual [projector px] is NaN without
-    a rig or without both axes; `epipolar_sure_px` is its median over the pixels in no doubt about
-    any bit, and NaN with phases, where no pixels share the smallest doubt.
+    `lit_share` is the share of pixels whose frames differ by more than noise, and `decoded_share`
+    is relative to these. Of the decoded pixels, `clipped_share` have a saturated frame, and
+    `settled_share` have a period that their neighbours resolved. `modulation`, by frame name, is
+    |pattern - inverse| over white minus black; without an inverse, twice the distance from the
+    middle of white and black; without white and black, the pixel's brightest and darkest frame
+    replace them. For a phase code it is twice the amplitude. The epipolar residual [projector px]
+    is NaN without a rig or without both axes. `epipolar_sure_px` is its median over the pixels
+    without any doubtful bit; it is NaN with phases.
     """
 
     lit_share: float
@@ -52,8 +52,8 @@ def figures_of(
         known = np.isfinite(residual_px)
         off = np.abs(residual_px[known])
         sigma_px = np.maximum(codes.sigma_column, codes.sigma_row)[known]
-        # Pixels in no doubt about any bit share the smallest sigma. With phases it varies from
-        # pixel to pixel, and the smallest of all sigmas says nothing.
+        # All pixels without a doubtful bit have the same, smallest sigma. With phases sigma varies
+        # from pixel to pixel, and the smallest one has no meaning.
         if not any(frame.kind in ("phase", "line") for frame in code.frames):
             sure = off[sigma_px < 1.05 * sigma_px.min(initial=np.inf)]
     decoded = codes.reason == Reason.DECODED
@@ -71,11 +71,10 @@ def figures_of(
 
 
 def well_lit(codes: CodeMap) -> Bool[np.ndarray, "h w"]:
-    """The lit pixels of a good contrast beside the others: 40 % of what the best ones have.
+    """Return a mask of the lit pixels with at least 40 % of the contrast of the best pixels.
 
-    Dark surfaces, shadows with a little light from elsewhere and noise are lit too, and contradict
-    themselves in a stack that is as it should be. A frame that is another one than the stack file
-    says is wrong in the best lit pixels as well.
+    Dark surfaces and shadows with a little indirect light are lit, too, but have contradictions
+    even in a good stack. Wrong frames cause contradictions in the best lit pixels as well.
     """
     lit = ~np.isin(codes.reason, (Reason.SHADOW, Reason.SATURATED))
     if not lit.any():
@@ -92,7 +91,7 @@ def _marked(codes: CodeMap, decoded: Bool[np.ndarray, "h w"], mark: Mark) -> flo
 
 
 def samples(where: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """Flat indices of an even choice of these pixels."""
+    """Return flat indices of evenly sampled pixels of a mask."""
     index = np.flatnonzero(where)
     return index[:: max(1, -(-len(index) // MAX_SAMPLES))]
 

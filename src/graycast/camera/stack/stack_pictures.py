@@ -1,4 +1,4 @@
-"""The pictures of a stack: read as they were stored, and refused where they do not fit together."""
+"""Reading of a stack's pictures as they were stored; refuses pictures that do not fit together."""
 
 import hashlib
 import io
@@ -17,7 +17,7 @@ from ...base.errors import DecodeError
 from ...base.file_limits import refuse_large_picture
 
 Picture = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
-THREADS = 4  # Decoding a JPEG or PNG lets other threads run.
+THREADS = 4  # Decoding of JPEG and PNG releases the lock, so threads help.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,29 +26,29 @@ class StackPictures:
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     files: tuple[Path, ...]
-    digests: tuple[str, ...]  # of the files' bytes
-    lossy: bool  # a JPEG among them
-    converted: bool  # a colour picture among them
+    digests: tuple[str, ...]  # Hashes of the files
+    lossy: bool  # Whether one is a JPEG
+    converted: bool  # Whether one is a colour picture
 
     def __post_init__(self) -> None:
         self.frames.flags.writeable = False
 
 
 def read_pictures(files: Sequence[Path]) -> StackPictures:
-    """Read grey values as stored, without turning by EXIF.
+    """Read grey values as stored; a rotation in EXIF is ignored.
 
-    Colour becomes luma, 0.299 R + 0.587 G + 0.114 B of the stored values (Rec. 601, as in JPEG):
-    monotonic in the light but not linear in it where the camera applied a gamma.
+    Colour becomes luma, 0.299 R + 0.587 G + 0.114 B of the stored values (Rec. 601, as in JPEG). If
+    the camera applied a gamma, luma increases with light, but is not linear in it.
 
     Raises:
-        DecodeError: a file is missing, damaged, no picture, or unlike the first in size or depth.
+        DecodeError: a file is missing, damaged, no picture, or of another size or bit depth.
     """
     first = _read(files[0])
     frames = np.empty((len(files), *first.grey.shape), dtype=first.grey.dtype)
     frames[0] = first.grey
 
     def read(k: int) -> _Read:
-        """Read a picture into its place, so that beside the stack few pictures are in memory."""
+        """Read a picture directly into the stack, so that few other pictures are in memory."""
         picture = _read(files[k])
         _check_alike(frames[0], files[0], picture.grey, files[k])
         frames[k] = picture.grey
@@ -58,7 +58,7 @@ def read_pictures(files: Sequence[Path]) -> StackPictures:
         waiting = [pool.submit(read, k) for k in range(1, len(files))]
         try:
             pictures = [first, *(job.result() for job in waiting)]
-        except DecodeError:  # the first in the order of the files
+        except DecodeError:  # This is the first error in the order of the files.
             pool.shutdown(cancel_futures=True)
             raise
     return StackPictures(
@@ -71,7 +71,7 @@ def read_pictures(files: Sequence[Path]) -> StackPictures:
 
 
 def read_color(file: Path) -> UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]:
-    """A picture in colour, as stored; grey is repeated."""
+    """Read a picture in colour, as stored; grey becomes three equal channels."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     picture = cv2.imdecode(np.fromfile(file, dtype=np.uint8), flags)
     if picture is None:
@@ -116,12 +116,12 @@ def _read(file: Path) -> _Read:
             is_jpeg = picture.format == "JPEG"
             is_color = picture.mode not in ("L", "I;16", "I;16B", "1", "I")
             if is_jpeg:
-                picture.draft("L", picture.size)  # the file's own luma, its chroma left alone
+                picture.draft("L", picture.size)  # Use the luma of the file; do not decode chroma.
             picture.load()
             grey = _grey(picture, content, file)
     except UnidentifiedImageError as error:
         raise DecodeError(f"{file}: is not a picture: give PNG, TIFF or JPEG") from error
-    except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for damaged files
+    except (OSError, SyntaxError, ValueError) as error:  # Pillow's errors for damaged files
         raise DecodeError(
             f"{file}: is damaged or cut short ({error}): copy or take it again"
         ) from error
@@ -141,7 +141,7 @@ def _grey(picture: Image.Image, content: bytes, file: Path) -> Picture:
             return _from_int32(np.asarray(picture), file)
         case "F":
             raise DecodeError(f"{file}: holds floating-point numbers: save 8 or 16 bits a pixel")
-    # Pillow reads 16-bit colour with 8 bits; OpenCV keeps it. Both weigh by Rec. 601.
+    # Pillow reduces 16-bit colour to 8 bits, but OpenCV does not. Both use weights of Rec. 601.
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     grey = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
     if grey is None:

@@ -1,4 +1,4 @@
-"""The preview of a decoded stack: one sheet of its picture, code maps, reasons and depth."""
+"""The preview of a decoded stack: one sheet with its picture, code maps, reasons and depth."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -17,15 +17,15 @@ from ..decode import Reason
 from .decoding import StackResult
 
 DPI, TILE_PX = 100, 700
-_GAP_PX, _ABOVE_PX, _BELOW_PX = 30, 40, 84  # A bar or a legend is in the space below a tile.
+_GAP_PX, _ABOVE_PX, _BELOW_PX = 30, 40, 84  # The space below a tile has a colour bar or a legend.
 _UNKNOWN = (0.20, 0.20, 0.22)
-_PERCENTILES = (1, 99)  # The colours of depth reach from the one to the other.
+_PERCENTILES = (1, 99)  # The colour scale of depth extends between these percentiles.
 
 Paint = Callable[[Axes], None]
 
 
 def draw_sheet(result: StackResult, path: Path) -> None:
-    """Draw picture, code maps, reasons and depth on equal tiles that fill the sheet."""
+    """Draw picture, code maps, reasons and depth on a sheet of equal tiles."""
     height, width = result.codes.reason.shape
     tiles = dict(_tiles(result, max(1, round(width / 1000))))
     columns = 2 if len(tiles) == 4 else 3
@@ -48,7 +48,7 @@ def draw_sheet(result: StackResult, path: Path) -> None:
 
 
 def _tiles(result: StackResult, step: int) -> Iterator[tuple[str, Paint]]:
-    """The titles of the tiles and what paints them: three, four or six, which fill their rows."""
+    """Yield titles and paint functions of the tiles: three, four or six, which fill their rows."""
     yield "picture", lambda ax: _show(ax, result.picture[::step, ::step])
     for axis in result.code.axes:
         position = result.codes.column if axis == "column" else result.codes.row
@@ -97,7 +97,7 @@ def _draw_map(
 
 
 def _draw_reasons(ax: Axes, result: StackResult, step: int) -> None:
-    """The reasons, and their shares of the lit pixels: a background that is far away is not lit."""
+    """Draw the reasons, with their shares of the lit pixels, as a far background is not lit."""
     reason = (result.codes if result.depth is None else result.depth).reason
     palette = np.array([to_rgb(kind.color) for kind in Reason])
     _show(ax, palette[reason[::step, ::step]])

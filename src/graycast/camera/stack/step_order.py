@@ -1,8 +1,8 @@
-"""Two exchanged pictures of a period, which the grey levels show: over the steps they are a sine.
+"""Detection of two exchanged pictures of a period: the grey levels are then no sine over the steps.
 
-Another sense or another origin of the steps leaves a sine; two exchanged pictures of four or more
-seldom do. The phases that they give lie near the right ones at some pixels, so another origin seems
-to mend them, and single steps seem to be brighter than the others.
+With a wrong direction or origin of the steps the levels are still a sine, but seldom after an
+exchange of two pictures out of four or more. An exchange can also look like another origin, or like
+single steps that are brighter, because some of the phases are nearly right.
 """
 
 from collections.abc import Sequence
@@ -20,21 +20,21 @@ from .sense import gray_bands, phases_agree
 from .stack_figures import WELL, samples
 from .stack_pictures import StackPictures
 
-FEWEST, MOST = 500, 20_000  # Fewer pixels are too few; more say the same.
-# In the right order the difference from a sine (squared) is less than this share of that in the
-# stated order; it is half of it where stripes stand for a sine. Where the stated order is right, no
+FEWEST, MOST = 500, 20_000  # The fewest pixels that are enough, and the most that are used.
+# In the right order, the squared difference from a sine is less than this share of that in the
+# stated order (half of it if the pattern is binary stripes). If the stated order is right, no
 # exchange reduces the difference.
 LEFT = 0.6
-CLEARLY = 0.4  # The best order leaves less than this share of what the next one does.
-ALIKE = 1.01  # Orders that leave as much but for this factor are equally good.
-ROUNDING = 1e-9  # Differences below this share of the squared contrast are rounding.
+CLEARLY = 0.4  # The best order must have less than this share of the difference of the next one.
+ALIKE = 1.01  # Orders whose differences agree within this factor are equally good.
+ROUNDING = 1e-9  # Differences below this share of the squared contrast are rounding errors.
 
-Pair = tuple[int, int]  # places in a period
+Pair = tuple[int, int]  # Two positions in the sequence of steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepExchange:
-    """Frames of a period in which two pictures are exchanged, and a warning that names the two."""
+    """A period in which two pictures are exchanged: its frames, and a warning with both names."""
 
     frames: tuple[int, ...]
     text: str
@@ -49,11 +49,11 @@ def step_exchanges(
 ) -> list[StepExchange]:
     """Return the periods in which two pictures are exchanged.
 
-    With four to six steps two pairs make the same sine, in opposite senses. The edges of the Gray
-    code say which of them is right; without Gray bits both are named.
+    With four to six steps, the exchange of either of two pairs gives the same sine, in opposite
+    directions. The edges of the Gray code decide; without Gray bits the warning names both pairs.
 
-    Leaves out: periods of three steps, whose exchange is a wrong sense or origin; shifts of lines,
-    which are no sines.
+    Leaves out: periods of three steps, where an exchange is the same as another direction or
+    origin; shifted lines, which are no sines.
     """
     sines = [
         (axis, period)
@@ -79,10 +79,10 @@ def step_exchanges(
 
 
 def _clear(frames: Stack) -> Bool[np.ndarray, "h w"]:
-    """Return where the frames differ well, in any order.
+    """Return a mask of the pixels with a good contrast between frames, in any order of frames.
 
-    The contrast of decoded codes does not serve: in a wrong order it hangs on the phase, so that
-    whole ranges of phases are missing, edges of Gray values among them.
+    The modulation of decoded codes is not suitable: in a wrong order it depends on the phase, so
+    that whole ranges of phases, with the edges of Gray values there, would be missing.
     """
     contrast = (frames.max(axis=0) - frames.min(axis=0)).astype(np.float32)
     return (contrast > 0) & (contrast >= WELL * np.percentile(contrast, 98))
@@ -91,21 +91,21 @@ def _clear(frames: Stack) -> Bool[np.ndarray, "h w"]:
 def _sine_pairs(
     frames: Stack, period: Period, clear: Bool[np.ndarray, "h w"], saturation_dn: float
 ) -> tuple[list[Pair], float]:
-    """Return the pairs whose exchange best makes the grey levels of pixels a sine over the steps.
+    """Return the pairs after whose exchange the grey levels are nearest to a sine over the steps.
 
-    The difference from a sine follows from the sums of products of the pictures, so the pictures
-    are read once for all pairs.
+    The difference from a sine follows from the sums of products of the pictures, which are
+    computed only once for all pairs.
 
     Returns:
-        The pairs, none where no exchange clearly reduces the difference; and the share of its
-        square that is left.
+        The pairs (none if no exchange clearly reduces the difference), and the remaining share of
+        the squared difference.
     """
     value = frames[list(period.frames)].reshape(len(period.frames), -1)[:, samples(clear)]
     value = value[:, value.max(axis=0) < saturation_dn]
     value = value[:, :: max(1, value.shape[1] // MOST)].astype(np.float64)
     pairs = [*combinations(range(len(value)), 2)]
     if value.shape[1] < FEWEST or any(np.array_equal(value[a], value[b]) for a, b in pairs):
-        return [], 1.0  # A copy in place of a picture is another fault, which has its own warning.
+        return [], 1.0  # Two equal pictures are another fault, which has its own warning.
     value -= value.mean(axis=0)
     off_sine, products = _off_sine(period), value @ value.T
     stated, *left = (
@@ -121,7 +121,7 @@ def _sine_pairs(
 
 
 def _off_sine(period: Period) -> Float[np.ndarray, "steps steps"]:
-    """Return the projection of grey levels onto all that is no sine over the steps."""
+    """Return the matrix that projects grey levels onto the part that is no sine over the steps."""
     delta_rad = np.array(period.delta_rad)
     sine = np.stack([np.ones_like(delta_rad), np.cos(delta_rad), np.sin(delta_rad)], axis=-1)
     return np.eye(len(delta_rad)) - sine @ np.linalg.pinv(sine)

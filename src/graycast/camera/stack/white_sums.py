@@ -1,8 +1,8 @@
-"""Frames of a stack that together are the same white picture, and how that moves in the stack.
+"""Groups of frames that add up to the same white picture, and its motion during the stack.
 
-A pattern and its inverse add up to white and black, and so do all steps of a period: the scene
-without stripes, as often as the stack has such groups. What these sums should share, and do not,
-happened while the stack was taken.
+A pattern and its inverse add up to a picture of the scene without stripes, and so do all steps of a
+period. A stack has several such groups. Differences between their sums show what changed while the
+stack was taken.
 """
 
 from collections.abc import Sequence
@@ -17,20 +17,20 @@ from .frame_groups import white_groups
 from .levels import Stack
 from .registration import PictureMotion, Prepared, prepare, register
 
-MOST_PIXELS = 400_000  # Larger pictures are made smaller by a whole factor.
-LIT = 0.1  # Lit is this share of the contrast that two of a hundred pixels exceed.
-AROUND_PX = 15  # A dark place this near to lit ones is a part of what they show.
-COMPARED = 3  # A sum is compared with so many of those before it, until it compares.
-TOP = 0.97  # As bright, as a share of the saturation, a small pixel has saturated ones in it.
+MOST_PIXELS = 400_000  # Larger pictures are reduced by a whole factor.
+LIT = 0.1  # A lit pixel has this share of the contrast that 2 % of the pixels exceed.
+AROUND_PX = 15  # A dark pixel this near to lit pixels counts as lit.
+COMPARED = 3  # The number of earlier sums with which a sum is compared until a motion is known.
+TOP = 0.97  # A reduced pixel above this share of saturation contains saturated pixels.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhiteSum:
-    """The mean of frames (by their indices in the code) that are one white picture together."""
+    """The mean of frames (with their indices in the code) that add up to a white picture."""
 
     frames: tuple[int, ...]
     picture: Float[np.ndarray, "h w"]  # [DN], `scale` times smaller than the frames
-    valid: Bool[np.ndarray, "h w"]  # lit and not saturated
+    valid: Bool[np.ndarray, "h w"]  # Lit and not saturated
     scale: int
 
 
@@ -44,7 +44,7 @@ class Displacement:
 
 
 def white_sums(frames: Stack, code: Code, saturation_dn: float) -> list[WhiteSum]:
-    """Return the mean picture of each of the `white_groups`, made smaller if it is large."""
+    """Return the mean picture of each of the `white_groups`, reduced in size if it is large."""
     groups = white_groups(code)
     h, w = frames.shape[1:]
     scale = max(1, round(np.ceil(np.sqrt(h * w / MOST_PIXELS))))
@@ -68,13 +68,13 @@ def white_sums(frames: Stack, code: Code, saturation_dn: float) -> list[WhiteSum
 
 
 def displacements(sums: Sequence[WhiteSum]) -> list[Displacement]:
-    """Return how the picture moves from each white sum to the next, over the whole stack.
+    """Return the motion of the picture from each white sum to the next, over the whole stack.
 
-    A sum that compares neither with the one before nor with the two before that is passed over
-    (fine stripes of a camera that is not linear leave more in it than the scene has), and the
-    motion to the next one is returned instead.
+    A sum is skipped if its motion against none of the three sums before it is known (after fine
+    stripes, a non-linear camera leaves more structure in the sum than the scene has). The motion to
+    the next sum is then returned instead.
 
-    Leaves out: codes without inverses and without phases, whose frames add up to nothing.
+    Leaves out: codes without inverses and without phases, which have no such sums.
     """
     ready = [prepare(each.picture, each.valid) for each in sums]
     for start in range(len(sums) - 1):
@@ -85,7 +85,7 @@ def displacements(sums: Sequence[WhiteSum]) -> list[Displacement]:
 
 def _steps(sums: Sequence[WhiteSum], ready: Sequence[Prepared]) -> list[Displacement]:
     steps: list[Displacement] = []
-    compared = [0]  # the sums whose place is known, and where they are [px]
+    compared = [0]  # The sums with known positions, which `place_px` has [px].
     place_px = {0: (0.0, 0.0)}
     for k in range(1, len(sums)):
         for other in reversed(compared[-COMPARED:]):

@@ -1,29 +1,29 @@
-"""Light transport: one file or folder per back end, and a small exact reference.
+"""Light transport: one file or folder for each back end, and a small exact reference.
 
-`mitsuba.py` and what it imports load Mitsuba, so they are imported after `open_device` has set its
-variant.
+`mitsuba.py` and the modules that it imports load Mitsuba, so they are imported only after
+`open_device` has set Mitsuba's variant.
 
-Each imports only from those above it:
+Each module imports only from those above it:
 
     ggx                the distribution of microfacets of all rough materials
     radiance           what a renderer returns, and the protocol `Renderer`
-    wavelength         the scene in the light of the projector's wavelength
-    trial              a small picture, rendered by a process that a broken driver may end
+    wavelength         the scene in light of the projector's wavelength
+    trial              a small picture, rendered in a process that a broken driver may crash
     dielectric         clear glass and plastic
     mitsuba_patterns   patterns in few bits, and sums over them
     mitsuba_lens       lenses in Dr.Jit
     coated_diffuse     plastic and paint: a clear coat over a diffuse base
     rough_conductor    metal, also brushed or turned
     denoise            denoising by Open Image Denoise
-    path_noise         the error that a finite number of light paths leaves in a pixel
-    device             which render devices work, and how one is opened
-    mitsuba_sight      what rays meet where there may be glass
+    path_noise         the error of a pixel from a finite number of light paths
+    device             finds the render devices that work, and opens one
+    mitsuba_sight      intersections of rays with the scene, through glass
     mitsuba_projector  the projector as a light
     filmed_conductor   metal under oil or lacquer
     reference          planes and spheres in direct light, exact, in NumPy
-    cycles             Blender Cycles in a process of its own, a render for each pattern
-    mitsuba_scene      a scene as Mitsuba has it: materials, meshes, lights
-    mitsuba_stage      what all light paths through a scene share
+    cycles             Blender Cycles in a separate process, with a render for each pattern
+    mitsuba_scene      a scene in Mitsuba: materials, meshes, lights
+    mitsuba_stage      the data that all light paths through a scene share
     mitsuba_caustics   light paths from the projector over shiny surfaces: caustics
     mitsuba_truth      depth, normals and silhouettes at pixel centres
     mitsuba_paths      light paths from the camera, for all patterns at once
@@ -79,19 +79,19 @@ def open_renderer(
     """Open a renderer by its name; each back end is imported only when it is opened.
 
     Args:
-        name: 'mitsuba' renders all patterns in one pass, 'cycles' each by itself in Blender,
-            'reference' direct light on simple surfaces, exactly.
-        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'. A process has one device of Mitsuba.
+        name: 'mitsuba' renders all patterns in one pass, 'cycles' renders each pattern separately
+            in Blender, 'reference' computes exact direct light on simple surfaces.
+        device: 'auto', 'cpu', 'cuda' or, for Cycles, 'optix'. Mitsuba has one device per process.
         threads: processor threads; None leaves the choice to the back end.
-        patterns_per_render: of Cycles: 3 puts patterns into R, G and B, where light is of one
+        patterns_per_render: for Cycles: 3 renders patterns as R, G and B, if light has only one
             wavelength or all materials are grey.
-        on_frame: of Cycles, which may take minutes for a scene: called after each render.
-        on_pass: of Mitsuba: called after every few samples of a stack; an exception in it ends
+        on_frame: for Cycles, which may take minutes for a scene: called after each render.
+        on_pass: for Mitsuba: called after every few samples of a stack; an exception in it ends
             the rendering.
 
     Raises:
-        DeviceError: the back end or the device is not there; the text ends with the remedy.
-        ValueError: no such back end or device.
+        DeviceError: the back end or device is not available; the message ends with the remedy.
+        ValueError: there is no such back end or device.
     """
     match name:
         case "reference":
@@ -129,23 +129,23 @@ def render(
     seed: int,
     device: str = "auto",
 ) -> Rendering:
-    """Render one scene under a stack of patterns, with Mitsuba; see `Renderer.render`.
+    """Render one scene under a stack of patterns with Mitsuba; see `Renderer.render`.
 
-    For more than one scene, keep a renderer open with `open_renderer`.
+    For several scenes, open one renderer with `open_renderer` and use it again.
 
     Raises:
-        DeviceError, ValueError: as of `open_renderer` and `Renderer.render`.
+        DeviceError, ValueError: see `open_renderer` and `Renderer.render`.
     """
     with open_renderer(device=device) as renderer:
         return renderer.render(scene, layout, patterns, quality=quality or Quality(), seed=seed)
 
 
 def choose_device(backend: str, name: str) -> str:
-    """The device on which a back end would render; takes 'auto', returns what is there.
+    """Return the device on which a back end would render; 'auto' becomes an available device.
 
     Raises:
-        DeviceError: the back end or the device is not there; the text ends with the remedy.
-        ValueError: no such device of this back end.
+        DeviceError: the back end or device is not available; the message ends with the remedy.
+        ValueError: the back end has no such device.
     """
     if backend == "cycles":
         from .cycles import examine_cycles

@@ -1,17 +1,17 @@
 """A rough clear coat over a diffuse base that conserves energy, as a Mitsuba BSDF.
 
-Mitsuba's `roughplastic` loses light that its single-scattering coat neither reflects nor lets
-through, a fifth at roughness 0.5 and two thirds at 1. Here the base gets exactly what the coat does
-not reflect: with `E` the coat's directional albedo, the sum is `E + base (1 - E)`, 1 for a white
-base. Light passes the coat on its way in and on its way out, so both angles count, and it may run
-backwards (Helmholtz). Blender's Principled BSDF counts the way out only: at roughness below 0.3 it
-is 5 % darker than this where light comes in steeply, and brighter where it grazes
-(docs/explanation/light.md, "Materials").
+Mitsuba's `roughplastic` loses the light that its single-scattering coat neither reflects nor
+transmits: a fifth at roughness 0.5 and two thirds at 1. Here the base receives exactly the light
+that the coat does not reflect. With the directional albedo `E` of the coat, the sum is
+`E + base (1 - E)`, which is 1 for a white base. Light passes the coat on its way in and on its way
+out, so both angles count and the BSDF is reciprocal (Helmholtz). Blender's Principled BSDF counts
+only the way out: at roughness below 0.3 it is 5 % darker than this for steep light, and brighter
+for grazing light (docs/explanation/light.md, "Materials").
 
-Where roughness varies, `E` is linear between the widths `ggx.ALPHAS`: a white base and its coat of
-index 1.5 reflect all light to 0.3 % up to 85 degrees, and to 0.5 % beyond.
+If roughness varies, `E` is interpolated linearly between the widths `ggx.ALPHAS`: a white base with
+a coat of index 1.5 conserves energy to 0.3 % up to 85 degrees, and to 0.5 % beyond.
 
-Leaves out: interreflection between coat and base that would saturate deep colours, and light
+Leaves out: interreflection between coat and base, which would saturate deep colours; light that is
 scattered twice among the coat's facets, which goes to the base instead.
 
 Source: Kelemen & Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model with
@@ -37,7 +37,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         super().__init__(props, *lobes)
         eta = float(props["eta"])
         cosine = np.linspace(0, 1, ggx.TABLE)
-        self.eta = dr.opaque(mi.Float, eta)  # opaque, as alpha is
+        self.eta = dr.opaque(mi.Float, eta)  # Opaque for the same reason as alpha.
         if self.roughness is None:
             table = coat_albedo(float(props["alpha"]), eta)
             mean = float(np.trapezoid(2 * cosine * table, cosine))
@@ -73,13 +73,13 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         return self.layer_sample(context, si, wo, of_coat, active)
 
     def _albedo(self, cosine: mi.Float, alpha: mi.Float) -> mi.Float:
-        """The coat's directional albedo."""
+        """Return the coat's directional albedo."""
         if self.roughness is None:
             return ggx.interpolated(self.table, cosine)
         return ggx.between_rows(alpha, lambda row: ggx.interpolated(self.table, cosine, row))
 
     def _base_scale(self, alpha: mi.Float) -> mi.Float:
-        """`1 / (pi (1 - mean albedo))`."""
+        """Return the normalisation of the base, `1 / (pi (1 - mean albedo))`."""
         if self.roughness is None:
             return self.base_scale
         mean = ggx.between_rows(alpha, lambda row: dr.gather(mi.Float, self.mean, row))
@@ -88,7 +88,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
 
 @lru_cache
 def coat_albedo(alpha: float, eta: float) -> np.ndarray:
-    """Share of light that a rough dielectric surface reflects off its facets, per cosine.
+    """Return the share of light that the facets of a rough dielectric reflect, per cosine.
 
     Returns:
         One value for each of `ggx.TABLE` cosines from 0 to 1.
@@ -96,12 +96,12 @@ def coat_albedo(alpha: float, eta: float) -> np.ndarray:
     cosine = np.linspace(0, 1, ggx.TABLE)
     wi = ggx.leaning(cosine)
     table = ggx.directional_albedo(wi, (alpha, alpha), lambda met: _fresnel(met, eta))
-    table.flags.writeable = False  # it is kept for the next scene
+    table.flags.writeable = False  # The cache returns the same array for the next scene.
     return table
 
 
 def _fresnel(cosine: np.ndarray, eta: float) -> np.ndarray:
-    """Unpolarised reflectance of a dielectric from outside."""
+    """Return the unpolarised reflectance of a dielectric, from outside."""
     inner = np.sqrt(1 - (1 - cosine**2) / eta**2)
     parallel = (eta * cosine - inner) / (eta * cosine + inner)
     across = (cosine - eta * inner) / (cosine + eta * inner)

@@ -1,8 +1,8 @@
 """Denoising of pictures by Open Image Denoise, on the processor or on an NVIDIA GPU.
 
-It is for the colour picture. Patterns are denoised only where a study asks for it (`denoised`).
-OptiX has a denoiser, too, but where the driver's file of weights is missing, as in many containers,
-it ends the whole process.
+It is used for the colour picture. Patterns are denoised only on request of a study (`denoised`).
+OptiX has a denoiser, too, but it ends the whole process if the driver's file of weights is missing,
+as in many containers.
 """
 
 import logging
@@ -20,9 +20,9 @@ Image = Float[np.ndarray, "h w 3"]
 
 
 def denoise(rgb: Image, albedo: Image, normal: Image, by: Denoiser) -> Image:
-    """A clean copy of a linear colour picture, of any scale, by the renderer's own denoiser.
+    """Denoise a linear colour picture of any scale with a renderer's denoiser.
 
-    Albedo and unit normal are of what each pixel sees; normals are NaN where there is nothing.
+    Albedo and unit normal are those of the visible surface; normals are NaN without a surface.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
@@ -30,7 +30,7 @@ def denoise(rgb: Image, albedo: Image, normal: Image, by: Denoiser) -> Image:
 
 
 def denoised(radiance: Radiance, normal: Image, by: Denoiser) -> Radiance:
-    """Every picture of a stack cleaned by itself, as a program that renders them singly would."""
+    """Denoise each picture of a stack separately, like a program that renders them separately."""
 
     def clean(picture: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         grey = picture.ndim == 2
@@ -51,9 +51,9 @@ def denoised(radiance: Radiance, normal: Image, by: Denoiser) -> Radiance:
 
 
 def open_denoiser(device: str) -> Denoiser:
-    """The denoiser of a renderer's device; the processor's where the GPU cannot denoise.
+    """Open the denoiser for a renderer's device, or for the processor if the GPU cannot denoise.
 
-    In that case one line of the log says why.
+    In the latter case the log has one line with the reason.
     """
     if device == "cuda":
         try:
@@ -66,13 +66,13 @@ def open_denoiser(device: str) -> Denoiser:
 
 
 def _library() -> Any:
-    """The module `pyoidn`, without PyTorch, which it loads where that is installed.
+    """Import the module `pyoidn`, but prevent that it loads PyTorch if that is installed.
 
-    All pictures here are NumPy's, and PyTorch takes seconds and 200 MB of every process.
+    Only NumPy arrays are used here, and PyTorch costs every process seconds and 200 MB.
     """
     hides = "torch" not in sys.modules
     if hides:
-        sys.modules["torch"] = None  # type: ignore[assignment]  # An import of it fails now.
+        sys.modules["torch"] = None  # type: ignore[assignment]  # Importing torch now fails.
     try:
         import pyoidn
     finally:
@@ -83,13 +83,13 @@ def _library() -> Any:
 
 @final
 class OpenImageDenoise:
-    """The library of that name on the processor, or on the first GPU that this process may use.
+    """Open Image Denoise on the processor, or on the first GPU that this process may use.
 
-    It keeps what it needs for one size of pictures until it gets another.
+    The network and its buffers are kept until a picture has another size.
 
     Raises:
-        OSError: its library cannot be loaded.
-        RuntimeError: it has no such device.
+        OSError: the library cannot be loaded.
+        RuntimeError: the library finds no such device.
     """
 
     def __init__(self, device: Literal["cpu", "cuda"]) -> None:
@@ -104,7 +104,7 @@ class OpenImageDenoise:
         self._last: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
 
     def __call__(self, rgb: Image, albedo: Image, normal: Image) -> Image:
-        """See `Denoiser`; RuntimeError where the device refuses, as it does without memory."""
+        """Denoise a picture, see `Denoiser`; raise RuntimeError if memory is short, for example."""
         network, buffers = self._network(rgb.shape)
         for name, image in (("color", rgb), ("albedo", albedo), ("normal", normal)):
             buffers[name].write(0, image.nbytes, image)
@@ -115,7 +115,7 @@ class OpenImageDenoise:
         return clean
 
     def _network(self, shape: tuple[int, ...]) -> tuple[Any, dict[str, Any]]:
-        """The network for pictures of a shape, and the memory of its device that it works on."""
+        """Return the network for pictures of this shape, and its buffers on the device."""
         pyoidn = self._library
         if self._last is None or self._last[0] != shape:
             names = ("color", "albedo", "normal", "output")

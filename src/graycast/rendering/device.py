@@ -1,9 +1,9 @@
-"""Finds a render device, and opens it before anything can abort the process.
+"""Search for a render device, and safe opening that cannot abort the process.
 
 Dr.Jit compiles its kernels with a shared LLVM on a processor, and with NVIDIA's driver on a GPU. It
-reads `DRJIT_LIBLLVM_PATH` once, when it is imported, and takes LLVM 15 as gladly as a new one: 15
-and 16 end the whole process in code generation on some processors (Dr.Jit 1.5 refuses 14). So the
-library is chosen here, by file name, and named to Dr.Jit before it is imported.
+reads `DRJIT_LIBLLVM_PATH` once, when it is imported, and accepts LLVM 15 and 16. But on some
+processors these abort the whole process during code generation (Dr.Jit 1.5 refuses 14). So this
+module chooses the library by its file name and sets the variable before it imports Dr.Jit.
 """
 
 import json
@@ -18,13 +18,13 @@ from pathlib import Path
 
 from ..base.errors import DeviceError
 
-OLDEST_LLVM = 19  # Versions 15 and 16 are known to abort; 17 and 18 were not tried.
+OLDEST_LLVM = 19  # Versions 15 and 16 are known to abort; 17 and 18 are untested.
 DEVICES = ("auto", "cpu", "llvm", "cuda")
 
 _VARIANT = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 _USER_CHOICE = "DRJIT_LIBLLVM_PATH"
-# It matches libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1 and libLLVM.so.22.1, but not a
-# compiler's own copy such as libLLVM-19-rust-1.82.0.so, which is trimmed.
+# It matches libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1 and libLLVM.so.22.1, but not the
+# reduced copy of a compiler, such as libLLVM-19-rust-1.82.0.so.
 _LLVM_NAME = re.compile(r"libLLVM(?:-(\d+)[\d.]*\.so[\d.]*|\.so\.(\d+)[\d.]*)")
 _LLVM_FOLDERS = (
     "/usr/lib/*-linux-gnu",
@@ -40,7 +40,7 @@ _CHILD_LIMIT_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LlvmLibrary:
-    """One shared LLVM on this machine, at its resolved path."""
+    """A shared LLVM library on this machine, with its resolved path."""
 
     path: Path
     major: int
@@ -48,7 +48,7 @@ class LlvmLibrary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CudaState:
-    """The state of NVIDIA's driver; `devices` is empty without a GPU, and `problem` states why."""
+    """The state of NVIDIA's driver; without a GPU, `devices` is empty and `problem` says why."""
 
     devices: tuple[str, ...] = ()
     driver_cuda: str | None = None
@@ -61,10 +61,10 @@ class CudaState:
 
 
 def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
-    """Shared LLVMs of this processor's kind whose file name tells the release, newest first.
+    """Return the LLVM libraries for this processor whose file name states a version, newest first.
 
     Args:
-        folders: where to look; None is the usual places of Linux, the linker's cache and conda.
+        folders: folders to search; None: the usual folders of Linux, the linker's cache and conda.
     """
     files = _linker_cache() if folders is None else []
     for folder in _usual_folders() if folders is None else folders:
@@ -78,12 +78,12 @@ def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
 
 
 def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
-    """The LLVM to use: the user's `DRJIT_LIBLLVM_PATH`, else the newest; None where none will do.
+    """Return the LLVM to use: the user's `DRJIT_LIBLLVM_PATH`, else the newest suitable, or None.
 
-    Nothing is loaded into this process, because an old library can abort it.
+    No library is loaded into this process, because an old one can abort it.
 
     Raises:
-        DeviceError: `DRJIT_LIBLLVM_PATH` is set to a file that is missing, too old or unknown.
+        DeviceError: `DRJIT_LIBLLVM_PATH` names a file that is missing, unknown or too old.
     """
     choice = os.environ.get(_USER_CHOICE)
     if choice:
@@ -93,7 +93,7 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
 
 
 def examine_cuda() -> CudaState:
-    """Ask NVIDIA's driver for its devices, in a child: a process that asked cannot fork workers."""
+    """Ask NVIDIA's driver for its devices, in a child: after such a call a process cannot fork."""
     try:
         child = _run_child(_ASK_CUDA)
     except (OSError, subprocess.SubprocessError) as error:
@@ -107,14 +107,14 @@ def examine_cuda() -> CudaState:
 
 
 def choose_device(name: str) -> str:
-    """The device to render on: 'llvm' or 'cuda'.
+    """Return the device to render on: 'llvm' or 'cuda'.
 
     Args:
-        name: 'cpu' and 'llvm' are one; 'auto' is CUDA where a GPU and OptiX are, else LLVM.
+        name: 'cpu' is the same as 'llvm'; 'auto' is CUDA with a GPU and OptiX, else LLVM.
 
     Raises:
-        DeviceError: the device is not there; the text ends with the remedy.
-        ValueError: no such name.
+        DeviceError: the device is not available; the message ends with the remedy.
+        ValueError: there is no such name.
     """
     if name == "optix":
         raise ValueError(
@@ -137,7 +137,7 @@ def choose_device(name: str) -> str:
 
 
 def _why_not_cuda() -> str | None:
-    """Why nothing can be rendered on the GPU, or None."""
+    """Return the reason why the GPU cannot render, or None if it can."""
     state = examine_cuda()
     if not state.usable:
         return state.problem or "libnvoptix.so.1 cannot be loaded"
@@ -149,17 +149,17 @@ def _why_not_cuda() -> str | None:
 def open_device(device: str, *, threads: int | None = None) -> None:
     """Make Mitsuba run on a device in this process; opening the same one again is harmless.
 
-    Sets `DRJIT_LIBLLVM_PATH` in this process's environment, imports Mitsuba and sets its variant
-    `llvm_ad_rgb` or `cuda_ad_rgb`.
+    It sets `DRJIT_LIBLLVM_PATH` in the environment of this process, imports Mitsuba, and sets the
+    variant `llvm_ad_rgb` or `cuda_ad_rgb`.
 
     Args:
-        device: 'llvm' or 'cuda', as `choose_device` returns.
-        threads: worker threads of the LLVM device, at least 1; None leaves Dr.Jit's choice.
+        device: 'llvm' or 'cuda', as `choose_device` returns it.
+        threads: worker threads of the LLVM device, at least 1; None is Dr.Jit's choice.
 
     Raises:
-        DeviceError: the device does not open, another variant is active in this process, or
+        DeviceError: the device cannot be opened, another variant is active in this process, or
             Dr.Jit was imported before with an LLVM that is too old.
-        ValueError: no such device, or `threads` below 1.
+        ValueError: there is no such device, or `threads` is below 1.
     """
     if device not in _VARIANT:
         raise ValueError(f"the device {device!r} cannot be opened: choose {' or '.join(_VARIANT)}")
@@ -190,7 +190,7 @@ def open_device(device: str, *, threads: int | None = None) -> None:
 
 
 def _check_loaded_llvm(dr) -> None:
-    """Check before code generation that the LLVM which Dr.Jit has loaded is new enough."""
+    """Check, before any code generation, that Dr.Jit has loaded a new enough LLVM."""
     if not dr.has_backend(dr.JitBackend.LLVM):
         library = os.environ.get(_USER_CHOICE)
         why = f"{library} cannot be loaded" if library else "drjit was imported before open_device"
@@ -237,7 +237,7 @@ def _major_from_name(path: Path) -> int | None:
 
 
 def _major_from_child(name: str) -> int | None:
-    """The release that a library itself states, asked in a child; before 16 it states none."""
+    """Return the version that a library reports in a child process; None before version 16."""
     try:
         child = _run_child(_ASK_LLVM, name)
     except (OSError, subprocess.SubprocessError):
@@ -253,7 +253,7 @@ def _run_child(program: str, *arguments: str) -> subprocess.CompletedProcess[str
 def _usual_folders() -> list[Path]:
     root = Path("/")
     folders = [p for pattern in _LLVM_FOLDERS for p in root.glob(pattern.lstrip("/"))]
-    # An active conda environment shows in its prefix or, from another Python, in its variable.
+    # Find a conda environment by Python's prefix or, with another Python, by its variable.
     conda = os.environ.get("CONDA_PREFIX")
     folders += [Path(prefix) / "lib" for prefix in {sys.prefix, sys.base_prefix, conda} if prefix]
     return folders
@@ -268,13 +268,13 @@ def _linker_cache() -> list[Path]:
 
 
 def _elf_kind(path: Path) -> bytes | None:
-    """Word size, byte order and machine of an ELF file, read from its header alone."""
+    """Return word size, byte order and machine of an ELF file from its header, or None."""
     try:
         with path.open("rb") as file:
             header = file.read(20)
     except OSError:
         return None
-    # ELF: class and byte order at 4 and 5, machine at 18 and 19.
+    # In an ELF header, class and byte order are at 4 and 5, and the machine is at 18 and 19.
     whole = len(header) == 20 and header[:4] == b"\x7fELF"
     return header[4:6] + header[18:20] if whole else None
 

@@ -1,7 +1,7 @@
-"""Clear glass and plastic with smooth surfaces, as Mitsuba BSDFs: solid, or a wall without depth.
+"""Clear glass and plastic with smooth surfaces, as Mitsuba BSDFs: solids and thin walls.
 
-Both have delta distributions alone: `eval` and `pdf` are 0. Fresnel's equations for unpolarised
-light say how much is mirrored. Leaves out: rough glass, polarisation, dispersion.
+Both have only delta distributions, so `eval` and `pdf` are 0. The reflected share follows from
+Fresnel's equations for unpolarised light. Leaves out: rough glass, polarisation, dispersion.
 """
 
 from typing import final
@@ -10,16 +10,16 @@ import drjit as dr
 import mitsuba as mi
 
 MIRRORED, REFRACTED = int(mi.BSDFFlags.DeltaReflection), int(mi.BSDFFlags.DeltaTransmission)
-BLACK = 1e-12  # A black solid leaves so much, not 0, for 0 times infinity is no number.
+BLACK = 1e-12  # Lower limit of the colour, because 0 times infinity would be NaN.
 
 
 class _DeltaBSDF(mi.BSDF):
-    """What both share. Properties: `reflectance` (texture), the colour; `eta`, the index."""
+    """The base of both. Properties: `reflectance` (texture), the colour; `eta`, the index."""
 
     def __init__(self, props: mi.Properties, flags: int):
         super().__init__(props)
         self.color = props.get_texture("reflectance")
-        # Opaque: literals would be compiled into the kernel, anew for every glass.
+        # Opaque, because a literal would force a new compilation of the kernel for every glass.
         self.eta = dr.opaque(mi.Float, float(props["eta"]))
         self.m_flags = flags
         self.m_components = [int(flags)]
@@ -34,20 +34,20 @@ class _DeltaBSDF(mi.BSDF):
         return mi.Float(0)
 
     def eval_diffuse_reflectance(self, si, active):
-        """None: the denoiser's albedo is that of the surface behind."""
+        """Return 0, because the denoiser's albedo is that of the surface behind."""
         return mi.Color3f(0)
 
 
 @final
 class Dielectric(_DeltaBSDF):
-    """The surface of a solid. A further property: `color_depth` [m].
+    """The surface of a solid. It has one more property, `color_depth` [m].
 
-    A ray that hits it from inside has lost light since the last surface by Beer's law: of
-    `color_depth` it leaves the colour, of a length t the colour to the power `t / color_depth`.
+    On its way inside the solid, a ray loses light by Beer's law: after a length t, the remaining
+    share is the colour to the power `t / color_depth`.
 
-    Radiance grows by the square of the index where light goes in, which paths from the camera
-    undo; those from the projector carry power, which stays (E. Veach 1997, section 5.2), also under
-    interpolated normals, as behind the smooth surface that the mesh stands for.
+    Where light enters the solid, radiance grows by the square of the index; paths from the camera
+    have the inverse factor. Paths from the projector carry power, which does not change (E. Veach
+    1997, section 5.2), even under interpolated normals, as the true surface is smooth.
     """
 
     def __init__(self, props: mi.Properties):
@@ -74,13 +74,13 @@ class Dielectric(_DeltaBSDF):
 
 @final
 class ThinDielectric(_DeltaBSDF):
-    """A wall of two parallel surfaces without depth, lit and seen from both sides.
+    """A thin wall with two parallel surfaces, for light from both sides.
 
-    With one surface's reflectance R and all reflections between both, `2 R / (1 + R)` is mirrored
-    and `(1 - R) / (1 + R)` goes straight on, times the colour. Rays pass it in `mitsuba_sight.py`;
-    the BSDF is asked by those that do not, and mirrors them.
+    With the reflectance R of one surface and all reflections between the two, the wall reflects
+    `2 R / (1 + R)` and transmits `(1 - R) / (1 + R)`, times the colour. In `mitsuba_sight.py`, rays
+    pass the wall; the BSDF is evaluated only for the other rays, and mirrors them.
 
-    Leaves out: the shift of what is behind, and that colours depend on the angle.
+    Leaves out: the parallel shift of transmitted rays; the effect of the angle on the colour.
     """
 
     def __init__(self, props: mi.Properties):
@@ -94,7 +94,7 @@ class ThinDielectric(_DeltaBSDF):
         return bs, dr.select(active, mi.Color3f(1), 0)
 
     def passing(self, si) -> tuple[mi.Float, mi.Color3f]:
-        """The share of light that goes straight on, and the colour that this takes on."""
+        """Return the share of light that is transmitted, and the colour that multiplies it."""
         cosine = dr.abs(mi.Frame3f.cos_theta(si.wi))
         reflectance = mi.fresnel(cosine, self.eta)[0]
         return (1 - reflectance) / (1 + reflectance), self.color.eval(si, True)

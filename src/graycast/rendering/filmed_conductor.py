@@ -1,23 +1,23 @@
 """A rough metal under a clear film, such as oil or lacquer, as a Mitsuba BSDF.
 
-The film's own surface reflects as the coat of `coated_diffuse.py` does: a share `E_c` of the light.
-The rest `T = 1 - E_c` is refracted into the film of index n, meets the metal's facets there, and is
+The surface of the film reflects a share `E_c` of the light, like the coat of `coated_diffuse.py`.
+The rest `T = 1 - E_c` is refracted into the film of index n, reflected by the metal's facets, and
 refracted out again, so the lobe of the metal is about n times as wide as in air:
 
     f = f_coat + K(i) T(o) f_1(i', o') / n^2,    K = T + F_ms T (1 - S) / S,
 
 with directions i', o' inside, the metal's single reflection `f_1` of `rough_conductor.py`, and the
-share `S(i)` of light that leaves white metal and film after it. What facets or film send back comes
-out later, in the same lobe, as `F_ms = F_avg S_2 / (1 - F_avg (1 - S_2))` of it, with the share
-`S_2` of such light that leaves after its second reflection. White metal returns all light. Where
-both are smooth, this is the sum of all reflections between two planes, `T^2 R / (1 - R E_c)`.
+share `S(i)` of light that leaves a white metal and the film after it. The light that facets or film
+send back leaves later, in the same lobe. Its share is `F_ms = F_avg S_2 / (1 - F_avg (1 - S_2))`,
+where `S_2` leaves after its second reflection. A white metal returns all light. If both surfaces
+are smooth, this is the sum of all reflections between two planes, `T^2 R / (1 - R E_c)`.
 
-The metal's reflectance is that in the film, where it is less than in air: iron's in oil is 0.38
-instead of 0.51.
+The given reflectance of the metal is that in the film, which is lower than in air: for iron in oil
+it is 0.38 instead of 0.51.
 
-Leaves out: absorption and interference in the film, so it is clear and thicker than a few
-micrometres; that light reflected many times leaves in a wider lobe. Since `K` is taken at one
-direction, light may not run backwards.
+Leaves out: absorption and interference, so the film is clear and thicker than a few micrometres;
+the wider lobe of light that is reflected many times. The BSDF is not reciprocal, because `K`
+depends on only one direction.
 
 Sources: A. Weidlich & A. Wilkie, "Arbitrarily Layered Micro-Facet Surfaces", GRAPHITE 2007
 (refracted lobe); E. Turquin, 2019, and C. Kulla & A. Conty, 2017, as in `rough_conductor.py`.
@@ -54,7 +54,7 @@ class FilmedConductor(ggx.GlossyBSDF):
         inside_i, inside_o = self._refracted(si.wi), self._refracted(wo)
         half = dr.normalize(inside_i + inside_o)
         metal, metal_pdf = ggx.single_reflection(inside_i, inside_o, half, self.alpha)
-        # The solid angle is n^2 cos / cos_inside times as large above the film as in it.
+        # A solid angle is n^2 cos / cos_inside times as large above the film as inside it.
         narrower = cos_o / (dr.square(self.eta) * mi.Frame3f.cos_theta(inside_o))
         metal *= (1 - ggx.interpolated(self.coat, cos_o)) * narrower
         normal = self.reflectance.eval(si, active)
@@ -70,18 +70,18 @@ class FilmedConductor(ggx.GlossyBSDF):
         off_film = mi.reflect(si.wi, ggx.sample_visible(si.wi, self.film_alpha, sample2))
         off_metal = mi.reflect(inside, ggx.sample_visible(inside, self.alpha, sample2))
         x, y = self.eta * off_metal.x, self.eta * off_metal.y
-        up2 = 1 - dr.square(x) - dr.square(y)  # it is negative where light stays in the film
+        up2 = 1 - dr.square(x) - dr.square(y)  # Negative for total reflection inside the film
         active &= (cos_i > 0) & (of_film | ((off_metal.z > 0) & (up2 > 0)))
         wo = dr.select(of_film, off_film, mi.Vector3f(x, y, dr.safe_sqrt(up2)))
         return self.layer_sample(context, si, wo, of_film, active)
 
     def _refracted(self, w: mi.Vector3f) -> mi.Vector3f:
-        """A direction above the film, continued inside it; both point away from the metal."""
+        """Refract a direction above the film into it; both directions point away from the metal."""
         x, y = w.x / self.eta, w.y / self.eta
         return mi.Vector3f(x, y, dr.safe_sqrt(1 - dr.square(x) - dr.square(y)))
 
     def _returned(self, normal: mi.Color3f, cos_half: mi.Float, cos_i: mi.Float) -> mi.Color3f:
-        """Fresnel's share of the metal times `K`."""
+        """Return the metal's Fresnel reflectance times `K`."""
         fresnel = ggx.schlick(normal, cos_half)
         again = ggx.coming_later(normal, self.second)
         later = ggx.interpolated(self.later, cos_i)
@@ -92,7 +92,7 @@ class FilmedConductor(ggx.GlossyBSDF):
 def film_shares(
     alpha: float, film_alpha: float, eta: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """What a film does to the light of white metal.
+    """Compute the shares of light that a film on a white metal reflects and lets out.
 
     Returns:
         `E_c` and `T (1 - S) / S`, one value for each of `ggx.TABLE` cosines from 0 to 1 above the
@@ -102,24 +102,24 @@ def film_shares(
     coat = coat_albedo(film_alpha, eta)
 
     def leaving(cos_inside: np.ndarray) -> np.ndarray:
-        """Share that the film's surface lets out at an angle; it reflects flat rays totally."""
+        """Return the share that the film's surface lets out at an angle; 0 for total reflection."""
         up2 = 1 - eta**2 * (1 - cos_inside**2)
         out = np.interp(np.sqrt(np.maximum(up2, 0)), cosine, 1 - coat)
         return np.where(up2 > 0, out, 0.0)
 
     def once(inside: np.ndarray) -> np.ndarray:
-        """Share that leaves after one reflection of the metal, of light from these directions."""
+        """Return the share of light from these directions that leaves after one reflection."""
         met = (ggx.facets(w, (alpha, alpha)) for w in inside)
         return np.array([(leaving(up) * passed).mean() for _, up, passed in met])
 
     inside = ggx.leaning(np.sqrt(1 - (1 - cosine**2) / eta**2))
     first, of_inside = once(inside), once(ggx.leaning(cosine))
-    # What was sent back meets the metal at about the angle at which it had left it.
+    # Light that was sent back meets the metal at about the angle at which it had left the metal.
     weight = cosine * (1 - coat)
     met = [ggx.facets(w, (alpha, alpha))[1:] for w in inside]
     stays = np.array([1 - leaving(up) * passed for up, passed in met])
     again = np.array([np.interp(np.abs(up), cosine, of_inside) for up, _ in met])
     second = float((weight @ (stays * again)).sum() / (weight @ stays).sum())
     later = (1 - coat) * (1 - first) / first
-    later.flags.writeable = False  # it is kept for the next scene
+    later.flags.writeable = False  # The cache returns the same array for the next scene.
     return coat, later, second

@@ -1,10 +1,10 @@
 """The GGX distribution of microfacets with Smith's height-correlated shadowing, for our BSDFs.
 
-All directions are unit vectors in the shading frame, both on the side of the normal. Stretched by
-`alpha` along the surface, facets become a hemisphere, so the length `s = |(alpha x, alpha y, z)|`
-of a stretched direction says all about its masking: Smith's `G1 = 2 z / (z + s)`, and for both
-directions at once `G2 = 2 zi zo / (si zo + so zi)`. Where `alpha` is a pair, x has the first and y
-the second, and all of this holds; with a number, no kernel is longer for it.
+All directions are unit vectors in the shading frame, on the side of the normal. Stretching by
+`alpha` along the surface turns the facets into a hemisphere. So masking depends only on the length
+`s = |(alpha x, alpha y, z)|` of a stretched direction: Smith's `G1 = 2 z / (z + s)`, and for both
+directions together `G2 = 2 zi zo / (si zo + so zi)`. `alpha` can be a pair for x and y; the same
+equations hold, and kernels for a single number do not become longer.
 
 Sources: B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
 (distribution); E. Heitz, "Understanding the Masking-Shadowing Function", JCGT 3(2), 2014 (G2);
@@ -22,16 +22,16 @@ import numpy as np
 from jaxtyping import Float
 
 Alpha: TypeAlias = mi.Float | mi.Vector2f
-TABLE = 128  # A table over a cosine has so many nodes and is linear between them.
-# Where roughness varies, tables have a row for each of these alphas. In their cube root they are
-# linear: the energy of metal changes fastest where it is rough, that of a coat where it is smooth.
+TABLE = 128  # The number of nodes in a table over the cosine, which is linear between them.
+# If roughness varies, tables have a row for each of these alphas, with equal steps of the cube
+# root: the energy of metal changes fastest if it is rough, and that of a coat if it is smooth.
 ALPHAS = np.linspace(1e-4 ** (1 / 3), 1, 24) ** 3
-_FACETS = 4096  # With so many, the error of the visible-normal integral is below 2e-4.
-_STEP = 0.5698402909980532  # M. Roberts' R2 sequence spreads the facets over two dimensions.
+_FACETS = 4096  # The error of the visible-normal integral is then below 2e-4.
+_STEP = 0.5698402909980532  # From M. Roberts' R2 sequence, which fills two dimensions evenly.
 
 
 def distribution(half: mi.Vector3f, alpha: Alpha) -> mi.Float:
-    """Density of facets, per solid angle and projected area. Keeps digits where alpha is small."""
+    """Return the density of facets per solid angle and projected area; precise for small alpha."""
     if isinstance(alpha, mi.Vector2f):
         length2 = dr.squared_norm(mi.Vector3f(half.x / alpha.x, half.y / alpha.y, half.z))
         return dr.inv_pi / (alpha.x * alpha.y * dr.square(length2))
@@ -49,7 +49,7 @@ def stretched(w: mi.Vector3f, alpha: Alpha) -> mi.Vector3f:
 def single_reflection(
     wi: mi.Vector3f, wo: mi.Vector3f, half: mi.Vector3f, alpha: Alpha
 ) -> tuple[mi.Float, mi.Float]:
-    """`D G2 / (4 cos cos)` times the cosine of wo, and the density of wo by `sample_visible`."""
+    """Return `D G2 / (4 cos cos)` times the cosine of wo, and the density of wo when sampled."""
     cos_i, cos_o = mi.Frame3f.cos_theta(wi), mi.Frame3f.cos_theta(wo)
     density = 0.5 * distribution(half, alpha)
     length_i, length_o = dr.norm(stretched(wi, alpha)), dr.norm(stretched(wo, alpha))
@@ -58,9 +58,9 @@ def single_reflection(
 
 
 def sample_visible(wi: mi.Vector3f, alpha: Alpha, uv: mi.Point2f) -> mi.Vector3f:
-    """A facet's normal, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
+    """Sample the normal of a visible facet, with density `G1(wi) max(wi . h, 0) D(h) / wi.z`."""
     direction = dr.normalize(stretched(wi, alpha))
-    z = dr.fma(1 - uv.y, 1 + direction.z, -direction.z)  # the cap that mirrors into the hemisphere
+    z = dr.fma(1 - uv.y, 1 + direction.z, -direction.z)  # Spherical cap of reflected directions
     across = dr.safe_sqrt(dr.fma(-z, z, 1))
     sine, cosine = dr.sincos(dr.two_pi * uv.x)
     half = mi.Vector3f(across * cosine, across * sine, z) + direction
@@ -68,7 +68,7 @@ def sample_visible(wi: mi.Vector3f, alpha: Alpha, uv: mi.Point2f) -> mi.Vector3f
 
 
 def interpolated(table: mi.Float, cosine: mi.Float, row: mi.UInt32 | None = None) -> mi.Float:
-    """A table over the cosines from 0 to 1, or a row of several, linear between its nodes."""
+    """Interpolate a table over the cosines from 0 to 1 linearly, or one row of a table of rows."""
     place = dr.clip(cosine, 0, 1) * (TABLE - 1)
     low = mi.UInt32(dr.minimum(place, TABLE - 2))
     first = low if row is None else row * TABLE + low
@@ -77,7 +77,7 @@ def interpolated(table: mi.Float, cosine: mi.Float, row: mi.UInt32 | None = None
 
 
 def between_rows(alpha: mi.Float, value: Callable[[mi.UInt32], mi.Float]) -> mi.Float:
-    """What has a value for each of `ALPHAS`, linear between them in the cube root of alpha."""
+    """Interpolate between the values for two `ALPHAS`, linearly in the cube root of alpha."""
     least = float(np.cbrt(ALPHAS[0]))
     place = (dr.cbrt(alpha) - least) * ((len(ALPHAS) - 1) / (1 - least))
     row = mi.UInt32(dr.clip(place, 0, len(ALPHAS) - 2))
@@ -85,30 +85,30 @@ def between_rows(alpha: mi.Float, value: Callable[[mi.UInt32], mi.Float]) -> mi.
 
 
 def schlick(normal: mi.Color3f, cos_half: mi.Float) -> mi.Color3f:
-    """Fresnel's share of a metal with this reflectance at normal incidence (C. Schlick, 1994)."""
+    """Return a metal's Fresnel reflectance from that at normal incidence (C. Schlick, 1994)."""
     away = 1 - cos_half
     return dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
 
 
 def coming_later(normal: mi.Color3f, share: mi.Float) -> mi.Color3f:
-    """Of light that a metal did not let out at once, what comes out later: `F_ms`.
+    """Return the share `F_ms` of the light that leaves a metal after more than one reflection.
 
-    `share` of it comes out at each further reflection, of which `F_avg = F0 + (1 - F0) / 21` is
-    left by Schlick's Fresnel term.
+    At each further reflection, the metal reflects `F_avg = F0 + (1 - F0) / 21` (the mean of
+    Schlick's term), and `share` of this light leaves.
     """
     average = dr.fma(normal, 20 / 21, 1 / 21)
     return average * share / dr.fma(-average, 1 - share, 1)
 
 
 def layer_share(reflected: mi.Float, below: mi.Color3f) -> mi.Float:
-    """Probability of sampling a layer's own reflection: its share of what is reflected in all."""
+    """Return the probability of sampling the top layer: its share of all reflected light."""
     return reflected / (reflected + (1 - reflected) * dr.mean(below))
 
 
 class GlossyBSDF(mi.BSDF):
-    """What our BSDFs share; `reflected` and `sample` are each one's own.
+    """The common base of our glossy BSDFs; subclasses define `reflected` and `sample`.
 
-    The surface reflects on its front alone, in one or two lobes.
+    The surface reflects only on its front, in one or two lobes.
     Properties: `reflectance` (texture), `alpha` (GGX) or `roughness` (texture), its square root.
     """
 
@@ -119,7 +119,7 @@ class GlossyBSDF(mi.BSDF):
         self.reflectance = props.get_texture("reflectance")
         varied = "roughness" in props
         self.roughness = props.get_texture("roughness") if varied else None
-        # Opaque: a literal would be compiled into the kernel, anew for every roughness.
+        # Opaque, because a literal would force a new compilation for every roughness.
         self.alpha = None if varied else dr.opaque(mi.Float, float(props["alpha"]))
 
     def alpha_at(self, si, active) -> Alpha:
@@ -127,7 +127,7 @@ class GlossyBSDF(mi.BSDF):
         return self.alpha if varied is None else dr.square(varied.eval_1(si, active))
 
     def eval_pdf(self, context, si, wo, active):
-        """Value times cosine, and solid-angle density; both 0 where a direction is below."""
+        """Return value times cosine, and solid-angle density; 0 for directions from below."""
         cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active &= (cos_i > 0) & (cos_o > 0)
         value, pdf = self.reflected(si, wo, cos_i, cos_o, active)
@@ -143,7 +143,7 @@ class GlossyBSDF(mi.BSDF):
         return self.reflectance.eval(si, active)
 
     def layer_sample(self, context, si, wo, of_layer, active):
-        """The sample of a direction that the layer, the first component, or what is below gave."""
+        """Return the sample for a direction of the top layer (first component) or of the base."""
         value, pdf = self.eval_pdf(context, si, wo, active)
         layer, below = self.m_components
         bs = dr.zeros(mi.BSDFSample3f)
@@ -163,7 +163,7 @@ class GlossyBSDF(mi.BSDF):
 
 
 def leaning(cosine: Float[np.ndarray, " n"], azimuth_rad: float = 0.0) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors at these cosines to the normal; none is on the horizon itself."""
+    """Return unit vectors with these cosines to the normal, slightly above the horizon at 0."""
     z = np.clip(cosine, 1e-6, 1)
     sine = np.sqrt(1 - z**2)
     return np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), z], axis=-1)
@@ -174,10 +174,10 @@ def directional_albedo(
     alphas: tuple[float, float],
     fresnel: Callable[[np.ndarray], np.ndarray] = np.ones_like,
 ) -> Float[np.ndarray, " n"]:
-    """Share of light from each direction that facets send back after one reflection.
+    """Return the share of light from each direction that leaves after one reflection.
 
-    The mean of `F G2 / G1` over visible normals, which `_FACETS` of them stand for; F is a facet's
-    reflectance by the cosine at which light meets it, and `alphas` are its widths along x and y.
+    It is the mean of `F G2 / G1` over `_FACETS` visible normals, where F is the reflectance of a
+    facet as a function of the cosine of incidence. `alphas` are the widths along x and y.
     """
     met = (facets(w, alphas) for w in wi)
     return np.array([float((fresnel(cos_half) * left).mean()) for cos_half, _, left in met])
@@ -186,15 +186,15 @@ def directional_albedo(
 def facets(
     wi: Float[np.ndarray, "3"], alphas: tuple[float, float]
 ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], Float[np.ndarray, " f"]]:
-    """The visible facets of a direction, each with equal weight.
+    """Return facets that are visible from a direction, with equal weights.
 
     Returns:
-        The cosine at which light meets each, the cosine to the surface's normal at which it is
-        reflected, and the share that other facets let pass, `G2 / G1`; 0 where it goes downwards.
+        For each facet the cosine of incidence, the cosine between reflected light and the surface's
+        normal, and the share that other facets let pass, `G2 / G1` (0 for light that goes down).
     """
     around, height = _spread()
     widths = np.array([*alphas, 1.0])
-    length = np.linalg.norm(widths * wi)  # of the stretched direction
+    length = np.linalg.norm(widths * wi)  # Length of the stretched direction
     x, y, cosine = widths * wi / length
     z = (1 - height) * (1 + cosine) - cosine
     across = np.sqrt(np.maximum(1 - z * z, 0))
@@ -211,14 +211,14 @@ def facets(
 
 @lru_cache
 def _spread() -> tuple[Float[np.ndarray, "2 f"], Float[np.ndarray, " f"]]:
-    """Cosines and sines of the facets' azimuths, and their places from 0 to 1 along the cap."""
+    """Return cosines and sines of the facets' azimuths, and their heights in the cap (0 to 1)."""
     order = np.arange(_FACETS) + 0.5
     turn = 2 * np.pi * ((order * _STEP) % 1)
     return np.stack([np.cos(turn), np.sin(turn)]), order / _FACETS
 
 
 def mean_albedo(alphas: tuple[float, float]) -> float:
-    """`directional_albedo` for light from everywhere: its cosine-weighted mean."""
+    """Return the cosine-weighted mean of `directional_albedo` over all directions of light."""
     node, weight = np.polynomial.legendre.leggauss(32)
     cosine = 0.5 * (node + 1)
     azimuths_rad = [0.0] if alphas[0] == alphas[1] else np.pi / 8 * (np.arange(4) + 0.5)

@@ -1,28 +1,28 @@
 """The one-pass renderer: every projected pattern from one set of light paths, by Mitsuba 3.
 
-Light transport is linear in the projector's picture and the scene stands still. So a path from
-the camera is traced once, and at each of its vertices the light that arrives straight from the
-projector goes to every pattern's sum, weighted by that pattern's level at the projector pixel which
-sees the vertex. All patterns share their paths: their Monte Carlo errors are one error, as if the
-picture were taken through slightly different pixels, not an error that differs from bit to bit.
-The noise that does is the sensor's, added later.
+Light transport is linear in the projector's picture, and the scene does not move. So each path from
+the camera is traced only once. At each vertex, the direct light of the projector is added to the
+sum of every pattern, multiplied by the level of that pattern at the projector pixel which sees the
+vertex. All patterns share the same paths and thus the same Monte Carlo error: it acts as if the
+picture were taken through slightly different pixels, and does not differ from bit to bit. Only
+sensor noise, which is added later, differs.
 
-One of n samples of a rough reflection stands for a cone of directions, and its end for a patch of
-surface, not for a point of one stripe. So interreflected light takes the patterns' mean level over
-the patch that its vertex stands for (`Quality.footprint`), as ray cones filter textures. The patch
-shrinks with the number of samples: the estimate is consistent, the white frame is untouched, and
-stripes seen in a rough reflection blur, as they do in the limit, rather than sparkle.
+In a rough reflection, one of n samples represents a cone of directions, and its end represents a
+patch of surface and not a point of one stripe. So indirect light uses the mean level of the
+patterns over this patch (`Quality.footprint`), as ray cones filter textures. The patch shrinks with
+the number of samples, so the estimate is consistent. The white frame does not change, and stripes
+in a rough reflection are blurred, as they are in the limit, and do not sparkle.
 
-Both lenses are thin (`Optics`). Paths start all over the camera's pupil. What lights a point by
-the projector's is a disc of its picture, so patterns take their mean level over that disc, too. A
-pixel's samples come in pairs that mirror each other: it sees a smooth surface at its exact middle.
+Both lenses are thin (`Optics`). Paths start all over the camera's pupil. The projector lights a
+point with a disc of its picture, so the mean level over that disc is used, too. The samples of a
+pixel are pairs of opposite positions, so a smooth surface is seen at the exact centre of the pixel.
 
-Where the projector shines on shiny surfaces, paths start from it, too: see `mitsuba_caustics.py`.
+For projector light on shiny surfaces, more paths start at the projector (`mitsuba_caustics.py`).
 
-Limits: light passes through glass alone (`mitsuba_sight.py`); light over two polished surfaces is
-noisy. The shadow ray goes to a random place of the projector's lens, but the patterns are averaged
-over the whole of it: half shadows are as soft as they should be, and their stripes are not shifted
-by the half of the lens that is hidden.
+Limits: the only transparent material is glass (`mitsuba_sight.py`); light over two polished
+surfaces is noisy. The shadow ray goes to a random point of the projector's lens, but patterns are
+averaged over the whole lens: penumbras have the right softness, but their stripes lack the shift
+from the hidden half of the lens.
 """
 
 from dataclasses import fields, replace
@@ -61,9 +61,9 @@ from .wavelength import at_projector_wavelength
 
 @final
 class MitsubaRenderer(Renderer):
-    """See the module. It keeps a world until a call needs another; the process keeps the device.
+    """The one-pass renderer. It keeps the last world; the process keeps the device.
 
-    Further images of a scene, by other rigs at other poses, use the last world.
+    Other images of the same scene, by other rigs or from other poses, use the same world.
     """
 
     name = "mitsuba"
@@ -81,7 +81,7 @@ class MitsubaRenderer(Renderer):
         refuse_other_size(pattern, scene.rig.projector)
         if quality.denoise == "optix":
             raise ValueError("denoise optix exists only for Cycles: choose none or oidn")
-        # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
+        # Dr.Jit keeps free blocks of the last scene, which do not all fit this one and accumulate.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
         world, look_world = self._open_worlds(scene, measured, layout)
@@ -107,11 +107,11 @@ class MitsubaRenderer(Renderer):
     def _open_worlds(
         self, scene: Scene, measured: Scene, layout: Layout
     ) -> tuple[MitsubaWorld, MitsubaWorld]:
-        """The world as light is measured in it, and as it looks. The last ones serve other rigs."""
+        """Return the worlds for measuring and for the colour picture; reuse the last ones."""
         rest = [f.name for f in fields(Scene) if f.name not in ("rig", "T_world_cam")]
         built_of = layout, *(getattr(scene, name) for name in rest)
         if self._worlds is None or not all(map(is_, built_of, self._built_of)):
-            self.close()  # two worlds need not fit into memory
+            self.close()  # The old and the new world may not fit into memory together.
             world = build(measured, layout)
             self._worlds = world, world if measured is scene else build(scene, layout)
             self._built_of = built_of
@@ -136,7 +136,7 @@ def light(
     if caustics is not None:
         paths.add(caustics)
 
-    # The kernel of the paths also scales the sums and lays them out, with all of its threads.
+    # The kernel of the paths also scales and arranges the sums, on all of its threads.
     falloff = relative_illumination(camera) / quality.samples
     share = mi.Float(aligned(falloff.astype(np.float32)))
     white, ambient = paths.white * share, paths.ambient * share
@@ -144,7 +144,7 @@ def light(
     stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")
     gray = dr.sum(white), dr.dot(ambient, passed)
     color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
-    # All that the paths gave at once: what is asked for later would trace them again.
+    # Evaluate all results at once, because a later evaluation would trace the paths again.
     place = paths.placed / paths.straight
     dr.eval(stack, gray, color, place, paths.straight, paths.stray, paths.stray2)
 
@@ -162,7 +162,7 @@ def light(
 
 
 def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None:
-    """Where the projector shines on something shiny, if it does and if light goes on from there."""
+    """Return the shiny field of the projector's picture; None if no light can go on from there."""
     if not shiny or stage.quality.depth == 1:
         return None
     field = ShinyField(stage.world, stage.light, shiny, stage.pixels)
@@ -190,7 +190,7 @@ def _path_noise(stage: Stage, paths: Paths, mean: mi.Point2f, scene: Scene) -> P
 
 
 def _variance(total: mi.Float, squares: mi.Float, samples: int) -> mi.Float:
-    """Of a sum of independent samples; of a single one, its square."""
+    """Return the variance of a sum of independent samples; for a single sample, its square."""
     if samples == 1:
         return squares
     return dr.maximum(squares - dr.square(total) / samples, 0) * (samples / (samples - 1))

@@ -1,26 +1,26 @@
 """Light paths from the projector over shiny surfaces to the camera: caustics, for all patterns.
 
-A path from the camera finds light that comes by a polished face only if its diffuse choice at the
-lit surface happens to meet the one spot that mirrors the small lens of the projector: rare, and
-then very bright. A path from the projector goes over that spot by itself. It starts at a place of
-the projector's picture, whose levels it carries. At each vertex from the second on, it is connected
-with a place of the camera's pupil and added to the pixel there, as far as nothing is between them.
+A path from the camera finds light from a polished face only if the random diffuse direction at the
+lit surface happens to meet the spot that mirrors the small lens of the projector. This is rare, and
+then very bright. A path from the projector meets that spot naturally. It starts at a position in
+the projector's picture and carries the levels there. Each vertex from the second on is connected to
+a point of the camera's pupil, and its light is added to the pixel there unless it is occluded.
 
-Most of this light both kinds of path can find, so each counts what multiple importance sampling
-leaves it (`share`): the odds that the other kind would have found the path. Direct light, and light
-whose first surface is not shiny, is looked for from the camera alone.
+Both kinds of path can find most of this light, so each is weighted by multiple importance sampling
+(`share`), with the odds that the other kind would have found the path. Direct light, and light
+whose first surface is not shiny, is sampled only from the camera.
 
-Both kinds integrate the same: a material is asked with light and camera on the same sides, and each
-bounce takes the cosines to the true normal that its density lacks, which is Veach's factor for
-interpolated normals. Out of focus, the path's place in the projector's picture is one of the disc
-over which the paths from the camera take a mean.
+Both kinds integrate the same function: materials are evaluated with light and camera on the same
+sides, and each bounce has the cosines to the true normal that its density lacks (Veach's factor for
+interpolated normals). Out of focus, the position of a path in the projector's picture is a random
+point of the disc over which paths from the camera use the mean.
 
-The sums are integers of 64 bits, so that they are the same in whatever order threads add. While the
-paths run, they take 8 bytes for each pixel and each of the patterns, the three bands and the finest
+The sums are 64-bit integers, so they do not depend on the order in which threads add. While the
+paths run, they need 8 bytes for each pixel and each of the patterns, the three bands and the finest
 pattern of each axis (docs/how-to/many-scenes.md).
 
 Source: E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997: sections 5.3,
-9.2 and 10.2 (bidirectional path tracing; this is t = 1 beside s = 1).
+9.2 and 10.2 (bidirectional path tracing; this is t = 1, combined with s = 1).
 """
 
 import math
@@ -36,24 +36,24 @@ from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
 from .mitsuba_sight import counted
 from .mitsuba_stage import ROULETTE_FROM, Stage, survival
 
-LANES = 2_500_000  # At most so many paths run side by side.
-UNIT = 2.0**-32  # It is the unit of the sums, in light that white paper at one metre returns.
-BRIGHTEST = 2.0**24 - 1  # In the same light, one path adds no more to a pixel.
-UNIT_SAMPLES = 256  # So many times BRIGHTEST fit into 64 bits in UNIT; more samples widen the unit.
+LANES = 2_500_000  # The largest number of paths that run in parallel.
+UNIT = 2.0**-32  # Unit of the sums, relative to the light of white paper at one metre.
+BRIGHTEST = 2.0**24 - 1  # Largest light, on the same scale, that one path adds to a pixel.
+UNIT_SAMPLES = 256  # 64 bits hold this many times BRIGHTEST; more samples need a larger unit.
 
 
 @dataclass(frozen=True, slots=True)
 class Caustics:
-    """What the paths from the projector add to the sums of each pixel."""
+    """The light that paths from the projector add to the sums of each pixel."""
 
     pattern: list[mi.Float]
     white: mi.Color3f
-    stray2: Mapping[Axis, mi.Float]  # the variance of the finest pattern's sum
+    stray2: Mapping[Axis, mi.Float]  # Variance of the finest pattern's sum
 
 
 @dataclass
 class _LightPaths:
-    """One path per lane: the state of the loop."""
+    """The state of the loop, with one path per lane."""
 
     rng: mi.PCG32
     vertex: mi.UInt32
@@ -62,9 +62,9 @@ class _LightPaths:
     origin: mi.Point3f
     direction: mi.Vector3f
     odds: mi.Float
-    power: mi.Float  # that the path carries, without `throughput`
-    pixel: mi.UInt32  # of the projector's picture
-    passed: mi.UInt32 | None  # how often solid glass has sent it on, where there is glass
+    power: mi.Float  # Power at the start of the path, without `throughput`
+    pixel: mi.UInt32  # Pixel of the projector's picture
+    passed: mi.UInt32 | None  # Number of passages through solid glass; None without glass
 
 
 class CausticTracer:
@@ -85,9 +85,9 @@ class CausticTracer:
         starts = mi.PCG32(size=2, initstate=dr.opaque(mi.UInt64, seed)).next_uint32().numpy()
         start = mi.Point2u(*(dr.opaque(mi.UInt32, int(one)) for one in starts))
         for first, lanes in blocks(self.total):
-            # 64 bits: a full picture with some thousands of samples has more than 2^32 paths.
+            # A full picture with some thousands of samples has more than 2^32 paths.
             index = dr.arange(mi.UInt64, lanes) + dr.opaque(mi.UInt64, first)
-            # Not the numbers of the paths from the camera, which are those of `seed`.
+            # These random numbers must differ from those of the paths from the camera.
             state = dr.opaque(mi.UInt64, (seed * 0x9E3779B97F4A7C15 + first + 1) % 2**64)
             paths = self._started(mi.PCG32(size=lanes, initstate=state), index, start)
             (paths,) = dr.while_loop(
@@ -97,7 +97,7 @@ class CausticTracer:
         return self._result()
 
     def _started(self, rng: mi.PCG32, index: mi.UInt64, start: mi.Point2u) -> _LightPaths:
-        """Paths that have met their first surface, if that is shiny, and go on from there."""
+        """Start paths at the projector, and continue those whose first surface is shiny."""
         light = self.stage.light
         origin = light.on_lens(_on_disc(rng))
         direction = self.field.direction(self.field.places(index, self.total, start))
@@ -127,7 +127,7 @@ class CausticTracer:
     def _shining_pixel(
         self, rng: mi.PCG32, place: mi.Point2f, inverse_z: mi.Float
     ) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the projector's pixel of a path seen at `place`, and whether it shines."""
+        """Return the projector pixel for a path at `place`, and whether it emits light there."""
         optics = self.projector
         if not optics.is_pinhole:
             disc = _on_disc(rng) * dr.sqrt(blur_radius2(optics, inverse_z))
@@ -141,7 +141,7 @@ class CausticTracer:
         ray = mi.Ray3f(p.origin, p.direction)
         si, p.throughput, p.rng = self.sight.first(ray, p.throughput, p.rng)
         hit = p.alive & si.is_valid()
-        if not self.sight.glass:  # glass alone sends on what comes from inside
+        if not self.sight.glass:  # Only glass continues paths from inside.
             hit &= si.wi.z > 0
         before = p.odds
         p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))
@@ -159,7 +159,7 @@ class CausticTracer:
         lit, passing = self.sight.reaches(si, lens, lit)
         value *= passing
         cosine = dr.abs(dr.dot(si.n, to_camera))
-        # Per path of a pixel, whose places are all over what senses of it.
+        # Normalise by the area of the pixel's active square, over which positions are spread.
         places = cosine * inverse_square * per_sr / camera.fill_factor
         odds = p.odds * pdf * places / self.field.paths
         weight = share(odds) * places / dr.abs(dr.dot(si.n, p.direction))
@@ -179,10 +179,10 @@ class CausticTracer:
         return dr.dispatch(si.bsdf(ray), self._ask, si, to_camera, pick, uv)
 
     def _ask(self, bsdf, si, to_camera, pick, uv):
-        """Value and density of the way from the camera to where this path came from; a way on, and
-        the same of it.
+        """Return value and density of the reflection from the camera's direction to this path's
+        origin; then a sampled direction to go on, and its value and density.
         """
-        if bsdf is None:  # a world without any surface
+        if bsdf is None:  # The world has no surface.
             none = mi.Color3f(0)
             return none, mi.Float(0), dr.zeros(mi.BSDFSample3f), none, mi.Float(0)
         context = self.stage.context
@@ -191,14 +191,14 @@ class CausticTracer:
         back.wi, onward.wi = to_camera, bs.wo
         value, pdf = bsdf.eval_pdf(context, back, si.wi, True)
         onward_value, onward_pdf = bsdf.eval_pdf(context, onward, si.wi, True)
-        # Glass has no value there, but a weight.
+        # A delta reflection has a weight and no value.
         onward_value = dr.select(self.sight.is_delta(bs), gain, onward_value)
         return value, pdf, bs, onward_value, onward_pdf
 
     def _go_on(
         self, p: _LightPaths, si, bs, value: mi.Color3f, pdf: mi.Float, before: mi.Float | None
     ) -> _LightPaths:
-        """Take the sampled direction, or end the path; the first vertex has no odds `before` it."""
+        """Follow the sampled direction or end the path; `before` is None at the first vertex."""
         direction = si.to_world(bs.wo)
         cosines = dr.abs(dr.dot(si.n, direction)) / dr.abs(dr.dot(si.n, p.direction))
         delta = self.sight.is_delta(bs)
@@ -215,7 +215,7 @@ class CausticTracer:
         return p
 
     def _add(self, p: _LightPaths, pixel: mi.UInt32, light: mi.Color3f, lit: mi.Bool) -> None:
-        """Light to the sums of a pixel of the camera."""
+        """Add light to the sums of a camera pixel."""
         first = pixel * self.stride
         most = BRIGHTEST / self.step
         light = dr.minimum(dr.select(lit, light, 0) / self.unit, most)
@@ -248,22 +248,22 @@ class CausticTracer:
 
 
 def blocks(total: int) -> Iterator[tuple[int, int]]:
-    """Yield the first path and the number of paths of each block that runs side by side."""
+    """Yield the first path and the number of paths of each block that runs in parallel."""
     for first in range(0, total, LANES):
         yield first, min(LANES, total - first)
 
 
 def sum_step(samples: int) -> float:
-    """Return the unit of the sums for a number of samples, in light of white paper at one metre.
+    """Return the unit of the sums for a number of samples, relative to white paper at one metre.
 
     It is `UNIT` for up to `UNIT_SAMPLES` samples, and a power of two times that for more, so that
     the sum of a pixel overflows 64 bits only if its mean over the samples exceeds `BRIGHTEST`. Each
-    path loses less than one unit to rounding, which is 2^-24 of white paper with the most samples.
+    path loses less than one unit to rounding, which is at most 2^-24 of white paper.
     """
     return UNIT * 2 ** max(0, math.ceil(math.log2(samples / UNIT_SAMPLES)))
 
 
 def _on_disc(rng: mi.PCG32) -> mi.Point2f:
-    """A place of the unit disc."""
+    """Return a random point of the unit disc."""
     square = mi.Point2f(rng.next_float32(), rng.next_float32())
     return mi.Point2f(mi.warp.square_to_uniform_disk_concentric(square))

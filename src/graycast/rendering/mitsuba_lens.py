@@ -1,4 +1,4 @@
-"""Lenses in Dr.Jit: where rays start and go, and where points are seen."""
+"""Lenses in Dr.Jit: the rays of pixels, and the pixels that see points."""
 
 import math
 
@@ -7,11 +7,11 @@ import mitsuba as mi
 
 from ..rig.optics import Optics, fold_radius2
 
-NEWTON_STEPS = 6  # Each doubles the digits, and lenses need four for float32.
+NEWTON_STEPS = 6  # Each step doubles the digits; four steps suffice for float32 and usual lenses.
 
 
 def camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:
-    """Unit direction of a pixel position, camera frame, distortion taken off by Newton steps."""
+    """Return the undistorted unit direction of a pixel position in the camera frame."""
     xd, yd = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
     xi, yi = mi.Float(xd), mi.Float(yd)
     if camera.has_distortion:
@@ -25,7 +25,7 @@ def camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:
 
 
 def _slopes(x, y, distortion):
-    """Derivatives of `distorted`, a symmetric matrix: xx, xy, yy."""
+    """Return the derivatives xx, xy and yy of `distorted`, which are a symmetric matrix."""
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -50,9 +50,9 @@ def distorted(x, y, distortion):
 def through_focus(
     camera: Optics, direction: mi.Vector3f, place: mi.Point2f
 ) -> tuple[mi.Vector3f, mi.Vector3f]:
-    """Start and unit direction, camera frame, of a ray through a place of the pupil (unit disc).
+    """Return start and unit direction, in the camera frame, of a ray through a point of the pupil.
 
-    All rays of one pixel position meet where its central ray crosses the plane in focus.
+    The point is on the unit disc. All rays of a pixel position meet in the plane in focus.
     """
     start = mi.Vector3f(0.5 * camera.aperture_m * place.x, 0.5 * camera.aperture_m * place.y, 0)
     return start, dr.normalize(direction / direction.z - start / camera.focus_m)
@@ -61,7 +61,7 @@ def through_focus(
 def picture_place(
     optics: Optics, q: mi.Point3f | mi.Vector3f
 ) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
-    """Where the middle of a pupil sees a point of its frame [px], 1 / z there, and if at all."""
+    """Return the picture position of a point [px], 1 / z, and whether the point is visible."""
     ahead = q.z > 0
     scale = dr.select(ahead, dr.rcp(q.z), 0)
     x, y = q.x * scale, q.y * scale
@@ -76,27 +76,27 @@ def picture_place(
 def camera_place(
     camera: Optics, q: mi.Point3f, place: mi.Point2f
 ) -> tuple[mi.Point2f, mi.Vector3f, mi.Float, mi.Bool]:
-    """Where the camera sees a point of its own frame through a place of its pupil (unit disc).
+    """Return the picture position of a point seen through a point of the pupil (on the unit disc).
 
-    The inverse of `camera_ray` and `through_focus`.
+    This is the inverse of `camera_ray` and `through_focus`.
 
     Returns:
-        The place in the picture [px]; the ray from the place of the pupil to the point [m]; the
-        picture's area per solid angle of such rays [px^2 sr^-1]; whether it is seen at all.
+        The position in the picture [px]; the ray from the pupil to the point [m]; the area of the
+        picture per solid angle of such rays [px^2 sr^-1]; whether the point is visible.
     """
     pupil = mi.Vector3f(0.5 * camera.aperture_m * place.x, 0.5 * camera.aperture_m * place.y, 0)
     ray = mi.Vector3f(q) - pupil
-    # The ray through the middle of the pupil that meets it in the plane in focus.
+    # This ray through the middle of the pupil meets `ray` in the plane in focus.
     central = mi.Vector3f(dr.fma(ray.z, pupil / camera.focus_m, ray))
     pixel, _, ahead = picture_place(camera, central)
     return pixel, ray, pixels_per_sr(camera, central, ray), ahead
 
 
 def pixels_per_sr(optics: Optics, central: mi.Vector3f, ray: mi.Vector3f) -> mi.Float:
-    """The picture's area per solid angle of rays [px^2 sr^-1]; both rays have any length.
+    """Return the area of the picture per solid angle of rays [px^2 sr^-1].
 
     Args:
-        central: through the middle of the pupil, which says where in the picture `ray` arrives.
+        central: ray through the middle of the pupil to the same position; any length, like `ray`.
     """
     area = optics.fx_px * optics.fy_px
     slant = dr.norm(ray) / ray.z
@@ -107,7 +107,7 @@ def pixels_per_sr(optics: Optics, central: mi.Vector3f, ray: mi.Vector3f) -> mi.
 
 
 def blur_radius2(projector: Optics, inverse_z: mi.Float) -> mi.Float:
-    """Square of `optics.blur_radius_px` in normalised coordinates."""
+    """Return the square of `optics.blur_radius_px` in normalised coordinates."""
     defocus = 0.5 * projector.aperture_m * (1 / projector.focus_m - inverse_z)
     return dr.square(defocus) + (projector.psf_px / projector.fx_px) ** 2
 
@@ -118,14 +118,14 @@ def in_field(projector: Optics, place: mi.Point2f) -> mi.Bool:
 
 
 def corner_share(optics: Optics, place: mi.Point2f) -> mi.Float:
-    """`optics.corner_share`."""
+    """Return `optics.corner_share`, computed in Dr.Jit."""
     x = (2 * place.x + 1) / optics.width_px - 1
     y = (2 * place.y + 1) / optics.height_px - 1
     return (x * x + y * y) / 2
 
 
 def shines(projector: Optics, place: mi.Point2f) -> mi.Bool:
-    """Whether a place of the projector's picture is on a pixel, rather than in a gap or outside."""
+    """Return whether a position is on the active area of a pixel, and not in a gap or outside."""
     inside = in_field(projector, place)
     if projector.fill_factor < 1:
         half = 0.5 * math.sqrt(projector.fill_factor)
@@ -135,11 +135,11 @@ def shines(projector: Optics, place: mi.Point2f) -> mi.Bool:
 
 
 def on_pixel(projector: Optics, place: mi.Point2f) -> mi.Point2f:
-    """The middle of the pixel at a place: a square around its centre, so the nearest centre."""
+    """Return the centre of the pixel that contains a position."""
     u = dr.clip(dr.floor(place.x + 0.5), 0, projector.width_px - 1)
     return mi.Point2f(u, dr.clip(dr.floor(place.y + 0.5), 0, projector.height_px - 1))
 
 
 def pixel_index(projector: Optics, middle: mi.Point2f) -> mi.UInt32:
-    """The pixel whose middle is given (`on_pixel`); exact below 2^24 pixels."""
+    """Return the index of the pixel with this centre (see `on_pixel`); exact below 2^24 pixels."""
     return mi.UInt32(middle.y * projector.width_px + middle.x)

@@ -5,6 +5,7 @@ import pydoc
 import re
 import typing
 from dataclasses import fields, is_dataclass
+from functools import cache
 from types import FunctionType
 
 import numpy as np
@@ -52,14 +53,16 @@ def reachable():
 
 TORCH = ("TrainSpec", "train", "detect", "load_detector", "pictures_of")
 KINDS = reachable()
-LONG = "a line\n" * 5000
+LONG = "a line\n" * 500
+WIDE = np.zeros((900, 700))
 
 
+@cache
 def monster(kind, depth=3):
-    """Return a value of a class whose fields are all much too long for a line."""
+    """Return a value of a class, all of whose fields are far too long for a line."""
     value = object.__new__(kind)
     inner = [monster(one, depth - 1) for one in (gc.SensorSpec, gc.Config)] if depth else []
-    long = (*inner, np.zeros((900, 700)), LONG, tuple(range(999)), {LONG: LONG})
+    long = (*inner, WIDE, LONG, tuple(range(999)), {LONG: LONG})
     names = [f.name for f in fields(kind)] if is_dataclass(kind) else list(kind.model_fields)
     if is_dataclass(kind):
         for k, name in enumerate(names):

@@ -9,7 +9,7 @@ import types
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
-from functools import wraps
+from functools import cache, wraps
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from .argument_check import refuse_unknown
@@ -103,17 +103,18 @@ def _value_text(value: Any, depth: int) -> str:
 
 def _own_fields(value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the fields that have not their default."""
-    sections = getattr(type(value), "model_fields", None)
-    if sections is not None:
-        defaults = {
-            key: info.get_default(call_default_factory=True) for key, info in sections.items()
-        }
-    else:
-        defaults = {field.name: _default(field) for field in fields(value) if field.repr}
-    for key, default in defaults.items():
+    for key, default in _defaults(type(value)).items():
         item = getattr(value, key)
         if not _same(item, default):
             yield key, item
+
+
+@cache  # pydantic makes a deep copy of a default for each call of `get_default`.
+def _defaults(kind: Any) -> Mapping[str, Any]:
+    sections = getattr(kind, "model_fields", None)
+    if sections is None:
+        return {field.name: _default(field) for field in fields(kind) if field.repr}
+    return {key: info.get_default(call_default_factory=True) for key, info in sections.items()}
 
 
 def _default(field: Any) -> Any:

@@ -35,7 +35,7 @@ UNMEASURED = {
 }
 PATH = re.compile(r"(?<![\w/.:-])[\w*-]+(?:/[\w.*-]+)*\.(?:py|js|ipynb)\b|(?<![\w/.-])[\w*./-]+")
 # Files of other projects that pages name.
-FOREIGN = {"bop_webdataset.py", "dataset/bop_imagewise.py"}
+FOREIGN = {"dataset/bop_webdataset.py"}
 
 
 def name_of(page):

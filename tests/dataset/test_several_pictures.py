@@ -14,7 +14,7 @@ from graycast.dataset.stored import open_dataset
 from graycast.dataset.training import open_examples
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-FORMATS = ("coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet")
+FORMATS = ("coco", "yolo", "bop-webdataset", "parquet")
 IMAGE_IDS = [scene_id * len(NAMES) + place for scene_id in SCENES for place in range(len(NAMES))]
 
 
@@ -86,7 +86,7 @@ def test_clouds_and_cameras_of_each_scanner_are_exported(several, tmp_path):  # 
     export(several[0], tmp_path / "clouds", Options(format="clouds", split=Split()))
     names = sorted(path.name for path in (tmp_path / "clouds/train").iterdir())
     assert len(names) == 2 * len(IMAGE_IDS)
-    export(several[0], tmp_path / "bop", Options(format="bop-imagewise", split=Split()))
+    export(several[0], tmp_path / "bop", Options(format="bop-webdataset", split=Split()))
     for name, width in (("left", 160), ("right", 128)):
         camera = json.loads((tmp_path / f"bop/camera_{name}.json").read_text())
         assert camera["width"] == width

@@ -109,7 +109,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
         with open(path, "rb") as file:
             vertex = load_ply(file)["metadata"]["_ply_raw"]["vertex"]
         table = {name: np.ravel(vertex["data"][name]) for name in vertex["properties"]}
-    except Exception as error:  # A damaged PLY makes trimesh raise whatever it met.
+    except Exception as error:  # trimesh has no class of its own for damaged files.
         raise DatasetError(
             f"{path}: its vertices cannot be read ({error}): export or copy the file again"
         ) from error

@@ -24,7 +24,7 @@ from .readers import above_zero, positive, whole
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-_FORMATS = ("coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet", "clouds")
+_FORMATS = ("coco", "yolo", "bop-webdataset", "parquet", "clouds")
 _OPTIONS = (  # each has its name in the library
     "image", "depth", "polygons", "labels", "cloud", "organised", "shard_scenes", "link",
     "pixel_origin", "min_visibility",
@@ -107,7 +107,8 @@ def _add_export(group) -> None:
     )  # fmt: skip
     _add_dataset(export)
     page = "The page docs/reference/exports.md describes each format."
-    add_option(export, "--format", _FORMATS, f"The format to write. {page}", required=True)
+    form = f"The format to write. {page}"
+    add_option(export, "--format", _FORMATS, form, required=True, type=_format)
     add_out(export, NEW_FOLDER)
     add_option(
         export,
@@ -157,8 +158,7 @@ def _add_export(group) -> None:
         "--pixel-origin",
         ("centre", "corner"),
         "The point of the top-left pixel that has the coordinates (0, 0). The renderers of "
-        "bop_toolkit expect its corner. It applies only to the formats bop-imagewise and "
-        "bop-webdataset.",
+        "bop_toolkit expect its corner. It applies only to the format bop-webdataset.",
         usual="centre",
     )
     shards = "The largest number of scenes in one file."
@@ -166,6 +166,14 @@ def _add_export(group) -> None:
     link = "Make hard links to the dataset's pictures instead of copies."
     add_option(export, "--link", None, link)
     add_shared(export, "--min-visibility", usual="0")
+
+
+def _format(name: str) -> str:
+    from ..dataset.export.options import no_format
+
+    if name not in _FORMATS:
+        raise argparse.ArgumentTypeError(no_format(name))
+    return name
 
 
 def _add_import(group) -> None:

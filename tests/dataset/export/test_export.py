@@ -93,6 +93,9 @@ def test_an_option_of_another_format_is_refused():
         Options(format="bop-webdataset", depth="both")
     with pytest.raises(GraycastError, match="format is 'voc': choose one of coco"):
         Options(format="voc")
+    for former in ("bop-imagewise", "webdataset"):
+        with pytest.raises(GraycastError, match=f"{former} is no longer .* as bop-webdataset"):
+            Options(format=former)
 
 
 def test_links_are_the_same_files_and_copies_are_not(master, tmp_path):

@@ -29,10 +29,11 @@ EXPORTS = {
     "coco polygons": ({"polygons": True, "image": "gray"}, LABELS | {"K", "distortion", "gray"}),
     "yolo": ({}, {"rgb", "obj_id", "mask", "box_px"}),
     "yolo boxes": ({"labels": "boxes"}, {"rgb", "obj_id", "box_px"}),
-    "bop-imagewise": ({}, FIELDS - {"gray", "scanner_depth_m"}),
-    "bop-imagewise scanner": ({"depth": "scanner", "image": "gray"}, FIELDS - {"rgb", "depth_m"}),
     "bop-webdataset": ({"shard_scenes": 3}, FIELDS - {"gray", "scanner_depth_m"}),
-    "webdataset": ({"shard_scenes": 2}, FIELDS - {"gray"}),
+    "bop-webdataset scanner": (
+        {"depth": "scanner", "image": "gray", "shard_scenes": 2},
+        FIELDS - {"rgb", "depth_m"},
+    ),
     "parquet": ({"image": "gray", "shard_scenes": 2}, FIELDS - {"rgb"}),
 }
 
@@ -105,7 +106,7 @@ def test_an_export_gives_the_same_examples_as_the_dataset(master, exported, name
 
 def test_sets_are_the_same_from_the_dataset_and_from_an_export(master, exported):
     division = Split(shares=(0.5, 0.5, 0.0), seed=4)
-    out = exported("webdataset", split=division)
+    out = exported("bop-webdataset", split=division)
     scene_ids = []
     for split in ("train", "val"):
         own = open_examples(master, split=split, division=division)
@@ -118,7 +119,7 @@ def test_sets_are_the_same_from_the_dataset_and_from_an_export(master, exported)
         open_examples(out, division=division)
 
 
-@pytest.mark.parametrize("form", ["coco", "webdataset", "bop-webdataset", "parquet"])
+@pytest.mark.parametrize("form", ["coco", "bop-webdataset", "parquet"])
 def test_examples_go_to_other_processes(exported, form):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
@@ -135,9 +136,7 @@ def test_examples_go_to_other_processes(exported, form):
     [
         ("coco", "images/train/000003.png"),
         ("yolo", "images/train/000003.png"),
-        ("bop-imagewise", "train/000003_000000.rgb.png"),
         ("bop-webdataset", "train/shard-000000.tar"),
-        ("webdataset", "train/shard-000000.tar"),
         ("parquet", "train/part-000000.parquet"),
         ("coco", "annotations/instances_train.json"),
         ("yolo", "export.json"),
@@ -162,6 +161,16 @@ def test_clouds_and_other_folders_are_no_examples(exported, tmp_path, master):
     empty = shutil.copytree(master, tmp_path / "copy", ignore=shutil.ignore_patterns("train"))
     with pytest.raises(DatasetError, match="has no finished scene"):
         open_examples(empty)
+
+
+@pytest.mark.parametrize("former", ["bop-imagewise", "webdataset"])
+def test_an_export_of_a_former_format_names_the_one_to_take(exported, former):
+    out = exported("yolo")
+    path = out / "export.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"format": former}))
+    words = f"the format {former} is no longer written or read: export as bop-webdataset, or as"
+    with pytest.raises(DatasetError, match=words):
+        open_examples(out)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""BOP's image-wise layout, and the same files in shards, as BOP's own toolkit reads them.
+"""BOP's shards for training, as BOP publishes them and as its toolkit reads them.
 
 An image is the files KEY.rgb.png (or KEY.gray.tiff), KEY.depth.png, KEY.camera.json, KEY.gt.json,
 KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths by the instance's
@@ -9,7 +9,7 @@ BOP's pixel (0, 0) is the centre of the top-left pixel. bop_toolkit's renderers 
 pixel's corner: their projection sends a point to x = fx X/Z + cx of a window in which the centre of
 pixel k lies at k + 1/2. For who uses them `pixel_origin="corner"` adds half a pixel to cx and cy.
 
-Source: the documented layout of bop_toolkit's `dataset/bop_imagewise.py` and `bop_webdataset.py`.
+Source: the documented layout of bop_toolkit's `dataset/bop_webdataset.py`.
 """
 
 import json
@@ -28,26 +28,12 @@ from .options import Options, settled
 from .placing import bop_key, place, write_shards
 
 
-def write_imagewise(
+def write_split(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
-    """`SPLIT/KEY.*`: every image's own files side by side."""
+    """Write `SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
     (folder / split).mkdir()
-    for scene in scenes:
-        for name, content in _files(scene, options):
-            target = folder / split / f"{_key(scene)}.{name}"
-            if isinstance(content, Path):
-                place(content, target, link=settled(options.link))
-            else:
-                target.write_bytes(content)
-
-
-def write_webdataset(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
-) -> None:
-    """`SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
-    (folder / split).mkdir()
-    samples = ((_key(scene), _loaded(_files(scene, options))) for scene in scenes)
+    samples = ((bop_key(s.scene_id, s.place), _files(s, options)) for s in scenes)
     shard_of = write_shards(folder / split, samples, most=settled(options.shard_scenes))
     (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
 
@@ -64,22 +50,13 @@ def write_rest(
         place(source, folder / "models" / source.name, link=False)
 
 
-def _key(scene: StoredScene) -> str:
-    return bop_key(scene.scene_id, scene.place)
-
-
-def _loaded(files: Iterable[tuple[str, bytes | Path]]) -> Iterator[tuple[str, bytes]]:
-    for name, content in files:
-        yield name, content.read_bytes() if isinstance(content, Path) else content
-
-
-def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | Path]]:
+def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
     if options.image == "rgb":
-        yield "rgb.png", scene.png("rgb")
+        yield "rgb.png", scene.png("rgb").read_bytes()
     elif options.image == "gray":
         yield "gray.tiff", cv2.imencode(".tiff", scene.picture("gray_sl"))[1].tobytes()
     for depth in options.depths:
-        yield "depth.png", scene.png(depth)
+        yield "depth.png", scene.png(depth).read_bytes()
     camera = scene.of_image("scene_camera", object)
     for k in (2, 5):
         camera["cam_K"][k] += options.shift_px

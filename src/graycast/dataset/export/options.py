@@ -48,22 +48,12 @@ FORMATS: Mapping[str, Format] = {
         reader="picture_folders.open_yolo",
         options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0}
     ),
-    "bop-imagewise": Format(
-        writer="bop_shards.write_imagewise",
-        reader="shard_examples.open_bop_imagewise",
-        options={"image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"}
-    ),
     "bop-webdataset": Format(
-        writer="bop_shards.write_webdataset",
+        writer="bop_shards.write_split",
         reader="shard_examples.open_bop_shards",
         options={
             "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
         }
-    ),
-    "webdataset": Format(
-        writer="webdataset.write_split",
-        reader="shard_examples.open_webdataset",
-        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0}
     ),
     "parquet": Format(
         writer="parquet.write_split",
@@ -76,10 +66,21 @@ FORMATS: Mapping[str, Format] = {
         options={"image": "rgb", "depth": "both", "cloud": "ply", "organised": False}
     )
 }  # fmt: skip
+_FORMER = ("bop-imagewise", "webdataset")
 _PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
 DEPTHS = {
     "perfect": ("depth",), "scanner": ("depth_sl",), "both": ("depth", "depth_sl"), "none": ()
 }  # fmt: skip
+
+
+def no_format(name: str) -> str:
+    """Return the error of a name that is no format, with the format to take."""
+    if name in _FORMER:
+        return (
+            f"the format {name} is no longer written or read: export as bop-webdataset, or as "
+            "parquet for both depths in one file"
+        )
+    return f"format is {name!r}: choose one of {', '.join(FORMATS)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +118,7 @@ class Options:
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
-            raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
+            raise GraycastError(no_format(self.format))
         for name in self.own_names():
             if name not in FORMATS[self.format].options:
                 raise GraycastError(
@@ -125,7 +126,7 @@ class Options:
                     f"{', '.join(FORMATS[self.format].options)}"
                 )
         for name, allowed in _CHOICES.items():
-            if name == "depth" and self.format.startswith("bop"):
+            if name == "depth" and self.format == "bop-webdataset":
                 allowed = _ONE_DEPTH
             if (value := getattr(self, name)) not in (None, *allowed):
                 raise GraycastError(f"{name} is {value!r}: choose one of {', '.join(allowed)}")

@@ -9,7 +9,7 @@ from .. import records
 from ..json_text import json_bytes
 from ..safe_reading import Unreadable, read_json
 from ..stored import StoredDataset
-from .options import FORMATS, Options
+from .options import FORMATS, Options, no_format
 
 RECORD = "export.json"
 
@@ -92,6 +92,5 @@ def read_record(folder: Path) -> ExportRecord:
     except Unreadable as error:
         raise DatasetError(f"{folder} is not an export of Graycast: {error}") from error
     if record.format not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise DatasetError(f"{folder}: its format {record.format!r} is none of {known}")
+        raise DatasetError(f"{folder}: {no_format(record.format)}")
     return record

@@ -1,6 +1,5 @@
-"""Examples from BOP's image-wise layout, its shards, and WebDataset shards."""
+"""Examples from BOP's shards."""
 
-import io
 import tarfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -11,7 +10,7 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
-from ..example import Example, metres, pose_m
+from ..example import Example, pose_m
 from ..export.placing import bop_key
 from ..export.record import ExportRecord
 from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks, picture
@@ -20,53 +19,21 @@ Files = Mapping[str, bytes]
 Place = tuple[Path, int, int]  # They are file, offset and length of a member.
 
 
-def open_bop_imagewise(
-    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
-) -> Callable[[int], Example]:
-    return partial(_bop_from, partial(_beside, folder / split), record, f"{folder / split}: ")
-
-
 def open_bop_shards(
     folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
 ) -> Callable[[int], Example]:
-    return partial(_bop_from, partial(_members, _index(folder / split)), record, "")
+    return partial(_example, _index(folder / split), record)
 
 
-def open_webdataset(
-    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
-) -> Callable[[int], Example]:
-    return partial(_own_from, partial(_members, _index(folder / split)), record)
-
-
-def _bop_from(
-    files_of: Callable[[str], Files], record: ExportRecord, where: str, scene_id: int
+def _example(
+    index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
 ) -> Example:
     key = bop_key(*record.place(scene_id))
-    return _checked(_bop_example, files_of(key), record, scene_id, f"{where}{key}")
-
-
-def _own_from(files_of: Callable[[str], Files], record: ExportRecord, scene_id: int) -> Example:
-    key = f"{scene_id:06d}"
-    return _checked(_own_example, files_of(key), record, scene_id, key)
-
-
-def _beside(folder: Path, key: str) -> Files:
     try:
-        return {
-            path.name.removeprefix(f"{key}."): path.read_bytes() for path in folder.glob(f"{key}.*")
-        }
-    except OSError as error:
-        raise DatasetError(f"{folder}: {key} cannot be read ({error.strerror})") from error
-
-
-def _checked(
-    make: Callable[..., Example], files: Files, record: ExportRecord, scene_id: int, name: str
-) -> Example:
-    try:
-        return make(files, record, scene_id, name)
+        return _bop_example(_members(index, key), record, scene_id, key)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         why = f"{type(error).__name__} {error}"
-        raise DatasetError(f"{name}: is damaged ({why}): export again") from error
+        raise DatasetError(f"{key}: is damaged ({why}): export again") from error
 
 
 def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
@@ -106,34 +73,6 @@ def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) ->
         "T_cam_part": np.array(pose, float).reshape(-1, 4, 4) if posed else None,
         "visib_fract": np.array([info[i]["visib_fract"] for i in rows], float) if rated else None,
     }
-
-
-def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
-    info = parse_json(files["info.json"])
-    fields: dict[str, Any] = {}
-    for kind in ("rgb", "gray"):
-        if f"{kind}.png" in files:
-            fields |= image_fields(kind, picture(files[f"{kind}.png"], name), name)
-    for ending, field in DEPTH_FIELDS.items():
-        if f"{ending}.npy" in files:
-            fields[field] = metres(_npy(files[f"{ending}.npy"]), info["depth_scale"])
-    arrays = {"obj_id": "obj_id", "boxes": "box_px", "poses": "T_cam_part"}
-    for ending, field in (arrays | {"visib_fract": "visib_fract"}).items():
-        if f"{ending}.npy" in files:
-            fields[field] = _npy(files[f"{ending}.npy"])
-    if "masks.json" in files:
-        fields["mask"] = masks(parse_json(files["masks.json"]), tuple(info["size"]), name)
-        fields["instance"] = np.array(info["gt_id"], np.int64)
-    return Example(
-        scene_id=scene_id,
-        K=np.array(info["cam_K"], float).reshape(3, 3),
-        distortion=tuple(info["distortion"]),
-        **fields,
-    )
-
-
-def _npy(data: bytes) -> np.ndarray:
-    return np.load(io.BytesIO(data), allow_pickle=False)
 
 
 def _index(folder: Path) -> dict[str, dict[str, Place]]:

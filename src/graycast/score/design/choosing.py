@@ -14,7 +14,7 @@ from .point_fates import FATES, Fate
 from .setting import Placed
 from .study import DesignSpec
 
-FEWEST_HEAPS = 4  # With fewer, Student's t makes an interval of more than 4 standard errors.
+FEWEST_HEAPS = 4  # With fewer heaps, the interval by Student's t is wider than 4 standard errors.
 FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 
 

@@ -141,7 +141,7 @@ def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -
         count = _draw_front(ax, rows, best, column)
         title = f"{spec.title}: {count} of {len(rows)} settings are on the front"
         caption(ax, title, words, "measured share of the open surface [%]")
-    for ax, column in zip(axes, (1, 2), strict=True):  # All else has its place by now.
+    for ax, column in zip(axes, (1, 2), strict=True):  # All other columns are drawn above.
         _write_settings(ax, rows, best, column)
     save_png(figure, path, dpi=110)
 

@@ -19,8 +19,8 @@ from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 from ..merge.adding import surface_of
 
 LEAST_PX = 1000  # The longer side of the rendered visibility picture is at least this.
-SLACK_M = 0.5e-3  # Parts may press into each other, and their meshes lie off, by less than this.
-# Each ring has this many directions, which lean by this share of the cone.
+SLACK_M = 0.5e-3  # Parts penetrate each other, and meshes deviate, by less than this.
+# Each ring has this many directions, tilted by this share of the cone's angle.
 RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))
 
 
@@ -29,7 +29,7 @@ class Visibility(IntEnum):
 
     VISIBLE = 0
     OUTSIDE = 1  # The point is not in the picture.
-    BY_PARTS = 2  # A part is before it, or it looks away, so that its own part is.
+    BY_PARTS = 2  # Another part hides the point, or the point faces away and its own part hides it.
     BY_BIN = 3
 
 
@@ -162,7 +162,7 @@ def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 
     low, high = box.bounds_m
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # nearly parallel rays
-    f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # parts may stick out at the top
+    f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # Parts may stick out at the top.
     eye = pinhole(LEAST_PX, LEAST_PX, f_px)
     eyes = []
     for count, share in RINGS if cone_deg > 0 else RINGS[:1]:

@@ -18,7 +18,7 @@ from .heap_surface import HeapSurface, Visibility, obstacles_of, sight
 
 FEATURE_PX = 3
 FEATURE_SIGMAS = 3
-_DIM = 0.5  # The white frame behind the colours is dimmer by this factor.
+_DIM = 0.5  # The white frame behind the colours is dimmed by this factor.
 _LEGEND_PX = 168
 
 
@@ -30,19 +30,19 @@ class Fate(StrEnum):
     """
 
     MEASURED = "measured"
-    OUTSIDE_PICTURE = "outside_picture"  # of the camera
-    HIDDEN_BY_WALL = "hidden_by_wall"  # from the camera, by the bin
-    HIDDEN_BY_PARTS = "hidden_by_parts"  # from the camera: by others, or it looks away
+    OUTSIDE_PICTURE = "outside_picture"  # outside the camera's picture
+    HIDDEN_BY_WALL = "hidden_by_wall"  # The bin hides it from the camera.
+    HIDDEN_BY_PARTS = "hidden_by_parts"  # Parts hide it from the camera, or it faces away.
     OUTSIDE_PROJECTOR = "outside_projector"
-    WALL_SHADOW = "wall_shadow"  # the camera sees it; the bin keeps the projector's light off
+    WALL_SHADOW = "wall_shadow"  # The camera sees it, but the bin blocks the projector's light.
     PART_SHADOW = "part_shadow"
-    EDGE = "edge"  # its pixel's centre looks at another surface: the pixels are too coarse
-    DARK = "dark"  # it is lit, but too little of the light comes back: dark, or gloss turned away
+    EDGE = "edge"  # The pixel's centre shows another surface: the pixels are too coarse.
+    DARK = "dark"  # It is lit but returns too little light: it is dark, or glossy and tilted.
     GLARE = "glare"  # the pixel is saturated
     INTERREFLECTION = "interreflection"  # light from elsewhere contradicts the code
     FILTERED = "filtered"  # taken out as an outlier
     OUT_OF_RANGE = "out_of_range"
-    WRONG = "wrong"  # there is depth, farther off the truth than the study allows
+    WRONG = "wrong"  # Its depth is farther from the truth than the study allows.
 
 
 FATE_COLOR = {

@@ -39,11 +39,11 @@ from ...rig.optics import undistort
 
 ANGLE_EDGES_DEG = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90)
 DEPTH = "depth.json"
-EDGE = len(ANGLE_EDGES_DEG) - 1  # This row has the pixels without an angle.
+EDGE = len(ANGLE_EDGES_DEG) - 1  # the row of the pixels without an angle
 _COLUMNS = (
     "of", "angle", "pixels", "decoded", "bias_mm", "sigma_mm", "rms_mm", "beyond_1mm", "beyond_5mm"
 )  # fmt: skip
-_KINK = 0.5  # Along the ray, a pixel may lie this share of the spacing off its neighbours' middle.
+_KINK = 0.5  # Largest distance along the ray from the middle of the neighbours, in pixel spacings.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ from .scores import Scores, figures_of_draws
 
 LEVEL = 0.95
 DRAWS = 1000
-_EQUAL = 1e-12  # Draws nearer than this to the estimate are equal to it but for rounding.
+_EQUAL = 1e-12  # Resampled values this near to the estimate differ from it by rounding only.
 
 
 @public_value
@@ -155,6 +155,8 @@ def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -
         return Interval(value=value, low=float("nan"), high=float("nan"))
     z = np.sqrt(scenes / (scenes - 1)) * stats.t.ppf((1 + LEVEL) / 2, scenes - 1)
     below, above = np.mean(draws < value - _EQUAL), np.mean(draws > value + _EQUAL)
-    bias = np.clip(stats.norm.ppf((1 + below - above) / 2), -z / 2, z / 2)  # equal draws: half
+    bias = np.clip(
+        stats.norm.ppf((1 + below - above) / 2), -z / 2, z / 2
+    )  # Equal values count half.
     low, high = np.quantile(draws, stats.norm.cdf([2 * bias - z, 2 * bias + z]))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))

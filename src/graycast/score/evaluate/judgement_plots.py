@@ -29,7 +29,7 @@ from .scores import RECALLS, precision_curves
 MOST_CROPS = 20
 TRUTH_COLOR, DETECTION_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
-_MARGIN = 0.6  # On each side it is a share of the longer side of what is shown.
+_MARGIN = 0.6  # the margin on each side, as a share of the longer side of the detail
 _LEAST_PX = 48
 
 Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]

@@ -174,7 +174,7 @@ def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> It
             return _area_px2(one, kind) / pixels[one.scene_id]
 
         for low, high in pairwise(AREA_EDGES):
-            # A detection's box that reaches beyond the picture covers no more than it.
+            # A box that reaches beyond the picture counts only inside the picture.
             yield _group("size", low, high, share, lambda one: np.minimum(share(one), 1.0))
     if all(one.missing is not None for one in labels):
         for low, high in pairwise(MISSING_EDGES):

@@ -22,7 +22,7 @@ from ...dataset.detections import Detections
 from .labels import Labels
 
 Kind = Literal["box", "mask"]
-THRESHOLDS = np.linspace(0.5, 0.95, 10)  # They are of intersection over union.
+THRESHOLDS = np.linspace(0.5, 0.95, 10)  # thresholds of intersection over union
 THRESHOLDS.flags.writeable = False
 
 
@@ -236,7 +236,9 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
         detection=np.concatenate([pair.detection for pair in pairs])[order],
         score=score[order],
         instance=np.concatenate(instance, axis=1)[:, order],
-        hit=np.concatenate(hit, axis=1).take(order, axis=1),  # by rows, as kernels are compiled
+        hit=np.concatenate(hit, axis=1).take(
+            order, axis=1
+        ),  # row-major, because the kernels are compiled for it
         counted=np.concatenate(counted, axis=1).take(order, axis=1),
         to_find=to_find,
     )
@@ -253,7 +255,7 @@ def _take(overlap, ignored, shared, thresholds):
     for t in range(len(thresholds)):
         taken = np.zeros(instances, dtype=np.bool_)
         for d in range(detections):
-            for wanted in (False, True):  # those that are ignored come after those that count
+            for wanted in (False, True):  # Ignored objects are matched after those that count.
                 best = min(thresholds[t], 1 - 1e-10)
                 for g in range(instances):
                     if ignored[g] != wanted or (taken[g] and not shared[g]):

@@ -16,8 +16,8 @@ from pycocotools import mask as coco_mask
 from ...base.public_value import public_value
 from .matching import ClassMatches, Overlaps, shapes
 
-AT_HALF = 0  # It is the place of 0.5 among THRESHOLDS.
-NEAR = 0.1  # A detection that overlaps less is of nothing.
+AT_HALF = 0  # the index of 0.5 in THRESHOLDS
+NEAR = 0.1  # A detection that overlaps less belongs to no object.
 
 Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 

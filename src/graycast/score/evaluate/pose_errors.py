@@ -12,7 +12,7 @@ from ...base.kernels import kernel
 from ...rig.optics import Optics
 
 DELTA_M = 0.015  # For VSD a surface is visible up to this far behind the measured one.
-WIDTH_PX = 640.0  # MSPD is in pixels of a picture of this width.
+WIDTH_PX = 640.0  # MSPD is stated in pixels of a picture of this width.
 
 
 def rotation_translation(
@@ -31,7 +31,7 @@ def rotation_translation(
     """
     alike = T_true @ motions
     R = np.einsum("ij,nik->njk", T_estimate[:3, :3], alike[:, :3, :3])
-    # The angle by its half sine, |R - 1| = 2 sqrt(2) sin(angle / 2): exact for small angles.
+    # |R - 1| = 2 sqrt(2) sin(angle / 2) gives small angles exactly.
     away = np.linalg.norm(R - np.eye(3), axis=(1, 2)) / np.sqrt(8.0)
     angle = 2 * np.arcsin(np.clip(away, 0, 1))
     best = int(np.argmin(angle))

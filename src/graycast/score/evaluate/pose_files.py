@@ -32,7 +32,9 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
-_UNIT = 10.0  # In one unit the distances of estimates and parts differ by this factor at most.
+_UNIT = (
+    10.0  # If the units agree, the distances of estimates and parts differ by at most this factor.
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,11 +19,11 @@ from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
 # The thresholds of correctness are those of BOP 2020, section 2.4.
-TAU = np.arange(1, 11) * 0.05  # It is VSD's tolerance as a share of the diameter.
+TAU = np.arange(1, 11) * 0.05  # VSD's tolerances as shares of the diameter
 THETA_VSD = np.arange(1, 11) * 0.05
-THETA_MSSD = np.arange(1, 11) * 0.05  # It is a share of the diameter.
-THETA_MSPD_PX = np.arange(1, 11) * 5.0  # It is for a picture that is 640 wide.
-NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # They are the plain criterion beside BOP's.
+THETA_MSSD = np.arange(1, 11) * 0.05  # shares of the diameter
+THETA_MSPD_PX = np.arange(1, 11) * 5.0  # for a picture that is 640 px wide
+NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # a plain criterion in addition to BOP's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,7 +96,9 @@ def count_picture(
     for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
         there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)
         mine = [one for one in estimates if one.obj_id == obj_id]
-        mine.sort(key=lambda one: -one.score)  # stable: equal scores in the file's order
+        mine.sort(
+            key=lambda one: -one.score
+        )  # A stable sort keeps equal scores in the file's order.
         candidates.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
     return candidates
 

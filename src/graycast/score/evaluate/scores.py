@@ -22,8 +22,8 @@ from .labels import Labels
 from .matching import ClassMatches, Kind, Overlaps, match, overlaps
 
 MOST = 300  # A full bin has 255 parts of a class in a scene: COCO's 100 detections are too few.
-_AT_50, _AT_75 = 0, 5  # These are the places of 0.50 and 0.75 among `THRESHOLDS`.
-RECALLS = np.linspace(0.0, 1.0, 101)  # They are COCO's.
+_AT_50, _AT_75 = 0, 5  # the indices of 0.50 and 0.75 in `THRESHOLDS`
+RECALLS = np.linspace(0.0, 1.0, 101)  # as in COCO
 RECALLS.flags.writeable = False
 FIGURES = ("ap", "ap50", "ap75", "ar")
 

@@ -20,7 +20,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     middle = share + spread / 2
     half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
     low, high = (middle - half) / (1 + spread), (middle + half) / (1 + spread)
-    # Both ends are exact where all or none hit; rounding would leave the share itself out.
+    # With all or no hits, the ends are exact; rounding would exclude the share itself.
     return low if hits else 0.0, high if hits < of else 1.0
 
 

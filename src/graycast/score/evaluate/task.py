@@ -28,8 +28,8 @@ from .results import DetectionRun, open_run, read_detections
 from .scores import precision_curves
 
 _Either = TypeVar("_Either", Labels, Detections)
-TELLING = 0.005  # A note is worth it if the order of equal scores moves AP by this at least.
-_ONE_CLASS = 1  # Everything has this object id where classes do not matter.
+TELLING = 0.005  # A note is given if the order of equal scores changes AP by at least this.
+_ONE_CLASS = 1  # All objects have this id if classes do not matter.
 
 
 @public_value

@@ -19,11 +19,11 @@ from ...world.parts.sampling import spread_points
 from .fuse import HIDDEN, OUTSIDE
 from .view import MeasuredView, Points
 
-WRONG_M = 2e-3  # A depth farther off the truth counts as wrong.
-WRONG = 252  # It stands beside a dataset's reasons: there is a depth, and it is wrong.
-# A model may be this far off the truth in its pixel: surfaces curve and parts press into others.
+WRONG_M = 2e-3  # A depth farther from the truth is wrong.
+WRONG = 252  # A value in addition to a dataset's reasons: the depth exists, but is wrong.
+# A model may differ from the truth by this in a pixel: surfaces curve, and parts penetrate others.
 _SLACK_M = 0.5e-3
-_SLOPE = 0.2  # The same slack grows with a pixel's size on the surface.
+_SLOPE = 0.2  # The tolerance grows with the size of a pixel on the surface.
 
 
 @final
@@ -83,7 +83,7 @@ def why_not(
     at = transform_points(T_cam_world, surface.point_m)
     row_column, inside = pixels_of(camera, at)
     pixel = tuple(row_column.T)
-    # The true point of the pixel lies on the way from the camera, as the measured one would.
+    # The true point of the pixel is on the same ray as the measured one.
     eye, toward = view.T_world_cam[:3, 3], points.toward[pixel]
     along_m = truth.depth_m[pixel] / -(toward @ T_cam_world[2, :3])
     off_m = ((eye - along_m[:, None] * toward - surface.point_m) * surface.normal).sum(axis=-1)

@@ -12,9 +12,10 @@ from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
 SIGMAS = 4.0  # Views of one surface may differ by this many standard deviations.
-_TURNED = 0.5  # Normals of one surface have a larger cosine: beyond 60 degrees it is another.
+_TURNED = 0.5  # Normals that differ by more than 60 degrees (this cosine) are of two surfaces.
 _ASIDE = 1.0  # Another view's point may replace this one up to this many pixels away.
-# Per metre aside, a surface may leave its plane by the first; without a plane, the second counts.
+# Largest deviation from the plane per metre of lateral distance; the second is for pixels that have
+# no plane.
 _SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 
 
@@ -129,7 +130,7 @@ def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
     height_m = (apart * there.normal).sum(axis=-1)
     aside_m = np.linalg.norm(apart - height_m[:, None] * there.normal, axis=-1)
     spread_m = np.sqrt(own.variance_along(there.normal) + there.variance_along(there.normal))
-    # Aside lies mostly the way along the ray between both, on which no surface can bend.
+    # Most of the lateral distance is along the ray between both, on which no surface can bend.
     return height_m > SIGMAS * spread_m + _SLOPE * np.minimum(aside_m, there.spacing_m)
 
 

@@ -33,11 +33,13 @@ from ...rig.pair import Rig
 from .adding import SurfacePoints, ViewTruth, surface_of
 from .view import MeasuredView, planes_of
 
-SURFACE_POINTS = 20000  # All parts of a scene share them.
+SURFACE_POINTS = 20000  # number of points on all parts of a scene
 _GROUPS, _LEAST = 8, 400  # Groups of similar light, and the least number of pixels of each.
-_NO_PLANES_PX = 12**-0.5  # Where no plane shows its noise, a place is known to a projector pixel.
-_CENTRE = 24 / 25  # A plane through 25 pixels leaves this of the middle one's variance.
-_NUDGE = 1e-4  # The depth's slope is taken over this share of it.
+_NO_PLANES_PX = (
+    12**-0.5
+)  # Without a plane to measure noise, a position is known to one projector pixel.
+_CENTRE = 24 / 25  # A plane through 25 pixels leaves this share of the middle pixel's variance.
+_NUDGE = 1e-4  # The slope of depth is taken over this share of the depth.
 
 
 @final

@@ -11,8 +11,8 @@ from ...base.frames import transform_points
 from ...camera.crop import crop
 from ...rig.optics import Optics, picture_rays
 
-_WINDOW_PX = 2  # It is half the width of the windows in which planes are laid.
-LEAST_COSINE = 0.2  # Where a surface is steeper to the ray, its normal's error counts, not noise.
+_WINDOW_PX = 2  # half the width of the windows in which planes are fitted
+LEAST_COSINE = 0.2  # On steeper surfaces, the error of the normal exceeds the noise.
 
 
 @final
@@ -135,7 +135,7 @@ def planes_of(
     f_px = math.sqrt(camera.fx_px * camera.fy_px)
     window_m = _WINDOW_PX * float(np.median(depth_m[known])) / f_px
     cut = crop(depth_m, camera, known, tight=True, reach_m=0.0, window_m=window_m)
-    assert cut is not None  # some pixel is known
+    assert cut is not None  # At least one pixel has a depth.
     h, w = cut.z.shape
     box = np.s_[cut.top_px : cut.top_px + h, cut.left_px : cut.left_px + w]
     normal[box], smooth[box] = cut.normal, cut.smooth

@@ -25,13 +25,15 @@ from .looking import SIGMAS, meet
 from .view import MeasuredView, Points, points_of
 
 POINTS = 4000  # Number of points of a view that are looked up in another.
-LEAST_POINTS = 200  # A statement needs this many points on planes that both see.
-# In each step a point may be off by this share of the depth and by 4 sigma.
+LEAST_POINTS = 200  # A verdict needs this many points on planes that both views measure.
+# In each step, a point may deviate by this share of the depth and by 4 sigma.
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
-ALIGNED = 0.7  # Normals of one surface have a larger cosine between them.
-DETERMINED = 1e-4  # A surface determines a direction to this standard deviation, of the depth.
-OFF = 4e-4  # A motion beyond this of the depth is no bias; right simulated views have up to 1e-4.
-LEAST_SHARE = 0.3  # Of the points that two right views measured, this share is on one surface.
+ALIGNED = 0.7  # Normals of one surface have a larger cosine.
+DETERMINED = (
+    1e-4  # A direction is determined if its standard deviation is below this share of the depth.
+)
+OFF = 4e-4  # A larger motion, as a share of the depth, is no bias; correct simulated views have up to 1e-4.
+LEAST_SHARE = 0.3  # least share of common points of two correct views on one surface
 
 
 @final

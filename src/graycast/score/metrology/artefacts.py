@@ -19,15 +19,17 @@ from ...rig.pair import Rig
 from ...world.parts import Material
 from ...world.scene import Quad, Sphere
 
-EDGE_PX = 2.0  # Artefacts keep clear of the edge of either picture by this.
-RANGE_MARGIN = 0.03  # It is a share of the range at both ends: noise takes no point out of it.
-DEPTHS = 41  # A common field is searched for at this many depths.
+EDGE_PX = 2.0  # distance of artefacts from the edges of both pictures
+RANGE_MARGIN = (
+    0.03  # share of the range that stays free at both ends, so that noise moves no point out
+)
+DEPTHS = 41  # The common field is searched at this many depths.
 FIELD_GRID_PX = (48, 64)
-FACING_POINTS = 400  # They lie on a sphere; about half of them face the camera.
-CLEARANCE = 1.1  # Spheres are apart by this multiple of their angular radii's sum.
+FACING_POINTS = 400  # number of points on a sphere, of which about half face the camera
+CLEARANCE = 1.1  # distance of spheres as a multiple of the sum of their angular radii
 SHRINKING = np.arange(1.0, -0.01, -0.05)  # A sphere moves towards the middle until it fits.
-BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # They are shares of the volume's diagonal.
-PLANE_HALF = 8.0  # It is half a plane's edge as a multiple of its depth: wider than both fields.
+BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # shares of the volume's diagonal
+PLANE_HALF = 8.0  # half the edge of a plane as a multiple of its depth: wider than both fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +109,7 @@ def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material
     `azimuth_rad` from x to y: azimuth 0 tilts about x, half a turn more tilts the other way.
     """
     axis = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0])
-    across = np.cross(axis, [0.0, 0.0, 1.0])  # in the facing plane, at right angles to the axis
+    across = np.cross(axis, [0.0, 0.0, 1.0])  # in the facing plane, perpendicular to the axis
     sloped = math.cos(tilt_rad) * across + math.sin(tilt_rad) * np.array([0.0, 0.0, 1.0])
     half_m = PLANE_HALF * z_m
     return Quad(

@@ -42,11 +42,14 @@ from .measures import (
     temporal_noise_m,
 )
 
-MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's box, each way.
-MIDDLE_DEPTH = 0.05  # A tilted plane's middle is within this share of its distance.
+MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's width and height.
+MIDDLE_DEPTH = 0.05  # The middle of a tilted plane is within this share of its distance.
 FLATNESS_TILT_DEG = 30.0
-STEEPEST_DEG = 60.0  # A sphere's points count up to this incidence of camera or projector.
-PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # Spheres' diameters are of the volume's diagonal.
+STEEPEST_DEG = 60.0  # largest angle of incidence of camera or projector for points of a sphere
+PROBING_SHARE, BAR_SPHERE_SHARE = (
+    0.1,
+    0.05,
+)  # diameters of spheres, as shares of the volume's diagonal
 SMALLEST_FIELD_SHARE = 0.35  # A sphere takes at most this share of the field at the near end.
 MAP_WIDTH = 104
 
@@ -160,7 +163,7 @@ def certify(
     )
 
 
-# --- what stands where -------------------------------------------------------------------------
+# --- positions of artefacts ----------------------------------------------------------------------
 
 
 def _plan(lab: Lab) -> _Plan:

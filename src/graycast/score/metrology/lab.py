@@ -23,9 +23,9 @@ from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .artefacts import Volume, common_rectangle_m, in_view, working_volume
 from .certificate import BlurResult, Scope
 
-ERODED_PX = 3  # So much is left out along the outline of every artefact.
+ERODED_PX = 3  # width of the strip along the outline of each artefact that is left out
 BLUR_DEPTHS = 21
-MIN_DECODED = 0.05  # Fewer of an artefact's pixels say more of the settings than of its shape.
+MIN_DECODED = 0.05  # A smaller share of decoded pixels shows the settings, not the shape.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     rendering = _render(lab, surfaces, seeds[0])
     where = _in_volume(lab, rendering)
     metered, times = _metered(lab, rendering, where)
-    # All shots share the error of the light's paths, so it is no part of the noise they show.
+    # All shots share the error of the light paths, so it is no part of the noise between them.
     light = rendering.radiance
     scans = [
         measure(metered, take(metered, light, seed=own), path_noise=None)[1] for own in seeds[1:]
@@ -123,7 +123,7 @@ def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Renderi
     scope = lab.scope
     scene = Scene(
         rig=lab.rig,
-        T_world_cam=np.eye(4),  # the world is the camera's frame
+        T_world_cam=np.eye(4),  # The world frame is the camera frame.
         surfaces=surfaces,
         environment=Environment(radiance=(0.0, 0.0, 0.0)),
     )

@@ -14,7 +14,7 @@ from ...rig.pattern import Code, Frame
 
 DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows dropping at most this share of the points.
 ITERATIONS = 50
-CONVERGED = 1e-12  # It is a share of the radius.
+CONVERGED = 1e-12  # share of the radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,9 +32,7 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
-_UNIT = (
-    10.0  # If the units agree, the distances of estimates and parts differ by at most this factor.
-)
+_UNIT = 10.0  # In the same unit, estimates and parts differ in distance by at most this.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

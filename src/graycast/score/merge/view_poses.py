@@ -29,10 +29,8 @@ LEAST_POINTS = 200  # A verdict needs this many points on planes that both views
 # In each step, a point may deviate by this share of the depth and by 4 sigma.
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
 ALIGNED = 0.7  # Normals of one surface have a larger cosine.
-DETERMINED = (
-    1e-4  # A direction is determined if its standard deviation is below this share of the depth.
-)
-OFF = 4e-4  # A larger motion, as a share of the depth, is no bias; correct simulated views have up to 1e-4.
+DETERMINED = 1e-4  # A direction with a smaller standard deviation (of the depth) is determined.
+OFF = 4e-4  # A larger motion (of the depth) is no bias; correct simulated views reach 1e-4.
 LEAST_SHARE = 0.3  # least share of common points of two correct views on one surface
 
 

@@ -20,9 +20,7 @@ from ...world.parts import Material
 from ...world.scene import Quad, Sphere
 
 EDGE_PX = 2.0  # distance of artefacts from the edges of both pictures
-RANGE_MARGIN = (
-    0.03  # share of the range that stays free at both ends, so that noise moves no point out
-)
+RANGE_MARGIN = 0.03  # share of the range that stays free at both ends, because of noise
 DEPTHS = 41  # The common field is searched at this many depths.
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # number of points on a sphere, of which about half face the camera

@@ -29,9 +29,7 @@ class RawMesh:
     other_materials: int  # number of materials that are dropped because of this texture
     shares_vertices: bool
     findings: tuple[str, ...] = ()
-    face_color: UInt8[np.ndarray, "f 3"] | None = (
-        None  # sRGB; the mean of the vertices if they have the colours
-    )
+    face_color: UInt8[np.ndarray, "f 3"] | None = None  # sRGB, averaged over vertices
 
     @property
     def used(self) -> Bool[np.ndarray, " v"]:

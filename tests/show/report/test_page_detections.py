@@ -154,7 +154,7 @@ def test_filters_select_scenes_with_missed_and_false_and_show_them(page):
     assert cards(page) == ["train-000000"]
     page.select_option("#pick-found", "unseen")
     assert cards(page) == ["train-000004"]
-    assert page.locator(".told-row .chip").inner_text().startswith("not looked at")
+    assert page.locator(".told-row .chip").inner_text().startswith("detector not run")
 
 
 def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(page, run_report):

@@ -188,9 +188,9 @@ def test_words_follow_the_time(page, address):
     under = page.locator(".under")
     grip_s = STEP_S * GRIP
     for time_s, text in (
-        (0.0, "The tool goes to its grip."),
+        (0.0, "The tool moves to its grip."),
         (grip_s + LOST_S / 2, "The tool carries the part."),
-        (grip_s + LOST_S + 0.1, "The tool has let go: lost seal."),
+        (grip_s + LOST_S + 0.1, "The part is released: lost seal."),
     ):
         at(page, time_s)
         assert under.inner_text() == text

@@ -6,9 +6,9 @@
   const { el } = Graycast;
   const STEPS = 1000; // number of steps of a slider with a logarithmic scale
   const COSTS = {
-    free: "measured again from the light that is kept",
+    free: "measured again from the stored light",
     light: "rendered again, roughly first",
-    physics: "the parts fall again",
+    physics: "the parts are dropped again",
   };
   const made = new Map(); // key -> {control, show(value), element}
   let held = null; // the key of a control that the user is moving
@@ -78,7 +78,7 @@
       "button",
       {
         class: "unsay",
-        title: "take this away: it is as if left out",
+        title: "remove this setting, so that the default applies",
         "aria-label": `${control.label}: use the default`,
         onclick: () => set(control.whole ?? control.key, null, false),
       },

@@ -296,7 +296,7 @@
     }
     return {
       bar: { map: "magma", low: 0, high, unit: "mm", digits: 2 },
-      note: "standard deviation of the depth, as the scanner states it",
+      note: "standard deviation of the depth, as estimated by the scanner",
     };
   };
 
@@ -558,7 +558,7 @@
           "button",
           {
             id: "reset",
-            title: "put the settings in force back into the text",
+            title: "replace the text by the settings in use",
             hidden: true,
             onclick: () => edit(false),
           },

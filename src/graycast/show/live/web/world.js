@@ -222,7 +222,7 @@
       ].map(([name, label]) =>
         el("button", { "data-look": name, onclick: () => look(name) }, label),
       ),
-      el("span", {}, "drag turns; drag the rig (black line) to move it, with shift to and fro"),
+      el("span", {}, "drag turns; drag the rig (black line) to move it, with shift its distance"),
     ];
   };
 }

@@ -31,7 +31,7 @@
     main.dataset.ready = "";
     try {
       if (!Graycast.report)
-        throw new Error("index.js is missing beside this page: run graycast report again");
+        throw new Error("index.js is missing in this page's folder: run graycast report again");
       if (key) await Graycast.showScene(main, key, () => mine === turn);
       else {
         Graycast.closeScene();

@@ -169,7 +169,7 @@
         if (scene.fusing?.error) return { note: scene.fusing.error.message };
         return fused
           ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint)
-          : { note: "bringing the cloud …" };
+          : { note: "loading the cloud …" };
       },
       /** Show the points of another scan from the same place, without moving the eye. */
       swap(next) {

@@ -169,7 +169,7 @@
             el(
               "button",
               {
-                title: "lift this filter",
+                title: "remove this filter",
                 "aria-label": `remove the filter ${text}`,
                 onclick: () => lift(names),
               },
@@ -224,7 +224,7 @@
         value: filter.find,
         placeholder: "find: number, part, tag  ( / )",
         title:
-          "A scene's number, a span such as 5-12, a part's name or a tag; every word must fit.",
+          "A scene's number, a range such as 5-12, a part's name or a tag; all words must match.",
         "aria-label": "find scenes",
         oninput: set("find"),
       }),

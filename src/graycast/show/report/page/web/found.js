@@ -28,7 +28,7 @@
     ["mistake", "with false"],
     ["wrong", "with either"],
     ["right", "all right"],
-    ["unseen", "not looked at"],
+    ["unseen", "detector not run"],
   ];
   found.SORTS = Graycast.report?.detections
     ? [
@@ -84,7 +84,7 @@
   found.line = (row) => {
     const held = Graycast.report.detections?.scenes[row.key];
     if (!Graycast.report.detections) return null;
-    if (!held) return el("div", { class: "found-line" }, "not looked at");
+    if (!held) return el("div", { class: "found-line" }, "detector not run");
     const missed = found.count(row, "missed"),
       mistakes = found.count(row, "mistakes");
     return el(
@@ -230,7 +230,7 @@
     if (one.state === "mistake") return one.why ?? "";
     if (one.state === "missed")
       return `${one.instance} missed, ${Graycast.percent(one.visible, 0)} visible`;
-    if (one.state === "ignored") return "something ignored";
+    if (one.state === "ignored") return "an ignored instance";
     return `finds ${one.instance}`;
   }
 }

@@ -42,7 +42,7 @@
     el(
       "button",
       { id: "lift-all", onclick: () => open.bar.lift(Graycast.liftAll()) },
-      "lift them all",
+      "remove all filters",
     ),
   ];
 

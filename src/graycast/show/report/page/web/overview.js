@@ -43,7 +43,7 @@
       constant = all.map((one) => Graycast.onlyValue(one)).filter(Boolean);
     varying = all.filter((one) => !Graycast.onlyValue(one));
     const said = constant.length
-      ? el("p", { id: "constant" }, `Not plotted, as all values are alike: ${constant.join(" · ")}`)
+      ? el("p", { id: "constant" }, `Not plotted, as all values are equal: ${constant.join(" · ")}`)
       : null;
     return el(
       "details",

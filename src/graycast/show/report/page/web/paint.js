@@ -127,7 +127,7 @@
     );
     return {
       bar: { map: "RdBu_r", low: -limit, high: limit, unit: "mm", digits: limit < 1 ? 1 : 0 },
-      note: "scanner less perfect depth; red is too far",
+      note: "scanner minus perfect depth; red is too far",
     };
   }
 
@@ -139,7 +139,7 @@
 
   /** A hint that the dataset does not store some data, with the key that would store them. */
   const keeping = (kept, key, what) =>
-    kept.length ? "" : ` (${what} are stored where the configuration says store: {${key}: true})`;
+    kept.length ? "" : ` (${what} are stored if the configuration has store: {${key}: true})`;
   const SAID = { scanner: "from the scanner's depth", depth: "from the perfect depth" };
 
   /** The sources of frames or positions, best first: stored, or computed from a depth. */
@@ -177,7 +177,7 @@
     if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // This preloads the next frame.
     if (!levels) {
       blank(scene, out);
-      return { note: "bringing the captured frames …" };
+      return { note: "loading the captured frames …" };
     }
     const table = brightened(prefs.gain);
     for (let i = 0; i < scene.n; i++) {
@@ -185,7 +185,7 @@
       out[4 * i + 3] = 255;
     }
     const { bits, low_dn, high_dn, merged } = scene.frames.content;
-    const kind = merged ? ", each pixel from the exposure that suits it, all on one scale" : "";
+    const kind = merged ? ", with the best exposure for each pixel, all on one scale" : "";
     const range = `${low_dn.toFixed(0)} to ${high_dn.toFixed(0)} DN`;
     return { shown: levels, note: `captured, ${bits} bit, ${range}${kind}; ${SHOWN}` };
   }
@@ -195,7 +195,7 @@
     const maps = Graycast.columns(scene, Graycast.repaint);
     if (!maps) {
       blank(scene, out);
-      return { note: "bringing the code maps …" };
+      return { note: "loading the code maps …" };
     }
     const values = maps[prefs.axis],
       axis = prefs.axis.replace("sigma_", "");
@@ -204,14 +204,14 @@
       paintMap(out, "viridis", scene.n, (i) => values[i] / high);
       return {
         bar: { map: "viridis", low: 0, high, unit: "projector px", digits: 3 },
-        note: `standard deviation of the decoded ${axis}, as the decoder states it`,
+        note: `standard deviation of the decoded ${axis}, as estimated by the decoder`,
       };
     }
     const size = projectorSize(scene, axis) ?? Graycast.highest(values, 1);
     paintMap(out, "viridis", scene.n, (i) => values[i] / size);
     return {
       bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
-      note: `projector ${axis} of each pixel as it was decoded`,
+      note: `projector ${axis} of each pixel as decoded`,
     };
   }
 
@@ -236,7 +236,7 @@
     paintMap(out, "viridis", scene.n, (i) => values[i] / size);
     return {
       bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
-      note: `projector ${upright ? "row" : "column"} of each pixel, worked out ${SAID[which]} and the rig${keeping(scene.kept.columns, "columns", "decoded ones")}`,
+      note: `projector ${upright ? "row" : "column"} of each pixel, computed ${SAID[which]} and the rig${keeping(scene.kept.columns, "columns", "decoded ones")}`,
     };
   }
 
@@ -262,7 +262,7 @@
       put(out, i, [v, v, v], 0);
     }
     return {
-      note: `ideal bits, looked up ${SAID[which]}: no blur, noise or stray light${which === "depth" ? ", no shadow" : ""}${keeping(scene.kept.frames, "frames", "captured frames")}`,
+      note: `ideal bits, computed ${SAID[which]}: no blur, noise or stray light${which === "depth" ? ", no shadow" : ""}${keeping(scene.kept.frames, "frames", "captured frames")}`,
     };
   }
 

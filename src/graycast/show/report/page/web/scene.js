@@ -181,12 +181,12 @@
             map: "RdBu_r",
             low: -limit,
             high: limit,
-            unit: "mm, scanner less perfect",
+            unit: "mm, scanner minus perfect",
             digits: 1,
             whole: true,
           }
         : null,
-      note: "drag turns, shift-drag moves, the wheel zooms, a double click goes back to the start",
+      note: "drag to turn, shift-drag to move, wheel to zoom, double-click to start again",
     };
   }
 

@@ -152,10 +152,10 @@
     if (paint === "views")
       return {
         bar: { ...bar, low: 1, high: most(cloud), unit: "views", digits: 0 },
-        note: `${points}; how many measured the place`,
+        note: `${points}; the number of pictures that measured the place`,
       };
     const told = {
-      view: "; each in the colour of the picture at whose pixel it stands",
+      view: "; the colour shows from which picture a point comes",
       first: `; why ${cloud.names[0]} has no depth there, in the colours of the reasons: dark grey is hidden from it, green outside of its picture, blue seen through`,
     };
     return { note: points + (told[paint] ?? "") };

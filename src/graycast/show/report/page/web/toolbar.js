@@ -20,10 +20,10 @@
   ];
   const FUSED = [
     ["colour", "picture"],
-    ["views", "how many views"],
+    ["views", "number of views"],
     ["view", "which view"],
     ["sigma", "σ"],
-    ["first", "why not the first"],
+    ["first", "why the first lacks it"],
     ["plain", "grey"],
   ];
   const AXES = [

@@ -178,7 +178,7 @@
         list.map(([value, text]) => el("option", { value, selected: prefs[name] === value }, text)),
       );
     document.querySelector("#main .options").replaceChildren(
-      toggle("points", "p", "scan", "what the robot acted on"),
+      toggle("points", "p", "scan", "the scan that the robot used"),
       choose("pointPaint", [
         ["plain", "plain"],
         ["depth", "by depth"],
@@ -188,7 +188,7 @@
         "pointSize",
         [1, 2, 3, 4].map((v) => [v, `${v} px`]),
       ),
-      toggle("parts", "m", "true parts", "where the parts truly lay"),
+      toggle("parts", "m", "true parts", "the true poses of the parts"),
       toggle("robot", "r", "robot", "arm and tool"),
       toggle("bin", "b", "bin", "bin and table"),
       el("span", { class: "spring" }),
@@ -256,8 +256,8 @@
     const lines = [
       ["parts in the bin", String(attempt.present.length)],
       ["detections", String(attempt.targets)],
-      ["went for", attempt.kind === null ? null : Graycast.words(parts[attempt.kind].name)],
-      ["met part", attempt.part === null ? null : String(attempt.part)],
+      ["intended part", attempt.kind === null ? null : Graycast.words(parts[attempt.kind].name)],
+      ["touched part", attempt.part === null ? null : String(attempt.part)],
       ["score of the grip", attempt.score?.toFixed(3)],
       [
         "pose off by",
@@ -379,10 +379,10 @@
     const { motion } = open.scan,
       { outcome } = open.content.attempts[open.number];
     if (motion.grip === undefined) return "The arm does not move.";
-    if (open.time < motion.time_s[motion.grip]) return "The tool goes to its grip.";
+    if (open.time < motion.time_s[motion.grip]) return "The tool moves to its grip.";
     const until = motion.held_until_s;
-    if (until === null) return `The tool goes away without a part: ${outcome}.`;
-    return open.time <= until ? "The tool carries the part." : `The tool has let go: ${outcome}.`;
+    if (until === null) return `The tool leaves without a part: ${outcome}.`;
+    return open.time <= until ? "The tool carries the part." : `The part is released: ${outcome}.`;
   }
 
   function play(on) {

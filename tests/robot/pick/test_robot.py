@@ -1,6 +1,7 @@
 """Arms: poses by hand, ways back from poses to angles, limits, and what they touch."""
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ import coal
 
 from graycast.base.errors import ConfigError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.robot.pick.arms import ARMS, urdf
+from graycast.robot.pick.arms import ARMS, URDF
 from graycast.robot.pick.robot import Obstacle, open_robot
+
+UR5E = (URDF / "ur5e.urdf").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module", params=list(ARMS))
@@ -47,6 +50,38 @@ def test_a_stretched_diana_stands_upright_and_looks_down(tmp_path):
     assert T[2, 3] == pytest.approx(0.2856 + 0.4586 + 0.47702 - 0.0216 - 0.1169)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(T[:2, 3], [0.065 - 0.0528 - 0.0122 + 0.087, 0], atol=1e-12)
+
+
+def test_a_diana_is_the_product_of_the_published_origins_of_its_joints(tmp_path):
+    """Oracle: the paper's table, each joint turned about x against the joint before."""
+    diana = open_robot("diana7", folder=tmp_path)
+    table = [
+        (0, (0, 0, 0.2856)), (-1, (0, 0, 0)), (1, (0, -0.4586, 0)), (-1, (0.065, 0, 0)),
+        (1, (-0.0528, -0.47702, 0)), (-1, (-0.0122, 0, -0.0216)), (-1, (0.087, 0.1169, 0)),
+    ]  # fmt: skip
+    for q in np.random.default_rng(0).uniform(diana.low, diana.high, (20, 7)):
+        T = np.eye(4)
+        for (quarters, origin_m), angle in zip(table, q, strict=True):
+            T = T @ rigid(axis_rotation("x", quarters * np.pi / 2), np.array(origin_m, float))
+            T = T @ rigid(axis_rotation("z", angle), np.zeros(3))
+        np.testing.assert_allclose(diana.flange(q), T, atol=1e-12)
+    side, turn = 3.12, np.pi / 2
+    np.testing.assert_array_equal(diana.high, [side, turn, side, 3.05, side, side, side])
+    np.testing.assert_array_equal(diana.low, [-side, -turn, -side, 0, -side, -side, -side])
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_each_link_of_a_built_in_arm_is_a_capsule(name):
+    """Law: the ends of the cylinder are the centres of two spheres of its radius."""
+    for link in ElementTree.parse(URDF / f"{name}.urdf").getroot().findall("link")[:-1]:
+        start, end, tube = link.findall("collision")
+        place = [np.array(one.find("origin").get("xyz").split(), float) for one in (start, end)]
+        radii = {one.find("geometry")[0].get("radius") for one in (start, end, tube)}
+        middle, rpy = (np.array(tube.find("origin").get(k).split(), float) for k in ("xyz", "rpy"))
+        along = axis_rotation("z", rpy[2]) @ axis_rotation("y", rpy[1]) @ [0.0, 0.0, 1.0]
+        half = float(tube.find("geometry/cylinder").get("length")) / 2 * along
+        assert len(radii) == 1 and rpy[0] == 0
+        np.testing.assert_allclose([middle - half, middle + half], place, atol=1e-12)
 
 
 def test_angles_are_found_for_every_pose_that_angles_make(robot):
@@ -110,8 +145,8 @@ def test_a_robot_without_a_joint_that_moves_is_refused(tmp_path):
 
 
 def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
-    (tmp_path / "arm.urdf").write_text(urdf(ARMS["ur5e"]))
-    mine = open_robot("arm.urdf", folder=tmp_path, home=ARMS["ur5e"].home)
+    (tmp_path / "arm.urdf").write_text(UR5E)
+    mine = open_robot("arm.urdf", folder=tmp_path, home=ARMS["ur5e"])
     own = open_robot("ur5e", folder=tmp_path)
     q = own.home + 0.3
     np.testing.assert_allclose(mine.flange(q), own.flange(q), atol=1e-12)
@@ -122,29 +157,29 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
     [
         (None, "the robot 'arm.urdf' is not known: choose one of ur5e, diana7"),
         ("<robot", "arm.urdf"),
-        (urdf(ARMS["ur5e"]).replace("flange", "hand"), "no link called flange"),
+        (UR5E.replace("flange", "hand"), "no link called flange"),
         (
-            urdf(ARMS["ur5e"]).replace('"revolute"', '"continuous"', 1),
+            UR5E.replace('"revolute"', '"continuous"', 1),
             "joint1 is a continuous joint, which is not supported: give it the type revolute",
         ),
         (
-            re.sub('velocity="[^"]*"', 'velocity="0"', urdf(ARMS["ur5e"]), count=1),
+            re.sub('velocity="[^"]*"', 'velocity="0"', UR5E, count=1),
             "joint1 has no speed limit: give its limit a velocity greater than 0",
         ),
         (
-            re.sub(' velocity="[^"]*"', "", urdf(ARMS["ur5e"]), count=1),
+            re.sub(' velocity="[^"]*"', "", UR5E, count=1),
             "the limit of joint joint1 has no velocity: write it as an attribute of <limit>, in ra",
         ),
         (
-            re.sub(' effort="[^"]*"', "", urdf(ARMS["ur5e"]), count=1),
+            re.sub(' effort="[^"]*"', "", UR5E, count=1),
             "the limit of joint joint1 has no effort: write it",
         ),
         (
-            re.sub("<limit [^>]*>", "", urdf(ARMS["ur5e"]), count=1),
+            re.sub("<limit [^>]*>", "", UR5E, count=1),
             "joint1 has no lower, no upper, no velocity, no effort: write it as",
         ),
         (
-            re.sub("<sphere [^>]*>", '<mesh filename="gone.stl" />', urdf(ARMS["ur5e"]), count=1),
+            re.sub("<sphere [^>]*>", '<mesh filename="gone.stl" />', UR5E, count=1),
             "gone.stl could not be found",
         ),
     ],

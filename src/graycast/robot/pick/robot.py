@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ...base.errors import ConfigError
 from ...base.frames import rigid
 from ...base.public_value import public_value
-from .arms import ARMS, urdf
+from .arms import ARMS, URDF
 
 Joints = Float[np.ndarray, "q"]
 _STEPS, _STARTS = 60, 12
@@ -245,26 +245,21 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
     """
     import pinocchio as pin
 
-    if text in ARMS:
-        source = urdf(ARMS[text])
-        model = pin.buildModelFromXML(source)
-        geometry = pin.buildGeomFromUrdfString(model, source, pin.GeometryType.COLLISION)
-        home = ARMS[text].home if home is None else home
-    else:
-        path = folder / text
-        if not path.is_file():
-            raise ConfigError(
-                f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
-                f"name a URDF file in {folder}"
-            )
-        _check_limits(path)
-        try:
-            model = pin.buildModelFromUrdf(str(path))
-            geometry = pin.buildGeomFromUrdf(
-                model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)]
-            )
-        except (ValueError, RuntimeError) as error:
-            raise ConfigError(f"robot {path}: {str(error).strip()}") from error
+    path = URDF / f"{text}.urdf" if text in ARMS else folder / text
+    home = ARMS.get(text) if home is None else home
+    if not path.is_file():
+        raise ConfigError(
+            f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
+            f"name a URDF file in {folder}"
+        )
+    _check_limits(path)
+    try:
+        model = pin.buildModelFromUrdf(str(path))
+        geometry = pin.buildGeomFromUrdf(
+            model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)]
+        )
+    except (ValueError, RuntimeError) as error:
+        raise ConfigError(f"robot {path}: {str(error).strip()}") from error
     _check_joints(text, model)
     if not model.existFrame("flange"):
         raise ConfigError(f"robot {text}: has no link called flange, on which the tool is mounted")

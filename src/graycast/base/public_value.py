@@ -102,8 +102,9 @@ def _value_text(value: Any, depth: int) -> str:
 
 
 def _own_fields(value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the fields that have not their default."""
-    for key, default in _defaults(type(value)).items():
+    """Yield the fields whose values are not their defaults."""
+    kind: Any = type(value)  # `Any`, because mypy doubts that a type is hashable
+    for key, default in _defaults(kind).items():
         item = getattr(value, key)
         if not _same(item, default):
             yield key, item

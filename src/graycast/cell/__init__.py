@@ -12,6 +12,6 @@ Each imports only from those above it:
     simulate         one scene, from its seeds (`base.streams`) to its sample
     remedies         other settings that give the parts more depth, tried on the light of a scene
     engine           where scenes are made: this process, other processes, or a cluster
-    generate many scenes of a cell, written to the folder of a dataset (`dataset.store`), and, after
-                     a stop, the scenes that are missing
+    generate         many scenes of a cell in the folder of a dataset (`dataset.store`), and the
+                     missing ones after a stop
 """

@@ -15,13 +15,13 @@ from .folder import fill_whole
 INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
 
 
-# Where a name may stand beside its point [pt], the best place first.
+# Offsets [pt] of a name from its point, the best one first.
 _SIDES = tuple(
     ((x, y), side)
     for y in (-10, 6, -20, 16, -30, 26)
     for x, side in ((6, "left"), (-6, "right"), (0, "center"))
 )
-_BELOW_IN = 0.48  # Ticks and the label of an axis lie within this distance below it.
+_BELOW_IN = 0.48  # Ticks and the label of an axis need this distance below it.
 
 Grid = Literal["both", "x", "y"]
 

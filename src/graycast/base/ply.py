@@ -99,7 +99,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
     Raises:
         DatasetError: it is no PLY, or is damaged.
     """
-    from trimesh.exchange.ply import load_ply  # It takes long to import, and writers need it not.
+    from trimesh.exchange.ply import load_ply  # The import takes long, and writers do not need it.
 
     lines, _ = split(path)
     names = {line.split()[-1] for line in lines if line.startswith("property ")}

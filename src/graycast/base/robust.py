@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-MAD_SIGMA = 1.4826  # It is a normal law's standard deviation over its median absolute deviation.
+MAD_SIGMA = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
 def robust_sigma(

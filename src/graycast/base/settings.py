@@ -277,7 +277,10 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
         raise ConfigError(
             f"{path}: is not YAML{line} ({why}): correct or remove that line"
         ) from error
-    except (ValueError, RecursionError) as error:  # It has an impossible date or endless brackets.
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # For example an impossible date, or endless brackets.
         raise ConfigError(f"{path}: is not YAML ({error}): correct or remove that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give lines such as 'name: value'")

@@ -13,7 +13,7 @@ import numpy as np
 # `SCENE` are the streams of a dataset's seed; each image has its own streams `OF_IMAGE`.
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
-_RESCAN = 1 << 31  # It takes the place of a scanner's index, which is always smaller.
+_RESCAN = 1 << 31  # It replaces the index of a scanner, which is always smaller.
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
 EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these.
 
@@ -60,7 +60,7 @@ def scene_seeds(
         views: likewise of the places that images are taken from.
     """
     seeds = _seeds(seed, (scene_id,), SCENE)
-    # A scene for which nothing is drawn from a domain or a range of views has no seed for it.
+    # A scene without random values of a domain or of views has no seed for them.
     left_out = {name for name, has in (("domain", domain), ("views", views)) if not has}
     return {name: value for name, value in seeds.items() if name not in left_out}
 

@@ -14,8 +14,8 @@ from ...base.errors import GraycastError
 from .network import Network
 
 BACKBONES = ("mobilenet-v3-small", "mobilenet-v2", "resnet18", "resnet50", "darknet53")
-# In a step, a norm's statistics move by this share. Torchvision's 0.01 in MobileNetV3 is for a
-# million steps; after some hundred, what a network has learnt would not show outside training.
+# The statistics of a norm move by this share in each step. Torchvision's 0.01 in MobileNetV3 is for
+# a million steps; after some hundred, the statistics would still be those of the first weights.
 NORM_MOMENTUM = 0.1
 
 

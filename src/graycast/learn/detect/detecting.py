@@ -30,7 +30,7 @@ from .drawing import draw_detections
 from .encoding import Encoding
 
 DRAWINGS = "drawings"
-LEAST_INSIDE = 0.5  # A note warns of a picture with less of its depth in the range that was learnt.
+LEAST_INSIDE = 0.5  # A note warns if less of a picture's depth is in the range of the training set.
 
 
 @final
@@ -139,7 +139,7 @@ def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[E
         DatasetError: one is damaged.
     """
     for i, shot in enumerate(shots):
-        # The detector works in pixels and along the axis: it asks for no intrinsics.
+        # The detector works in pixels and along the axis, so it needs no intrinsics.
         images = read_shot(shot, FileOptions(K=np.eye(3), scale_m=scale_m))
         depth_m = None if images.depth_m is None else images.depth_m.astype(np.float32)
         yield Example(scene_id=i, rgb=images.rgb, gray=images.gray, scanner_depth_m=depth_m)

@@ -11,12 +11,12 @@ from pycocotools import mask as coco_mask
 from ...dataset.detections import Detections
 
 LEAST_SCORE = 0.5  # A detection is drawn from this score on.
-_MARGIN = 0.08  # A cut-out reaches this share of its longer side beyond the detections.
+_MARGIN = 0.08  # margin of a cut-out around the detections, as a share of its longer side
 # Most detections are this wide, and the longer side of the drawing lies between the other two.
 _LEAST_SIDE_PX, _WIDE_PX, _MOST_PX = 90, 1200, 2400
 _FONT, _TEXT_SCALE, _PAD_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 4
-_STEPS = 10  # A plate for which its detection has no room goes this many of its heights away.
-# RGB of vivid colours; neighbours in the list differ, as parts that follow each other may touch.
+_STEPS = 10  # A label without room in its detection moves away by this many of its heights.
+# Vivid colours in RGB. Neighbours in the list differ, because consecutive parts may touch.
 _INKS = (
     (238, 102, 119), (34, 136, 221), (204, 187, 68), (170, 51, 119), (34, 160, 80),
     (255, 140, 20), (102, 204, 238), (120, 90, 220),
@@ -49,7 +49,7 @@ def draw_detections(
     part = image[view.top : view.bottom, view.left : view.right]
     drawing = cv2.resize(part, None, fx=view.factor, fy=view.factor, interpolation=cv2.INTER_CUBIC)
     lines = [_outlines(detections, i, view) for i in range(count)]
-    for dark in (True, False):  # All dark rims lie below all colours.
+    for dark in (True, False):  # All dark rims are drawn below all colours.
         for i, outline in enumerate(lines):
             ink = (20, 20, 20) if dark else _INKS[i % len(_INKS)]
             cv2.polylines(drawing, outline, True, ink, 4 if dark else 2, cv2.LINE_AA)

@@ -25,7 +25,7 @@ _RELIEF_WINDOW = 1 / 10  # A window's side is this share of the longer side of t
 _RELIEF_SHARE = 1 / 20  # A height of this share of the working volume saturates the relief.
 _NOISY_SIGMA_M = 1e-3
 _NOISY_HOLES_SHARE = 0.05
-_NOISY_HOLE_PX = (1, 12)  # The radii are between these, at the picture's own size.
+_NOISY_HOLE_PX = (1, 12)  # range of radii at the picture's own size
 
 
 @final

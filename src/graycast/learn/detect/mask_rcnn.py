@@ -95,7 +95,7 @@ class MaskRcnn(Network):
         self.rpn.eval(), self.heads.eval()
         images, maps = self._maps(image)
         self.heads.detections_per_img = most
-        # torchvision keeps what is above its threshold, not what is equal to it.
+        # torchvision keeps scores above its threshold, but not equal ones.
         self.heads.score_thresh = float(np.nextafter(np.float32(least_score), np.float32(-1)))
         proposals, _ = self.rpn(images, maps)
         results, _ = self.heads(maps, proposals, images.image_sizes)

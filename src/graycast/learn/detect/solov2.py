@@ -128,7 +128,7 @@ class Solov2(Network):
         most: int,
         least_score: float,
     ) -> NetworkOutput:
-        # Neither the fill of a mask nor a rival raises a score, so what is below may go at once.
+        # Scores are only lowered from here on, so lower ones are dropped at once.
         score = _peaks(score.sigmoid())
         best, place = score.flatten().topk(min(max(500, 2 * most), score.numel()))
         place, best = place[best >= max(least_score, 1e-6)], best[best >= max(least_score, 1e-6)]

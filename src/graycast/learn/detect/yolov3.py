@@ -31,7 +31,7 @@ STRIDES = (32, 16, 8)
 OVERLAP = 0.5  # An anchor that overlaps an instance by more than this is not a negative.
 CENTRE_WEIGHT, SIZE_WEIGHT = 2.0, 2.0
 MOST_LOG_GROWTH = 8.0  # A box of e^8 anchors is larger than any picture; more would overflow.
-LEAST_SHARE = 1e-6  # A share of a cell or of an anchor is at least this: zero has no logarithm.
+LEAST_SHARE = 1e-6  # least share of a cell or an anchor, because zero has no logarithm
 
 
 @final

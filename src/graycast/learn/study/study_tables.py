@@ -22,7 +22,7 @@ from .study_runs import Result
 
 Row = dict[str, str | float]
 _KEYS = ("model", "input", "encoding", "training", "seed", "kind", "dataset")
-_ALL = "all"  # This name stands for the datasets of a world, by their mean.
+_ALL = "all"  # name of the mean over the datasets of a world
 
 
 def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
@@ -88,7 +88,7 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
 
 def _interval_text(row: Row, name: str) -> str:
     value, low, high = (float(row.get(key, math.nan)) for key in _ends(name))
-    if math.isnan(value):  # also of a world without masks
+    if math.isnan(value):  # A world without masks has NaN, too.
         return "-"
     return f"{value:.2f}" if math.isnan(low) else f"{value:.2f} [{low:.2f}, {high:.2f}]"
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ...base.frames import rigid
 from ...base.public_value import public_value
 
-LEAN_RAD = np.radians(30)  # A bin's walls and neighbours make a tool lean by about as much.
+LEAN_RAD = np.radians(30)  # Walls and neighbouring parts make a tool lean by about this angle.
 
 
 @public_value

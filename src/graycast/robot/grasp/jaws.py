@@ -19,9 +19,9 @@ from .robust import SHAKE, Doubt
 
 CLEARANCE_M = 2e-3  # This gap is left between each open finger and the part.
 TURNS = 8  # At each place, this many turns about the axis of the pads are tried.
-PAD_LINES = 8  # A pad is followed to the part along this many lines on each of two rings.
+PAD_LINES = 8  # number of lines from a pad to the part, on each of two rings
 PAD_GIVES_M = 0.5e-3  # The jaws press a rubber pad in by this depth.
-PROBES = 3000  # No finger may have any of these points of the part's surface within itself.
+PROBES = 3000  # number of points of the part's surface, none of which may be inside a finger
 
 
 @public_value

@@ -16,8 +16,10 @@ from ...base.kernels import kernel
 from ...rig.optics import Optics, project, rays
 from ...world.parts import Mesh
 
-STEP_M = 0.5e-3  # The nodes of the patch under a tool that is tried lie this far apart.
-_STEEPEST_RAD = math.radians(80)  # A triangle that stands steeper to the line of sight is none.
+STEP_M = 0.5e-3  # spacing of the nodes of the patch under a tool
+_STEEPEST_RAD = math.radians(
+    80
+)  # A steeper triangle (to the line of sight) spans a gap and is left out.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

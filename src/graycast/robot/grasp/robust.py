@@ -11,8 +11,8 @@ from ...base.streams import stream
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
-CARRIED_M_S2 = 0.5 * 9.81  # A tool accelerates a part in it by no more than this.
-SHAKE = 1.5  # At that acceleration, a part pulls with at most this many times its weight.
+CARRIED_M_S2 = 0.5 * 9.81  # largest acceleration of a part in a tool
+SHAKE = 1.5  # At that acceleration, a part pulls with at most this multiple of its weight.
 
 
 @public_value
@@ -47,7 +47,7 @@ def robustness(
     The first chance is the grip as planned. Positions off by more than three deviations count as
     three, so that the patch need not be larger than that.
     """
-    # Callers draw the places from the same seed, so this takes another stream.
+    # Callers use the same seed for the places, so this uses another stream.
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(chances, 8)), -3, 3)
     off[0] = 0

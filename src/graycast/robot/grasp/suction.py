@@ -128,10 +128,10 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
             z[p] -= lean[k, 0] * lip_m[p, 0] + lean[k, 1] * lip_m[p, 1]
         most = -np.inf
         for p in range(points):
-            # Comparisons with NaN are false, so springs on missing ground do not count.
+            # Comparisons with NaN are false, so springs over missing depth do not count.
             change = abs(math.hypot(radius_m, z[p] - cup_m) - side) / side
             most = change if change > most else most
-            for apart in (1, 2):  # springs along the lip, and against bending it
+            for apart in (1, 2):  # springs along the lip, and springs against its bending
                 free = along[apart - 1]
                 change = abs(math.hypot(free, z[p] - z[p - apart]) - free) / free
                 most = change if change > most else most

@@ -20,8 +20,8 @@ from .label_options import Labelling
 from .stored_world import GraspWorld, ScenePoses, around
 
 CLEAR_M = 0.05
-LIFT_M_S = 0.25  # The straight ways of a robot's cell have the same speed by default.
-STILL_S = 0.3  # The part has to hang on the tool for this time after the lift.
+LIFT_M_S = 0.25  # the default speed of straight motions in a robot's cell
+STILL_S = 0.3  # time that the part must hang on the tool after the lift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

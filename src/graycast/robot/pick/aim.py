@@ -16,8 +16,8 @@ from .obstacles import FLOOR_M, WALL_M
 
 LEAST_AREA = 0.3  # A detection must have at least this share of the largest one's pixels.
 LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
-BESIDE_PX = 2  # What covers a part is looked for this near to its outline.
-COVERED_M = 8e-3  # What is nearer to the camera by more than this lies on the part.
+BESIDE_PX = 2  # Covering parts are searched within this distance of the outline.
+COVERED_M = 8e-3  # A surface nearer to the camera by more than this covers the part.
 COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.
 PLACES = 40  # Each round of the search without a model tries this many grips for each detection.
 

@@ -20,7 +20,7 @@ from ..grasp import DepthView
 from .aim import Candidate, whole_bin
 from .robot_cell import PickCell
 
-LEAST_VISIBLE_PX = 30  # The truth has no target for a part of which less is visible.
+LEAST_VISIBLE_PX = 30  # A part with fewer visible pixels is no target of the truth.
 LEAST_SCORE = 0.3
 
 
@@ -134,7 +134,7 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
     from pycocotools import mask as coco_mask
 
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
-    # What the detector calls by another name; ids below 0 would be left out.
+    # Classes under another name in the detector; ids below 0 would be left out.
     another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     depth_m = shot.view.depth_m.astype(np.float32)

@@ -20,7 +20,7 @@ from .robot import Joints
 from .touch import touch
 from .ways import Ways
 
-FREED_M = 0.1  # Once a part is taken, failed grips this near to it may be tried again.
+FREED_M = 0.1  # Failed grips this near to a removed part may be tried again.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,12 +17,12 @@ from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, WaySearch
 
 TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
-BLOCKED_M = 0.04  # Grips this near to one without a way to it wait until others had their turn.
-ALIKE_M = 0.008  # Planning takes similar grips that are nearer to each other than this as one.
+BLOCKED_M = 0.04  # Grips this near to an unreachable one are tried after all others.
+ALIKE_M = 0.008  # For planning, similar grips within this distance are one.
 LEAST_UP_M = 0.02
-# The visible middle of an unknown part may be this far off its centre of mass, along each axis.
+# The visible middle of an unknown part is this near to its centre of mass, along each axis.
 UNKNOWN_CENTER_M = 0.01
-# A surface this far off the part's on this large a share of the tool's ground is another body's.
+# A surface farther from the part's, on a larger share of the tool's area, is another body's.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",
@@ -153,7 +153,7 @@ class _Heaps:
 
     def of(self, aim: Aim) -> _Heap:
         own = self._ready.tool.reaches_round
-        key = id(aim.target) if own else -1  # targets outlive the choice
+        key = id(aim.target) if own else -1  # Targets outlive the choice, so ids stay unique.
         if key not in self._heaps:
             without = aim.target.inside(self._shape) if own else None
             heap = measured_heap(self._points, without=without)

@@ -12,7 +12,7 @@ from ...world.drop import Hold
 from ...world.parts import Part
 from .outcome import Outcome
 
-LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # It is `grasp.load_factor` of one tool.
+LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # `grasp.load_factor` of one tool
 
 
 @public_value

@@ -39,8 +39,8 @@ class JawTool(Settings):
     lost: ClassVar[Outcome] = Outcome.SLIPPED
     is_round: ClassVar[bool] = False
     reaches_round: ClassVar[bool] = True
-    in_depth: ClassVar[None] = None  # One finger presses on a side that is not measured.
-    ground_m: ClassVar[None] = None  # The fingers do not stand on the part.
+    in_depth: ClassVar[None] = None  # One finger presses on a side that the scan does not show.
+    ground_m: ClassVar[None] = None  # The fingers need no flat surface of the part.
     soft: ClassVar[tuple[Mesh, ...]] = ()
 
     def _open_m(self, opening_m: float | None) -> float:
@@ -113,7 +113,7 @@ class JawTool(Settings):
                 detail=f"a finger meets the part {1e3 * contact.ahead_m:.1f} mm before its pad",
                 part=part,
             )
-        # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
+        # The jaws close about the tool's middle: the part moves there, or the arm yields.
         return PartGrip.of(
             part,
             T_world_part[part],

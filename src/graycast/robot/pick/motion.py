@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ...base.frames import rigid
 from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
-# Poses of a path that are checked for collisions lie this far apart at most: 30 mm at 0.8 m.
+# largest distance of poses that are checked for collisions: 30 mm at 0.8 m
 CHECKED_RAD = 0.04
 STEP_M, STEP_RAD = 0.01, 0.1  # Poses on a straight line are at most this far apart.
 JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
@@ -90,7 +90,7 @@ def _connected(
     from ompl.util import RNG, noOutputHandler
 
     noOutputHandler()
-    RNG.setSeed(seed + 1)  # 0 would be drawn from the clock
+    RNG.setSeed(seed + 1)  # OMPL takes seed 0 from the clock.
     space = base.RealVectorStateSpace(len(start))
     bounds = base.RealVectorBounds(len(start))
     for i, (low, high) in enumerate(zip(robot.low, robot.high, strict=True)):
@@ -98,7 +98,7 @@ def _connected(
         bounds.setHigh(i, float(high))
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
-    # OMPL measures a step's length by its norm, and as a share of the space's extent.
+    # OMPL measures the length of a step by its norm, as a share of the space's extent.
     setup.getSpaceInformation().setStateValidityCheckingResolution(
         CHECKED_RAD / space.getMaximumExtent()
     )

@@ -29,10 +29,10 @@ CELL_M = 4e-3
 BESIDE = ndimage.generate_binary_structure(2, 1)  # A node is as high as the four beside it.
 GUESSED_M = 8e-3
 NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
-FLOOR_M = 3e-3  # What is less than this above the bin's floor counts as the floor.
-WALL_M = 5e-3  # What is nearer than this to a wall counts as the wall.
-BELOW_M = 0.05  # The heap is solid to this depth under the floor, and the table is as thick.
-RIG_M = 0.06  # The box around camera, projector and what joins them is twice as thick as this.
+FLOOR_M = 3e-3  # Points less than this above the bin's floor belong to the floor.
+WALL_M = 5e-3  # Points nearer than this to a wall belong to the wall.
+BELOW_M = 0.05  # thickness of the table, and depth of the solid heap below the floor
+RIG_M = 0.06  # half the thickness of the box around camera, projector and their connection
 
 
 def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obstacle, ...]:
@@ -108,7 +108,7 @@ class MeasuredPoints:
     """The points [m, in the world] of a scan that may be of parts, and the pixel of each."""
 
     point_m: Float[np.ndarray, "n 3"]
-    pixel: Bool[np.ndarray, "h w"]  # in rows, as `point_m` has them
+    pixel: Bool[np.ndarray, "h w"]  # in the same order as `point_m`
     box: Bin
 
 

@@ -11,18 +11,18 @@ from jaxtyping import Float
 class Outcome(StrEnum):
     """The outcome of a scan and its grip. The first four occur before the arm moves."""
 
-    NOTHING_FOUND = "nothing found"  # no part, no pose, or no place that a tool would hold
+    NOTHING_FOUND = "nothing found"  # no part, no pose, or no place where a tool would hold
     COLLISION_SEEN = "collision seen"  # Every grip would push the tool into the measured heap.
     UNREACHABLE = "unreachable"  # no joint angles, or no free way
-    GIVEN_UP = "given up"  # every grip is where one failed before
+    GIVEN_UP = "given up"  # Every grip is near one that failed before.
     PICKED = "picked"
-    TWO_AT_ONCE = "two at once"  # another part left the bin with it
-    MISSED = "missed"  # nothing was where the tool went
-    WRONG_POSE = "wrong pose"  # it failed, the pose off by over `WRONG_RAD` or `WRONG_M`
-    NOT_HELD = "not held"  # the cup did not seal, or the jaws did not close on both sides
+    TWO_AT_ONCE = "two at once"  # Another part left the bin together with it.
+    MISSED = "missed"  # The tool touched nothing.
+    WRONG_POSE = "wrong pose"  # The pose was wrong by over `WRONG_RAD` or `WRONG_M`.
+    NOT_HELD = "not held"  # The cup did not seal, or the jaws did not close on both sides.
     COLLISION_UNSEEN = "collision unseen"  # The tool hit something that the scanner did not show.
-    LOST_SEAL = "lost seal"  # a cup let go on the way
-    SLIPPED = "slipped"  # jaws let go on the way
+    LOST_SEAL = "lost seal"  # A cup lost its part on the way.
+    SLIPPED = "slipped"  # Jaws lost their part on the way.
 
 
 BEFORE_MOVING = (

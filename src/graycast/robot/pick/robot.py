@@ -39,7 +39,7 @@ class Obstacle:
     shape: Any
     T_base_shape: Float[np.ndarray, "4 4"]
     carries: bool = False
-    placed: Any = field(init=False, repr=False)  # the pose as Coal takes it, for many questions
+    placed: Any = field(init=False, repr=False)  # the pose in Coal's form, kept for many queries
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "placed", _placed(self.T_base_shape))
@@ -72,7 +72,9 @@ class Robot:
         self._flange = model.getFrameId("flange")
         self.home = home
         self._own_pairs()
-        self._placed = geometry.createData()  # after the pairs, of which it holds the results
+        self._placed = (
+            geometry.createData()
+        )  # created after the pairs, because it holds their results
 
     def mount(self, pieces: Sequence[Mounted]) -> "Robot":
         """Return the same arm with a tool at its flange."""

@@ -44,7 +44,7 @@ class PickCell:
     @property
     def file_digests(self) -> dict[str, str]:
         """SHA-256 of every file that the cell names, so that a changed one is noticed."""
-        named = {}  # as the configuration says it, so that a folder may move
+        named = {}  # paths as in the configuration, so that the folder can be moved
         if self.config.robot.arm not in ARMS:
             named[self.config.robot.arm] = self.folder / self.config.robot.arm
         if self.detector is not None:

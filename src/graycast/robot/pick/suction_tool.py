@@ -115,7 +115,7 @@ class SuctionTool(Settings):
                 detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
                 part=part,
             )
-        # The lip's middle comes to lie on the surface; over the edge to another part air gets in.
+        # The middle of the lip rests on the surface; across an edge to another part, air leaks in.
         patch = Patch(height_m=np.where(number == part, height_m - at_m, np.nan), step_m=STEP_M)
         lies = seal(self.cup, patch)
         if not lies.holds:

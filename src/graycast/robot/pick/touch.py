@@ -19,7 +19,7 @@ from .obstacles import hull
 from .outcome import Outcome
 from .tools import T_flange_tip, Tool
 
-PUSHED_M = 2e-3  # A tool nudges a part aside if it reaches less deep into it than this.
+PUSHED_M = 2e-3  # A tool pushes a part aside if it penetrates it by less than this.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

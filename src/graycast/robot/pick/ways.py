@@ -13,9 +13,9 @@ from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
 TURNS = 4  # A round cup holds equally well at each of these turns about its axis.
-OFF_M = 0.01  # The load comes on the tool along this way: bellows stretch by less.
-Lines = dict[str, Float[np.ndarray, "k joints"]]  # The keys are names of straight motions.
-ELBOWS = 3  # Before a grip, at most this many ways to place the arm are tried.
+OFF_M = 0.01  # The load reaches the tool within this distance: bellows stretch by less.
+Lines = dict[str, Float[np.ndarray, "k joints"]]  # names of straight motions -> joint angles
+ELBOWS = 3  # For each grip, at most this many configurations of the arm are tried.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

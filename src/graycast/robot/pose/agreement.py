@@ -7,23 +7,23 @@ from .drawing import draw
 
 VISIBLE, TOUCHING, HIDDEN, CONTRADICTED, UNKNOWN, MISSED, MISSED_UNKNOWN = range(7)
 KINDS = 7
-# What a count tells; all but the last two are of pixels that the part at its pose would cover.
+# Meaning of each count; all but the last two count pixels that the part at its pose would cover.
 # VISIBLE: measured where the part's surface would be.
-# TOUCHING: so too, but outside the detection's outline.
+# TOUCHING: as VISIBLE, but outside the detection's outline.
 # HIDDEN: measured in front of it.
 # CONTRADICTED: measured behind it: the ray went through the part.
 # UNKNOWN: nothing measured.
-# MISSED: measured within the outline, but the part would not be there.
-# MISSED_UNKNOWN: within the outline, nothing measured, and the part would not be there.
+# MISSED: measured within the outline, where the part at its pose would not be.
+# MISSED_UNKNOWN: as MISSED, but nothing measured.
 
 
 # In a box, a visible pixel is worth 1, and a contradicted one -1. The other numbers were chosen on
 # brackets in heaps: the tempting mistakes are a part sunk flush into the floor (the surface goes
 # on around it, and the true part hides it) and a neighbour.
 OUTSIDE = 0.3  # A pixel that agrees, but outside the box, is worth this.
-HIDING = 1.0  # A hidden pixel takes this off.
-GOING_ON = 3.0  # A pixel next to the part costs this if the part's surface goes on there.
-OFF_CENTRE = 0.3  # A part whose middle is at the box's border loses this share of the box's pixels.
+HIDING = 1.0  # cost of a hidden pixel
+GOING_ON = 3.0  # cost of a pixel next to the part where the part's surface continues
+OFF_CENTRE = 0.3  # cost of a part's middle at the box's border, as a share of the box's pixels
 
 
 @kernel(nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ from ...base.kernels import kernel
 from .closest import add_row, fill_row, solved, turn_by
 from .drawing import draw
 
-REACH_PX = 4.0  # An outline is looked for within this distance of its drawn place.
+REACH_PX = 4.0  # An outline is searched within this distance of its predicted position.
 LINE_STEP_PX = 0.5
 
 

@@ -11,8 +11,8 @@ from ...base.kernels import kernel
 
 CELLS = 60  # The grid has this many cells along the diameter.
 BEYOND = 0.2  # The grid reaches beyond the part's box by this share of the diameter.
-ALIKE = 0.5  # Places may correspond if the cosine between their normals is at least this.
-DAMPING = 1e-3  # This share of the mean curvature keeps still what the points do not determine.
+ALIKE = 0.5  # least cosine between the normals of corresponding points
+DAMPING = 1e-3  # This share of the mean curvature fixes undetermined directions.
 
 
 class OrientedPoints(NamedTuple):
@@ -94,7 +94,7 @@ def _round(T, scene, surface, gate):
         if away2 > gate * gate:
             continue
         off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
-        weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's
+        weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's weight
         fill_row(row, p, m[0], m[1], m[2])
         add_row(A, b, row, off, weight)
         count += 1

@@ -75,7 +75,7 @@ def draw(T, part, window, canvas):
         pixel[i, 1] = v * lens[1] + lens[3] - window.top_px
     bent = 0.01
     if lens[4] != 0 or lens[5] != 0 or lens[6] != 0 or lens[7] != 0 or lens[8] != 0:
-        bent = 1.0  # straight edges bend a little
+        bent = 1.0  # Distortion bends straight edges slightly.
     for f in range(len(faces)):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         a, b, c = cam[i], cam[j], cam[k]
@@ -85,7 +85,7 @@ def draw(T, part, window, canvas):
         e0x, e0y, e0z = _cross(b, c)
         volume = a[0] * e0x + a[1] * e0y + a[2] * e0z
         if volume >= 0:
-            continue  # turned away
+            continue  # The triangle faces away.
         e1x, e1y, e1z = _cross(c, a)
         e2x, e2y, e2z = _cross(a, b)
         low_x = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]) - bent

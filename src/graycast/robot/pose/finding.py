@@ -24,13 +24,13 @@ SCENE_POINTS = 220  # At least this many points of a detection form pairs, at mo
 REFERENCES = 90  # This many of these points are references, which vote for poses.
 CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
 PEAKS = 6  # Each reference point gives this many poses.
-ALIKE = 0.15  # Poses whose key points are nearer than this share of the diameter are one.
-GUESSES = 200  # ICP lays this many poses on the depth, and they are drawn.
-ALIGNED = 16  # This many poses are aligned.
+ALIKE = 0.15  # Poses with key points within this share of the diameter are one.
+GUESSES = 200  # number of poses that ICP fits to the depth and that are rendered
+ALIGNED = 16  # number of poses that are aligned to outlines
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
 ROUNDS = 5
-SURE = 0.9  # After a pose with a higher score, no other way to put the part is tried.
-TRIES = 3  # The best pose is turned in all other ways at most this many times.
+SURE = 0.9  # After a pose with a higher score, no other orientation is tried.
+TRIES = 3  # The other orientations of the best pose are tried at most this many times.
 
 
 @public_value
@@ -215,7 +215,7 @@ def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) ->
         for k in np.argsort(-first, kind="stable")[:ALIGNED]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(both, key=lambda trial: trial.worth)  # the first of equals
+    best = max(both, key=lambda trial: trial.worth)  # The first of several equal ones is taken.
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:

@@ -16,7 +16,7 @@ from .pairs import PairTable, pair_table
 
 STEP = 0.05  # This share of the diameter is the spacing of pairs' points and a bin of distance.
 MOST_POINTS = 700  # The number of pairs grows with the square of the number of points.
-DENSE_STEP = 0.008  # The points that depth is laid on lie this share of the diameter apart.
+DENSE_STEP = 0.008  # spacing of the points for ICP, as a share of the diameter
 MOST_DENSE = 40_000
 
 

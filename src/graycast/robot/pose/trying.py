@@ -12,13 +12,13 @@ from .aligning import align
 from .drawing import Canvas, Window, draw, lens
 from .model import PoseModel
 
-TOLERANCE = 0.02  # A measurement may be off the part by this share of the diameter.
-TOLERANCE_SIGMAS = 3.5  # It may be off by this many times the noise, if that is more.
-# A pixel's depth counts within this many tolerances, step by step. The first gate reaches
-# as far as ICP may have left the pose. The last is one and a half times what counts as visible.
+TOLERANCE = 0.02  # tolerance of a measurement, as a share of the diameter
+TOLERANCE_SIGMAS = 3.5  # tolerance as a multiple of the noise, if that is more
+# A pixel's depth counts within this many tolerances, step by step. The first gate covers the error
+# that ICP may leave. The last is one and a half times the limit for a visible pixel.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
 EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.
-LEAST_PIXELS = 30  # A part that is put otherwise is placed on at least this many pixels.
+LEAST_PIXELS = 30  # Another orientation of a part needs at least this many pixels.
 
 
 @final

@@ -21,6 +21,7 @@ from graycast.base.file_limits import (
     load_array,
     parse_json,
     refuse_large_picture,
+    refuse_turned,
 )
 from graycast.camera.rig_file import missing_distortions
 from graycast.camera.stack.stack_pictures import read_pictures
@@ -164,6 +165,20 @@ def test_a_picture_is_refused_by_the_size_that_its_header_states(kind, tmp_path)
     (tmp_path / "large").write_bytes(whole.replace(before, after, 1))
     with pytest.raises(ValueError, match=f"^x: has {SIDE} x {SIDE} pixels, and at most 100 mil"):
         refuse_large_picture(tmp_path / "large", "x", ValueError)
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "png", "tiff"])
+def test_a_damaged_note_of_the_orientation_is_left_to_the_decoder(kind):
+    """A whole picture that is stored turned is refused; if its note is cut, nothing is said."""
+    data, exif = io.BytesIO(), Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(np.zeros((32, 48), np.uint8)).save(data, format=kind, exif=exif)
+    whole = data.getvalue()
+    with pytest.raises(ValueError, match=r"EXIF orientation 6"):
+        refuse_turned(whole, "x", ValueError)
+    at = whole.index(struct.pack("<HH" if kind == "tiff" else ">HH", 0x0112, 3))
+    for cut in (whole[: at + 5], whole[:at] + bytes(20) + whole[at + 20 :]):
+        refuse_turned(cut, "x", ValueError)
 
 
 def test_the_limit_of_a_picture_is_its_number_of_pixels_not_its_width():

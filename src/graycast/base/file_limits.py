@@ -1,9 +1,10 @@
 """JSON and pictures of users, refused before they fill the memory or lie on their side."""
 
-import os
 import re
 import struct
+import warnings
 from codecs import BOM_UTF8
+from collections.abc import Mapping
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ _TURNS = {
     8: "turned by 90 degrees",
 }
 _File = BufferedReader | BytesIO
+_DAMAGED = (OSError, SyntaxError, LookupError, ValueError, TypeError, struct.error)
 _ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
 
 
@@ -61,9 +63,6 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
     Only the header is read. A picture without a known header passes, because its decoder can
     say better what is wrong with it.
 
-    Only the header is read. A picture without a known header passes: its decoder knows better
-    what is wrong with it.
-
     Args:
         source: the file, which exists, or its content.
         name: the picture's name in the error.
@@ -71,7 +70,7 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
     with open(source, "rb") if isinstance(source, Path) else BytesIO(source) as file:
         try:
             size = _stated_size(file)
-        except (OSError, SyntaxError, LookupError, ValueError, TypeError, struct.error):
+        except _DAMAGED:
             return
     refuse_large_size(*size, name, error)
 
@@ -97,31 +96,13 @@ def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> No
 
 
 def _orientation(content: bytes) -> int:
-    """Return the EXIF orientation of a JPEG, PNG or TIFF file, 1 to 8; 1 if it states none.
-
-    It is read here because training reads pictures where Pillow is not installed.
-    """
+    """Return the EXIF orientation of a JPEG, PNG or TIFF file, 1 to 8; 1 if it states none."""
+    mark = b"eXIf" if content.startswith(b"\x89PNG") else b"Exif\0\0"
+    exif = content if content[:4] in _TIFF else content.partition(mark)[2]
     try:
-        exif = _exif(content)
-        return 1 if exif is None else _tiff_tags(BytesIO(exif), (_ORIENTATION,))[_ORIENTATION]
-    except (LookupError, ValueError, TypeError, struct.error):
+        return _tiff_tags(BytesIO(exif)).get(_ORIENTATION, 1) if exif else 1
+    except _DAMAGED:
         return 1  # The decoder will say what is wrong with the file.
-
-
-def _exif(content: bytes) -> bytes | None:
-    """Return the EXIF block of a picture, which has the form of a TIFF file."""
-    if content[:4] in _TIFF:
-        return content
-    if content.startswith(b"\x89PNG"):
-        at = content.find(b"eXIf")
-        return None if at < 0 else content[at + 4 :]
-    at = 2
-    while content.startswith(b"\xff\xd8") and content[at] == 0xFF and content[at + 1] != 0xDA:
-        end = at + 2 + int.from_bytes(content[at + 2 : at + 4], "big")
-        if content[at + 1] == 0xE1 and content[at + 4 : at + 10] == b"Exif\0\0":
-            return content[at + 10 : end]
-        at = end
-    return None
 
 
 def load_array(path: Path) -> np.ndarray:
@@ -197,9 +178,8 @@ def _stated_size(file: _File) -> tuple[int, int]:
     if head.startswith(b"\x89PNG"):
         return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
     if head[:4] in _TIFF:
-        return _tiff_size(file)
-    if head.startswith(b"\xff\xd8\xff"):
-        return _jpeg_size(file)
+        tags = _tiff_tags(file)  # Pillow opens no TIFF of three floats a pixel.
+        return tags[256], tags[257]
     if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR states the first and last column and row.
         at = head.index(b"dataWindow\0box2i\0") + 21
         left, top, right, bottom = np.frombuffer(head, "<i4", 4, at).tolist()
@@ -209,7 +189,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
         if size is None:
             raise ValueError("no size")
         return int(size[2]), int(size[1])
-    from PIL import Image  # Training reads PNGs without Pillow.
+    from PIL import Image  # It takes long to import, and a PNG does not need it.
 
     Image.init()
     for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes.
@@ -218,37 +198,14 @@ def _stated_size(file: _File) -> tuple[int, int]:
     raise ValueError("no known format")
 
 
-def _jpeg_size(file: _File) -> tuple[int, int]:
-    """Return columns and rows of a JPEG file, from its first frame header."""
-    file.seek(2)
-    while True:
-        mark, kind, high, low = file.read(4)
-        if mark != 0xFF:
-            raise ValueError("no marker")
-        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            _, rows, columns = struct.unpack(">BHH", file.read(5))
-            return columns, rows
-        file.seek(-3 if kind == 0xFF else 256 * high + low - 2, os.SEEK_CUR)
+def _tiff_tags(file: _File) -> Mapping[int, Any]:
+    """Return the tags of a TIFF file's first picture, or of an EXIF block."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-
-def _tiff_size(file: _File) -> tuple[int, int]:
-    """Return columns and rows of a TIFF file's first picture (tags 256 and 257)."""
-    size = _tiff_tags(file, (256, 257))
-    return size[256], size[257]
-
-
-def _tiff_tags(file: _File, tags: tuple[int, ...]) -> dict[int, int]:
-    """Return the values of those tags of a TIFF file's first picture that are whole numbers."""
     head = file.read(16)
-    order, is_big = "<" if head.startswith(b"II") else ">", 43 in head[2:4]
-    (at,) = struct.unpack_from(order + ("Q" if is_big else "I"), head, 8 if is_big else 4)
-    file.seek(at)
-    (count,) = struct.unpack(order + ("Q" if is_big else "H"), file.read(8 if is_big else 2))
-    values: dict[int, int] = {}
-    for _ in range(count):
-        entry = file.read(20 if is_big else 12)
-        tag, kind = struct.unpack_from(order + "HH", entry)
-        if tag in tags:
-            form = order + {3: "H", 4: "I", 16: "Q"}[kind]
-            (values[tag],) = struct.unpack_from(form, entry, 12 if is_big else 8)
-    return values
+    tags = ImageFileDirectory_v2(head if 43 in head[2:4] else head[:8])
+    file.seek(tags.next)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tags that are damaged
+        tags.load(file)
+    return tags

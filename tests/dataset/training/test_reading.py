@@ -38,7 +38,7 @@ EXPORTS = {
 }
 
 ABSENT = {
-    "PIL", "beartype", "coacd", "drjit", "jaxtyping", "lxml", "manifold3d", "mapbox_earcut",
+    "beartype", "coacd", "drjit", "jaxtyping", "lxml", "manifold3d", "mapbox_earcut",
     "matplotlib", "mitsuba", "mujoco", "networkx", "numba", "packaging", "pyoidn", "rapier3d",
     "rich", "scipy", "trimesh", "yaml",
 }  # fmt: skip

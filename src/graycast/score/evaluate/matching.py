@@ -3,8 +3,8 @@
 Within a scene and a class the detections take, best score first, the instance that they overlap
 most among those not yet taken, if they overlap it enough. An instance that counts goes before one
 that is ignored; ignored ones can be taken by many. The rule is that of pycocotools 2.0
-(`COCOeval.evaluateImg`), which hands out its matches but slowly; faster-coco-eval does not hand
-them out, and intervals and pictures of mistakes need them.
+(`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 gives the matches of its lowest
+threshold alone, knows no `Group`, and would take 4 to 8 s for 1000 draws that take 0.2 s here.
 """
 
 from collections.abc import Callable, Mapping, Sequence

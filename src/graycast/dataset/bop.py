@@ -99,14 +99,14 @@ class _SceneRecord:
 
     def __init__(self) -> None:
         self.manifest: dict[str, Any] = {}
-        self.records: dict[str, dict[str, Any]] = {}  # JSON file: image number: entry
-        self.coco: dict[str, dict[str, Any]] = {}  # COCO file: content
+        self.records: dict[str, dict[str, Any]] = {}  # The keys are the file and the image.
+        self.coco: dict[str, dict[str, Any]] = {}  # The key is the file.
 
     def image(self, name: str, number: int, entry: Any) -> None:
         self.records.setdefault(name, {})[str(number)] = entry
 
     def of_manifest(self, sample: Sample) -> None:
-        """Add a sample's facts: the first sample's to the scene, those of others to lists."""
+        """Store a sample's facts: the first sample's as the scene's, those of others in lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
         facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}

@@ -1,4 +1,4 @@
-"""The card of a dataset: a README that describes its content, its making and its pictures.
+"""The card of a dataset: a README with pictures that says what it contains and how it was made.
 
 The Hugging Face Hub reads the head between the two lines `---`. Equal datasets have equal cards,
 byte for byte, because a card contains no date, duration or folder. The owner chooses the licence,
@@ -38,7 +38,7 @@ _NO_LICENCE = "unknown"  # The Hugging Face Hub uses this word.
 SAMPLED = 40  # If no statistics are given, this number of pictures is read.
 _MOST = 3
 _TILE_PX = 480
-_NAMED = 4  # A title names this number of parts.
+_NAMED = 4  # A title names at most this many parts.
 
 Objects = Mapping[StoredScene, tuple[int, ...]]  # Each scene has an object id per instance.
 
@@ -55,8 +55,8 @@ def write_card(
     Scenes and instances are counted in `scene_gt.json` of every scene, which is quick.
 
     Args:
-        statistics: of all scenes, from `dataset_statistics`. None: only `SAMPLED` pictures are
-            read, chosen with a fixed seed, which takes seconds; the card says so.
+        statistics: the result of `dataset_statistics`. If None, only `SAMPLED` pictures are read,
+            chosen with a fixed seed, which takes seconds; the card says so.
         licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own.
             None keeps the licence of the existing card; if there is no such licence, the card
             says that none is stated.
@@ -175,7 +175,7 @@ def _title(stored: StoredDataset) -> str:
 def _publish(
     dataset: Path, card: str, statistics: Statistics, scenes: int, examples: Sequence[StoredScene]
 ) -> None:
-    """Write the card's files to temporary places and rename them, so that none is incomplete."""
+    """Write the card's files under temporary names and rename them, so that all are complete."""
     with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
         folder.mkdir()
         draw_statistics(statistics, folder / "stats.png")
@@ -309,7 +309,7 @@ def _making(stored: StoredDataset) -> str:
 
 
 def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
-    """Return colour, white frame, scanner depth and reasons side by side, without missing ones."""
+    """Return colour, white frame, scanner depth and reasons side by side; skip missing ones."""
     tiles = [scene.rgb] if scene.rgb is not None else []
     if scene.gray is not None:
         tiles.append(np.repeat(srgb_of_bytes(scene.gray)[..., None], 3, axis=2))

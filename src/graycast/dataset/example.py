@@ -12,7 +12,7 @@ from ..base.frames import rigid
 from ..base.public_value import public_value
 from .records import MM_PER_M
 
-if TYPE_CHECKING:  # Imported on demand, so that datasets can be read with few packages installed.
+if TYPE_CHECKING:  # Datasets can be read with few packages, but a camera needs more.
     from ..rig.optics import Optics
 
 
@@ -159,7 +159,7 @@ class InstanceLabel:
 
 
 def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarray, "4 4"]:
-    """Return a pose of BOP's files with its translation in metres."""
+    """Convert a pose of BOP's files to a matrix with its translation in metres."""
     R = np.array(rotation, dtype=np.float64).reshape(3, 3)
     return rigid(R, np.array(translation_mm, dtype=np.float64) / MM_PER_M)
 

@@ -75,7 +75,7 @@ def mask_problems(
 
 
 def _of_no_image(path: Path, scene: Plain) -> list[str]:
-    """Return the masks of images that the scanner does not have; empty after its first image."""
+    """Return masks of images that do not exist; only for the first image, to report them once."""
     if scene.number:
         return []
     has = {f"{number:06d}" for number in scene.numbers}
@@ -159,7 +159,7 @@ def _surface_problems(
             f"pixels, by {np.median(off):.3g} mm in the middle"
         )
     hidden = rendered & mask & ~visible
-    # At a contact, the hiding part is as deep as the hidden one, along a line, as at edges.
+    # Where parts touch, both have the same depth along a line, as at edges.
     covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
     bare = int((hidden & ~covered).sum())
     if bare > DEPTH_PX + DEPTH_SHARE * hidden.sum() + allowed:

@@ -39,7 +39,7 @@ class PoseEstimate:
 
 
 def pose_results_text(estimates: Sequence[PoseEstimate]) -> str:
-    """Return BOP's results file: R by rows, t [mm], with all digits that a number needs.
+    """Return BOP's results file: R by rows, t [mm], with enough digits to read back each number.
 
     Source: https://bop.felk.cvut.cz/challenges, "Formatting guidelines" of the localization task.
     """

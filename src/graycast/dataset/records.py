@@ -75,7 +75,7 @@ class Claim(Record):
     scanners: list[TakerClaim] = []  # Empty if one scanner without a name takes one image.
     sources: list[str]
     versions: dict[str, str]
-    sha256: dict[str, str] = {}  # File outside the scenes: SHA-256
+    sha256: dict[str, str] = {}  # The keys are files outside the scenes.
 
     @property
     def takers(self) -> list[TakerClaim]:

@@ -14,7 +14,7 @@ from ..camera.sensor import Capture
 from ..rendering.radiance import GroundTruth
 from ..world.scene import Layout, Scene
 
-LEAST_DECODED = 1e-3  # If fewer pixels are decoded, their depths come from wrong codes.
+LEAST_DECODED = 1e-3  # A smaller share can come from wrong codes alone.
 
 
 @public_value

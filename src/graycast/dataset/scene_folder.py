@@ -59,9 +59,9 @@ def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[s
 
 
 def of_sensor(name: str, sensor: str) -> str:
-    """Return a file's or folder's name for one of several scanners: `depth_sl`, `depth_left_sl`.
+    """Return a scanner's name of a file or folder, such as `depth_left_sl` for `depth_sl`.
 
-    A scanner without a name does not change it.
+    If the scanner has no name, `name` is returned unchanged.
     """
     if not sensor:
         return name

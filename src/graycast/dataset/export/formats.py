@@ -15,7 +15,7 @@ from .options import FORMATS, Options
 from .record import ExportRecord, write_record
 
 WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
-_SOME = 3  # An error names this number of keys.
+_SOME = 3  # An error names at most this many keys.
 
 
 class Selection(Record):

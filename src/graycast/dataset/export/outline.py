@@ -18,7 +18,7 @@ _ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the ri
 
 
 INSET_PX = 1 / 16  # It is a binary fraction below 0.1, since pycocotools rounds to fifths.
-_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each is the inward normal of a direction.
+_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each direction has its inward normal here.
 
 
 def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:

@@ -17,7 +17,7 @@ from ...world.parts.part_sections import material_words, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
-MOST_PARTS = 6  # More kinds of parts have no controls, only text.
+MOST_PARTS = 6  # Further kinds can be changed only in the text.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

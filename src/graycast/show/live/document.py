@@ -121,7 +121,7 @@ def files_of(
     """Return files for `graycast preview`: a configuration, and the text of a rig file if needed.
 
     Args:
-        path: of the configuration; relative paths start in its folder.
+        path: the configuration's file; relative paths start in its folder.
         rig_name: the name of the document's own rig file in the configuration.
 
     Raises:
@@ -151,7 +151,7 @@ def _brightened(config: Config, factor: float) -> dict[str, Any]:
 
 
 def turned_rig(rig: Rig, change: RigChange) -> Rig:
-    """Return the rig with a brighter projector, farther away and turned towards its axis.
+    """Return the rig with a brighter projector, a scaled baseline and a larger toe-in.
 
     Raises:
         ValueError: the baseline is zero, or longer than allowed.

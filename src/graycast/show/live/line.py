@@ -37,7 +37,7 @@ from .asking import Answer, Ask
 from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
-ROUGH = (1, 4)  # Before the configured quality, pictures with these samples are made.
+ROUGH = (1, 4)  # Rough pictures have these samples per pixel.
 
 Emit = Callable[[Answer], None]
 
@@ -301,7 +301,7 @@ def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hash
     """Return a key of the configuration and its files that determines the world and its light.
 
     Args:
-        digests: of the files that it names, except those of its rigs, which are read here.
+        digests: the digests of the files that it names, except its rigs, which are read here.
     """
     rigs = [
         (name, described_values(scanner.rig), described_values(scanner.code))

@@ -39,7 +39,7 @@ _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-in
 
 
 class Server:
-    """Serves a session to the open pages; without an open page, no pictures are kept."""
+    """The server of a session's pages; without an open page, it keeps no pictures."""
 
     def __init__(self, path: Path, *, port: int = 0, scene_id: int = 0, device: str = "auto"):
         """Read the configuration and open the port.
@@ -51,7 +51,7 @@ class Server:
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
         self._pages: list[SimpleQueue[Message]] = []
         self._lock = threading.Lock()
-        self._turn = threading.Lock()  # It keeps opening and pausing apart.
+        self._turn = threading.Lock()  # It serialises opening and pausing.
         self._pause: threading.Timer | None = None
         try:
             self._http = _Http((HOST, port), _Handler)

@@ -210,7 +210,7 @@ class Session:
             }
 
     def _controls(self, config: Config) -> dict[str, Any]:
-        """Return the controls; none if the rig cannot be read, since its text can be corrected."""
+        """Return the controls; none if the rig is unreadable, so that its text can be corrected."""
         try:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):
@@ -223,7 +223,7 @@ class Session:
             yield
 
     def newer(self, version: int) -> list[tuple[int, Answer]]:
-        """Return the latest answers of each kind that are newer than a version, with theirs."""
+        """Return each kind's latest answer if it is newer than a version, with its version."""
         with self._lock:
             return [latest for latest in self._latest.values() if latest[0] > version]
 

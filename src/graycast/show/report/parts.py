@@ -152,7 +152,7 @@ def portrait_scene(part: Part) -> tuple[Scene, Layout]:
 
 
 def _lamp(at: tuple[float, float, float], size_m: float, *, share: float, radiance: float) -> Lamp:
-    """Return a lamp with position and size in units of the part's, so that all light is alike."""
+    """Return a lamp whose position and size scale with the part, so that all are lit equally."""
     x, y, z = (size_m * a for a in at)
     return Lamp(center_m=(x, y, z), size_m=share * size_m, radiance=(radiance,) * 3)
 

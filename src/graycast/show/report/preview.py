@@ -34,12 +34,12 @@ from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from .bin_view import Crop, bin_crop, depth_limits_mm
 
-DPI = 100  # With this, lengths are in pixels, and a point of type is 1.39 px.
+DPI = 100  # Lengths are in pixels, so a point of type is 1.39 px.
 SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
 _ABOVE_PX = 36  # The title of a tile has this space.
-_BELOW_PX = (14, 52, 84)  # The spaces below the rows are for nothing, colour bars and a legend.
+_BELOW_PX = (14, 52, 84)  # Below the rows are nothing, colour bars and a legend.
 _COARSE_RANK = 2  # The third Gray bit of an axis has a few wide stripes.
 _CLOSE_UP = 4  # In the close-up, a camera pixel has this size, to avoid moire.
 

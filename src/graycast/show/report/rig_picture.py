@@ -21,7 +21,7 @@ from ...rig.pair import Rig, depth_per_line_m
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
 _BORDER_POINTS = 33  # Distorted borders are curved, so each side has this many points.
 _DEPTHS = 61
-_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # Words need the last, next to or below plots.
+_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # Words have the last size, beyond the plots.
 
 
 def footprint_m(
@@ -48,7 +48,7 @@ def footprint_m(
 def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
     """Return the outline (x, y) of the common field at depth `z_m`, in the camera frame.
 
-    It is the largest piece if distorted outlines intersect in several, and empty if in none.
+    If distorted outlines intersect in several pieces, it is the largest; if not, it is empty.
     """
     outlines = (
         footprint_m(rig.camera, np.eye(4), z_m),

@@ -1,4 +1,4 @@
-"""Build the page of a dataset: only scenes that are new or changed, each completely or not."""
+"""Build the page of a dataset: only new or changed scenes, each completely or not at all."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Detections for the page: counts of each scene for the grid, and outlines for each scene.
 
-A detection matches the same instance whatever detections with lower scores exist. A score threshold
-therefore only selects detections, which the page can do.
+Detections with lower scores do not change what a detection matches. A score threshold therefore
+only selects detections, which the page can do.
 """
 
 from collections.abc import Iterator

@@ -201,7 +201,7 @@ def _steps(motion: Motion, step_s: float) -> list[int]:
 def _part_place(
     attempt: Mapping[str, Any], following: Sequence[Mapping[str, Any]], motion: Motion, i: int
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Return the pose of the touched part; after release, that in the next scan with it."""
+    """Return the touched part's pose; after release, its pose in the next scan with it."""
     place = attempt["present"].index(motion.part)
     before = np.array(attempt["T_world_part"][place])
     carried = motion.T_world_part(i, before)
@@ -254,7 +254,7 @@ def _with_ghosts(
     kinds: tuple[int, ...],
     rest: Mapping[int, Float[np.ndarray, "4 4"]],
 ) -> _Layer:
-    """Return the scene with the true parts drawn translucently, even those in no scan."""
+    """Return the scene with the true parts drawn translucently, even those that no scan shows."""
     color = scene.color.copy()
     for number, T in rest.items():
         ghost = _part(replay, eye, kinds, number, T)

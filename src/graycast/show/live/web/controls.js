@@ -13,7 +13,7 @@
   const made = new Map(); // key -> {control, show(value), element}
   let held = null; // the key of a control that the user is moving
 
-  /** The value of a control among the values in use. */
+  /** Return the value of a control among the values in use. */
   function value(values, { key, whole, grey }) {
     let found = values[key];
     if (whole && found === undefined) {
@@ -23,7 +23,7 @@
     return grey && Array.isArray(found) ? found.reduce((a, b) => a + b) / found.length : found;
   }
 
-  /** The key and the value to send: the control's own, or those of its whole section. */
+  /** Return the key and the value to send: the control's own, or those of its whole section. */
   function sent(values, { key, whole, grey }, to) {
     const put = grey ? [to, to, to] : to;
     if (!whole) return [key, put];

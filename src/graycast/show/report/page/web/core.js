@@ -70,13 +70,13 @@ Graycast.rows = () => {
   return Graycast.allRows;
 };
 
-/** Shares of the parts' visible pixels by reason, or of all pixels if no part is visible. */
+/** Return shares by reason of the parts' visible pixels, or of all pixels if no part is visible. */
 Graycast.ownReasons = (row) => row.part_reasons ?? row.reasons;
 
-/** All pictures of a picture's scene, including itself. */
+/** Return all pictures of a picture's scene, including itself. */
 Graycast.siblings = (row) => Graycast.rows().filter((other) => other.scene === row.scene);
 
-/** The rig and the code that took a scene's picture; null if they are unknown. */
+/** Return the rig and the code that took a scene's picture; null if they are unknown. */
 Graycast.scannerOf = (scene) =>
   Graycast.report.scanners?.[scene.sensor ?? ""] ?? { rig: null, code: null };
 
@@ -98,13 +98,13 @@ Graycast.colormap = (name) => {
   return colormaps[name];
 };
 
-/** The colour of a colour map at a position from 0 to 1, as three bytes. */
+/** Return the colour of a colour map at a position from 0 to 1, as three bytes. */
 Graycast.heat = (name, share) => {
   const at = 3 * Math.max(0, Math.min(255, Math.round(255 * share)));
   return Graycast.colormap(name).subarray(at, at + 3);
 };
 
-/** The standard deviation [mm] at which the colours end. */
+/** Return the standard deviation [mm] at which the colours end. */
 Graycast.sigmaLimit = (scene) => (scene.sigmaHigh ??= Graycast.highest(scene.sigma, 0.98) || 1);
 
 /** Return a colour for an instance; neighbouring numbers have very different hues. */
@@ -217,7 +217,7 @@ Graycast.frame = (scene, k, ready) => {
   return held.levels.get(k) ?? null;
 };
 
-/** Decoded positions {column, sigma_column, ...} [px], NaN where missing; null while loading. */
+/** Return decoded positions {column, sigma_column, ...} [px], NaN where missing; null while loading. */
 Graycast.columns = (scene, ready) => {
   const held = (scene.columns ??= {});
   if (held.error) throw held.error;
@@ -236,7 +236,7 @@ Graycast.columns = (scene, ready) => {
   return held.maps ?? null;
 };
 
-/** The fused cloud of all pictures of the scene; null while it is loading. */
+/** Return the fused cloud of all pictures of the scene; null while it is loading. */
 Graycast.fused = (scene, ready) => {
   const held = (scene.fusing ??= {});
   if (held.error) throw held.error;

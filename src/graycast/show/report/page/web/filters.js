@@ -66,7 +66,7 @@
     );
   };
 
-  /** A number matches a scene, 5-12 a range of scenes; another word matches part names and tags. */
+  /** Match a row: by number or range (5-12) of scenes, else by a word in part names and tags. */
   function found(row, word) {
     const [, low, high] = word.match(/^(\d+)(?:-(\d+))?$/) ?? [];
     if (low !== undefined && row.id >= Number(low) && row.id <= Number(high ?? low)) return true;
@@ -93,7 +93,7 @@
     }
   }
 
-  /** The active filters: [description, names of the filters to remove]. */
+  /** Return the active filters: [description, names of the filters to remove]. */
   function narrowing() {
     const span = ([low, high]) => `${low} to ${high} %`,
       list = [];
@@ -292,7 +292,7 @@
     return choices;
   }
 
-  /** Ranges of shares, behind one button. */
+  /** Return the ranges of shares, behind one button. */
   function panel(changed, set, select) {
     const range = (name, label) =>
       el(

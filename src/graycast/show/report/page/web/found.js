@@ -80,7 +80,7 @@
     prefs.foundKind = filter in SHOWN ? filter : "all";
   };
 
-  /** The line on a card. */
+  /** Return the detections' line on a card. */
   found.line = (row) => {
     const held = Graycast.report.detections?.scenes[row.key];
     if (!Graycast.report.detections) return null;
@@ -100,7 +100,7 @@
     );
   };
 
-  /** A slider for the score threshold, with its value. */
+  /** Return a slider for the score threshold, with its value. */
   found.slider = (id, held, change) => {
     const say = el("span", { class: "score" }, held.score.toFixed(2));
     return el(
@@ -126,7 +126,7 @@
 
   // --- a scene ------------------------------------------------------------------------------------
 
-  /** The counted detections, and the missed instances: {state, text, box, rings, ...}. */
+  /** Return counted detections and missed instances: {state, text, box, rings, ...}. */
   function marks(scene, least) {
     if (!scene.found) return [];
     const seen = scene.found.detections
@@ -177,7 +177,7 @@
     return [shape, text].filter(Boolean);
   }
 
-  /** The list next to the picture; actions.light highlights an entry. */
+  /** Return the list next to the picture; actions.light highlights an entry. */
   found.list = (scene, prefs, { light }) => {
     if (!scene.found)
       return Graycast.report.detections

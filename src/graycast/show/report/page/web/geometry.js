@@ -131,7 +131,7 @@ Graycast.toWorld = (scene, x, y, z) => {
   ];
 };
 
-/** The twelve edges of a box [R (9), center, size] as 24 corners in the camera frame [mm]. */
+/** Return the twelve edges of a box [R (9), center, size] as 24 corners in the camera frame [mm]. */
 Graycast.boxEdges = ([R, center, size]) => {
   const corner = (k) => {
     const d = [0, 1, 2].map((axis) => (((k >> axis) & 1) - 0.5) * size[axis]);

@@ -87,7 +87,7 @@
   );
   addEventListener("resize", () => open && place());
 
-  /** The height of the highest text below a picture, from the rows with the most and longest names. */
+  /** Return the height of the highest text below a picture. */
   function textHeight(list, card) {
     longest ??= Graycast.rows()
       .map((row) => ({
@@ -111,7 +111,7 @@
   const title = (row) =>
     `${row.split === "train" ? "scene" : row.split} ${row.id}${row.picture ? ` · ${row.picture}` : ""}`;
 
-  /** The number of parts of each kind, most frequent first. */
+  /** Return the number of parts of each kind, most frequent first. */
   function partLines(row) {
     const names = Graycast.report.classes,
       counts = Object.entries(row.objects).sort(([, a], [, b]) => b - a);
@@ -205,7 +205,7 @@
     if (focused) open.shown.get(focused)?.querySelector("a").focus({ preventScroll: true });
   }
 
-  /** The bar at the bottom, for the ticked scenes. */
+  /** Fill the bar at the bottom, for the ticked scenes. */
   function tickedBar() {
     const bar = document.getElementById("ticked"),
       keys = [...tags.ticked];

@@ -17,7 +17,7 @@
     { id: "cloud", label: "3D" },
   ];
 
-  /** The views for which a scene has data. */
+  /** Return the views for which a scene has data. */
   Graycast.viewsOf = (scene) => {
     const { rig, code } = Graycast.scannerOf(scene),
       any = scene.has.depth || scene.has.scanner;
@@ -72,7 +72,7 @@
   const SHOWN = "black at the sensor's offset, white where it saturates, in sRGB";
   Graycast.GAINS = [1, 2, 4, 8, 16, 32];
 
-  /** A table of sRGB levels for amplified light. */
+  /** Return a table of sRGB levels for amplified light. */
   const brightened = (gain = 1) =>
     Uint8Array.from({ length: 256 }, (_, level) => Graycast.encoded(gain * Graycast.linear(level)));
 
@@ -91,7 +91,7 @@
     out[4 * i + 3] = 255;
   }
 
-  /** One range of colours for both depths, from 1 to 99 % of the pixels, so they can be compared. */
+  /** Return one range of colours for both depths, from 1 to 99 % of the pixels. */
   Graycast.depthRange = (scene) => {
     if (scene.range) return scene.range;
     const steps = scene.has.depth ? scene.depth : scene.scanner,
@@ -111,7 +111,7 @@
     return { bar: { map: "viridis_r", low, high, unit: "mm", digits: 0 } };
   }
 
-  /** The error limit: the user's choice, else the first that covers two sigma of the dataset. */
+  /** Return the error limit: the user's choice, else the first to cover two sigma of the dataset. */
   Graycast.errorLimit = (prefs) => {
     if (prefs.limit) return prefs.limit;
     const sigma = Graycast.report.statistics.part_error.sigma_mm ?? 0.3;
@@ -137,12 +137,12 @@
     return {};
   }
 
-  /** A hint that the dataset does not store some data, with the key that would store them. */
+  /** Return a hint that the dataset does not store some data, with the key to store them. */
   const keeping = (kept, key, what) =>
     kept.length ? "" : ` (${what} are stored if the configuration has store: {${key}: true})`;
   const SAID = { scanner: "from the scanner's depth", depth: "from the perfect depth" };
 
-  /** The sources of frames or positions, best first: stored, or computed from a depth. */
+  /** Return the sources of frames or positions, best first: stored, or computed from a depth. */
   Graycast.sourcesOf = (scene, view, prefs) => {
     const stored =
       view === "pattern" ? scene.kept.frames.length > 0 : scene.kept.columns.includes(prefs.axis);
@@ -159,7 +159,7 @@
   };
   Graycast.sourceOf = source;
 
-  /** The names of the frames in the pattern view. */
+  /** Return the names of the frames in the pattern view. */
   Graycast.frameNames = (scene) =>
     scene.kept.frames.length
       ? scene.kept.frames
@@ -220,7 +220,7 @@
     return axis === "row" ? lens?.height_px : lens?.width_px;
   };
 
-  /** A quantile of a map, from every 7th pixel. */
+  /** Return a quantile of a map, from every 7th pixel. */
   Graycast.highest = (values, share) => {
     const some = values.filter((v, i) => i % 7 === 0 && v === v).sort();
     return some[Math.min(Math.floor(share * some.length), some.length - 1)] ?? 0;

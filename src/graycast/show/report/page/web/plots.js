@@ -9,7 +9,7 @@
     TOP = 18,
     RIGHT = 14;
 
-  /** Round numbers that divide a range into about `count` parts. */
+  /** Return round numbers that divide a range into about `count` parts. */
   function ticks(low, high, count = 4) {
     const raw = (high - low) / count,
       power = 10 ** Math.floor(Math.log10(raw || 1));

@@ -88,7 +88,7 @@
     Graycast.tip(null, "");
   };
 
-  /** The filtered scenes, or all scenes if this one is not among them. */
+  /** Return the filtered scenes, or all scenes if this one is not among them. */
   function around(key) {
     const rows = Graycast.filtered();
     return rows.some((row) => row.key === key) ? rows : Graycast.rows();
@@ -292,7 +292,7 @@
 
   // --- keys -------------------------------------------------------------------------------------
 
-  /** The view of a digit key; with shift, the key's character is not the digit. */
+  /** Return the view of a digit key; with shift, the key's character is not the digit. */
   function digit(event) {
     const view = Graycast.VIEWS[Number(event.code.match(/^(?:Digit|Numpad)(\d)$/)?.[1]) - 1];
     return open.views.includes(view) ? view.id : null;

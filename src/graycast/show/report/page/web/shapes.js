@@ -58,7 +58,7 @@
     };
   };
 
-  /** The depth map as triangles, without steps that are steeper than about 80 degrees. */
+  /** Return the depth map as triangles, without steps that are steeper than about 80 degrees. */
   shapes.mesh = (gl, scene, space) => {
     const skip = Math.max(Math.ceil(Math.sqrt(scene.n / SURFACE_VERTICES)), 1);
     const w = Math.floor((scene.width - 1) / skip) + 1,
@@ -103,7 +103,7 @@
     return { ...arrays(gl, place, null, shapes.normals(scene, from)), from, count: from.length };
   };
 
-  /** The fused points of all pictures of a scene. */
+  /** Return the fused points of all pictures of a scene. */
   shapes.fused = (gl, cloud, space) => {
     const place = new Float32Array(3 * cloud.count);
     for (let k = 0; k < place.length; k++)
@@ -161,14 +161,14 @@
     return { note: points + (told[paint] ?? "") };
   };
 
-  /** A mesh in its own frame, for bodies. */
+  /** Return a mesh in its own frame, for bodies. */
   shapes.body = (gl, vertices, faces) => {
     const made = arrays(gl, vertices, faces, null);
     upload(gl, made, new Uint8Array((4 * vertices.length) / 3)); // The shader needs the buffer.
     return { ...made, count: faces.length };
   };
 
-  /** Lines between pairs of points, in one colour. */
+  /** Return lines between pairs of points, in one colour. */
   shapes.lines = (gl, place, [r, g, b]) => {
     const made = arrays(gl, place, null, null),
       count = place.length / 3;
@@ -266,7 +266,7 @@
       out = new Int8Array(3 * from.length),
       sum = [0, 0, 0];
     const z = (i) => steps[i] * depth_scale_mm;
-    /** Along one axis, store the step in space over one pixel in `into`. */
+    /** Store the step in space over one pixel, along one axis, in `into`. */
     const slope = (i, by, room, into) => {
       const pixel = (stride * z(i)) / view.cam_K[0],
         m = Math.min(Math.max(Math.ceil(depth_scale_mm / (2 * TILT_RAD * pixel)), 1), FAR_PX);

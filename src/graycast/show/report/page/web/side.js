@@ -56,7 +56,7 @@
       );
   };
 
-  /** Projector position of each pixel; null if the lens has no inverse, which its picture reports. */
+  /** Return each pixel's projector position; null if the lens has no inverse. */
   function positions(scene) {
     try {
       return Graycast.projectorMap(scene, "scanner");
@@ -65,7 +65,7 @@
     }
   }
 
-  /** The decoded position, once the column map has been opened, which loads it. */
+  /** Return the decoded position, once the column map has been opened, which loads it. */
   function decoded(scene, axis, i) {
     const maps = scene.columns?.maps,
       value = maps?.[axis][i];
@@ -75,17 +75,17 @@
       : "–";
   }
 
-  /** The level in the dataset, which is linear. */
+  /** Return the level in the dataset, which is linear. */
   const white = (scene, i) => `≈ ${Math.round(255 * Graycast.linear(scene.white[4 * i]))} of 255`;
 
-  /** A frame's digital number, with the precision of 8 bits and JPEG. */
+  /** Return a frame's digital number, with the precision of 8 bits and JPEG. */
   function captured(scene, i) {
     const { low_dn, high_dn } = scene.frames.content,
       share = Graycast.linear(scene.shown[i]);
     return `≈ ${Math.round(low_dn + (high_dn - low_dn) * share)} DN`;
   }
 
-  /** The scene's tags and its tick; actions: add(tags), remove(tag), tick(). */
+  /** Return the scene's tags and its tick; actions: add(tags), remove(tag), tick(). */
   side.tags = (key, { add, remove, tick }) => {
     const { tags } = Graycast,
       ticked = tags.ticked.has(key);
@@ -109,7 +109,7 @@
     ];
   };
 
-  /** The scene's reasons; actions.light highlights one, actions.pick opens their view. */
+  /** Return the scene's reasons; actions.light highlights one, actions.pick opens their view. */
   side.legend = (row, { light, pick }) => {
     return el(
       "div",
@@ -139,7 +139,7 @@
     );
   };
 
-  /** The list of instances; actions.light highlights one in the picture. */
+  /** Return the list of instances; actions.light highlights one in the picture. */
   side.instances = (scene, { light }) => {
     const rows = scene.instances.map((one, k) =>
       el(
@@ -187,7 +187,7 @@
     );
   };
 
-  /** Facts of the scene from its manifest. */
+  /** Return facts of the scene from its manifest. */
   side.facts = (scene, row) => {
     const m = scene.manifest,
       list = [["decoded on parts", percent(row.part_decoded)]];

@@ -37,7 +37,7 @@
     else open().delete(key);
   }
 
-  /** The tags of one scene, sorted. */
+  /** Return the tags of one scene, sorted. */
   tags.of = (key) => open().get(key) ?? [];
 
   /** Split the typed text at commas into tags. */
@@ -114,7 +114,7 @@
 
   const { el } = Graycast;
 
-  /** Tags as small labels; with `drop`, each has a cross that removes it. */
+  /** Return tags as small labels; with `drop`, each has a cross that removes it. */
   tags.chips = (list, drop) =>
     list.map(([tag, text]) =>
       el(
@@ -135,7 +135,7 @@
       ),
     );
 
-  /** A field for typing tags; Enter passes them to `take` and leaves the field. */
+  /** Return a field for typing tags; Enter passes them to `take` and leaves the field. */
   tags.field = (id, take) => {
     const names = el(
       "datalist",

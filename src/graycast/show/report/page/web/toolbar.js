@@ -36,7 +36,7 @@
   const bar = /** @type {any} */ ({});
   Graycast.toolbar = bar;
 
-  /** A button for each view; narrow windows omit the part of its name that is in brackets. */
+  /** Return a button per view; narrow windows omit the part of its name in brackets. */
   bar.views = (views, prefs, pick) =>
     views.map((view) =>
       el(
@@ -55,7 +55,7 @@
       ),
     );
 
-  /** A choice of the scene's pictures; empty if there is only one. */
+  /** Return a choice of the scene's pictures; empty if there is only one. */
   bar.pictures = (row, go) => {
     const all = Graycast.siblings(row);
     if (all.length < 2) return [];
@@ -77,7 +77,7 @@
     ];
   };
 
-  /** The comparison: off, or another view, with a swipe or side by side. */
+  /** Return the buttons of the comparison: off, or another view, with a swipe or side by side. */
   bar.compare = (views, prefs, set) => {
     const flat = views.filter((view) => view.id !== "cloud");
     if (prefs.view === "cloud" || flat.length < 2) return [];
@@ -101,7 +101,7 @@
     ];
   };
 
-  /** The options of the view. actions: set(name, value), flip(by), play(), look(name). */
+  /** Return the options of the view. actions: set(name, value), flip(by), play(), look(name). */
   bar.options = (scene, prefs, actions) =>
     (prefs.view === "cloud" ? cloudOptions : pictureOptions)(scene, prefs, actions).filter(Boolean);
 
@@ -136,7 +136,7 @@
     );
   }
 
-  /** The factor of light for white and pattern frames. */
+  /** Return a choice of the factor of light for white and pattern frames. */
   bar.brightness = (prefs, set) =>
     choose(
       prefs,
@@ -258,7 +258,7 @@
     return there;
   }
 
-  /** The meaning of the colours, in a line for each picture that is shown. */
+  /** Return the meaning of the colours, in a line for each picture that is shown. */
   bar.under = (said, names) =>
     said.flatMap(({ bar: scale, note }, k) => {
       if (!scale && !note) return [];

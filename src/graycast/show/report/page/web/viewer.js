@@ -68,7 +68,7 @@
       zoom = next;
       place();
     };
-    /** The position of an event in its pane, and the pane. */
+    /** Return the position of an event in its pane, and the pane. */
     const spot = (event) => {
       const box = stage.getBoundingClientRect(),
         right = how === "side" && event.clientX - box.left >= wide();
@@ -148,7 +148,7 @@
     };
   };
 
-  /** One picture with its overlays; `end` is the suffix of its elements' ids. */
+  /** Return one picture with its overlays; `end` is the suffix of its elements' ids. */
   function makePane(scene, end) {
     const { width, height } = scene;
     const base = el("canvas", { width, height, id: `picture${end}` }),

@@ -72,7 +72,7 @@
     return out;
   }
 
-  /** The poses of all limbs at a time, as matrices. */
+  /** Return the poses of all limbs at a time, as matrices. */
   Graycast.limbsAt = (motion, time) => {
     const { time_s, limbs } = motion,
       wide = limbs.length / time_s.length,
@@ -87,7 +87,7 @@
     );
   };
 
-  /** The pose of the carried part; null before the grip and after the release. */
+  /** Return the pose of the carried part; null before the grip and after the release. */
   Graycast.carried = (motion, time, before) => {
     if (motion.held_until_s === null || motion.held_until_s === undefined) return null;
     const from = motion.time_s[motion.grip];
@@ -167,7 +167,7 @@
     };
   };
 
-  /** The pose of a part: unchanged, or for a lost part that in the next scan with it. */
+  /** Return the pose of a part; for a lost part, its pose in the next scan with it. */
   Graycast.resting = ({ content, attempt, number, motion, time }, k) => {
     const mine = attempt.present[k],
       until = motion.held_until_s ?? Infinity;

@@ -17,7 +17,7 @@
 
   outcomes.swatch = (one) => el("i", { class: "swatch", style: `background:${one.color}` });
 
-  /** A button for each outcome with its count; `changed` is called after a click. */
+  /** Return a button for each outcome with its count; `changed` is called after a click. */
   outcomes.buttons = (counts, changed) =>
     Object.entries(counts).map(([name, count]) => {
       const k = outcomes.number(name);

@@ -39,7 +39,7 @@
     if (next < bin.attempts.length) bringAttempt(bin, next).catch(() => {});
   };
 
-  /** The first attempt with a selected outcome. */
+  /** Return the first attempt with a selected outcome. */
   const start = (bin) => Math.max(bin.attempts.findIndex(outcomes.looked), 0);
 
   const KEPT = 8;
@@ -120,7 +120,7 @@
     player();
   }
 
-  /** The viewpoints; the robot is behind the bin. */
+  /** Return the viewpoints; the robot is behind the bin. */
   function seenFrom({ middle, bin, yaw, reach }, scan) {
     const about = (place, more) => ({
       ...more,

@@ -30,6 +30,7 @@ WAIT_MS = 180_000
 REPORT_PX, LIVE_PX = (1320, 830), (1440, 900)
 ATTEMPT, AFTER_GRIP_S = "bin-000000/3", 0.45
 FILM_PX, FRAME_MS = 760, 900
+REPLAY_PX, REPLAY_MS, STEP_S = 420, 200, 0.4  # The film is twice as fast as the robot.
 
 
 @contextmanager
@@ -58,6 +59,23 @@ def press(page: Page, *keys: str) -> None:
         page.wait_for_timeout(150)
 
 
+def seek(page: Page, time_s: str) -> None:
+    """Set the time of a replay to a number that JavaScript computes, and wait for its picture."""
+    page.evaluate(f"""async () => {{
+        const slider = document.getElementById("time");
+        slider.value = {time_s};
+        slider.dispatchEvent(new Event("input"));
+        for (let k = 0; k < 2; k++) await new Promise(requestAnimationFrame);
+    }}""")
+
+
+def save_film(frames: list[Image.Image], name: str, width_px: int, frame_ms: int) -> None:
+    height_px = round(width_px * frames[0].height / frames[0].width)
+    small = [one.resize((width_px, height_px)).quantize(96) for one in frames]
+    file, more = IMAGES / f"{name}.gif", small[1:]
+    small[0].save(file, save_all=True, append_images=more, duration=frame_ms, loop=0)
+
+
 def report(folder: Path) -> None:
     with opened((folder / "index.html").resolve().as_uri(), REPORT_PX) as page:
         page.wait_for_selector('#main[data-ready="overview"]')
@@ -83,20 +101,24 @@ def replay(folder: Path) -> None:
         url = f"{(Path(scratch) / 'page' / 'index.html').resolve().as_uri()}#/{ATTEMPT}"
         with opened(url, REPORT_PX) as page:
             page.wait_for_selector(f'#main[data-ready="{ATTEMPT}"]')
-            page.evaluate(
-                """(after) => {
-                    const { motion } = Graycast.opened().scan;
-                    const slider = document.getElementById("time");
-                    slider.value = motion.time_s[motion.grip] + after;
-                    slider.dispatchEvent(new Event("input"));
-                }""",
-                AFTER_GRIP_S,
-            )
+            motion = "Graycast.opened().scan.motion"
+            seek(page, f"{motion}.time_s[{motion}.grip] + {AFTER_GRIP_S}")
             press(page, "m")
             save(page, "replay")
-    graycast(
-        "robot", "film", folder, "--bin", "0", "--out", IMAGES / "replay.gif", "--width", "420"
-    )
+            press(page, "m")
+            save_film(list(attempts(page)), "replay", REPLAY_PX, REPLAY_MS)
+
+
+def attempts(page: Page) -> Iterator[Image.Image]:
+    """Yield pictures of all attempts of the bin that is open, in equal steps of time."""
+    for number in range(page.evaluate("Graycast.opened().bin.attempts.length")):
+        key = f"{ATTEMPT.split('/')[0]}/{number}"
+        page.evaluate("(key) => { location.hash = `#/${key}`; }", key)
+        page.wait_for_selector(f'#main[data-ready="{key}"]')
+        end_s = page.evaluate("Graycast.opened().scan.motion.time_s.at(-1)")
+        for k in range(int(end_s / STEP_S) + 1):
+            seek(page, f"{STEP_S * k}")
+            yield Image.open(io.BytesIO(page.locator("#main .hold").screenshot())).convert("RGB")
 
 
 def live() -> None:
@@ -108,10 +130,7 @@ def live() -> None:
                 finished(page)
                 frames = film(page)
     frames[-1].save(IMAGES / "live.jpg", quality=80)
-    height = round(FILM_PX * frames[0].height / frames[0].width)
-    small = [one.resize((FILM_PX, height)).quantize(96) for one in frames]
-    file, more = IMAGES / "live.gif", small[1:]
-    small[0].save(file, save_all=True, append_images=more, duration=FRAME_MS, loop=0)
+    save_film(frames, "live", FILM_PX, FRAME_MS)
 
 
 def film(page: Page) -> list[Image.Image]:

@@ -28,15 +28,7 @@ from graycast.cell.config import config_schema
 from graycast.cell.engine import TaskResult
 from graycast.cell.framing import framing_line
 from graycast.cell.resolve import load_cell
-from graycast.cli import (
-    arguments,
-    command,
-    doctor,
-    main,
-    robot_commands,
-    scene_commands,
-    start_commands,
-)
+from graycast.cli import arguments, command, doctor, main, scene_commands, start_commands
 from graycast.real.depth_file import DEPTH_FILES
 from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
@@ -44,7 +36,6 @@ from graycast.robot.grasp_labels.label_options import tool_schema
 from graycast.robot.pick.pick_sections import robot_schema
 from graycast.show.report import rig_picture as drawing
 from graycast.show.report.page import WIDTH_PX
-from graycast.show.report.picks import film
 from graycast.world.drop import Decomposition
 
 OPTIONS = {
@@ -80,7 +71,6 @@ OPTIONS = {
     "detector study": "study --out --list --device --threads",
     "robot pick": "config --out --bins --seed --device --detector --pose --depth WORKERS",
     "robot summary": "picks --out",
-    "robot film": "picks --out --bin --speed --width --files",
     "robot report": "picks --out --workers --width --files",
     "robot score-poses": "results SCORING",
     "rig list": "--field --at --noise",
@@ -118,7 +108,7 @@ SHARED_FLAGS = """
 --resolution --rgb --rig --scale --scene --seed --shares --size --split --split-seed --threads
 --unit --width --workers
 """.split()
-OUT = re.compile(r"The ((PNG|YAML|ONNX|GIF or WebP) file|folder)( to write| of the )")
+OUT = re.compile(r"The ((PNG|YAML|ONNX) file|folder)( to write| of the )")
 
 
 def run(capsys, *arguments):
@@ -254,8 +244,15 @@ def test_a_command_that_does_not_exist_names_the_one_that_was_meant(capsys, word
     assert f"{word!r} does not exist: did you mean {meant}?" in capsys.readouterr().err
 
 
-def test_the_widths_in_the_help_are_those_of_the_library():
-    assert (scene_commands.WIDTH_PX, robot_commands.FILM_WIDTH_PX) == (WIDTH_PX, film.WIDTH_PX)
+def test_a_former_command_says_what_does_the_same_now(capsys):
+    with pytest.raises(SystemExit):
+        main(["robot", "film", "out/picks", "--out", "film.gif"])
+    message = capsys.readouterr().err
+    assert "film is gone: graycast robot report writes a page" in message and "ffmpeg" in message
+
+
+def test_the_width_in_the_help_is_that_of_the_library():
+    assert scene_commands.WIDTH_PX == WIDTH_PX
 
 
 def test_each_example_is_a_command_that_is_understood():

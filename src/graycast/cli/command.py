@@ -24,7 +24,11 @@ from . import (
     start_commands,
 )
 
-GONE = {"rf-detr": RF_DETR}  # former names, each with the text on what does the same now
+GONE = {  # former names, each with the text on what does the same now
+    "rf-detr": RF_DETR,
+    "film": "film is gone: graycast robot report writes a page that replays picks; record its "
+    "window with the browser or with ffmpeg",
+}
 
 COMPLETION = """\
 Print a script with which a shell completes commands, options and names of files. For

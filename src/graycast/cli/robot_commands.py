@@ -1,4 +1,4 @@
-"""Commands of robots: robot pick, summary, film, report, score-poses."""
+"""Commands of robots: robot pick, summary, report, score-poses."""
 
 import argparse
 from pathlib import Path
@@ -21,12 +21,11 @@ from .arguments import (
     workers_of,
 )
 from .bars import open_bars, open_stages
-from .readers import above_zero, positive, whole
+from .readers import positive
 from .scene_commands import WIDTH_PX
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-FILM_WIDTH_PX = 480  # a test compares it with the number in `film`
 PICK = """\
 Each bin is filled by a physics simulation and scanned, and the robot then removes part after part.
 Each attempt is recorded with one outcome of a fixed list and with a picture. If the command is
@@ -41,12 +40,6 @@ with the first folder in a table, and McNemar's test tells whether they differ s
 it. With --out, the command draws the rates, the failures and the parts that are left."""
 
 
-FILM = """\
-The film shows one attempt after the other: the robot above the measured point cloud, the part that
-it picks, and the outcome. For an interactive view, make a page with graycast robot report. The
-robot needs pip install 'graycast[pick]'."""
-
-
 def add_commands(commands) -> None:
     group = add_group(commands, "robot", "Let robots empty bins, and summarise and show the picks.")
     _add_pick(group)
@@ -57,18 +50,6 @@ def add_commands(commands) -> None:
     )  # fmt: skip
     add_option(summary, "picks", Path, "Folders that graycast robot pick wrote.", nargs="+")
     add_png(summary)
-
-    film = add_command(
-        group, "film", _film, "Make a film of how the robot emptied a bin.",
-        example="out/picks --out film.webp", more=FILM,
-    )  # fmt: skip
-    add_option(film, "picks", Path, picks)
-    add_out(film, "The GIF or WebP file to write.")
-    add_option(film, "--bin", whole, "The number of the bin, counted from 0.", 0)
-    speed = "The speed of the film relative to the robot's motion."
-    add_option(film, "--speed", above_zero, speed, 2.0)
-    add_shared(film, "--width", default=FILM_WIDTH_PX)
-    add_shared(film, "--files", default=Path(), usual="the current folder")
 
     report = add_command(
         group, "report", _report, "Write a web page of picks.",
@@ -217,24 +198,6 @@ def _summary(options: argparse.Namespace) -> None:
         summaries = {name: summarize(episodes) for name, episodes in runs.items()}
         plot_runs(summaries, options.out)
         print(f"{options.out}: a row for each of {len(summaries)} folders")
-
-
-def _film(options: argparse.Namespace) -> None:
-    _need_robot()
-    from ..show.report.picks.film import write_film
-
-    with open_bars() as bars:
-        count = write_film(
-            options.picks,
-            options.bin,
-            options.out,
-            cell_folder=options.files,
-            speed=options.speed,
-            width_px=options.width,
-            progress=bars,
-        )
-    size_mb = options.out.stat().st_size / 1e6
-    print(f"{options.out}: {count} pictures, {size_mb:.1f} MB")
 
 
 def _report(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""A folder of picks made by hand, without light, physics or a planner: what pages and films read.
+"""A folder of picks made by hand, without light, physics or a planner: what pages read.
 
 Two boxes in a small bin, three scans: one box is picked, the other is lost on the way, and then
 nothing is found.
@@ -102,3 +102,12 @@ def depth(cell, T_world_part):
         )
         z = np.fmin(z, mine)
     return z
+
+
+def T_world_part(motion, i, T_world_before):
+    """Return the pose of the part at time `i`; None before the grip and after the release."""
+    until_s = motion.held_until_s
+    if until_s is None or not motion.time_s[motion.grip] <= motion.time_s[i] <= until_s:
+        return None
+    at_grip = motion.T_world_limb[motion.grip, motion.carrier]
+    return motion.T_world_limb[i, motion.carrier] @ inverse(at_grip) @ T_world_before

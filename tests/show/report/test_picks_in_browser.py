@@ -9,7 +9,7 @@ from graycast.robot.pick.replay import open_replay, read_motions
 from graycast.show.report.picks import write_pick_report
 
 from .browsing import ready, watched_page
-from .picked import GRIP, LOST_S, STEP_S, STEPS, write_picks
+from .picked import GRIP, LOST_S, STEP_S, STEPS, T_world_part, write_picks
 
 pytestmark = pytest.mark.slow
 
@@ -74,7 +74,7 @@ def test_the_browser_has_the_limbs_where_python_has_them(page, address, picks):
 
 
 def test_the_part_goes_with_the_tool_until_it_is_let_go(page, address, picks):
-    """Oracle: `Motion.T_world_part`; a lost part is shown where the next scan has it."""
+    """Oracle: `T_world_part`; a lost part is shown where the next scan has it."""
     replay = open_replay(picks, folder=picks.parent)
     episode = read_episodes(picks)[0]
     motion = read_motions(replay, episode)[1]
@@ -84,7 +84,7 @@ def test_the_part_goes_with_the_tool_until_it_is_let_go(page, address, picks):
     for i in range(0, STEPS, 3):  # none of them the very moment at which it is let go
         time_s = STEP_S * i
         script = f"Graycast.carried(Graycast.opened().scan.motion, {time_s + 1e-9}, {part})"
-        expected = motion.T_world_part(i, before)
+        expected = T_world_part(motion, i, before)
         if i < GRIP or time_s > STEP_S * GRIP + LOST_S:
             assert expected is None and page.evaluate(f"{script} === null")
         else:

@@ -15,7 +15,6 @@ from pydantic import ValidationError
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...base.frames import inverse
 from ...dataset.claim import BESIDE_CONFIG
 from ...world.parts import Mesh
 from .outcome import TAKEN
@@ -43,17 +42,6 @@ class Motion:
     carrier: int
     part: int | None
     held_until_s: float | None
-
-    def T_world_part(
-        self, i: int, T_world_before: Float[np.ndarray, "4 4"]
-    ) -> Float[np.ndarray, "4 4"] | None:
-        """Return the part's pose at time `i`; None before the grip and after the release."""
-        if self.held_until_s is None or not self.time_s[self.grip] <= self.time_s[i]:
-            return None
-        if self.time_s[i] > self.held_until_s:
-            return None
-        moved = self.T_world_limb[i, self.carrier]
-        return moved @ inverse(self.T_world_limb[self.grip, self.carrier]) @ T_world_before
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Meshes and poses of bodies for the page and the film."""
+"""Meshes and poses of bodies for the page."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,15 +15,6 @@ from ..page.packing import pack_bytes
 
 UPRIGHT = 0.9  # A face points up if the cosine of its angle to the vertical is larger.
 TABLE_BEYOND_M = 0.25
-TINT = {
-    "arm": (0.66, 0.70, 0.76),
-    "tool": (0.19, 0.21, 0.25),
-    "bin": (0.72, 0.58, 0.40),
-    "table": (0.83, 0.83, 0.81),
-    "part": (0.89, 0.35, 0.62),
-    "point": (0.69, 0.70, 0.71),
-    "sky": (0.93, 0.94, 0.95),
-}
 
 
 def open_bin(replay: Replay) -> Mesh:

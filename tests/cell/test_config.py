@@ -1,4 +1,4 @@
-"""What a user may write, what it stands for, and what an editor is told about it."""
+"""Configurations of users: their values, their errors, and the schema for editors."""
 
 import hashlib
 import json
@@ -41,19 +41,19 @@ SCHEMA = json.loads(json.dumps(config_schema()))  # as an editor reads it
 
 @pytest.fixture(autouse=True)
 def quick_wood(monkeypatch):
-    """The real one takes a second, and no test here looks at it."""
+    """Replace the real wood, which takes a second and is not tested here."""
     monkeypatch.setattr(words, "wood_texture", lambda: np.zeros((2, 2, 3), dtype=np.uint8))
 
 
-def test_there_are_configurations_to_look_at():
+def test_the_repository_has_configurations():
     names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
     assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
     assert len(FILES) == len(CONFIGS) + len(CELLS) + len(STUDIES) + len(DESIGNS) + len(RIGS)
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_every_study_s_sets_are_made_by_a_configuration_that_is_there(path):
-    """The lines at its head make them, so that a study can be run from nothing."""
+def test_every_study_s_datasets_are_made_by_an_existing_configuration(path):
+    """The lines at its head make them, so that a study can be run from the start."""
     spec = read_study(path)
     head = "\n".join(line for line in path.read_text().splitlines() if line.startswith("#"))
     sets = {folder for world in spec.tests.values() for folder in world.datasets}
@@ -87,7 +87,7 @@ def test_every_configuration_in_the_repository_resolves(path):
         else:
             assert scanner.rig.name == load_scanner(path.parent / one["rig"]).rig.name
     size = "bin: The bin is 370 x 270 x 140 mm inside, and its floor is 10.0 mm above the table."
-    # Nothing else about their meshes is to be wondered at.
+    # There are no other notes on their meshes.
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
 
 
@@ -95,7 +95,7 @@ def test_every_configuration_in_the_repository_resolves(path):
     ("name", "read"),
     [("own_part", ["../examples/data/plate.stl"]), ("crate", ["../examples/data/crate.stl"])],
 )
-def test_it_is_told_which_mesh_is_read(name, read):
+def test_reading_a_mesh_is_announced_with_its_name(name, read):
     """A mesh of half a million faces takes seconds."""
     path, messages = ROOT / f"configs/{name}.yaml", []
     resolve_cell(load_config(path), path.parent, progress=Stages(messages.append))
@@ -103,8 +103,8 @@ def test_it_is_told_which_mesh_is_read(name, read):
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_no_key_is_written_in_vain(path):
-    """Each key in a file of ours is in the configuration with the value that the file gives."""
+def test_each_key_in_a_configuration_of_ours_has_an_effect(path):
+    """Each key in a file of ours has the same value in the configuration."""
     config = load_config(path).model_dump(mode="json", exclude_unset=True)
     written = yaml.safe_load(path.read_text(encoding="utf-8"))
     for lamp in written.get("light", {}).get("lamps", ()):  # a value, which has all its keys
@@ -127,8 +127,8 @@ def least():
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}]})
 
 
-def test_sections_left_out_are_the_values_left_out():
-    """A default is stated twice, in words and in values; the two must not drift apart."""
+def test_omitted_sections_equal_the_defaults_of_their_values():
+    """A default is stated in the section and in the value; the two must not differ."""
     config, here = least(), Path()
     scanner, own = words.resolve_scanner(config, here), preset("paper")
     for name in ("code", "sensor", "exposure", "decode", "filters", "faults"):
@@ -138,7 +138,7 @@ def test_sections_left_out_are_the_values_left_out():
     assert words.resolve_material(MaterialSection(), here) == Material()
 
 
-def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
+def test_the_default_bin_is_the_box_of_its_value_except_for_size_and_look():
     box, notes = words.resolve_bin(least().bin, Path())
     assert notes == ()
     for field in fields(Bin):
@@ -146,7 +146,7 @@ def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
             assert getattr(box, field.name) == field.default, field.name
 
 
-def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
+def test_a_part_s_own_material_is_kept_except_for_the_given_keys(tmp_path):
     own = words.resolve_parts(least(), tmp_path)[0][0]
     section = {"builtin": "toothpaste", "density_kg_m3": 1234.0, "friction": 0.0}
     section["material"] = {"base_color": [0.1, 0.2, 0.3], "roughness": 0.9}
@@ -161,7 +161,7 @@ def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
 
 
 def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
-    """Else it would be white plastic."""
+    """Otherwise it would be white plastic."""
     section = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
     part = words.resolve_parts(Config.model_validate({"parts": [section]}), tmp_path)[0][0]
     own = builtin_part("metal_workpiece_1").material
@@ -170,7 +170,7 @@ def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
 
 
 def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
-    """A batch off by its tolerance: looks, symmetry and density stay, lengths do not."""
+    """A batch may be off by its tolerance: looks, symmetry and density stay, lengths do not."""
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0
     axis = {"axis": [0, 0, 1], "point_m": [0.01, 0.0, 0.0]}
@@ -189,8 +189,8 @@ def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
     assert large.symmetry.continuous[0][1] == pytest.approx((0.0102, 0.0, 0.0))
 
 
-def test_a_symmetry_is_stated_as_turns_or_found_in_the_shape(tmp_path):
-    """A box beside the origin: turns are about the middle of its own box unless stated."""
+def test_a_symmetry_is_stated_as_rotations_or_detected_in_the_shape(tmp_path):
+    """A box is off the origin: rotations are about the middle of its own box unless stated."""
     beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
     beside.export(tmp_path / "beside.stl")
     symmetries = {}
@@ -216,8 +216,8 @@ def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
     assert point_m == (0.0, 0.0, 0.0)
 
 
-def test_the_rig_hangs_where_the_view_says(tmp_path):
-    """The middle of the baseline: above the target by the distance, and aside by its tilt."""
+def test_the_rig_is_placed_where_the_view_says(tmp_path):
+    """The middle of the baseline is above the target by the distance, and aside by its tilt."""
     for view, middle_m in (
         ({"distance_m": 0.8, "target_m": [0.1, 0.2, 0.0]}, [0.1, 0.2, 0.8]),
         ({"distance_m": 0.8, "target_m": [0, 0, 0], "tilt_deg": 30}, [0, -0.4, 0.8 * 0.75**0.5]),
@@ -238,7 +238,7 @@ FOLDERS = ("maps/a.hdr", "woods/b.png", "woods/c.jpg", "stones/d.png")
 
 
 def naming_files(folder, box):
-    """A configuration that names a file wherever one can be named, and those files' names."""
+    """Return a configuration that names as many files as possible, and those files' names."""
     clutter = {"mesh": "clutter.stl", "unit": "mm", "material": {"roughness_map": "clutter.png"}}
     path = write_cell(
         folder,
@@ -265,8 +265,8 @@ def naming_files(folder, box):
 
 
 @pytest.mark.parametrize("box", [BOX_BIN, MESH_BIN], ids=["box", "mesh"])
-def test_every_file_that_is_named_has_its_digest(tmp_path, box):
-    """Oracle: the files in the folder. A file without digest may change while a dataset grows."""
+def test_every_named_file_has_its_digest(tmp_path, box):
+    """Oracle: the files in the folder. A file without digest could change between two runs."""
     path, names = naming_files(tmp_path, box)
     config = load_config(path)
     before = file_digests(config, tmp_path)
@@ -280,8 +280,8 @@ def test_every_file_that_is_named_has_its_digest(tmp_path, box):
         before = after
 
 
-def test_what_a_mesh_draws_on_has_digests(tmp_path):
-    """Another texture of a bin was once accepted while a dataset grew: no claim had it."""
+def test_files_that_a_mesh_uses_have_digests(tmp_path):
+    """A changed texture of a bin was once accepted by a second run, because no claim had it."""
     clutter = {"mesh": "models/clutter.obj", "unit": "mm"}
     path = write_cell(
         tmp_path,
@@ -308,7 +308,7 @@ def test_what_a_mesh_draws_on_has_digests(tmp_path):
 
 
 def test_no_other_setting_names_a_file():
-    """A new one is added to the test above, and to the digests."""
+    """A new one must be added to the test above, and to the digests."""
     path_settings = set()
 
     def look(node, *keys):
@@ -344,7 +344,7 @@ def test_a_cell_holds_the_digests_of_its_files(tmp_path):
 
 
 def faults(value, schema, root, where="file"):
-    """What JSON Schema 2020-12 says against a value; knows the words that our schemas use."""
+    """Return the errors of a value by JSON Schema 2020-12, for the keywords in our schemas."""
     unknown = set(schema) - _WORDS
     assert not unknown, f"{where}: teach this checker {unknown}"
     if "$ref" in schema:
@@ -429,8 +429,8 @@ def test_the_schema_refuses_what_the_program_refuses(changes, fault):
 
 
 @pytest.mark.parametrize("schema", [SCHEMA, rig_schema()], ids=["config", "rig"])
-def test_a_schema_is_closed_and_sound(schema):
-    """Every object refuses unknown keys, requires only keys that it has, and keeps its bounds."""
+def test_a_schema_is_closed_and_consistent(schema):
+    """Every object refuses unknown keys, requires only keys that it has, and keeps its limits."""
     objects = [schema, *schema.get("$defs", {}).values()]
     assert len(objects) > 1
     for node in objects:
@@ -443,14 +443,14 @@ def test_a_schema_is_closed_and_sound(schema):
 
 
 def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
-    """Letters of each key of each section are swapped; the right key is suggested."""
+    """Two letters of each key of each section are swapped; the right key is suggested."""
     sections = config_schema()
     for name, section in {"": sections, **sections["$defs"]}.items():
         for key in section["properties"]:
             wrong = key[:-2] + key[-1] + key[-2] if key[-1] != key[-2] else key + "x"
             if wrong in section["properties"]:
                 continue
-            meant = "views?" if (name, key) == ("", "views") else key  # view is as near
+            meant = "views?" if (name, key) == ("", "views") else key  # view is as similar
             path = tmp_path / "bad.yaml"
             path.write_text(yaml.safe_dump(_placed(name, {wrong: 1})))
             hint = rf"unknown key \S*{wrong}: did you mean {meant}\?"
@@ -494,7 +494,7 @@ _PLACES = {
 
 
 def _placed(section, content):
-    """A configuration with `content` where a section stands."""
+    """Return a configuration with `content` in a section."""
     place = _PLACES.get(section, (section.removesuffix("Section").lower(),))
     for step in reversed(place):
         if step in (*KINDS, "dome", "path", "jitter"):

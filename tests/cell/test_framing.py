@@ -25,7 +25,7 @@ from graycast.world.parts import builtin_part
 from graycast.world.scene import Bin, Layout, Scene
 
 BUSHING_BIN = Bin(inner_m=(0.22, 0.16, 0.08))
-LENGTHS_M = (0.12, 0.22, 0.3, 0.4, 0.55, 0.75, 1.0)  # of all bins that `new` makes
+LENGTHS_M = (0.12, 0.22, 0.3, 0.4, 0.55, 0.75, 1.0)  # all bins that `new` makes
 ABOVE = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.5], [0, 0, 0, 1]])
 
 
@@ -39,7 +39,7 @@ def corners(box):
 
 
 def is_inside(rig, T_world_cam, box):
-    """Work with OpenCV what the program works with its own projection."""
+    """Project with OpenCV, which is independent of the program's own projection."""
     in_camera = transform_points(inverse(T_world_cam), corners(box))
     for optics, T in ((rig.camera, np.eye(4)), (rig.projector, inverse(rig.T_cam_proj))):
         K = np.array([[optics.fx_px, 0, optics.cx_px], [0, optics.fy_px, optics.cy_px], [0, 0, 1]])
@@ -53,7 +53,7 @@ def is_inside(rig, T_world_cam, box):
 
 
 @pytest.mark.parametrize("length_m", LENGTHS_M)
-def test_the_chosen_scanner_has_every_corner_of_the_bin_and_cannot_come_nearer(length_m):
+def test_the_chosen_scanner_sees_every_corner_of_the_bin_and_cannot_be_closer(length_m):
     box = bin_of_length(length_m)
     framing = best_framing(box)
     assert framing.missing_m <= 0
@@ -74,19 +74,19 @@ def test_no_scanner_of_the_shelf_fills_its_picture_much_better():
     assert best_framing(box).bin_share >= ENOUGH * best > 0
 
 
-def test_the_bin_of_a_bushing_is_no_longer_a_ninth_of_the_picture():
-    """A scanner that hung where its axes cross had 11 % of its picture filled by this bin."""
+def test_the_bin_of_a_bushing_fills_more_than_a_ninth_of_the_picture():
+    """At the distance where its axes cross, a scanner had 11 % of its picture filled by it."""
     rig = preset_rig("like-phoxi-m", "small")
     T_world_cam = hang(ViewSection(distance_m=standoff_m(rig)), rig, BUSHING_BIN)
     assert bin_share(rig.camera, T_world_cam, BUSHING_BIN) < 0.12
     assert best_framing(BUSHING_BIN).bin_share > 0.65
 
 
-def test_where_no_scanner_fits_the_nearest_one_says_what_is_missing():
-    """One scanner whose far end is 50 mm above the floor's corners, and another that lacks more."""
+def test_if_no_scanner_fits_the_nearest_one_is_named_with_what_is_missing():
+    """One scanner ends 50 mm above the floor's corners, and another one misses more."""
     framing = best_framing(Bin(inner_m=(3.0, 2.25, 1.12)))
     assert framing.rig.name == "like-phoxi-xl" and framing.missing_m > 0.1
-    # The corners' depths differ by more than the range of this scanner does; the rest fits.
+    # The corners' depths differ by more than the range of this scanner; all else fits.
     deep = Bin(inner_m=(0.02, 0.02, 0.25))
     one = best_framing(deep, ["like-phoxi-s"])
     depth_m = transform_points(inverse(one.T_world_cam), corners(deep))[:, 2]
@@ -101,13 +101,13 @@ def test_the_share_of_a_bin_in_a_picture_is_that_of_its_rim():
     box = Bin(inner_m=(0.2, 0.1, 0.1))
     rim_px = 500 * 0.2 / 0.4, 500 * 0.1 / 0.4
     assert bin_share(camera, ABOVE, box) == pytest.approx(rim_px[0] * rim_px[1] / 120000, rel=1e-4)
-    # A bin that is wider than the picture counts as far as the picture reaches.
+    # If a bin is wider than the picture, only its visible part counts.
     wide = Bin(inner_m=(2.0, 0.1, 0.1))
     assert bin_share(camera, ABOVE, wide) == pytest.approx(rim_px[1] / 300, rel=1e-4)
 
 
-def test_a_part_is_as_wide_as_its_longest_side_in_the_middle_of_the_bin():
-    """A part of 50 mm at a depth of 0.5 - 0.09 / 3 m."""
+def test_a_part_s_width_is_that_of_its_longest_side_in_the_middle_of_the_bin():
+    """A part of 50 mm is at a depth of 0.5 - 0.09 / 3 m."""
     part = builtin_part("metal_workpiece_1")
     part = part.scaled(0.05 / float(part.mesh.extent_m.max()))
     box, camera = Bin(inner_m=(0.2, 0.1, 0.09)), pinhole(400, 300, 500.0)

@@ -1,4 +1,4 @@
-"""A dataset depends on its configuration and seed alone: not on restarts, workers or accidents."""
+"""A dataset depends on its configuration and seed only, not on restarts, workers or accidents."""
 
 import json
 import os
@@ -34,7 +34,7 @@ from graycast.rig.pattern import CodeSpec
 
 
 def run(cell, out, *, scenes, seed=0, workers=1):
-    """`generate`; returns its summary, the scenes found at the start and the ids made, in order."""
+    """Run `generate`; return its summary, the scenes found at the start, and the ids made."""
     meter, ids = Metered(), []
     summary = generate(
         cell,
@@ -63,7 +63,7 @@ def cell(config_file):
 
 @pytest.fixture(scope="module")
 def undisturbed(cell, tmp_path_factory):
-    """Three scenes made in one go."""
+    """Three scenes made in one run."""
     out = tmp_path_factory.mktemp("undisturbed") / "out"
     summary, count, ids = run(cell, out, scenes=3)
     assert (summary.written, summary.found, count, ids) == (3, 0, 0, [0, 1, 2])
@@ -72,25 +72,25 @@ def undisturbed(cell, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def many(config_file, tmp_path_factory):
-    """Twelve scenes made by an undisturbed command, and the seconds that it took."""
+    """Twelve scenes made by one command, and the seconds that it took."""
     out, begun = tmp_path_factory.mktemp("many") / "out", time.monotonic()
     with start("generate", config_file, "--out", out, "--scenes", 12) as run:
         assert run.wait() == 0, run.stderr.read()
     return out, time.monotonic() - begun
 
 
-def test_what_is_made_is_a_sound_dataset(undisturbed):
+def test_a_generated_dataset_is_valid(undisturbed):
     assert validate(undisturbed) == ()
     assert finished(undisturbed) == 3
 
 
 @pytest.mark.slow
-def test_the_same_command_in_another_folder_gives_the_same_files(cell, undisturbed, tmp_path):
+def test_the_same_command_in_another_folder_makes_the_same_files(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=3)
     assert content(tmp_path / "out") == content(undisturbed)
 
 
-def test_scenes_differ_from_each_other_and_with_the_seed(cell, undisturbed, tmp_path):
+def test_scenes_differ_from_each_other_and_between_seeds(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1, seed=1)
     pictures = [
         (folder / "train" / scene / "rgb" / "000000.png").read_bytes()
@@ -110,7 +110,7 @@ def test_scenes_differ_from_each_other_and_with_the_seed(cell, undisturbed, tmp_
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools
 def test_scenes_without_parts_are_pictures_of_the_empty_bin(tmp_path):
-    """Seed 0 draws 1 part for scene 0 and none for scene 1; both serve as any other scene."""
+    """Seed 0 draws 1 part for scene 0 and none for scene 1; both are used like other scenes."""
     config = write_cell(tmp_path, count=[0, 1])
     out, coco = tmp_path / "out", tmp_path / "coco"
     run(resolve_cell(load_config(config), tmp_path), out, scenes=2)
@@ -126,10 +126,10 @@ def test_scenes_without_parts_are_pictures_of_the_empty_bin(tmp_path):
     assert dataset_statistics(out).instances == {1: 1, 0: 1}
     one, none = open_examples(out)
     nearer_m = (none.depth_m - one.depth_m)[one.mask[0]]
-    assert nearer_m.min() > 0 and np.median(nearer_m) > 0.02  # the box is 30 mm high at least
+    assert nearer_m.min() > 0 and np.median(nearer_m) > 0.02  # the box is at least 30 mm high
 
 
-def test_running_again_writes_nothing_and_says_so(cell, undisturbed, tmp_path):
+def test_a_second_run_writes_nothing_and_reports_it(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     train = tmp_path / "out" / "train"
     before = {path: path.stat().st_mtime_ns for path in train.rglob("*")}
@@ -139,7 +139,7 @@ def test_running_again_writes_nothing_and_says_so(cell, undisturbed, tmp_path):
     assert content(tmp_path / "out") == content(undisturbed)
 
 
-def test_more_scenes_later_are_the_scenes_of_one_go(cell, undisturbed, tmp_path):
+def test_scenes_added_later_equal_those_of_a_single_run(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1)
     summary, count, ids = run(cell, tmp_path / "out", scenes=3)
     assert (summary.written, summary.found, count, ids) == (2, 1, 1, [1, 2])
@@ -147,7 +147,7 @@ def test_more_scenes_later_are_the_scenes_of_one_go(cell, undisturbed, tmp_path)
 
 
 @pytest.mark.slow
-def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path):
+def test_a_run_for_fewer_scenes_keeps_all_existing_ones(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     summary, count, ids = run(cell, tmp_path / "out", scenes=1)
     assert (summary.written, summary.found, count, ids) == (0, 1, 1, [])
@@ -155,7 +155,7 @@ def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path
 
 
 @pytest.mark.slow
-def test_a_scene_that_was_deleted_comes_back_the_same(cell, undisturbed, tmp_path):
+def test_a_deleted_scene_is_made_again_with_the_same_files(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "train" / "000001")
     _, _, ids = run(cell, tmp_path / "out", scenes=3)
@@ -163,11 +163,11 @@ def test_a_scene_that_was_deleted_comes_back_the_same(cell, undisturbed, tmp_pat
     assert content(tmp_path / "out") == content(undisturbed)
 
 
-def test_a_change_of_a_mesh_under_the_same_name_is_noticed(undisturbed, tmp_path, capsys):
+def test_a_changed_mesh_with_the_same_name_is_noticed(undisturbed, tmp_path, capsys):
     shutil.copytree(undisturbed, tmp_path / "out")
     changed = write_cell(tmp_path)
     stl = bytearray((tmp_path / "box.stl").read_bytes())
-    stl[:4] = b"new "  # the header, which holds no geometry
+    stl[:4] = b"new "  # the header, which has no geometry
     (tmp_path / "box.stl").write_bytes(bytes(stl))
     assert main(["generate", str(changed), "--out", str(tmp_path / "out")]) == 1
     assert "differs in config.files.box.stl" in capsys.readouterr().err
@@ -185,14 +185,14 @@ SCANNERS = {
 
 
 @pytest.mark.parametrize("name", SCANNERS)
-def test_a_change_of_what_a_rig_file_says_of_the_scanner_is_noticed(cell, undisturbed, name):
+def test_a_change_of_the_scanner_in_a_rig_file_is_noticed(cell, undisturbed, name):
     assert set(SCANNERS) == {field.name for field in fields(Scanner)} - {"rig"}
     other = replace(cell, scanner=replace(cell.scanner, **{name: SCANNERS[name]}))
     with pytest.raises(DatasetError, match=rf"differs in config\.scanner\.{name}\."):
         rerender(other, undisturbed, 0, seed=0, device="cpu")
 
 
-def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
+def test_a_mix_drops_all_kinds_and_otherwise_each_scene_has_one(tmp_path):
     parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("a", "b", "c")]
     rng = np.random.default_rng
     for mix in (False, True):
@@ -210,7 +210,7 @@ def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
 # --- accidents ---------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_dropped_leaves_the_folder_to_others(tmp_path):
+def test_a_configuration_that_cannot_be_dropped_does_not_claim_the_folder(tmp_path):
     """A folder once kept the claim of a configuration that never made a scene."""
     out = tmp_path / "out"
     narrow = {"inner_m": [0.02, 0.02, 0.1], "material": {}}
@@ -223,7 +223,7 @@ def test_what_cannot_be_dropped_leaves_the_folder_to_others(tmp_path):
     assert validate(out) == ()
 
 
-def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_path):
+def test_a_stopped_run_keeps_the_finished_scenes(cell, undisturbed, tmp_path):
     def stop(result):
         if result.scene_id == 1:
             raise KeyboardInterrupt
@@ -245,7 +245,7 @@ def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_
 
 
 def failing(monkeypatch, wrong):
-    """Scenes in `wrong` raise their error, so many times."""
+    """Raise an error for the scenes in `wrong`, this many times."""
     real = SceneMaker.make
 
     def make(self, scene_id):
@@ -274,7 +274,7 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
         failing(patch, {1: (KeyboardInterrupt(), 1)})
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=3)
-    assert not (out / "set_aside.json").exists()  # it is not given up any more
+    assert not (out / "set_aside.json").exists()  # it is no longer given up
     with monkeypatch.context() as patch:
         failing(patch, {1: (DropError("no rest"), 1), 3: (KeyboardInterrupt(), 1)})
         with pytest.raises(KeyboardInterrupt):
@@ -287,7 +287,7 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
     assert content(out) == content(undisturbed)
 
 
-def test_what_nobody_foresaw_is_tried_three_times_and_told_with_its_place(
+def test_an_unforeseen_error_is_tried_three_times_and_reported_with_its_place(
     cell, undisturbed, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
@@ -301,7 +301,7 @@ def test_what_nobody_foresaw_is_tried_three_times_and_told_with_its_place(
     assert content(tmp_path / "out") == content(undisturbed)
 
 
-def test_a_run_of_which_nothing_comes_out_stops_early_with_the_reason(cell, tmp_path, monkeypatch):
+def test_a_run_without_a_finished_scene_stops_early_with_the_reason(cell, tmp_path, monkeypatch):
     failing(monkeypatch, {scene_id: (DropError("no rest"), 9) for scene_id in range(100)})
     failures = []
     with pytest.raises(DropError, match="no rest"):
@@ -312,10 +312,10 @@ def test_a_run_of_which_nothing_comes_out_stops_early_with_the_reason(cell, tmp_
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
 
 
-def test_a_run_goes_on_where_others_came_out_however_many_fail(
+def test_a_run_continues_if_other_scenes_succeeded_however_many_fail(
     cell, undisturbed, tmp_path, monkeypatch
 ):
-    """Scenes that are there show that the cell is sound: those that fail are set aside."""
+    """Existing scenes show that the cell works: those that fail are set aside."""
     out = shutil.copytree(undisturbed, tmp_path / "out")
     failing(monkeypatch, {scene_id: (DropError("no rest"), 1) for scene_id in range(3, 9)})
     summary, count, ids = run(cell, out, scenes=9)
@@ -323,7 +323,7 @@ def test_a_run_goes_on_where_others_came_out_however_many_fail(
     assert validate(out) == ()
 
 
-def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed, tmp_path):
+def test_rerender_reproduces_a_scene_and_names_a_changed_file(cell, undisturbed, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)
     assert rerender(cell, out, 1, seed=0, device="cpu") == {}
@@ -345,9 +345,7 @@ def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed,
         rerender(cell, out, 1, seed=5, device="cpu")
 
 
-def test_the_command_makes_a_scene_again_from_the_dataset_alone(
-    config_file, undisturbed, tmp_path, capsys
-):
+def test_the_command_rerender_needs_only_the_dataset(config_file, undisturbed, tmp_path, capsys):
     again = ["dataset", "rerender", str(undisturbed), "--scene", "1", "--device", "cpu"]
     assert main(again) == 1
     complaint = capsys.readouterr().err
@@ -357,7 +355,7 @@ def test_the_command_makes_a_scene_again_from_the_dataset_alone(
     assert capsys.readouterr().out.endswith("000001: the same\n")
 
 
-def test_a_datasets_origin_is_its_configuration(cell, undisturbed):
+def test_a_dataset_s_origin_is_its_configuration(cell, undisturbed):
     origin = read_origin(undisturbed)
     run_keys = {"scenes", "seed"}
     assert origin.config.model_dump(exclude=run_keys) == cell.config.model_dump(exclude=run_keys)
@@ -365,7 +363,7 @@ def test_a_datasets_origin_is_its_configuration(cell, undisturbed):
 
 
 @pytest.mark.slow
-def test_two_workers_make_what_one_makes(config_file, many, tmp_path):
+def test_two_workers_make_the_same_files_as_one(config_file, many, tmp_path):
     out = tmp_path / "out"
     with start("generate", config_file, "--out", out, "--scenes", 12, "--workers", 2) as run:
         printed, complaint = run.communicate()
@@ -376,7 +374,7 @@ def test_two_workers_make_what_one_makes(config_file, many, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_ctrl_c_ends_quietly_and_the_same_command_goes_on(config_file, many, tmp_path, workers):
+def test_ctrl_c_ends_quietly_and_the_same_command_continues(config_file, many, tmp_path, workers):
     out = tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", 12, "--workers", workers)
     with start(*command) as run:
@@ -413,8 +411,8 @@ generate(
 
 
 @pytest.mark.slow
-def test_memory_is_level_over_500_scenes(config_file, tmp_path):
-    """Resident memory of the last tenth of the scenes, against the second tenth."""
+def test_memory_is_constant_over_500_scenes(config_file, tmp_path):
+    """Resident memory of the last tenth of the scenes is compared with the second tenth."""
     command = [sys.executable, "-c", _MEMORY, str(config_file), str(tmp_path / "out"), "500"]
     rss = [int(line) for line in subprocess.check_output(command, text=True).split()]
     assert len(rss) == 500
@@ -422,7 +420,7 @@ def test_memory_is_level_over_500_scenes(config_file, tmp_path):
 
 
 @pytest.mark.slow
-def test_after_a_full_disk_the_same_command_goes_on(config_file, many, tmp_path):
+def test_after_a_full_disk_the_same_command_continues(config_file, many, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
@@ -450,10 +448,10 @@ def test_after_a_full_disk_the_same_command_goes_on(config_file, many, tmp_path)
 
 
 @pytest.mark.slow
-def test_a_step_of_depth_that_is_configured_is_that_of_files_and_no_key_of_the_dataset(
+def test_a_configured_depth_step_is_used_in_files_and_is_no_key_of_the_dataset_s_configuration(
     config_file, tmp_path
 ):
-    """A dataset says its step once, so rerender and resuming take it from there."""
+    """A dataset states its step once, where rerender and a continued run read it."""
     wide = write_cell(tmp_path, store={"depth_step_mm": 0.5})
     cell = resolve_cell(load_config(wide), tmp_path)
     run(cell, tmp_path / "out", scenes=1)

@@ -1,4 +1,4 @@
-"""A part of solid glass is dark behind, so each command that reads its cell notes it."""
+"""Solid glass looks dark behind, so each command that reads such a cell prints a note."""
 
 import pytest
 import trimesh
@@ -10,8 +10,8 @@ from graycast.cli.command import main
 @pytest.mark.parametrize(
     ("surface", "notes"), [("glass-clear", 1), ("pmma-clear", 1), ("plastic", 0)]
 )
-def test_a_part_of_solid_glass_is_noted(tmp_path, monkeypatch, capsys, surface, notes):
-    """Symptom: behind a plate of glass-clear is 0.10 of the light for 0.84, without a word."""
+def test_a_part_of_solid_glass_causes_a_note(tmp_path, monkeypatch, capsys, surface, notes):
+    """Symptom: the light behind a plate of glass-clear is 0.10 instead of 0.84, without a note."""
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.08, 0.08, 0.005)).export("slab.stl")
     assert main(["new", "cell", "--part", "slab.stl", "--unit", "m", "--surface", surface]) == 0

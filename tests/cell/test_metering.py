@@ -15,8 +15,8 @@ from graycast.rig.optics import picture_rays
 from graycast.world.scene import bin_of
 
 
-def test_the_metered_pixels_are_those_whose_ray_meets_the_inner_room_of_the_bin(tmp_path):
-    """Rays are cut with the box by its slabs, which shares no code with the projected hull."""
+def test_the_metered_pixels_are_those_whose_rays_meet_the_inside_of_the_bin(tmp_path):
+    """Oracle: the slab method for the box, which shares no code with the projected hull."""
     scene = load_cell(write_cell(tmp_path)).scene
     length_m, width_m, height_m = bin_of(scene).inner_m
     ray = picture_rays(scene.rig.camera) @ scene.T_world_cam[:3, :3].T

@@ -1,4 +1,4 @@
-"""A new cell fits its part: the configuration is read, the bin is in view, the heap has room."""
+"""A new cell fits its part: its configuration is valid, the bin is in view, the heap has room."""
 
 import shlex
 from typing import get_args
@@ -19,7 +19,7 @@ from graycast.world.parts.part_sections import Unit
 from graycast.world.scene import Bin
 
 
-def test_a_configuration_knows_the_units_that_there_are():
+def test_the_text_of_a_configuration_lists_all_units():
     assert set(get_args(Unit)) == set(UNITS_M)
 
 
@@ -38,7 +38,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
 
 
 @pytest.mark.parametrize("surface", ["plastic", "steel", "cardboard"])
-def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
+def test_a_new_cell_is_read_with_the_values_that_were_written(tmp_path, monkeypatch, surface):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export(tmp_path / "block.stl")
     words = ["new", "cell", "--part", "block.stl", "--unit", "m", "--surface", surface]
@@ -51,14 +51,14 @@ def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
     assert cell.scanner.exposure.auto == (surface == "steel")  # a metal needs a wide bracket
     assert len(part.symmetry.discrete) == 3
     assert cell.scene.bin.inner_m == (0.3, 0.22, 0.11) and cell.notes == ()
-    # A third of the blocks whose volume is half of the bin's, which is more than the most of 60.
+    # A third of the blocks that fill half of the bin's volume, which is more than the limit of 60.
     least, most = config.count
     full = 0.5 * 0.3 * 0.22 * 0.11 / (0.02 * 0.03 * 0.06)
     assert most == round(round(full) / 3) and least == most // 2
 
 
-def test_the_line_of_a_new_cell_is_true_of_the_cell_that_is_read(tmp_path, monkeypatch, capsys):
-    """Oracle: the share and the width that the configuration itself has, at two resolutions."""
+def test_the_line_about_a_new_cell_agrees_with_the_configuration(tmp_path, monkeypatch, capsys):
+    """Oracle: the share and the width that the configuration itself gives, at two resolutions."""
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.044)).export("block.stl")
     assert main(["new", "cell", "--part", "block.stl", "--unit", "m"]) == 0
@@ -78,7 +78,7 @@ def test_the_line_of_a_new_cell_is_true_of_the_cell_that_is_read(tmp_path, monke
     assert f"# {line}" in (tmp_path / "cell/cell.yaml").read_text()
 
 
-def test_a_bin_that_no_scanner_holds_names_the_nearest_and_what_it_lacks():
+def test_a_bin_that_fits_no_scanner_names_the_nearest_one_and_what_it_misses():
     box = Bin(inner_m=(3.0, 2.25, 1.12))
     framing = best_framing(box)
     lacking = f"this one is nearest: it lacks {1e3 * framing.missing_m:.0f} mm"
@@ -86,7 +86,7 @@ def test_a_bin_that_no_scanner_holds_names_the_nearest_and_what_it_lacks():
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])
-def test_a_bin_is_five_parts_long_within_what_bins_are(longest_m, length_m):
+def test_a_bin_is_five_parts_long_within_the_limits_of_bins(longest_m, length_m):
     part = builtin_part("metal_workpiece_1")
     part = part.scaled(longest_m / float(part.mesh.extent_m.max()))
     np.testing.assert_allclose(bin_for(part), np.array([1, 0.75, 0.375]) * length_m, atol=0.0051)
@@ -110,7 +110,7 @@ def test_a_built_in_part_keeps_its_own_surface():
         (["new", ".", "--builtin", "toothpaste"], "is not empty: choose another folder"),
     ],
 )
-def test_what_makes_no_cell_leaves_nothing(tmp_path, monkeypatch, capsys, words, wrong):
+def test_a_refused_part_leaves_no_folder(tmp_path, monkeypatch, capsys, words, wrong):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export("c.stl")
     assert main(words) == 1 and wrong in capsys.readouterr().err
@@ -118,12 +118,12 @@ def test_what_makes_no_cell_leaves_nothing(tmp_path, monkeypatch, capsys, words,
 
 
 @pytest.mark.slow
-def test_the_demonstration_ends_with_a_picture_and_continues(tmp_path, monkeypatch, capsys):
+def test_the_demonstration_ends_with_a_picture_and_can_be_continued(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--device", "cpu"]) == 0
     assert "Open graycast-demo/preview.png" in capsys.readouterr().out
     assert len(list((tmp_path / "graycast-demo/dataset/train").iterdir())) == 3
-    assert main(["demo", "--device", "cpu"]) == 0  # what is made stays
+    assert main(["demo", "--device", "cpu"]) == 0  # finished scenes are kept
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_the_demonstration_ends_with_a_picture_and_continues(tmp_path, monkeypat
         ((3, 2, 1), "mm", "3.0 x 2.0 x 1.0 mm", "0.0471 g", "is 3 mm long, and most parts"),
     ],
 )
-def test_new_says_size_and_mass_and_remarks_on_a_unit_that_makes_no_sense(
+def test_new_prints_size_and_mass_and_comments_on_an_implausible_unit(
     tmp_path, monkeypatch, capsys, sides, unit, size, mass, note
 ):
     """Oracle: 8 cm^3 of steel weigh 62.8 g, and 25.4^3 times that in inches."""

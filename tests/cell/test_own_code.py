@@ -18,13 +18,13 @@ def cell(tmp_path_factory):
 
 
 def listed(cell, **change):
-    """A code of the library as a list of frames, so that it can be compared with itself."""
+    """Return a code of the library as a list of frames, to compare it with the named code."""
     projector = cell.scanner.rig.projector
     spec = gc.CodeSpec(codec="gray", axes=("column",), inverses=True)
     return spec, replace(spec.code(projector.width_px, projector.height_px), **change)
 
 
-def test_a_code_of_frames_measures_as_the_named_code_of_the_same_frames(cell, mitsuba_renderer):
+def test_a_code_given_as_frames_measures_like_the_named_one(cell, mitsuba_renderer):
     spec, code = listed(cell)
     named = replace(cell, scanner=replace(cell.scanner, code=spec))
     own = cell.with_own(code=code)
@@ -35,7 +35,7 @@ def test_a_code_of_frames_measures_as_the_named_code_of_the_same_frames(cell, mi
     assert b.sample.manifest["own"]["code"]["frames"][2]["bit"] == 6  # after white and black
 
 
-def test_a_dataset_of_an_own_code_says_so_and_is_not_continued_without_it(
+def test_a_dataset_of_an_own_code_records_it_and_is_not_continued_without_it(
     cell, tmp_path, mitsuba_renderer
 ):
     sensor = replace(cell.scanner.sensor, read_noise_e=40.0)

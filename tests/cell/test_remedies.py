@@ -1,4 +1,4 @@
-"""The note on parts with little depth: its words, and the change that it names."""
+"""The note on parts with little depth: its text, and the change that it names."""
 
 import numpy as np
 import pytest
@@ -21,11 +21,11 @@ def test_the_note_names_the_share_and_the_main_reason():
 
 
 @pytest.mark.parametrize("of_parts", [{}, shares(decoded=0.5, shadow=0.5)])
-def test_there_is_no_note_without_parts_or_from_half_of_the_pixels_on(of_parts):
+def test_there_is_no_note_without_parts_or_if_at_least_half_of_their_pixels_have_depth(of_parts):
     assert little_depth_note(of_parts) == ""
 
 
-def test_a_change_that_a_scanner_has_already_is_not_tried_again():
+def test_a_change_that_a_scanner_already_has_is_not_tried_again():
     first = remedies(preset("like-phoxi-m", "small"))
     again = remedies(first[0].scanner)
     assert "exposure: {auto: true}" in [remedy.words for remedy in first]

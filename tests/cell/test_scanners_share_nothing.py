@@ -1,4 +1,4 @@
-"""No two scanners of a cell share random numbers; the first has those of a cell with one."""
+"""Scanners of a cell share no random numbers; the first has those of a single one."""
 
 from dataclasses import replace
 
@@ -29,13 +29,13 @@ def two(*sections):
 
 
 def correlation(a, b):
-    """Of two sets of numbers, in standard errors of that of independent ones."""
+    """Return the correlation of two sets, in standard errors of that of independent sets."""
     a, b = np.ravel(a), np.ravel(b)
     return float(np.corrcoef(a, b)[0, 1] * np.sqrt(len(a)))
 
 
 def positions(cell, sensor, scenes=12):
-    """Where a scanner hangs in each scene."""
+    """Return the position of a scanner in each scene."""
     every = [eyes(cell, seed) for seed in range(scenes)]
     return np.array([[e.T_world_cam[:3, 3] for e in each if e.sensor == sensor] for each in every])
 
@@ -48,8 +48,8 @@ def positions(cell, sensor, scenes=12):
     ],
 )
 @pytest.mark.parametrize("of_each", [True, False])
-def test_places_of_two_scanners_are_drawn_by_themselves(tmp_path, views, of_each):
-    """Whether each scanner has a section of its own or both have that of the configuration."""
+def test_positions_of_two_scanners_are_drawn_independently(tmp_path, views, of_each):
+    """This holds if each scanner has its own section or both have that of the configuration."""
     own = {"views": views} if of_each else {}
     scanners = two(own, own)
     cell = resolved(tmp_path, scanners=scanners, **({} if of_each else {"views": views}))
@@ -61,14 +61,14 @@ def test_places_of_two_scanners_are_drawn_by_themselves(tmp_path, views, of_each
 
 
 def flat_field(scanner, seed):
-    """Mean of frames that are lit evenly, whose noise is small beside the fixed pattern."""
+    """Return the mean of evenly lit frames with little noise compared with the fixed pattern."""
     light = np.ones((16, 30, 40), np.float32)
     exposure_s = 4000 / scanner.sensor.responsivity
     frames = expose(light, None, scanner.sensor, exposure_s=exposure_s, seed=seed).frames
     return frames.mean(axis=0)
 
 
-def test_fixed_patterns_of_two_scanners_are_independent_and_of_one_scanner_the_same(tmp_path):
+def test_fixed_patterns_of_two_scanners_are_independent_and_that_of_one_is_constant(tmp_path):
     cell = resolved(tmp_path, scanners=two(UNEVEN, UNEVEN))
     (_, a), (_, b) = cell.scanners
     assert abs(correlation(flat_field(a, 1), flat_field(b, 2))) < 4
@@ -78,7 +78,7 @@ def test_fixed_patterns_of_two_scanners_are_independent_and_of_one_scanner_the_s
 
 
 def test_one_device_with_two_settings_has_one_fixed_pattern(tmp_path):
-    """Who states the same seed for two scanners means the same sensor."""
+    """Two scanners with the same stated seed are the same sensor."""
     same = {"sensor": UNEVEN["sensor"] | {"fpn_seed": 7}}
     cell = resolved(tmp_path, scanners=two(same, same | {"exposure": {"factors": [1, 4]}}))
     (_, a), (_, b) = cell.scanners
@@ -86,7 +86,7 @@ def test_one_device_with_two_settings_has_one_fixed_pattern(tmp_path):
 
 
 def test_rasters_of_two_scanners_are_independent(tmp_path):
-    """A laser scanner's preset has a raster and no other fixed pattern."""
+    """The preset of a laser scanner has a raster and no other fixed pattern."""
     cell = resolved(tmp_path, scanners=[{"name": n, "rig": "like-phoxi-m"} for n in "ab"])
     seeds = [scanner.sensor.fpn_seed for _, scanner in cell.scanners]
     assert seeds[0] == 0 != seeds[1]
@@ -96,13 +96,13 @@ def test_rasters_of_two_scanners_are_independent(tmp_path):
     assert abs(correlation(np.log(a[::6]), np.log(b[::6]))) < 4
 
 
-def test_scanners_without_a_fixed_pattern_are_left_as_they_are(tmp_path):
+def test_scanners_without_a_fixed_pattern_are_unchanged(tmp_path):
     cell = resolved(tmp_path, scanners=two({}, {}))
     assert [scanner.sensor.fpn_seed for _, scanner in cell.scanners] == [0, 0]
 
 
-def test_a_device_with_the_seed_0_has_the_raster_that_all_devices_had():
-    """Stored data of one scanner stay comparable."""
+def test_a_device_with_the_seed_0_has_the_raster_of_all_former_devices():
+    """So stored data of a single scanner remain comparable."""
     first = np.sqrt(3) * np.random.default_rng(15).uniform(-1, 1, (2, 4, 5))
     np.testing.assert_array_equal(places((4, 5), seed=0), first)
 
@@ -114,7 +114,7 @@ DOMAINS = {
 
 
 @pytest.mark.parametrize("kind", DOMAINS)
-def test_a_domain_moves_each_scanner_by_itself_and_a_mounted_one_with_the_first(tmp_path, kind):
+def test_a_domain_moves_each_scanner_independently_and_a_mounted_one_with_the_first(tmp_path, kind):
     views = [{"distance_m": 1.0}, {"distance_m": 1.0, "tilt_deg": 10}]
     scanners = two({}, {}, MOUNTED)
     cell = resolved(tmp_path, domain=DOMAINS[kind], views=views, scanners=scanners)

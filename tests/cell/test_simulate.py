@@ -1,4 +1,4 @@
-"""One scene all the way: what its manifest says of it is what was done."""
+"""One complete scene: its manifest agrees with its files."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ from graycast.rendering import Renderer
 
 @pytest.fixture(scope="module")
 def cell_and_shot(tmp_path_factory):
-    """A cell whose scanner takes two exposures, and a scene of it."""
+    """Return a cell whose scanner takes two exposures, and a scene of it."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, render={"samples": 4, "denoise": False})
     rig = yaml.safe_load((folder / "rig.yaml").read_text())
@@ -34,15 +34,15 @@ def cell_and_shot(tmp_path_factory):
         return cell, make_scene(cell, 3, seed=5, renderer=renderer)
 
 
-def test_the_manifest_s_exposure_is_the_one_that_the_gray_picture_is_of(cell_and_shot):
+def test_the_manifest_s_exposure_is_that_of_the_grey_picture(cell_and_shot):
     _, shot = cell_and_shot
     assert shot.sample.manifest["exposure_s"] == pytest.approx(0.02, rel=1e-6)
     assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.04]))
     assert shot.capture.exposure_s.max() > 0.03
 
 
-def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(cell_and_shot):
-    """Else a change in one would change the other, and a manifest would tell the wrong seed."""
+def test_noise_and_colour_picture_use_the_seeds_of_their_names(cell_and_shot):
+    """Otherwise a change in one would change the other, and a manifest would have a wrong seed."""
     cell, shot = cell_and_shot
     seeds = shot.sample.manifest["seeds"]
     assert len(set(seeds.values())) == len(seeds) == 5
@@ -53,23 +53,23 @@ def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(cell
 
 
 @pytest.mark.parametrize(("fill", "count"), [(0.5, 17), (1.0, 35), (0.001, 1)])
-def test_so_many_parts_fill_a_share_of_the_bin(tmp_path, fill, count):
-    """Boxes of 60 x 40 x 30 mm in a bin of 250 x 200 x 100 mm, which is full by half its volume."""
+def test_the_number_of_parts_fills_the_configured_share_of_the_bin(tmp_path, fill, count):
+    """Boxes of 60 x 40 x 30 mm are in a bin of 250 x 200 x 100 mm, full at half of its volume."""
     cell = load_cell(write_cell(tmp_path, "count", fill=fill))
     assert counts_of(cell, 0, np.random.default_rng(0)) == (count,)
     assert count == max(1, round(fill * 0.5 * (0.25 * 0.2 * 0.1) / (0.06 * 0.04 * 0.03)))
 
 
-def test_of_mixed_kinds_each_fills_its_part_of_the_share(tmp_path):
-    """A box and one twice as high are, in the mean, one and a half times the box."""
+def test_mixed_kinds_together_fill_the_configured_share(tmp_path):
+    """A box and one twice as high have a mean of one and a half boxes."""
     trimesh.creation.box((60, 40, 60)).export(tmp_path / "high.stl")
     parts = [{"mesh": name, "unit": "mm"} for name in ("box.stl", "high.stl")]
     cell = load_cell(write_cell(tmp_path, "count", fill=1.0, mix=True, parts=parts))
     assert sum(counts_of(cell, 0, np.random.default_rng(0))) == round(34.72 / 1.5)
 
 
-def test_the_pictures_decode_to_the_reasons_that_are_stored(cell_and_shot):
-    """Nobody but the decoder gives a reason: the truth, which a real scanner lacks, has no say."""
+def test_decoding_the_stored_pictures_gives_the_stored_reasons(cell_and_shot):
+    """Only the decoder gives reasons; the truth, which a real scanner lacks, is not used."""
     cell, shot = cell_and_shot
     noise = shot.rendering.radiance.path_noise
     _, depth = measure(cell.scanner, shot.capture, path_noise=noise)
@@ -78,7 +78,7 @@ def test_the_pictures_decode_to_the_reasons_that_are_stored(cell_and_shot):
     np.testing.assert_array_equal(depth.depth_m, stored.depth_m)
 
 
-def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(cell_and_shot):
+def test_the_shares_in_a_manifest_are_those_of_the_map_of_reasons(cell_and_shot):
     _, shot = cell_and_shot
     reason, on_part = shot.sample.scanner_depth.reason, shot.rendering.truth.instance >= 0
     assert on_part.any()
@@ -88,7 +88,7 @@ def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(cell_and_shot)
 
 
 class Playback(Renderer):
-    """Shows what another renderer has made."""
+    """A renderer that returns the pictures of another one."""
 
     name, versions, device, denoiser = "held", {}, "cpu", "oidn"
 
@@ -109,7 +109,7 @@ class Playback(Renderer):
     ],
 )
 def test_a_colour_picture_is_denoised_once(cell_and_shot, monkeypatch, words, denoiser):
-    """A back end that cleans every picture has cleaned this one already."""
+    """A renderer that denoises every picture has denoised this one already."""
     cell, shot = cell_and_shot
     render = RenderSection.model_validate(words)
     cell = replace(cell, config=cell.config.model_copy(update={"render": render}))

@@ -1,4 +1,4 @@
-"""Several images of one layout, rendered: they show one world, and a run goes on where it was."""
+"""Several rendered images of one layout show one world, and an interrupted run continues."""
 
 import json
 import os
@@ -26,7 +26,7 @@ MOUNT = [1, 0, 0, 0.02, 0, 1, 0, 0.01, 0, 0, 1, 0, 0, 0, 0, 1]
 SCANNERS = [{"name": "one", "rig": "rig.yaml"}, {"name": "two", "rig": "rig.yaml"}]
 
 
-DENOISED = {"samples": 4}  # in a noisy picture `validate` may see edges where there are none
+DENOISED = {"samples": 4}  # in a noisy picture, `validate` may find edges that do not exist
 
 
 def cell_of(folder, *without, **sections):
@@ -54,11 +54,11 @@ def dataset(cell, tmp_path_factory):
     return out
 
 
-def test_depth_of_every_image_agrees_with_that_of_every_other(shots):
-    """Oracle: a point that two cameras see has one place. Other points are hidden from one of them.
+def test_depths_of_all_images_agree_with_each_other(shots):
+    """Oracle: a point that two cameras see has one position; others are hidden from one of them.
 
-    A point of the first image is projected into the second, whose depth there is of the same
-    point, or of something nearer that hides it: never farther, but for edges within a pixel.
+    A point of the first image is projected into the second, whose depth there is that of the same
+    point, or of a nearer one that hides it: never farther, except for edges within a pixel.
     """
     for one in shots:
         camera, truth = one.sample.scene.rig.camera, one.sample.truth
@@ -72,18 +72,18 @@ def test_depth_of_every_image_agrees_with_that_of_every_other(shots):
             inside = ((px >= 1) & (px < [w - 1, h - 1])).all(axis=1)
             depth = other.sample.truth.depth_m[px[inside, 1], px[inside, 0]]
             gap = depth - point_cam[inside, 2]
-            assert (gap < 2e-3).mean() > 0.95  # a pixel aside on slopes; edges of parts
-            assert (np.abs(gap) < 2e-3).mean() > 0.75  # the rest is hidden
+            assert (gap < 2e-3).mean() > 0.95  # one pixel aside on slopes; edges of parts
+            assert (np.abs(gap) < 2e-3).mean() > 0.75  # all others are hidden
 
 
-def test_a_mounted_scanner_sees_from_its_place_on_the_first(shots):
+def test_a_mounted_scanner_sees_from_its_pose_on_the_first(shots):
     first, second = shots[:2], shots[2:]
     for one, other in zip(first, second, strict=True):
         T = inverse(one.sample.scene.T_world_cam) @ other.sample.scene.T_world_cam
         np.testing.assert_allclose(T, np.reshape(MOUNT, (4, 4)), atol=1e-12)
 
 
-def test_all_images_have_one_layout_and_noise_of_their_own(shots):
+def test_all_images_share_one_layout_and_have_independent_noise(shots):
     assert len({id(shot.sample.layout) for shot in shots}) == 1
     assert [(s.sample.sensor, s.sample.image) for s in shots] == [
         ("one", 0),
@@ -104,9 +104,9 @@ def test_the_first_image_is_that_of_the_cell_without_views(shots, tmp_path, mits
     np.testing.assert_array_equal(first.truth.depth_m, alone.truth.depth_m)
 
 
-def test_a_world_that_is_kept_gives_the_light_of_one_built_anew(shots, cell, mitsuba_renderer):
+def test_a_reused_world_gives_the_same_light_as_a_new_one(shots, cell, mitsuba_renderer):
     scene = shots[-1].sample
-    mitsuba_renderer.close()  # lets the kept world go
+    mitsuba_renderer.close()  # releases the reused world
     again = mitsuba_renderer.render(
         scene.scene,
         scene.layout,
@@ -130,7 +130,7 @@ def test_a_list_of_one_writes_the_files_of_a_single_view(tmp_path):
     assert {key for key in one if one[key] != two[key]} == {"config", "manifest_sha256"}
 
 
-def test_a_dataset_of_views_is_sound_and_comes_out_the_same_again(cell, dataset):
+def test_a_dataset_of_views_is_valid_and_is_reproduced(cell, dataset):
     assert validate(dataset) == ()
     assert rerender(cell, dataset, 2, seed=3, device="cpu") == {}
     stored = open_dataset(dataset)
@@ -138,14 +138,14 @@ def test_a_dataset_of_views_is_sound_and_comes_out_the_same_again(cell, dataset)
     assert len(stored.images_of(stored.scenes[0])) == 4
 
 
-def test_rerender_tells_of_a_further_image_that_was_changed(cell, dataset, tmp_path):
+def test_rerender_reports_a_changed_second_image(cell, dataset, tmp_path):
     out = shutil.copytree(dataset, tmp_path / "out")
     scene = out / "train/000001"
     shutil.copy(scene / "rgb_two/000000.png", scene / "rgb_two/000001.png")
     assert list(rerender(cell, out, 1, seed=3, device="cpu")) == ["rgb_two/000001.png"]
 
 
-def test_save_scene_takes_all_images_or_none(cell, shots, tmp_path):
+def test_save_scene_accepts_all_images_or_none(cell, shots, tmp_path):
     folder = save_scene(cell, shots, tmp_path / "out")
     assert (folder / "rgb_two/000001.png").is_file()
     assert validate(tmp_path / "out") == ()
@@ -153,7 +153,7 @@ def test_save_scene_takes_all_images_or_none(cell, shots, tmp_path):
         save_scene(cell, shots[0], tmp_path / "other")
 
 
-def test_a_killed_run_goes_on_and_comes_out_the_same(dataset, tmp_path):
+def test_a_killed_run_of_views_continues_and_gives_the_same_files(dataset, tmp_path):
     folder = tmp_path / "cell"
     folder.mkdir()
     mounted = [SCANNERS[0], SCANNERS[1] | {"T_first_cam": MOUNT}]
@@ -173,8 +173,8 @@ def test_a_killed_run_goes_on_and_comes_out_the_same(dataset, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["adapted", "randomized"])
-def test_a_domain_moves_all_places_of_a_scene_alike(kind, tmp_path):
-    """Mounted scanners stay in place on the first; frames and code maps of all are checked, too."""
+def test_a_domain_moves_all_positions_of_a_scene_together(kind, tmp_path):
+    """Mounted scanners stay in place on the first; frames and code maps of all are checked."""
     domain = {"kind": kind}
     cell = cell_of(
         tmp_path / "cell",

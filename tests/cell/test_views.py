@@ -1,4 +1,4 @@
-"""From where scanners take their images: what may be written, and what is drawn from it."""
+"""Poses from which scanners take their images: valid sections, and poses drawn from them."""
 
 import numpy as np
 import pytest
@@ -27,12 +27,12 @@ def poses(cell, seed=0, sensor=""):
 
 
 def middles(cell, T_world_cam):
-    """Of the baselines, and where the axes point."""
+    """Return the middles of the baselines, and the directions of the axes."""
     T = T_world_cam @ frame_in_camera(cell.scene.rig)
     return T[:, :3, 3], T[:, :3, 2]
 
 
-def test_a_list_hangs_each_image_as_the_same_view_alone_would(tmp_path):
+def test_each_view_of_a_list_gives_the_pose_of_the_same_single_view(tmp_path):
     one = {"tilt_deg": 20.0, "azimuth_deg": 50.0}
     cell = resolved(tmp_path, views=[{}, one])
     assert cell.images == (("", 0), ("", 1))
@@ -43,7 +43,7 @@ def test_a_list_hangs_each_image_as_the_same_view_alone_would(tmp_path):
 
 
 def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path):
-    """Oracle: on a sphere equal heights have equal areas (Archimedes), so cos(tilt) is uniform."""
+    """Oracle: equal heights of a sphere have equal areas (Archimedes), so cos(tilt) is uniform."""
     views = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
     cell = resolved(tmp_path, views=views, view={"target_m": [0.01, 0.02, 0.03]})
     assert cell.draws_views
@@ -61,14 +61,14 @@ def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path
     assert abs(around.mean()) < 4 / np.sqrt(2 * len(around))
 
 
-def test_places_are_drawn_from_their_scene_s_own_seed(tmp_path):
+def test_poses_are_drawn_from_their_scene_s_own_seed(tmp_path):
     cell = resolved(tmp_path, views={"kind": "dome", "count": 3})
     np.testing.assert_array_equal(poses(cell, seed=7), poses(cell, seed=7))
     assert np.abs(poses(cell, seed=7) - poses(cell, seed=8)).max(axis=(1, 2)).min() > 1e-3
 
 
-def test_a_path_goes_from_the_first_waypoint_to_the_last_at_an_even_pace(tmp_path):
-    """A turn about one axis by 90 degrees in 9 steps: 10 degrees and a ninth of the way each."""
+def test_a_path_goes_from_the_first_waypoint_to_the_last_at_constant_speed(tmp_path):
+    """A rotation of 90 degrees in 9 steps: 10 degrees and a ninth of the distance each."""
     start = rigid(np.diag([1.0, -1.0, -1.0]), np.array([-0.3, 0.0, 0.9]))
     end = rigid(axis_rotation("z", np.pi / 2) @ start[:3, :3], np.array([0.3, 0.0, 0.9]))
     waypoints = [{"T_world_cam": T.ravel().tolist()} for T in (start, end)]
@@ -81,8 +81,8 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_an_even_pace(tmp_pat
     np.testing.assert_allclose(np.diff(T[:, :3, 3], axis=0), [[0.6 / 9, 0, 0]] * 9, atol=1e-12)
 
 
-def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three(tmp_path):
-    """A normal distribution cut at 3 sigma has 0.9866 of its standard deviation left."""
+def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three_sigma(tmp_path):
+    """A normal distribution cut at 3 sigma keeps 0.9866 of its standard deviation."""
     views = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}
     cell = resolved(tmp_path, views=views, view={"tilt_deg": 10})
     nominal = resolved(tmp_path, view={"tilt_deg": 10}).scene.T_world_cam
@@ -92,11 +92,11 @@ def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three(tmp_path):
     assert np.abs(moved).max() <= 0.06
     assert moved.std() == pytest.approx(0.02 * 0.9866, rel=4 / np.sqrt(2 * moved.size))
     turn = nominal[:3, :3].T @ T[:, :3, :3]
-    about = np.degrees([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]])  # of small turns
+    about = np.degrees([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]])  # for small rotations
     assert about.std() == pytest.approx(1.5 * 0.9866, rel=4 / np.sqrt(2 * about.size))
 
 
-def test_a_mounted_scanner_keeps_its_place_on_the_first(tmp_path):
+def test_a_mounted_scanner_keeps_its_pose_on_the_first(tmp_path):
     cell = resolved(
         tmp_path,
         views={"kind": "dome", "count": 4},
@@ -117,8 +117,8 @@ def test_a_mounted_scanner_keeps_its_place_on_the_first(tmp_path):
     )
 
 
-def test_scanners_of_the_shelf_are_carried_to_several_places(tmp_path):
-    """As an eye in hand, by name: each has its own camera, and hangs where the first does."""
+def test_scanners_of_the_shelf_are_moved_to_several_poses(tmp_path):
+    """As on a robot's hand: each has its own camera, and is placed where the first one is."""
     names = ("like-zivid-2-m70", "like-mech-eye-pro-s")
     views = [{"distance_m": 0.7}, {"distance_m": 0.7, "tilt_deg": 20}]
     scanners = [{"name": name, "rig": name} for name in names]
@@ -136,7 +136,7 @@ def test_scanners_of_the_shelf_are_carried_to_several_places(tmp_path):
         [{}, {"distance_m": 1.5, "tilt_deg": 45}],
     ],
 )
-def test_depth_pictures_reach_the_bin_from_every_place_that_may_be_drawn(tmp_path, views):
+def test_depth_pictures_reach_the_bin_from_every_pose_that_may_be_drawn(tmp_path, views):
     cell = resolved(tmp_path, views=views)
     corners = np.stack(np.meshgrid(*bin_of(cell.scene).bounds_m.T), axis=-1).reshape(-1, 3)
     reach = reach_m(cell)
@@ -146,7 +146,7 @@ def test_depth_pictures_reach_the_bin_from_every_place_that_may_be_drawn(tmp_pat
             assert deepest <= reach + 1e-9
 
 
-def test_the_first_image_has_its_scene_s_seeds_and_all_others_their_own():
+def test_the_first_image_has_its_scene_s_seeds_and_all_others_have_their_own():
     scene = scene_seeds(5, 2)
     assert image_seeds(5, 2, station=0, image=0) == {name: scene[name] for name in OF_IMAGE}
     seeds = [
@@ -243,7 +243,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_mistake_is_one_line_that_names_it(tmp_path, name):
+def test_a_wrong_view_gives_one_line_that_names_it(tmp_path, name):
     sections, must = BAD[name]
     with pytest.raises((ConfigError, GraycastError)) as error:
         resolved(tmp_path, **sections)
@@ -252,7 +252,7 @@ def test_a_mistake_is_one_line_that_names_it(tmp_path, name):
     assert "\n" not in text
 
 
-def test_what_looks_once_refuses_a_cell_of_several_images(tmp_path):
+def test_functions_for_one_image_refuse_a_cell_of_several_images(tmp_path):
     one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
     refuse_several(one, "graycast rig design")
     with pytest.raises(ConfigError, match="graycast rig design takes one image of a scene: remove"):

@@ -1,4 +1,4 @@
-"""What the command line draws of a task's progress."""
+"""The progress that the command line shows."""
 
 import io
 
@@ -15,7 +15,7 @@ def progress():
     return Progress(console=Console(file=io.StringIO(), width=60), auto_refresh=False)
 
 
-def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(progress):
+def test_each_kind_has_a_bar_and_the_stage_a_line_below_the_notes(progress):
     with Bars(progress) as bars:
         bars.stage("reading [red].stl")
         bars.count("scenes", 2, 5)
@@ -28,7 +28,7 @@ def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(progres
     assert all(words in text for words in ("scenes", "pictures")) and "reading" not in text
 
 
-def test_a_stage_has_no_number_and_is_gone_at_the_end(monkeypatch):
+def test_a_stage_has_no_number_and_disappears_at_the_end(monkeypatch):
     file = io.StringIO()
     monkeypatch.setattr("rich.progress.get_console", lambda: Console(file=file, width=90))
     with open_bars() as bars:
@@ -44,8 +44,8 @@ def test_a_stage_has_no_number_and_is_gone_at_the_end(monkeypatch):
     assert "scenes" in file.getvalue() and "reading" not in file.getvalue()
 
 
-def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(progress):
-    """Of renders: those of the next scene are counted from one again."""
+def test_the_time_of_a_bar_starts_again_with_the_next_task_of_its_kind(progress):
+    """Renders, for example, are counted from one again in the next scene."""
     bars = Bars(progress)
     bars.count("renders", 22, 22)
     first = progress.tasks[0]
@@ -54,5 +54,5 @@ def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(progress):
     assert not first.finished and first.completed == 1 and first.start_time > 0
 
 
-def test_bars_and_nobody_are_meters(progress):
+def test_bars_implement_the_protocol_of_progress_meters(progress):
     assert isinstance(Bars(progress), ProgressMeter) and isinstance(UNWATCHED, ProgressMeter)

@@ -1,4 +1,4 @@
-"""The command: what it offers, prints and writes, and with which code it ends."""
+"""The command line: its options, its output, its files, and its exit codes."""
 
 import argparse
 import ast
@@ -101,7 +101,7 @@ OPTIONS = {
     name: " ".join(_SEVERAL.get(word, word) for word in words.split())
     for name, words in OPTIONS.items()
 }
-# Each flag of several commands is declared once, in the table of `cli.arguments`, but for --out.
+# Each flag of several commands is declared once, in the table of `cli.arguments`, except --out.
 SHARED_FLAGS = """
 --address --backend --config --device --distortion --engine --far --files --intrinsics --list
 --max-detections --min-score --min-visibility --near --on --one-class --out --ray-length --resamples
@@ -112,7 +112,7 @@ OUT = re.compile(r"The ((PNG|YAML|ONNX) file|folder)( to write| of the )")
 
 
 def run(capsys, *arguments):
-    """What a command that ends well prints."""
+    """Return the output of a command that succeeds."""
     assert main([str(argument) for argument in arguments]) == 0
     printed, complaint = capsys.readouterr()
     assert complaint == ""
@@ -120,7 +120,7 @@ def run(capsys, *arguments):
 
 
 def commands(parser, name=""):
-    """Every command with its parser, those of groups too."""
+    """Return every command with its parser, including those of groups."""
     groups = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not groups:
         return {name.strip(): parser}
@@ -131,7 +131,7 @@ def commands(parser, name=""):
     }
 
 
-def test_the_commands_are_these_with_these_options():
+def test_the_commands_and_their_options_are_these():
     options_of = {
         name: [
             action.option_strings[-1] if action.option_strings else action.dest
@@ -168,17 +168,17 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
     lines = "\n".join(rest).splitlines()
     for option in OPTIONS[name].split():
         starts = [i for i, line in enumerate(lines) if re.match(rf"  {option}\b", line)]
-        if not starts and not option.startswith("-"):  # shown by its choices
+        if not starts and not option.startswith("-"):  # explained by its choices
             starts = [i for i, line in enumerate(lines) if line.startswith("  {")]
         assert starts, f"{option} is not in the help"
-        # Words stand two blanks after the option, or on the next line, indented further.
+        # The text is two blanks after the option, or on the next line, indented further.
         line, below, *_ = [*lines[starts[0] :], ""]
         words = line.strip().partition("  ")[2] or (below[:20].isspace() and below.strip())
         assert words, f"{option} is not explained"
 
 
 def _rows_of_words(tree):
-    """The words that calls and lists of a test hold, side by side."""
+    """Return consecutive strings of calls and lists in a test."""
     for node in ast.walk(tree):
         is_list = isinstance(node, ast.List | ast.Tuple)
         items = node.args if isinstance(node, ast.Call) else node.elts if is_list else []
@@ -203,11 +203,11 @@ def test_the_list_of_commands_is_short():
 
 
 def flags_of(name_and_parser):
-    """Each option of a command as `(command, flag, what argparse reads, help without default)`."""
+    """Return each option of a command as `(command, flag, parsed type, help without default)`."""
     name, parser = name_and_parser
     for action in parser._actions:
         if action.option_strings and action.dest != "help":
-            is_path = action.type is arguments.png_path  # A path that is refused in time.
+            is_path = action.type is arguments.png_path  # a path that is refused early
             kind = (Path if is_path else action.type, action.metavar, action.nargs, action.choices)
             text = re.sub(r" \(default: .*\)", "", action.help)
             yield name, action.option_strings[-1], kind, text
@@ -238,7 +238,7 @@ def test_a_flag_has_one_meaning_one_type_and_one_metavar():
         ("onnx", "detector onnx"),
     ],
 )
-def test_a_command_that_does_not_exist_names_the_one_that_was_meant(capsys, word, meant):
+def test_a_misspelt_command_names_the_one_that_was_meant(capsys, word, meant):
     with pytest.raises(SystemExit):
         main([word])
     assert f"{word!r} does not exist: did you mean {meant}?" in capsys.readouterr().err
@@ -255,7 +255,7 @@ def test_the_width_in_the_help_is_that_of_the_library():
     assert scene_commands.WIDTH_PX == WIDTH_PX
 
 
-def test_each_example_is_a_command_that_is_understood():
+def test_each_example_in_the_help_can_be_parsed():
     for name, parser in commands(command._parser()).items():
         first, example, *_ = parser.description.splitlines()
         assert first == "For example:" and example.startswith(f"  graycast {name}")
@@ -272,8 +272,8 @@ def test_the_help_names_the_page_that_lists_all_pages(capsys):
     assert page.is_file() and page.read_text(encoding="utf-8").startswith("# Graycast")
 
 
-def test_help_is_whole_sentences():
-    """So that each is understood alone; argparse's own words on --help are not ours."""
+def test_help_consists_of_whole_sentences():
+    """Each is understood alone; argparse's own text for --help is not ours."""
     for name, parser in commands(command._parser()).items():
         helps = {a.dest: a.help for a in parser._actions if a.dest != "help"}
         for option, text in (helps | {"": parser.description}).items():
@@ -292,12 +292,12 @@ def test_help_lists_every_command_and_examples(capsys):
 
 
 @pytest.mark.parametrize("group", ["dataset", "detector", "robot", "rig", "real"])
-def test_a_group_alone_prints_its_help(capsys, group):
+def test_a_group_without_a_command_prints_its_help(capsys, group):
     text = run(capsys, group)
     assert all(f"\n    {name.split()[1]}" in text for name in OPTIONS if f"{group} " in name)
 
 
-def test_the_command_alone_prints_its_help(capsys):
+def test_the_program_without_a_command_prints_its_help(capsys):
     assert run(capsys) == run_help(capsys)
 
 
@@ -308,7 +308,7 @@ def run_help(capsys):
     return capsys.readouterr().out
 
 
-def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
+def test_thousands_of_threads_are_refused_with_a_clear_error(capsys, tmp_path):
     config, out = write_cell(tmp_path), tmp_path / "d"
     assert main(["generate", str(config), "--out", str(out), "--threads", "100000"]) == 1
     message = capsys.readouterr().err
@@ -316,7 +316,7 @@ def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
     assert not (tmp_path / "d").exists()
 
 
-def test_help_answers_without_loading_what_is_heavy():
+def test_help_does_not_load_heavy_modules():
     program = """
 import sys
 from graycast.cli import main
@@ -331,7 +331,7 @@ sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.module
     assert (ran.returncode, ran.stderr) == (0, "")
 
 
-def test_the_installed_command_is_this_one_and_states_its_version():
+def test_the_installed_command_is_this_program_and_prints_its_version():
     (script,) = entry_points(group="console_scripts", name="graycast")
     assert script.load() is main
     output = subprocess.check_output([*GRAYCAST, "--version"], text=True)
@@ -339,8 +339,8 @@ def test_the_installed_command_is_this_one_and_states_its_version():
 
 
 @pytest.mark.slow
-def test_a_reader_that_goes_away_is_no_error():
-    """As `graycast ... | head -1` is: `head` closes the pipe after its line."""
+def test_a_closed_pipe_is_no_error():
+    """For example, `head` in `graycast ... | head -1` closes the pipe after its line."""
     read, write = os.pipe()
     os.close(read)
     ran = subprocess.run(
@@ -350,14 +350,14 @@ def test_a_reader_that_goes_away_is_no_error():
     assert (ran.returncode, ran.stderr) == (1, "")
 
 
-# --- what the commands do ----------------------------------------------------------------------
+# --- results of commands ------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def cell_and_dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     path = write_cell(folder)
-    with no_pixels():  # of the card's plots
+    with no_pixels():  # plots of the card
         assert main(["generate", str(path), "--out", str(folder / "out"), "--device", "cpu"]) == 0
     return path, folder / "out"
 
@@ -366,8 +366,8 @@ def cell_and_dataset(tmp_path_factory):
     ("workers", "text"),
     [(1, "about 0:00:30 and 0.02 GB"), (4, "about 0:00:08 and"), (0, "0.02 GB")],
 )
-def test_generate_estimates_the_other_scenes_by_one(tmp_path, workers, text):
-    """Ten scenes of 3 s and 2 MB each; the workers share the time, and not the disk."""
+def test_generate_estimates_the_other_scenes_from_one(tmp_path, workers, text):
+    """Ten scenes of 3 s and 2 MB each; workers share the time, but not the disk."""
     first = TaskResult(
         scene_id=0, files=(("a", bytes(1_500_000)), ("b", bytes(500_000))), seconds=3.0,
         reasons={}, rss_bytes=0,
@@ -379,7 +379,7 @@ def test_generate_estimates_the_other_scenes_by_one(tmp_path, workers, text):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_the_time_of_the_other_scenes_is_without_the_first_of_each_worker(
+def test_the_estimated_time_ignores_the_first_scene_of_each_worker(
     tmp_path, monkeypatch, capsys, workers
 ):
     """A worker's first scene takes a minute, because it compiles; the others take 3 s each."""
@@ -410,7 +410,7 @@ def test_the_time_of_the_other_scenes_is_without_the_first_of_each_worker(
     ]
 
 
-def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(
+def test_generate_reports_what_it_made_and_later_that_all_scenes_exist(
     capsys, cell_and_dataset, tmp_path
 ):
     path, out = cell_and_dataset
@@ -437,7 +437,7 @@ def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(
 
 
 @pytest.mark.slow
-def test_the_options_go_before_the_configuration(cell_and_dataset, tmp_path, capsys):
+def test_options_may_precede_the_configuration(cell_and_dataset, tmp_path, capsys):
     same = write_cell(tmp_path, scenes=7, seed=5)
     arguments = ("--out", tmp_path / "out", "--scenes", 2, "--seed", 0, "--device", "cpu")
     with no_pixels():
@@ -445,12 +445,12 @@ def test_the_options_go_before_the_configuration(cell_and_dataset, tmp_path, cap
     assert content(tmp_path / "out") == content(cell_and_dataset[1])
 
 
-def test_validate_ends_well_on_a_sound_dataset(capsys, cell_and_dataset):
+def test_validate_succeeds_for_a_valid_dataset(capsys, cell_and_dataset):
     assert run(capsys, "validate", cell_and_dataset[1]) == f"{cell_and_dataset[1]}: valid\n"
 
 
 @pytest.mark.slow
-def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(
+def test_preview_draws_the_scene_and_counts_pixels_as_the_dataset_does(
     capsys, cell_and_dataset, tmp_path
 ):
     path, out = cell_and_dataset
@@ -466,7 +466,7 @@ def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(
         assert np.std(np.array(picture.convert("L"))) > 10
 
 
-def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, cell_and_dataset):
+def test_parts_lists_the_built_in_parts_or_those_of_a_configuration(capsys, cell_and_dataset):
     builtin = run(capsys, "parts")
     for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
         assert f"\n{name} " in builtin
@@ -479,7 +479,7 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, cell_
     assert f"\nin the picture of {scene.rig.name}, {framing_line(scene)}\n" in own
     # Its diagonal is 78.1 mm, and one hull is the box itself.
     assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own
-    # It has the three half turns of a box, and states none of them.
+    # It has the three half rotations of a box, and states none of them.
     assert own.count("note: ") == 1 and "note: box states no symmetry" in own
 
 
@@ -487,10 +487,10 @@ COARSE = "note: box: its collision hulls are too coarse: they are up to"
 
 
 @pytest.mark.slow
-def test_hulls_that_are_coarse_are_told_by_all_who_use_them(
+def test_all_commands_that_use_coarse_hulls_print_a_note(
     capsys, cell_and_dataset, tmp_path, monkeypatch
 ):
-    """As if the bound were below what is measured, which is zero."""
+    """The limit is set below the measured deviation, which is zero."""
     monkeypatch.setattr(Decomposition, "coarse", property(lambda self: True))
     assert COARSE in run(capsys, "parts", cell_and_dataset[0])
     cpu = ("--device", "cpu")
@@ -528,7 +528,7 @@ def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resoluti
         assert (tmp_path / "rig.png").is_file()
 
 
-def test_the_shelf_has_each_preset_with_its_range_pixels_and_code(capsys):
+def test_rig_list_prints_each_preset_with_its_range_pixels_and_code(capsys):
     lines = run(capsys, "rig", "list").splitlines()
     assert [line.split()[0] for line in lines[:-2]] == list(PRESETS)
     assert (
@@ -538,7 +538,7 @@ def test_the_shelf_has_each_preset_with_its_range_pixels_and_code(capsys):
     assert "[memory] recalled from a datasheet and not checked" in lines[-2]
 
 
-def test_the_shelf_is_searched_by_field_distance_and_noise(capsys):
+def test_rig_list_filters_by_field_distance_and_noise(capsys):
     wish = ("--field", "0.6x0.4", "--at", "1")
     names = {line.split()[0] for line in run(capsys, "rig", "list", *wish).splitlines()}
     assert {"like-phoxi-m", "like-zivid-2-m70"} <= names and "like-phoxi-s" not in names
@@ -637,7 +637,7 @@ def test_doctor_ends_with_its_verdict(capsys, monkeypatch):
 
 @pytest.fixture
 def another_doctor(monkeypatch):
-    """Lets a command do something else; what was built before holds the one that it has."""
+    """Replace what a command does; a parser that was built before has the old function."""
 
     def put(run):
         monkeypatch.setattr(start_commands, "_doctor", run)
@@ -655,7 +655,7 @@ def test_ctrl_c_ends_with_code_130(capsys, another_doctor):
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
-def test_an_error_of_several_lines_is_shown_as_one(capsys, another_doctor):
+def test_an_error_of_several_lines_is_shown_in_one_line(capsys, another_doctor):
     def fail(options):
         raise ValueError("what is wrong:\n  this\n\nand that")
 
@@ -697,8 +697,8 @@ def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typ
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-def test_a_name_that_the_terminal_cannot_show_does_not_end_a_finished_command(tmp_path, encoding):
-    """A name in German, and one whose bytes are no UTF-8, as of an old archive."""
+def test_a_name_that_the_terminal_cannot_show_does_not_stop_a_finished_command(tmp_path, encoding):
+    """A German name, and one whose bytes are not UTF-8, as from an old archive."""
     for name in ("t\N{LATIN SMALL LETTER U WITH DIAERESIS}r.yaml", "t\udcfcr.yaml"):
         command = [sys.executable, "-m", "graycast", "rig", "write", "paper", "--out", name]
         environment = os.environ | {"PYTHONIOENCODING": encoding}

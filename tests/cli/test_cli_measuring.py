@@ -37,7 +37,7 @@ from graycast.rig.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level
 
 
 def run(capsys, *arguments):
-    """What a command that ends well prints."""
+    """Return the output of a command that succeeds."""
     code = main([str(argument) for argument in arguments])
     printed, complaint = capsys.readouterr()
     assert code == 0, complaint
@@ -46,7 +46,7 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def decoded(tmp_path_factory):
-    """A simulated scanner's pictures, its rig file, what `decode` made of them and its preview."""
+    """Return a simulated scanner's pictures, its rig file, and the files of `decode`."""
     folder = tmp_path_factory.mktemp("scanned")
     rig = simulated.small_rig()
     code = gray_phase(128, 96, axes=AXES, period_px=16.0)
@@ -59,7 +59,7 @@ def decoded(tmp_path_factory):
     return rig, folder, out, *figures
 
 
-def test_decode_writes_what_the_documentation_lists(decoded):
+def test_decode_writes_the_files_in_the_documentation(decoded):
     rig, _, out, _ = decoded
     truth = simulated.view_of(rig)
     codes = np.load(out / "code.npz")
@@ -72,8 +72,8 @@ def test_decode_writes_what_the_documentation_lists(decoded):
     assert known.mean() > 0.4
     light = np.load(out / "light.npz")
     lit = light["direct"][known]
-    assert np.median(np.abs(light["global"][known]) / lit) < 0.1  # a wall and a ball, alone
-    # Pixels of the simulated projector are sharp: half a pixel, and noise.
+    assert np.median(np.abs(light["global"][known]) / lit) < 0.1  # only a wall and a ball
+    # Pixels of the simulated projector are sharp, so the error is half a pixel plus noise.
     for name in AXES:
         assert np.abs(codes[name] - getattr(truth, name))[known].max() < 0.7
     depth_m, sigma_m = np.load(out / "depth.npy"), np.load(out / "sigma_depth.npy")
@@ -84,8 +84,8 @@ def test_decode_writes_what_the_documentation_lists(decoded):
     assert np.nanmedian(cloud.vertices[:, 2]) == pytest.approx(np.nanmedian(depth_m), rel=1e-4)
 
 
-def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
-    """Oracle: the scene's closed form, and the colours' own tables read backwards."""
+def test_the_preview_shows_picture_positions_reasons_and_depth(decoded):
+    """Oracle: the scene's closed form, and the inverse of the colours' own tables."""
     rig, folder, out, figure = decoded
     tile = {title: ax.images[0].get_array() for title, ax in axes_of(figure).items()}
     white = np.array(Image.open(folder / "white.png"))
@@ -108,8 +108,8 @@ def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
     assert (np.isfinite(shares) == np.isfinite(depth_m)).all()
 
 
-def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_name_their_units(decoded):
-    """Six tiles lie in two rows of three; every bar has a unit, and all lengths are in mm."""
+def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_have_units(decoded):
+    """Six tiles form two rows of three; every bar has a unit, and all lengths are in mm."""
     figure = decoded[3]
     figure.draw_without_rendering()
     boxes = [ax.get_window_extent() for ax in axes_of(figure).values()]
@@ -131,7 +131,7 @@ def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_name_their_units(
 
 
 def test_the_preview_does_not_call_empty_space_shadow(decoded):
-    """The dark of an empty background is no share of what can be decoded."""
+    """A dark, empty background does not count among the pixels that can be decoded."""
     _, _, out, figure = decoded
     reason = np.load(out / "code.npz")["reason"]
     dark = 100 * (reason == Reason.SHADOW).mean()
@@ -142,8 +142,8 @@ def test_the_preview_does_not_call_empty_space_shadow(decoded):
 
 
 @pytest.mark.parametrize("command", ["decode", "certify", "measure"])
-def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path, command):
-    """What is asked for does not exist, so a refusal of the folder came first."""
+def test_a_folder_of_other_files_is_refused_before_any_work(capsys, tmp_path, command):
+    """The requested stack does not exist, so the refusal of the folder comes first."""
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("mine")
     arguments = {
@@ -191,11 +191,11 @@ def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
     run(capsys, "rig", "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
         "--out", tmp_path / "out")  # fmt: skip
     rough, smooth = (np.load(f / "sigma_depth.npy") for f in (out, tmp_path / "out"))
-    # Where the surface bends, as at the edges of cells, smoothing leaves sigma as wide.
+    # Where the surface bends, as at edges of cells, smoothing does not reduce sigma.
     assert np.nanquantile(smooth / rough, 0.1) < 0.6
 
 
-def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
+def test_measure_reads_results_of_decode_and_compare_shows_them_next_to_others(
     decoded, capsys, tmp_path
 ):
     rig, _, out, _ = decoded
@@ -232,7 +232,7 @@ def test_measure_takes_what_decode_made_and_compare_sets_it_beside_others(
         (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),
     ],
 )
-def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, message):
+def test_a_missing_input_is_named(capsys, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 1
     assert message in capsys.readouterr().err
@@ -240,7 +240,7 @@ def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, mess
 
 
 def refused(capsys, *arguments):
-    """The one line of a command that fails."""
+    """Return the one line of a command that fails."""
     assert main([str(argument) for argument in arguments]) == 1
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1
@@ -259,7 +259,7 @@ K_TEXT = "190,190,79.5,59.5"
         (np.full((2, 40, 50), 0.8), "give a depth map with rows and columns"),
     ],
 )
-def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, message):
+def test_a_file_that_is_no_depth_map_is_refused_without_a_folder(capsys, tmp_path, array, message):
     np.save(tmp_path / "z.npy", array)
     out = tmp_path / "deep" / "out"
     text = refused(
@@ -270,14 +270,14 @@ def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, 
 
 
 @pytest.mark.parametrize("scale", ["0", "-0.001", "nan", "inf", "mm"])
-def test_a_scale_that_is_no_length_is_refused(capsys, scale):
+def test_a_depth_scale_that_is_no_length_is_refused(capsys, scale):
     with pytest.raises(SystemExit):
         main(["real", "measure", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
     assert "is not a number greater than 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("content", ["{}", "[1]", '{"fx": NaN, "fy": 1, "cx": 0, "cy": 0}'])
-def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
+def test_invalid_intrinsics_are_named(capsys, tmp_path, content):
     np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
     (tmp_path / "K.json").write_text(content)
     options = ("--intrinsics", tmp_path / "K.json", "--out", tmp_path / "o")
@@ -293,19 +293,19 @@ def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
         "element vertex 2\nproperty",
     ],
 )
-def test_a_damaged_ply_header_is_told_in_one_line(capsys, tmp_path, lines):
+def test_a_damaged_ply_header_is_reported_in_one_line(capsys, tmp_path, lines):
     (tmp_path / "p.ply").write_text(f"ply\nformat ascii 1.0\n{lines}\nend_header\n")
     text = refused(capsys, "real", "measure", tmp_path / "p.ply", "--out", tmp_path / "o")
     assert "p.ply: its header is damaged" in text
 
 
-def test_comparing_does_not_write_over_a_measured_set(capsys, tmp_path):
+def test_compare_does_not_overwrite_a_measured_set(capsys, tmp_path):
     (tmp_path / "realism.json").write_text("{}")
     text = refused(capsys, "real", "compare", "a", "b", "--out", tmp_path)
     assert "is itself one of the measured sets" in text
 
 
-def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
+def test_an_empty_folder_of_pictures_is_an_error(capsys, tmp_path):
     np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
     (tmp_path / "gray").mkdir()
     text = refused(capsys, "real", "measure", tmp_path / "z.npy", "--intrinsics", K_TEXT,
@@ -314,7 +314,7 @@ def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
+def test_a_folder_is_written_completely_or_not_at_all(tmp_path, fault):
     existing = tmp_path / "there"
     existing.mkdir()
     (existing / "old").write_text("old")
@@ -342,7 +342,7 @@ def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatc
     )
 
 
-def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
+def test_the_message_of_a_stopped_command_without_scenes_mentions_none(capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
@@ -351,7 +351,7 @@ def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
-def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
+def test_patterns_of_the_rig_s_own_codec_keep_its_period(capsys, tmp_path):
     """like-phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
     run(capsys, "rig", "patterns", "like-phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
     assert list(tmp_path.glob("*_phase_48px_step00.png"))
@@ -367,7 +367,7 @@ def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
+def test_a_resolution_with_a_rig_file_is_refused(capsys, tmp_path):
     save_scanner(Scanner(rig=simulated.small_rig()), tmp_path / "rig.yaml")
     text = refused(capsys, "rig", "show", tmp_path / "rig.yaml", "--resolution", "full")
     assert "--resolution applies only to a preset" in text
@@ -405,8 +405,8 @@ def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS)
-def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
-    """A camera that is the projector sees the patterns: every pixel is its own column and row."""
+def test_decoding_the_patterns_themselves_gives_the_projector_pixels(capsys, tmp_path, codec):
+    """A camera identical to the projector sees its own column and row in each pixel."""
     rig = replace(simulated.small_rig(), name="small")
     scanner = Scanner(rig=rig, code=CodeSpec(codec=codec, axes=AXES))
     save_scanner(scanner, tmp_path / "rig.yaml")
@@ -425,7 +425,7 @@ def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
 
 
 @pytest.mark.slow
-def test_calibrate_gives_the_rig_back_from_pictures(capsys, tmp_path, camera_rays, truth_poses):  # noqa: F811
+def test_calibrate_recovers_the_rig(capsys, tmp_path, camera_rays, truth_poses):  # noqa: F811
     code = gray(*SIZE, inverses=True)
     stacks = []
     for i, T in enumerate(truth_poses):

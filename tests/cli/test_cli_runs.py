@@ -1,6 +1,6 @@
-"""Commands from their words to their files, each once, where no test of their room runs them.
+"""Commands from their options to their files, if no test of their room runs them.
 
-What the steps compute is tested in their rooms; here is that the options reach them.
+The results of the steps are tested in their rooms, and their options here.
 """
 
 import csv
@@ -35,7 +35,7 @@ from graycast.robot.pick import load_pick_config
 
 
 def run(capsys, *arguments):
-    """What a command that ends well prints."""
+    """Return the output of a command that succeeds."""
     code = main([str(argument) for argument in arguments])
     printed, complaint = capsys.readouterr()
     assert code == 0, complaint
@@ -48,7 +48,7 @@ def copied(master, tmp_path):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_statistics_and_the_card_of_a_dataset(copied, capsys, tmp_path):
+def test_dataset_stats_writes_the_statistics_and_the_card(copied, capsys, tmp_path):
     words = ["--out", tmp_path / "stats", "--card", "--licence", "CC-BY-4.0"]
     printed = run(capsys, "dataset", "stats", copied, *words)
     assert f"{tmp_path / 'stats'}\n" in printed and printed.endswith("README.md\n")
@@ -58,14 +58,14 @@ def test_statistics_and_the_card_of_a_dataset(copied, capsys, tmp_path):
     assert yaml.safe_load(card.split("---\n")[1])["license"] == "CC-BY-4.0"
 
 
-def test_a_licence_is_refused_before_the_dataset_is_read(capsys, tmp_path):
+def test_a_wrong_licence_is_refused_before_the_dataset_is_read(capsys, tmp_path):
     words = ["dataset", "stats", str(tmp_path / "nowhere"), "--card", "--licence", "mine"]
     assert main(words) == 1
     assert "mine" in capsys.readouterr().err
 
 
 def test_scanner_depth_is_scored_against_the_truth(copied, samples, capsys, tmp_path):  # noqa: F811
-    """Oracle: the errors of the samples that were written."""
+    """Oracle: the errors of the written samples."""
     out = tmp_path / "depth"
     with no_pixels():
         printed = run(capsys, "dataset", "score-depth", copied, "--out", out)
@@ -102,10 +102,10 @@ EXPORTS = {
 }
 
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.parametrize("form", EXPORTS)
-def test_the_options_of_an_export_reach_its_record(copied, capsys, tmp_path, form):
+def test_the_options_of_an_export_are_in_its_record(copied, capsys, tmp_path, form):
     words, options = EXPORTS[form]
     out = tmp_path / "export"
     run(capsys, "dataset", "export", copied, "--format", form, "--out", out, *words.split())
@@ -113,7 +113,7 @@ def test_the_options_of_an_export_reach_its_record(copied, capsys, tmp_path, for
     assert record["format"] == form and record["options"].items() >= options.items()
 
 
-def test_maps_of_reasons_belong_to_depth(capsys, tmp_path):
+def test_maps_of_reasons_are_read_with_depth(capsys, tmp_path):
     """Two thirds of the depth are missing, half of them for each of two reasons."""
     depth_m = np.full((60, 90), np.nan)
     depth_m[:, :30] = 0.8 + 1e-3 * np.random.default_rng(0).random((60, 30))
@@ -130,7 +130,7 @@ def test_maps_of_reasons_belong_to_depth(capsys, tmp_path):
     assert set(shares) == {"saturated", "shadow"} and len(set(shares.values())) == 1
 
 
-def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
+def test_the_options_of_a_rescan_reach_it(capsys, tmp_path, monkeypatch):
     record = {}
 
     def opened(path, options):
@@ -177,14 +177,14 @@ def test_what_is_given_to_a_rescan_reaches_it(capsys, tmp_path, monkeypatch):
         ({"pose": "truth"}, {"pose": "truth"}),
     ],
 )
-def test_what_a_robot_knows_is_said_by_options_too(tmp_path, words, picking):
+def test_the_knowledge_of_a_robot_can_be_set_by_options(tmp_path, words, picking):
     path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
     options = Namespace(**{"detector": None, "pose": None, "depth": None, "config": path} | words)
     config = robot_commands._with_options(load_pick_config(path), options)
     assert config.picking.model_dump(mode="json").items() >= picking.items()
 
 
-def test_options_that_no_robot_has_are_refused_in_a_line(tmp_path, capsys):
+def test_options_that_no_robot_has_are_refused_in_one_line(tmp_path, capsys):
     path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
     options = Namespace(detector="none", pose=None, depth=None, config=path)
     with pytest.raises(GraycastError) as caught:
@@ -212,7 +212,7 @@ def stopped(capsys, *arguments):
 def test_a_preview_that_is_stopped_while_changes_are_tried_is_not_written(
     capsys, monkeypatch, tmp_path
 ):
-    """Trying what gives more depth takes longer than drawing, which once came first."""
+    """Trying changes takes longer than drawing, which used to come first."""
     manifest = {"part_reasons": {}, "reasons": {}}
     sample = SimpleNamespace(scene=None, layout=None, manifest=manifest)
     shot = SimpleNamespace(sample=sample)
@@ -232,15 +232,15 @@ def test_a_preview_that_is_stopped_while_changes_are_tried_is_not_written(
     assert not out.exists()
 
 
-def test_a_page_of_a_rescan_that_is_stopped_leaves_nothing(capsys, monkeypatch, tmp_path):
-    """It is written at once; once it said that the finished scenes were kept."""
+def test_a_stopped_page_of_a_rescan_leaves_no_file(capsys, monkeypatch, tmp_path):
+    """It is written in one piece; the message used to say that the finished scenes were kept."""
     monkeypatch.setattr("graycast.dataset.rescanned.is_rescanned", lambda _: True)
     monkeypatch.setattr("graycast.show.report.rescan_page.write_rescan_page", stop)
     page = tmp_path / "page"
     assert stopped(capsys, "report", tmp_path, "--out", page) == "nothing was written"
 
 
-def test_statistics_that_are_stopped_before_the_card_are_written(capsys, monkeypatch, tmp_path):
+def test_statistics_are_written_even_if_the_card_is_stopped(capsys, monkeypatch, tmp_path):
     for place, value in {
         "dataset.stats.dataset_statistics": lambda *_, **__: None,
         "dataset.stats.statistics_table": lambda _: "",
@@ -256,7 +256,7 @@ def test_statistics_that_are_stopped_before_the_card_are_written(capsys, monkeyp
 
 @pytest.fixture(params=["robot pick", "rig design", "dataset grasps"])
 def failing(request, monkeypatch, tmp_path):
-    """The words of a command whose task 3 fails twice, the second time for good."""
+    """Return the output of a command whose task 3 fails twice, the second time for good."""
 
     def failed(final):
         return Failed(scene_id=3, error=OSError("no memory"), final=final)
@@ -295,10 +295,10 @@ def failing(request, monkeypatch, tmp_path):
     return [str(word) for word in (*request.param.split(), *first)]
 
 
-def test_a_try_that_fails_says_whether_another_follows_and_what_is_missing_in_the_end(
+def test_a_failed_try_says_whether_another_follows_and_the_end_lists_what_is_missing(
     failing, capsys, tmp_path
 ):
-    """A first try that fails was once a "failed" bin, which the same run then emptied."""
+    """A failed first try used to be printed as a "failed" bin, which the same run then emptied."""
     out = [] if "grasps" in failing else ["--out", str(tmp_path / "out")]
     assert main([*failing, *out]) == 1
     printed = capsys.readouterr().out
@@ -308,7 +308,7 @@ def test_a_try_that_fails_says_whether_another_follows_and_what_is_missing_in_th
 
 
 @pytest.mark.slow
-def test_others_depth_is_scanned_again_and_shown(capsys, tmp_path):
+def test_a_foreign_dataset_is_rescanned_and_shown(capsys, tmp_path):
     split = write_others(tmp_path / "lm", images=(0, 4), rgb=np.full((48, 64, 3), 150, np.uint8))
     out = tmp_path / "out"
     words = "--rig paper --resolution small --images 1 --copy --seed 3 --device cpu".split()
@@ -327,7 +327,7 @@ def test_others_depth_is_scanned_again_and_shown(capsys, tmp_path):
     assert (tmp_path / "page").is_dir()
 
 
-def test_a_page_of_a_dataset_and_what_it_is_not_for(copied, capsys, tmp_path):
+def test_report_writes_a_page_and_refuses_options_that_do_not_apply(copied, capsys, tmp_path):
     words = ["--out", tmp_path / "page", "--workers", 1, "--width", 64]
     assert "4 scenes made, 0 were there; open " in run(capsys, "report", copied, *words)
     assert "0 scenes made, 4 were there; open " in run(capsys, "report", copied, *words)
@@ -338,7 +338,7 @@ def test_a_page_of_a_dataset_and_what_it_is_not_for(copied, capsys, tmp_path):
 
 @pytest.mark.slow
 def test_two_sets_are_compared_by_a_classifier(copied, capsys, tmp_path):
-    """A set and the same set again: nothing tells them apart, and files are those of the page."""
+    """For a set and itself, the classifier finds no difference, and the files are the page's."""
     other = shutil.copytree(copied, tmp_path / "other")
     words = ["--classifier", "--max-maps", 2, "--seed", 1, "--out", tmp_path / "compared"]
     printed = run(capsys, "real", "compare", copied, other, *words)
@@ -350,14 +350,14 @@ def test_two_sets_are_compared_by_a_classifier(copied, capsys, tmp_path):
 @pytest.mark.parametrize(
     "words", ["preview cell.yaml", "parts", "rig show paper", "robot summary picks"]
 )
-def test_a_picture_that_would_be_no_png_is_refused(capsys, words):
+def test_a_picture_with_another_suffix_than_png_is_refused(capsys, words):
     with pytest.raises(SystemExit):
         main([*words.split(), "--out", "picture.jpg"])
     assert "'picture.jpg' is not the name of a PNG file: end it with" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_the_parts_of_a_cell_are_drawn(capsys, tmp_path):
+def test_preview_draws_the_parts_of_a_cell(capsys, tmp_path):
     path = write_cell(tmp_path)
     printed = run(capsys, "parts", path, "--out", tmp_path / "parts.png", "--device", "cpu")
     assert "box" in printed and "hulls" in printed
@@ -366,7 +366,7 @@ def test_the_parts_of_a_cell_are_drawn(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_given_to_a_training_reaches_it(capsys, monkeypatch, tmp_path):
+def test_the_options_of_a_training_reach_it(capsys, monkeypatch, tmp_path):
     pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     from graycast.learn import detect
     from graycast.learn.detect import Augmentation, TrainSpec
@@ -396,7 +396,7 @@ def test_what_is_given_to_a_training_reaches_it(capsys, monkeypatch, tmp_path):
     )  # fmt: skip
 
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.slow
 def test_a_detector_is_trained_used_scored_and_exported(copied, capsys, tmp_path):

@@ -1,4 +1,4 @@
-"""What the doctor says agrees with what other programs say of the same machine."""
+"""The findings of the doctor agree with those of other programs on this machine."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from graycast.cli.doctor import Finding, describe, examine
 from graycast.rendering.device import CudaState
 from graycast.rendering.trial import Trial
 
-# The picture that it renders in a child takes seconds: test_device.py has that one.
+# The picture that it renders in a child takes seconds and is tested in test_device.py.
 PROGRAM = """
 import json, sys
 from graycast.cli import doctor
@@ -36,12 +36,12 @@ def examined():
 
 @pytest.fixture
 def no_trial(monkeypatch):
-    """A picture rendered in a child process takes seconds."""
+    """Skip the picture in a child process, which takes seconds."""
     trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
     monkeypatch.setattr(doctor, "try_device", lambda device: trial)
 
 
-def test_versions_are_those_that_the_modules_state_yet_none_is_loaded_for_it(examined):
+def test_versions_agree_with_the_modules_and_none_is_loaded_for_them(examined):
     report, stated, heavy, llvm = examined
     assert {name: report[name] for name in stated} == stated
     assert heavy == []
@@ -55,7 +55,7 @@ def test_memory_and_cores_agree_with_the_system(examined):
     assert report["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
 
 
-def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch, no_trial):
+def test_a_missing_package_is_reported_with_its_remedy_and_use(monkeypatch, no_trial):
     monkeypatch.setattr(doctor, "_PACKAGES", {"no-such-package-here": "flying"})
     text = describe(examine())
     assert "MISSING no-such-package-here" in text
@@ -64,14 +64,14 @@ def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch
     assert text.endswith("This machine is not ready: install what is marked MISSING above.")
 
 
-def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch, no_trial):
+def test_a_bad_library_named_by_the_user_is_a_finding_and_no_error(monkeypatch, no_trial):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
     findings = {finding.name: finding for finding in examine()}
     assert not findings["LLVM used"].ok
     assert "/gone/libLLVM-19.so, which is not a file" in findings["LLVM used"].text
 
 
-def test_what_is_not_needed_does_not_make_the_program_unready():
+def test_missing_optional_packages_do_not_make_the_program_unready():
     gpu = Finding(name="GPU", text="none", ok=False, gives="speed")
     numpy = Finding(name="numpy", text="2.0", ok=True, gives="arrays", needed=True)
     assert describe((gpu, numpy)).splitlines() == [
@@ -90,7 +90,7 @@ def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
     assert findings["OptiX"].ok
 
 
-def test_an_unwritable_cache_is_no_need_and_is_named_with_its_variable(monkeypatch, tmp_path):
+def test_an_unwritable_cache_is_reported_with_its_variable_and_is_no_error(monkeypatch, tmp_path):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     good = doctor._cache()

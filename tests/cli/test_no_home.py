@@ -1,4 +1,4 @@
-"""A user without a home: a container's, a cluster's. Caches help, and no command needs one."""
+"""A user without a home, as in a container or on a cluster: no command needs a cache."""
 
 import os
 import shutil
@@ -49,7 +49,7 @@ def test_one_note_says_that_compiled_code_is_not_kept_and_how_to_keep_it(
 @pytest.mark.slow
 @pytest.mark.parametrize("other_user", [False, True])
 def test_a_command_runs_without_a_home(other_user):
-    """Nobody can make a folder in /proc, so this is also tested where tests run as root."""
+    """No user can make a folder in /proc, so this also works for root."""
     command = [sys.executable, "-c", PROGRAM]
     if other_user:
         if os.geteuid() != 0 or shutil.which("setpriv") is None:
@@ -70,13 +70,13 @@ def _source() -> Path:
 
 @pytest.mark.slow
 def test_a_scene_is_made_without_a_home(tmp_path):
-    """The hulls, the trial of the device, Dr.Jit and Matplotlib: each has a cache in the home."""
+    """Hulls, the trial of the device, Dr.Jit and Matplotlib each have a cache in the home."""
     from small_cell import write_cell
 
     path = write_cell(tmp_path, scenes=1, count=1)
     command = [sys.executable, "-m", "graycast", "generate", path, "--out", tmp_path / "out"]
     env = {"PATH": "/usr/bin:/bin", "HOME": "/proc/nohome", "PYTHONPATH": str(_source())}
-    env["NUMBA_CACHE_DIR"] = str(kernels.kernel_folder())  # Compiling takes minutes.
+    env["NUMBA_CACHE_DIR"] = str(kernels.kernel_folder())  # compiling takes minutes
     run = subprocess.run(command, env=env, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     depth = list((tmp_path / "out").rglob("scene_camera.json"))

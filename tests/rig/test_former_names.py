@@ -1,4 +1,4 @@
-"""Former names of scanners are understood, with one note, and are the same scanners."""
+"""Former names of scanners still work, with one note, and mean the same scanners."""
 
 import json
 import logging
@@ -32,7 +32,7 @@ def _first_use():
 
 @pytest.fixture
 def lines():
-    """What the package writes to the log; pytest's own plugin for it is switched off."""
+    """Collect the package's log lines; pytest's own log plugin is switched off."""
     written = []
     handler = logging.Handler()
     handler.emit = lambda record: written.append(record.getMessage())
@@ -42,7 +42,7 @@ def lines():
 
 
 @pytest.mark.parametrize("former", FORMER)
-def test_a_former_name_is_the_same_scanner(former, tmp_path):
+def test_a_former_name_gives_the_same_scanner(former, tmp_path):
     now = f"like-{former}"
     assert former not in PRESETS and now in PRESETS
     assert scanner_text(preset(former, "small")) == scanner_text(preset(now, "small"))
@@ -60,8 +60,8 @@ def test_the_log_has_one_line_for_each_former_name(lines):
     ]
 
 
-def test_no_current_name_writes_to_the_log(lines):
-    """The paper's rig is built from another one."""
+def test_no_current_name_causes_a_log_line(lines):
+    """The paper's rig is derived from another one."""
     for name in PRESETS:
         preset(name, "small")
     assert lines == []
@@ -77,7 +77,7 @@ def test_files_with_a_former_name_are_read_under_the_current_one(tmp_path):
 
 
 def test_a_rig_file_keeps_the_name_that_its_owner_wrote(tmp_path):
-    """A name in a rig file is the owner's, who may have another device under it."""
+    """A name in a rig file is its owner's, who may use it for another device."""
     path = tmp_path / "own.yaml"
     path.write_text(scanner_text(preset("phoxi-m")).replace("like-phoxi-m", "phoxi-m"))
     assert load_scanner(path).rig.name == "phoxi-m"
@@ -105,7 +105,7 @@ def claim_of(name, *, seed=3, **changes):
     return make_claim({"rig": name} | changes, seed, (), rig, 0.1)
 
 
-def test_a_claim_under_a_former_name_is_the_same_claim(tmp_path):
+def test_a_dataset_s_claim_with_a_former_name_is_the_same_claim(tmp_path):
     path = tmp_path / "graycast.json"
     path.write_text(json.dumps(claim_of("phoxi-s")))
     refuse_other(path, claim_of("like-phoxi-s"))
@@ -118,14 +118,14 @@ def test_a_claim_under_a_former_name_is_the_same_claim(tmp_path):
             refuse_other(path, other)
 
 
-def test_a_claim_that_was_changed_by_hand_is_still_refused(tmp_path):
+def test_a_claim_that_was_edited_by_hand_is_still_refused(tmp_path):
     path = tmp_path / "graycast.json"
     path.write_text(json.dumps(claim_of("phoxi-s", seed=4) | {"seed": 3}))
     with pytest.raises(DatasetError, match="of another configuration"):
         refuse_other(path, claim_of("like-phoxi-s"))
 
 
-def test_a_scene_differs_in_nothing_but_a_former_name(tmp_path):
+def test_a_scene_differs_only_in_the_former_name(tmp_path):
     manifest = {"config": {"rig": "phoxi-s", "count": 3}}
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "rig.yaml").write_bytes(b"name: phoxi-s\nfx: 1\n")
@@ -138,7 +138,7 @@ def test_a_scene_differs_in_nothing_but_a_former_name(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dataset_that_was_made_under_a_former_name_goes_on(tmp_path):
+def test_a_dataset_begun_under_a_former_name_can_be_continued(tmp_path):
     path = write_cell(tmp_path, rig="like-phoxi-s", resolution="small")
     out = tmp_path / "out"
     generate(load_cell(path), out, scenes=1, seed=5, device="cpu")

@@ -18,7 +18,7 @@ from graycast.rig.optics import (
     undistort,
 )
 
-# Coefficients of a real camera (wide angle, barrel) and of a real projector with a strong k3.
+# Coefficients of a real camera (wide angle, barrel) and of a real projector with a large k3.
 CAMERA = Optics(
     width_px=2592, height_px=1944, fx_px=2821.4, fy_px=2818.9, cx_px=1506.8, cy_px=1092.3,
     distortion=(-0.2314, 0.1473, -0.00088, 0.00128, -0.0321),
@@ -38,7 +38,7 @@ def pixels_all_over(optics, n=25):
 
 
 def points_in_view(optics, seed=0):
-    """Ideal points drawn straight from the undistorted field, at random depths."""
+    """Return ideal points drawn uniformly from the undistorted field, at random depths."""
     rng = np.random.default_rng(seed)
     reach = np.array([optics.width_px / optics.fx_px, optics.height_px / optics.fy_px]) / 2
     z = rng.uniform(0.2, 3.0, size=(200, 1))
@@ -56,7 +56,7 @@ def test_projection_agrees_with_opencv(optics):
 
 @ALL
 def test_rays_agree_with_opencv(optics):
-    """OpenCV's fixed-point iteration is given enough rounds to converge to 1e-12."""
+    """OpenCV's fixed-point iteration has enough rounds to converge to 1e-12."""
     pixel = pixels_all_over(optics)
     ideal = cv2.undistortPoints(
         pixel.reshape(-1, 1, 2), optics.K, np.array(optics.distortion), None, None, None,
@@ -68,18 +68,18 @@ def test_rays_agree_with_opencv(optics):
 
 
 @ALL
-def test_every_pixel_survives_the_round_trip(optics):
+def test_every_pixel_is_projected_back_to_itself(optics):
     pixel = pixels_all_over(optics)
     distance = np.random.default_rng(1).uniform(0.1, 5, size=(*pixel.shape[:2], 1))
     assert np.abs(project(optics, rays(optics, pixel) * distance) - pixel).max() < 1e-6
 
 
-def test_a_known_point_lands_on_its_pixel():
+def test_a_known_point_is_projected_to_its_pixel():
     """By hand: 800 * 0.1 / 2 + 319.5 and 600 * (-0.2) / 2 + 200."""
     assert project(PLAIN, np.array([0.1, -0.2, 2.0])).tolist() == [359.5, 140.0]
 
 
-def test_each_coefficient_does_what_browns_model_says():
+def test_each_coefficient_has_the_effect_of_brown_s_model():
     """By hand at (x, y) = (0.2, 0.1), r2 = 0.05."""
     point, unit = np.array([0.2, 0.1]), np.eye(5)
     moved = [distort(point, tuple(row)) - point for row in unit]
@@ -93,20 +93,20 @@ def test_each_coefficient_does_what_browns_model_says():
     assert np.allclose(moved, expected, rtol=0, atol=1e-16)
 
 
-def test_what_is_behind_the_lens_has_no_pixel():
+def test_a_point_behind_the_lens_has_no_pixel():
     assert np.isnan(project(PLAIN, np.array([[0.0, 0, -1], [0, 0, 0]]))).all()
 
 
 def test_a_point_far_outside_the_field_is_not_folded_back_into_the_image():
-    """Symptom: r2 = 0.59 makes the radial factor about 0, i.e. the middle of the projector."""
+    """Symptom: r2 = 0.59 makes the radial factor about 0, which is the middle of the projector."""
     point = np.array([math.sqrt(0.59), 0.0, 1.0])
     folded = distort(point[:2], PROJECTOR.distortion) * PROJECTOR.fx_px
-    assert np.abs(folded).max() < 200  # the bare polynomial calls it central
+    assert np.abs(folded).max() < 200  # the polynomial alone moves it to the centre
     assert np.isnan(project(PROJECTOR, point)).all()
 
 
 @pytest.mark.parametrize("optics", [CAMERA, PROJECTOR], ids=["camera", "beam"])
-def test_the_fold_lies_where_the_distorted_radius_stops_growing(optics):
+def test_the_fold_is_where_the_distorted_radius_stops_growing(optics):
     """Oracle: the first maximum of r * radial(r^2) on a fine grid."""
     k1, k2, _, _, k3 = optics.distortion
     r = np.linspace(0, 3, 300_001)
@@ -115,7 +115,7 @@ def test_the_fold_lies_where_the_distorted_radius_stops_growing(optics):
     assert math.sqrt(fold_radius2(optics.distortion)) == pytest.approx(r[first], abs=2e-5)
 
 
-def test_distortion_that_only_stretches_never_folds():
+def test_distortion_that_only_stretches_has_no_fold():
     assert fold_radius2((0.1, 0.2, 0.0, 0.0, 0.0)) == math.inf
     assert fold_radius2((0.0, 0.0, 0.01, 0.01, 0.0)) == math.inf
     assert fold_radius2((-1 / 3, 0.0, 0.0, 0.0, 0.0)) == pytest.approx(1.0)
@@ -129,15 +129,15 @@ def test_distortion_that_folds_over_inside_the_image_is_refused(distortion):
         undistort(np.array([[0.5, 0.5], [0.0, 0.0]]), distortion)
 
 
-def test_the_field_of_view_counts_from_border_to_border():
-    """A 90 degree lens: half the width equals the focal length."""
+def test_the_field_of_view_is_measured_from_border_to_border():
+    """In a 90 degree lens, half the width equals the focal length."""
     optics = Optics(width_px=200, height_px=100, fx_px=100.0, fy_px=50.0, cx_px=99.5, cy_px=49.5)
     assert np.degrees(optics.field_of_view_rad) == pytest.approx([90, 90])
 
 
 @pytest.mark.parametrize("z_m", [0.3, 0.8, 5.0])
-def test_the_blur_of_a_point_is_where_the_rays_from_the_pupils_rim_cross_the_plane_in_focus(z_m):
-    """Traced as lines through (+-A / 2, 0) and the point; a pixel is focus / fx wide there."""
+def test_the_blur_of_a_point_is_where_rays_from_the_pupil_s_rim_cross_the_focal_plane(z_m):
+    """The rays are lines through (+-A / 2, 0) and the point; a pixel is focus / fx wide there."""
     aperture_m, focus_m = 0.02, 0.5
     lens = replace(PLAIN, aperture_m=aperture_m, focus_m=focus_m)
     rim = np.array([-aperture_m / 2, aperture_m / 2])
@@ -146,14 +146,14 @@ def test_the_blur_of_a_point_is_where_the_rays_from_the_pupils_rim_cross_the_pla
     assert blur_radius_px(lens, np.array([z_m]))[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_blurs_add_as_their_squares_do():
+def test_blurs_add_by_their_squares():
     """3, 4, 5: defocus of 0.02 / 2 (1 / 0.5 - 1 / z) 800 px is 2 px at z = 0.5 / (1 - 0.125) m."""
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.5)
     assert PLAIN.fx_px == 800.0
     assert blur_radius_px(lens, np.array([0.5 / 0.875]))[0] == pytest.approx(2.5, rel=1e-12)
 
 
-def test_only_the_constant_blur_is_left_in_focus_and_in_a_pinhole():
+def test_a_lens_in_focus_and_a_pinhole_have_only_the_constant_blur():
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.2)
     assert blur_radius_px(lens, np.array([0.5]))[0] == pytest.approx(1.2)
     assert blur_radius_px(replace(lens, aperture_m=0.0), np.array([0.1, 9.0])) == pytest.approx(1.2)
@@ -163,7 +163,7 @@ def test_only_the_constant_blur_is_left_in_focus_and_in_a_pinhole():
 
 
 def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
-    """45 degrees off the axis a quarter is left, on it all."""
+    """At 45 degrees to the axis a quarter of the light is left; on the axis, all of it."""
     lens = Optics(width_px=101, height_px=1, fx_px=100.0, fy_px=100.0, cx_px=0.0, cy_px=0.0)
     assert (relative_illumination(lens) == 1).all()
     light = relative_illumination(replace(lens, natural_vignetting=True))

@@ -1,4 +1,4 @@
-"""Rig presets, depth per column, and how a rig hangs over its target."""
+"""Rig presets, depth per column, and the placement of a rig above its target."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ from graycast.rig.pair import (
     standoff_m,
 )
 
-# baseline [m], toe-in of either axis [deg], range [m], and the camera's focal length at 2064 px.
+# baseline [m], toe-in of both axes [deg], range [m], and the camera's focal length at 2064 px
 PHOXI = {
     "like-phoxi-s": (0.230, 15.45, 0.384, 0.520, 2246.0),
     "like-phoxi-m": (0.350, 11.75, 0.458, 1.118, 2269.0),
@@ -32,7 +32,7 @@ EVERY = pytest.mark.parametrize("name", PHOXI)
 
 
 def parallel_rig(along, fx_px=900.0, baseline_m=0.2):
-    """Projector beside (or below) the camera, axes parallel; the projector's field covers much."""
+    """Return a projector beside (or below) the camera with parallel axes and a wide field."""
     optics = {"width_px": 801, "height_px": 601, "cx_px": 400.0, "cy_px": 300.0}
     T_cam_proj = np.eye(4)
     T_cam_proj["xy".index(along), 3] = baseline_m
@@ -47,7 +47,7 @@ def parallel_rig(along, fx_px=900.0, baseline_m=0.2):
 
 
 @EVERY
-def test_presets_have_the_figures_of_their_family(name):
+def test_presets_have_the_values_of_their_family(name):
     baseline_m, toe_in_deg, near_m, far_m, fx_px = PHOXI[name]
     low, full = preset_rig(name), preset_rig(name, "full")
     assert low.baseline_m == pytest.approx(baseline_m)
@@ -63,7 +63,7 @@ def test_presets_have_the_figures_of_their_family(name):
 @EVERY
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_a_preset_s_optical_axes_pass_through_the_middle_of_their_pictures(name, resolution):
-    """The outer corners of opposite corner pixels are seen at opposite slopes."""
+    """The outer corners of opposite corner pixels have opposite slopes."""
     rig = preset_rig(name, resolution)
     for lens in (rig.camera, rig.projector):
         corner = np.array([[-0.5, -0.5], [lens.width_px - 0.5, lens.height_px - 0.5]])
@@ -86,14 +86,14 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
     )
 
 
-def test_the_best_depth_stays_in_the_working_range_where_the_axes_cross_beyond_it():
+def test_the_best_depth_is_inside_the_working_range_even_if_the_axes_cross_beyond_it():
     """The axes of this rig cross at 0.859 m."""
     rig = preset_rig("like-phoxi-m")
     assert best_depth_m(replace(rig, far_m=0.7)) == 0.7
     assert best_depth_m(replace(rig, near_m=1.0)) == 1.0
 
 
-def test_axes_that_never_meet_are_best_in_the_middle_of_the_range():
+def test_the_best_depth_of_parallel_axes_is_the_middle_of_the_range():
     assert best_depth_m(parallel_rig("x")) == pytest.approx(1.3)
 
 
@@ -105,10 +105,10 @@ def test_depth_per_column_of_a_parallel_rig_follows_similar_triangles(z_m):
     )
 
 
-def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_column():
-    """Where the axes meet, a projector ray turns by 1 / f per column and cuts the camera's axis.
+def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_rotated_by_one_column():
+    """Where the axes meet, a projector ray rotates by 1 / f per column and cuts the camera's axis.
 
-    Both devices are equally far from there, so the cut moves by distance / f / sin(angle).
+    Both devices are equally far from this point, so the cut moves by distance / f / sin(angle).
     """
     rig = preset_rig("like-phoxi-m")
     z_m = best_depth_m(rig)
@@ -123,7 +123,7 @@ def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
     assert not math.isnan(depth_per_line_m(rig, 0.450, "column"))
 
 
-def test_columns_along_the_baseline_tell_nothing_about_depth():
+def test_columns_along_the_baseline_give_no_depth():
     assert depth_per_line_m(parallel_rig("y"), 1.0, "column") == math.inf
     assert depth_per_line_m(parallel_rig("x"), 1.0, "row") == math.inf
 
@@ -138,7 +138,7 @@ def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
 @EVERY
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.4, -2.0])
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.3])
-def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, tilt_rad):
+def test_a_placed_rig_is_level_and_looks_at_its_target(name, azimuth_rad, tilt_rad):
     rig, target, distance_m = preset_rig(name), np.array([0.05, -0.1, 0.02]), 0.9
     T_world_cam = place(
         rig, target_m=target, distance_m=distance_m, tilt_rad=tilt_rad, azimuth_rad=azimuth_rad
@@ -154,13 +154,13 @@ def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, til
     along = (projector - camera) / rig.baseline_m
     level = [math.cos(azimuth_rad), math.sin(azimuth_rad), 0]
     assert np.allclose(along, level, rtol=0, atol=1e-12)
-    stands = [math.sin(azimuth_rad), -math.cos(azimuth_rad)]  # -y, turned with the azimuth
+    stands = [math.sin(azimuth_rad), -math.cos(azimuth_rad)]  # -y, rotated by the azimuth
     offset = distance_m * math.sin(tilt_rad)
     assert np.allclose(middle[:2] - target[:2], np.multiply(stands, offset), rtol=0, atol=1e-12)
 
 
 def test_the_image_of_a_tilted_rig_has_y_down():
-    """A rig that stands towards -y and looks north: what is higher is higher in the picture."""
+    """The rig is at -y and looks to +y: higher points are higher in the picture."""
     rig = preset_rig("like-phoxi-m")
     T_world_cam = place(rig, target_m=np.zeros(3), distance_m=0.9, tilt_rad=0.5, azimuth_rad=0.0)
     above = transform_points(inverse(T_world_cam), np.array([[0.0, 0, 0], [0, 0, 0.1]]))
@@ -192,7 +192,7 @@ def test_a_baseline_in_millimetres_is_noticed():
         parallel_rig("x", baseline_m=230.0)
 
 
-def test_an_unknown_preset_lists_those_there_are():
+def test_the_error_for_an_unknown_preset_lists_the_presets():
     with pytest.raises(ValueError, match="paper, like-phoxi-s, like-phoxi-m, like-phoxi-l"):
         preset_rig("phoxi-z")
     with pytest.raises(ValueError, match="small, low, full"):
@@ -214,8 +214,8 @@ def test_the_response_is_linear_between_its_equally_spaced_values():
 
 
 @pytest.mark.parametrize("response", [(0.0, 1.0), (0.0, 0.1, 0.4, 1.0), (0.0, 0.9, 1.0)])
-def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
-    """Oracle: all levels tried."""
+def test_the_grey_level_for_a_share_of_light_is_the_nearest_one(response):
+    """Oracle: a search over all levels."""
     rig = replace(parallel_rig("x"), response=response)
     assert (grey_levels(rig, emission(rig, LEVELS)) == LEVELS).all()
     share = np.random.default_rng(0).uniform(0, 1, (40, 50))
@@ -253,7 +253,7 @@ def test_impossible_light_is_refused(change, message):
 
 
 def test_a_rig_of_another_baseline_looks_at_the_target():
-    """Oracle: both axes, as lines, pass through the point before the middle of the baseline."""
+    """Oracle: both axes, as lines, pass through the point in front of the baseline's middle."""
     rig = aimed(preset_rig("like-phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
     assert rig.baseline_m == pytest.approx(0.3)
     assert rig.axes_angle_rad == pytest.approx(2 * np.arctan(0.15 / 1.2))
@@ -265,7 +265,7 @@ def test_a_rig_of_another_baseline_looks_at_the_target():
 
 
 @pytest.mark.parametrize("name", ["like-phoxi-s", "like-phoxi-m", "like-phoxi-l"])
-def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
+def test_a_rig_with_its_own_baseline_and_distance_is_unchanged(name):
     rig = preset_rig(name, "small")
     same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
     np.testing.assert_allclose(same.T_cam_proj, rig.T_cam_proj, atol=1e-9)
@@ -274,7 +274,7 @@ def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
 def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
     """Symptom: half of the bin dark. Its optical axis goes through the lowest row of its picture.
 
-    Oracle: what both devices look at lies in the middle of both pictures.
+    Oracle: the target is in the middle of both pictures.
     """
     plain = parallel_rig("x")
     shifted = replace(plain, projector=replace(plain.projector, cy_px=600.0))
@@ -289,8 +289,8 @@ def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
     assert np.linalg.norm(middle - target) == pytest.approx(0.9)
 
 
-def test_the_roll_of_a_devices_picture_stays():
-    """A projector that is rolled about its own axis is so after turning, too."""
+def test_the_roll_of_a_device_is_kept_when_it_is_aimed():
+    """A projector that is rolled about its own axis keeps this roll."""
     rig = preset_rig("like-phoxi-m", "small")
     roll = rigid(axis_rotation("z", 0.3), np.zeros(3))
     rolled = replace(rig, T_cam_proj=rig.T_cam_proj @ roll)

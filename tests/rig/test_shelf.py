@@ -1,4 +1,4 @@
-"""The shelf: each scanner has its maker's geometry, and each number a source."""
+"""The shelf: each scanner has its maker's geometry, and each number has a source."""
 
 import math
 import re
@@ -24,13 +24,13 @@ from graycast.rig.shelf import (
 from graycast.rig.shelf.entry import DeviceSection
 
 EVERY = pytest.mark.parametrize("name", SHELF)
-# By their makers' angles the axes of these cross beyond the range, at 278 mm and at 1.3 m.
+# By their makers' angles, the axes of these cross beyond the range, at 278 mm and at 1.3 m.
 CROSS_BEYOND = {
     "like-phoxi-xs": 0.085 / math.tan(math.radians(17)),
     "like-zivid-2plus-m60": 0.0079 + 0.1112 / math.tan(0.085),
     "like-zivid-2plus-mr60": 0.0079 + 0.1112 / math.tan(0.085),
 }
-# By so much the common field differs from what is quoted, in width and in height.
+# relative differences of the common field from the quoted one, in width and in height
 OTHER_FIELD = {"like-phoxi-xs": (-0.13, -0.01), "like-phoxi-s": (0.047, 0.12)}
 SOURCE = re.compile(r"  # (source: \S|quoted: \S|our choice|from memory of \S)")
 
@@ -48,7 +48,7 @@ def test_there_is_a_file_for_each_name_and_no_other():
 
 @EVERY
 def test_every_number_has_a_class_and_its_source(name):
-    """Oracle: the lines of the file that look like numbers, without a reader of YAML."""
+    """Oracle: the lines of the file that look like numbers, without a parser of YAML."""
     stated = [line for line in lines_of(name) if re.match(r"^\s*(- )?\w+: *(\[|-?\d)", line)]
     light = [line for line in lines_of(name) if line.startswith("light:")]
     numbers = stated_numbers(name)
@@ -64,7 +64,7 @@ def test_every_number_has_a_class_and_its_source(name):
 
 
 @EVERY
-def test_a_source_by_a_short_name_is_explained_at_the_head_of_its_file(name):
+def test_each_abbreviated_source_is_explained_at_the_head_of_its_file(name):
     head = " ".join(line for line in lines_of(name) if line.startswith("#")).lower()
     names = {
         word
@@ -89,7 +89,7 @@ def test_the_page_says_how_many_numbers_are_from_memory():
     assert f" {count} numbers are still from memory" in page.read_text().replace("\n", " ")
 
 
-def test_the_class_of_several_numbers_is_the_weakest():
+def test_the_class_of_several_numbers_is_the_weakest_one():
     assert class_of("like-mech-eye-pro-s", "camera.size_px") == "quoted"
     assert class_of("like-mech-eye-pro-s", "camera.size_px", "claims.capture_s") == "memory"
     assert class_of("like-phoxi-l", "near_m", "far_m", "f_number") == "choice"
@@ -97,7 +97,7 @@ def test_the_class_of_several_numbers_is_the_weakest():
 
 
 def common_box_m(rig, z_m):
-    """Sides of the box around the points at a depth that both devices have in their pictures.
+    """Return the sides of the box around the points at a depth that both devices see.
 
     Oracle: a fine grid of points, projected into both; `show.report` cuts outlines instead.
     """
@@ -111,11 +111,11 @@ def common_box_m(rig, z_m):
 
 
 @EVERY
-def test_the_common_field_is_what_the_maker_states(name):
+def test_the_common_field_agrees_with_the_maker_s_value(name):
     """Within 10 %: makers say neither where they measure the field nor whether it is a rectangle.
 
-    The focal lengths are of other sources than the fields, but for the Mech-Eye family, whose focal
-    lengths were chosen for them. The sources of the XS and of the S contradict each other.
+    The focal lengths have other sources than the fields, except in the Mech-Eye family, whose focal
+    lengths were fitted to them. The sources of the XS and of the S contradict each other.
     """
     rig = preset_rig(name, "full")
     for claim in shelf_entry(name).claims.fields:
@@ -128,8 +128,8 @@ def test_the_common_field_is_what_the_maker_states(name):
 
 
 @EVERY
-def test_neighbouring_points_are_as_far_apart_as_the_maker_states(name):
-    """Similar triangles; the makers round to 0.01 mm."""
+def test_the_distance_of_neighbouring_points_agrees_with_the_maker_s_value(name):
+    """Oracle: similar triangles; the makers round to 0.01 mm."""
     claim = shelf_entry(name).claims.spacing
     if claim is not None:
         spacing_m = claim.at_m / preset_rig(name, "full").camera.fx_px
@@ -138,7 +138,7 @@ def test_neighbouring_points_are_as_far_apart_as_the_maker_states(name):
 
 @EVERY
 def test_the_middle_rays_meet_inside_the_range(name):
-    """Or where the maker's angles say, by a triangle."""
+    """For two scanners, they meet where the makers' angles make a triangle."""
     rig = preset_rig(name, "full")
     middle = [np.array([[(o.width_px - 1) / 2, (o.height_px - 1) / 2]]) for o in
               (rig.camera, rig.projector)]  # fmt: skip
@@ -159,8 +159,8 @@ def test_the_middle_rays_meet_inside_the_range(name):
 
 @EVERY
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_binning_leaves_what_the_camera_sees(name, resolution):
-    """The outer borders of the corner pixels keep their rays; no pixel is left over."""
+def test_binning_does_not_change_the_field_of_the_camera(name, resolution):
+    """The outer borders of the corner pixels keep their rays, and no pixel is left over."""
     full, binned = preset_rig(name, "full").camera, preset_rig(name, resolution).camera
     assert full.width_px % binned.width_px == full.height_px % binned.height_px == 0
     for x, y in ((0, 0), (1, 1)):
@@ -171,7 +171,7 @@ def test_binning_leaves_what_the_camera_sees(name, resolution):
         np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-def test_binning_leaves_what_a_lens_with_offset_sees():
+def test_binning_does_not_change_the_field_of_a_lens_with_offset():
     device = DeviceSection(size_px=(8, 8), fx_px=10.0, cy_px=6.0)
     ends = [
         rays(device.optics(binning), np.array([[-0.5, -0.5], [8 / binning - 0.5] * 2]))
@@ -213,7 +213,7 @@ def test_an_office_projector_s_lens_is_below_its_picture():
         ("cognex-3d-a5000", "lists what is missing"),
     ],
 )
-def test_what_is_no_coded_light_is_refused_with_the_reason(name, reason):
+def test_a_device_without_coded_light_is_refused_with_the_reason(name, reason):
     assert reason in no_rig(name)
     assert "choose one of" not in no_rig(name)
     with pytest.raises(ValueError, match=reason):
@@ -221,14 +221,14 @@ def test_what_is_no_coded_light_is_refused_with_the_reason(name, reason):
 
 
 @pytest.mark.parametrize("name", ["customized", "like-zivid-3", "oval", "structured-light"])
-def test_other_names_are_offered_those_there_are(name):
+def test_the_error_for_an_unknown_name_lists_the_scanners(name):
     assert f"no rig {name!r}: choose one of paper, like-phoxi-s" in no_rig(name)
 
 
-def test_the_measured_noise_is_of_the_size_that_makers_state():
-    """Within a factor of three: the code, the lens and the light are our choice.
+def test_the_measured_noise_is_similar_to_the_maker_s_value():
+    """The tolerance is a factor of three, because code, lens and light are our choice.
 
-    A wrong focal length, baseline or unit is further off.
+    A wrong focal length, baseline or unit would differ more.
     """
     assert set(measured().scanners) == set(SHELF)
     for name, own in measured().scanners.items():
@@ -242,7 +242,7 @@ def test_the_measured_noise_is_of_the_size_that_makers_state():
 
 @EVERY
 def test_a_projector_shines_in_the_band_of_its_wavelength(name):
-    """Symptom: the blue scanners may shine red, and brass, copper and coloured parts with them.
+    """Symptom: blue scanners emit red light, which changes brass, copper and coloured parts.
 
     The bands stand for 610, 550 and 465 nm. White is the mean of all three.
     """

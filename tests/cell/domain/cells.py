@@ -1,4 +1,4 @@
-"""A cell without files, and scenes compared value by value."""
+"""A cell without files, and a comparison of scenes value by value."""
 
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ PAINT, STEEL = Material(base_color=(0.2, 0.3, 0.4)), Material(metallic=1.0)
 
 
 def cell(materials=(PAINT, STEEL), **words):
-    """Two kinds of boxes in a bin under two lamps, seen askew by the paper's rig."""
+    """Return a cell of two kinds of boxes in a bin under two lamps, with a tilted rig."""
     rig = preset_rig("paper")
     T_world_cam = place(
         rig,
@@ -42,13 +42,13 @@ def cell(materials=(PAINT, STEEL), **words):
 
 
 def domain(scene, content, folder=Path()):
-    """The domain of what a configuration says under that key."""
+    """Return the domain of a configuration with this content under that key."""
     config = Config.model_validate({"parts": [{"builtin": "toothpaste"}], "domain": content})
     return resolve_domain(config.domain, folder, scene=scene)
 
 
 def differences(a, b, where="scene"):
-    """Where two values differ in any bit; empty if nowhere."""
+    """Return where two values differ in any bit; empty if they are equal."""
     if is_dataclass(a) and type(a) is type(b):
         pairs = [(getattr(a, f.name), getattr(b, f.name), f".{f.name}") for f in fields(a)]
     elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):

@@ -1,4 +1,4 @@
-"""What is drawn has the distributions that are stated, and each section a stream of its own."""
+"""Drawn values have the stated distributions, and each section has its own random stream."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ WIDE = {
     "parts": {"brightness": [0.2, 2.0], "tint": [0.5, 2.0], "repainted_share": 0.25},
     "distractors": {"count": [0, 4]},
 }
-P = 1e-3  # of a sound program failing one of these tests, were its seed not fixed
+P = 1e-3  # probability that a correct program fails one of these tests, if its seed were not fixed
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def is_log_uniform(values, low, high):
     return is_uniform(np.log(values), math.log(low), math.log(high))
 
 
-def test_the_rig_moves_as_stated(records):
+def test_the_pose_of_the_rig_has_the_stated_distributions(records):
     cameras = [record["camera"] for record in records]
     assert is_log_uniform([d["distance_factor"] for d in cameras], 0.8, 2.0)
     assert is_uniform(np.degrees([d["tilt_rad"] for d in cameras]), -20, 40)
@@ -67,13 +67,13 @@ def test_the_rig_moves_as_stated(records):
     assert np.abs(np.corrcoef(shift.T) - np.eye(3)).max() < 4 / math.sqrt(DRAWS)
 
 
-def test_lamps_are_as_many_as_stated_and_uniform_over_the_sky(records):
+def test_lamps_have_the_stated_number_and_are_uniform_over_the_sky(records):
     numbers = np.bincount([len(record["lamps"]) for record in records], minlength=5)
     assert stats.chisquare(numbers[2:], np.full(3, DRAWS / 3)).pvalue > P
     assert numbers[:2].sum() == 0
     lamps = [lamp for record in records for lamp in record["lamps"]]
     low, high = np.sin(np.radians([10, 70]))
-    # Equal areas of the sphere lie between equal steps of height (Archimedes).
+    # Equal areas of the sphere are between equal steps of height (Archimedes).
     assert is_uniform(np.sin([lamp["elevation_rad"] for lamp in lamps]), low, high)
     assert not is_uniform(np.degrees([lamp["elevation_rad"] for lamp in lamps]), 10, 70)
     assert is_uniform(np.degrees([lamp["azimuth_rad"] for lamp in lamps]), -180, 180)
@@ -84,7 +84,7 @@ def test_lamps_are_as_many_as_stated_and_uniform_over_the_sky(records):
     assert is_uniform([lamp["color_temperature_k"] for lamp in lamps], 2700, 6500)
 
 
-def test_light_looks_and_counts_are_as_stated(records):
+def test_light_looks_and_counts_have_the_stated_distributions(records):
     assert is_log_uniform([r["environment"]["radiance"] for r in records], 0.01, 1.0)
     assert is_uniform([r["environment"]["color_temperature_k"] for r in records], 2000, 10000)
     assert is_log_uniform([r["bin"]["size_factor"] for r in records], 0.7, 1.4)
@@ -103,7 +103,7 @@ def test_light_looks_and_counts_are_as_stated(records):
     assert stats.binomtest(repainted, len(parts), 0.25).pvalue > P
 
 
-def test_every_number_of_distractors_is_as_likely(records):
+def test_every_number_of_distractors_is_equally_likely(records):
     numbers = np.bincount([sum(record["distractors"].values()) for record in records])
     assert stats.chisquare(numbers, np.full(5, DRAWS / 5)).pvalue > P
     each = np.sum([list(record["distractors"].values()) for record in records], axis=0)
@@ -118,7 +118,7 @@ def test_distractors_leave_room_for_the_parts():
     assert sum(record["distractors"].values()) == 5
 
 
-def test_tolerances_are_uniform_either_way_and_independent():
+def test_tolerances_are_uniform_in_both_directions_and_independent():
     scene = cell()
     settings = {"kind": "adapted", "camera": {"position_m": 0.02, "rotation_deg": 3}}
     settings |= {"bin": {"position_m": 0.05, "rotation_deg": 7}}
@@ -147,7 +147,7 @@ def test_tolerances_are_uniform_either_way_and_independent():
     assert np.abs(np.corrcoef(table.T) - np.eye(22)).max() < 4.5 / math.sqrt(DRAWS)
 
 
-def test_a_change_in_one_section_leaves_what_the_others_draw():
+def test_a_change_in_one_section_does_not_change_the_values_of_others():
     scene = cell()
     own = domain(scene, WIDE)
     ours = draw(own, scene, (5, 5), np.random.default_rng(4))
@@ -159,7 +159,7 @@ def test_a_change_in_one_section_leaves_what_the_others_draw():
         assert rest == {key: value for key, value in ours.items() if key != name}
 
 
-def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
+def test_no_lamp_is_in_the_bin_or_in_the_rig_s_view():
     scene = cell()
     T, depth_m, cones = scene.T_world_cam, 0.5, views(scene)
     in_view = tuple((T[:3, 3] + depth_m * T[:3, 2]).tolist())
@@ -174,7 +174,7 @@ def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
         ((1.0, 0.0, 0.5), False),
     ):
         assert in_the_way(Lamp(center_m=center, size_m=0.1), scene, cones) == is_in_the_way, center
-    assert in_the_way(Lamp(center_m=behind, size_m=3.0), scene, cones)  # as large as it is far
+    assert in_the_way(Lamp(center_m=behind, size_m=3.0), scene, cones)  # as large as its distance
     near = {"distance_m": [0.4, 1.5], "elevation_deg": [5, 90], "size_m": [0.1, 0.3]}
     own = domain(scene, {"kind": "randomized", "camera": None, "lamps": {**near, "count": [9, 9]}})
     for seed in range(5):
@@ -183,14 +183,14 @@ def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
 
 
 def ball(center_m, radius_m):
-    """Points all over a ball's surface."""
+    """Return points all over the surface of a ball."""
     direction = np.random.default_rng(1).normal(size=(4000, 3))
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     return center_m + radius_m * direction
 
 
 def is_visible(point_m, T_world_lens, lens):
-    """Which points lie before a lens without distortion, inside of its picture."""
+    """Return the points that an undistorted lens sees inside its picture."""
     x, y, z = transform_points(inverse(T_world_lens), point_m).T
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = lens.fx_px * x / z + lens.cx_px, lens.fy_px * y / z + lens.cy_px
@@ -201,7 +201,7 @@ def is_visible(point_m, T_world_lens, lens):
 
 
 def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
-    """Oracle: the lamp's square turned all ways, a ball, projected by hand."""
+    """Oracle: all rotations of the lamp's square, a ball, projected by hand."""
     scene = cell()
     near = {"distance_m": [0.4, 1.5], "elevation_deg": [5, 90], "size_m": [0.1, 0.5]}
     own = domain(scene, {"kind": "randomized", "camera": None, "lamps": {**near, "count": [9, 9]}})
@@ -217,8 +217,8 @@ def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
 
 
 @pytest.mark.parametrize("size_m", [0.1, 1.0])
-def test_a_lamp_stands_clear_of_the_bin_s_ball_by_half_its_diagonal(size_m):
-    """Bin and lamp touch where the distance of their middles is the sum of their half diagonals."""
+def test_a_lamp_keeps_half_its_diagonal_away_from_the_bin_s_ball(size_m):
+    """Bin and lamp touch if the distance of their centres is the sum of their half diagonals."""
     scene = cell()
     low_m, high_m = scene.bin.bounds_m
     touching_m = (math.dist(low_m, high_m) + size_m * math.sqrt(2)) / 2
@@ -228,8 +228,8 @@ def test_a_lamp_stands_clear_of_the_bin_s_ball_by_half_its_diagonal(size_m):
         assert in_the_way(lamp, scene, ()) == is_in_the_way
 
 
-def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_reach_into_it():
-    """Oracle: the angles of points of balls; balls that only just touch are left out."""
+def test_a_view_is_the_cone_to_the_farthest_corner_and_meets_balls_that_overlap_it():
+    """Oracle: the angles of points of balls; balls that almost touch are left out."""
     rig = cell().rig
     scene = cell(rig=replace(rig, camera=replace(rig.camera, cx_px=300.0, cy_px=450.0)))
     rng, met = np.random.default_rng(2), []
@@ -245,14 +245,14 @@ def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_rea
             angle = np.arccos(away_m @ cone.axis / np.linalg.norm(away_m, axis=-1))
             least = float(angle.min())
             if abs(least - cone.half_angle_rad) < 0.02:
-                continue  # nearer than points on the ball are to one another
+                continue  # nearer than the distance of points on the ball
             met.append(cone.meets(center_m, radius_m))
             inside = np.linalg.norm(center_m - cone.apex_m) <= radius_m
             assert met[-1] == (inside or least < cone.half_angle_rad)
     assert 0.2 < np.mean(met) < 0.8
 
 
-def test_lamps_that_can_stand_nowhere_are_refused():
+def test_lamps_without_a_free_place_are_refused():
     scene = cell()
     settings = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}
     with pytest.raises(
@@ -261,7 +261,7 @@ def test_lamps_that_can_stand_nowhere_are_refused():
         draw(domain(scene, settings), scene, (1, 1), np.random.default_rng(0))
 
 
-def test_a_rig_that_would_dive_below_the_rim_is_refused():
+def test_a_rig_that_would_be_below_the_rim_is_refused():
     scene = cell()
     settings = {"kind": "randomized", "camera": {"tilt_deg": [80, 80]}}
     with pytest.raises(ConfigError, match=r"domain\.camera: camera or projector comes to z = "):

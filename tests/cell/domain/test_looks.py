@@ -22,7 +22,7 @@ def test_a_drawn_colour_is_that_of_a_colour_picker(hue_deg, saturation, value, e
     assert srgb(np.array(color_of(color))).tolist() == list(encoded)
 
 
-def test_a_factor_multiplies_the_linear_values_of_a_picture_and_ends_at_1():
+def test_a_factor_multiplies_the_linear_values_of_a_picture_up_to_1():
     picture = np.random.default_rng(0).integers(0, 256, (32, 32, 3), dtype=np.uint8)
     brighter = retouched(
         Material(texture=picture), brightness=1.5, roughness=0.0, tint=(1.0, 0.5, 2.0)
@@ -34,7 +34,7 @@ def test_a_factor_multiplies_the_linear_values_of_a_picture_and_ends_at_1():
     assert (same.texture == picture).all()
 
 
-def test_plain_parts_get_brighter_to_white_and_rougher_to_matt():
+def test_plain_parts_become_brighter_up_to_white_and_rougher_up_to_matt():
     steel = Material(base_color=(0.2, 0.5, 0.8), metallic=1.0, roughness=0.9)
     steel = retouched(steel, brightness=2.0, roughness=0.3, metallic=-0.4)
     assert steel.base_color == pytest.approx((0.4, 1.0, 1.0))
@@ -46,7 +46,7 @@ def test_plain_parts_get_brighter_to_white_and_rougher_to_matt():
         assert retouched(polished, brightness=1.0, roughness=change).roughness == 0.02
 
 
-def test_at_the_projector_s_line_brightness_counts_and_tint_does_not():
+def test_at_the_projector_s_line_brightness_matters_and_tint_does_not():
     red = Material(projector_reflectance=0.4)
     tinted = retouched(red, brightness=1.5, roughness=0.0, tint=(0.1, 0.1, 0.1))
     assert tinted.projector_reflectance == pytest.approx(0.6)
@@ -54,12 +54,12 @@ def test_at_the_projector_s_line_brightness_counts_and_tint_does_not():
 
 
 def planck(wavelength_nm, temperature_k):
-    """Relative spectral radiance of a black body; second radiation constant 14387769 nm K."""
+    """Return the spectral radiance of a black body; radiation constant c2 = 14387769 nm K."""
     return wavelength_nm**-5 / np.expm1(14387768.8 / (wavelength_nm * temperature_k))
 
 
 def observer(wavelength_nm):
-    """CIE 1931, by the Gaussians of C. Wyman et al., JCGT 2 (2), 2013."""
+    """Return the CIE 1931 observer as Gaussians of C. Wyman et al., JCGT 2 (2), 2013."""
 
     def bump(middle, below, above):
         t = (wavelength_nm - middle) * np.where(wavelength_nm < middle, below, above)
@@ -74,7 +74,7 @@ def observer(wavelength_nm):
 
 @pytest.mark.parametrize("temperature_k", [2000.0, 2700.0, 4000.0, 4001.0, 6500.0, 15000.0])
 def test_the_light_of_a_temperature_is_planck_s_law_seen_by_the_standard_observer(temperature_k):
-    """The Gaussians and the cubic fit differ by a hundredth or two."""
+    """The Gaussians and the cubic fit differ by one or two hundredths."""
     wavelength = np.arange(380.0, 781.0)
     xyz = observer(wavelength) @ planck(wavelength, temperature_k)
     primaries = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])

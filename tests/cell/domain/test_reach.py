@@ -1,4 +1,4 @@
-"""No view that a domain draws sees a corner of the bin deeper than its reach, which is tight."""
+"""No drawn view sees a corner of the bin beyond the domain's reach, which is not much larger."""
 
 import itertools
 from pathlib import Path
@@ -20,7 +20,7 @@ ADAPTED = {
 
 
 @pytest.mark.parametrize("domain", [None, slow("randomized"), ADAPTED])
-def test_no_drawn_view_sees_the_bin_deeper_than_it_is_said_to_lie(domain):
+def test_no_drawn_view_has_a_larger_depth_of_the_bin_than_the_reach(domain):
     settings = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
     cell = resolve_cell(Config.model_validate(settings | {"domain": domain}), Path("."))
     limit_m, depths_m = deepest_m(cell.config.domain, cell.scene), []

@@ -1,4 +1,4 @@
-"""Whole scenes of a domain, from the configuration to the files."""
+"""Complete scenes of a domain, from the configuration to the files."""
 
 import json
 
@@ -26,7 +26,7 @@ RANDOM = {
 
 
 def dataset_of(folder, scenes, **changes):
-    """The cell, its scenes, and the dataset that they make."""
+    """Return the cell, its scenes, and the dataset that they make."""
     folder.mkdir()
     path = write_cell(folder, **changes)
     cell = resolve_cell(load_config(path), folder)
@@ -51,7 +51,7 @@ def random_scenes(tmp_path_factory):
     return dataset_of(tmp_path_factory.mktemp("random") / "cell", 3, domain=RANDOM, count=[4, 8])
 
 
-def test_a_randomized_dataset_is_sound_and_does_not_know_its_distractors(random_scenes):
+def test_a_randomized_dataset_is_valid_and_has_no_label_of_distractors(random_scenes):
     _, _, out = random_scenes
     assert validate(out) == ()
     claim = json.loads((out / "graycast.json").read_text())
@@ -66,8 +66,8 @@ def test_a_randomized_dataset_is_sound_and_does_not_know_its_distractors(random_
         assert {pose["obj_id"] for pose in poses} == {1}
 
 
-def test_distractors_are_seen_in_front_of_what_they_hide(random_scenes):
-    """Somewhere the depth picture has parts where no visible mask is, above the bin's floor."""
+def test_distractors_are_visible_in_front_of_the_parts_that_they_hide(random_scenes):
+    """Some pixels of the depth picture are above the bin's floor without a visible mask."""
     _, shots, _ = random_scenes
     for shot in shots:
         truth, layout = shot.sample.truth, shot.sample.layout
@@ -75,7 +75,7 @@ def test_distractors_are_seen_in_front_of_what_they_hide(random_scenes):
         assert np.isin(truth.instance, foreign).sum() > 20
 
 
-def test_the_manifest_makes_the_scene_again(random_scenes):
+def test_the_manifest_reproduces_the_scene(random_scenes):
     cell, shots, out = random_scenes
     for k, shot in enumerate(shots):
         manifest = json.loads((out / "train" / f"{k:06d}" / "manifest.json").read_text())
@@ -92,7 +92,7 @@ def test_one_seed_gives_one_random_scene(random_scenes, tmp_path):
 
 
 def test_a_cell_without_tolerances_gives_the_files_of_a_cell_without_a_domain(tmp_path):
-    """All but what claim and manifest say of the domain, its seed and the configuration."""
+    """Only the entries of domain, its seed and configuration differ in claim and manifest."""
     _, _, plain = dataset_of(tmp_path / "plain", 2)
     _, _, exact = dataset_of(tmp_path / "exact", 2, domain=NO_TOLERANCE)
     plain, exact = content(plain), content(exact)

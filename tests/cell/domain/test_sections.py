@@ -1,4 +1,4 @@
-"""What a user may write under `domain`, and what he is told about it."""
+"""The section `domain` of a configuration, and the errors about it."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def config(domain):
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "domain": domain})
 
 
-def test_a_plain_word_is_the_kind_with_all_its_defaults():
+def test_a_plain_word_gives_the_kind_with_all_its_defaults():
     assert config("adapted").domain == config({"kind": "adapted"}).domain
     assert config("randomized").domain == config({"kind": "randomized"}).domain
     assert isinstance(config("adapted").domain, AdaptedSection)
@@ -23,7 +23,7 @@ def test_a_plain_word_is_the_kind_with_all_its_defaults():
     assert config(None).domain is None
 
 
-def test_what_is_dumped_is_the_same_configuration_again():
+def test_a_dumped_configuration_is_read_as_the_same_configuration():
     written = {
         "kind": "randomized",
         "camera": None,
@@ -61,7 +61,7 @@ def test_what_is_dumped_is_the_same_configuration_again():
         ({"kind": "adapted", "bin": {"position_m": -1}}, r"domain\.bin\.position_m is -1"),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_keys_of_the_file(tmp_path, domain, message):
+def test_impossible_values_are_refused_with_the_keys_of_the_file(tmp_path, domain, message):
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump({"parts": [{"builtin": "toothpaste"}], "domain": domain}))
     with pytest.raises(ConfigError, match=rf"{path}: {message}"):
@@ -109,8 +109,8 @@ def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, exists):
         file_digests(load_config(path), tmp_path)
 
 
-def test_one_more_stream_leaves_the_others_as_they_were():
-    """The seeds of a scene's stages were five; the domain's is a sixth."""
+def test_an_additional_stream_does_not_change_the_others():
+    """There were five seeds of a scene's stages; the domain's is a sixth."""
     for seed, scene_id in ((0, 0), (7, 123), (2**40, 99999)):
         sequence = np.random.SeedSequence(seed, spawn_key=(scene_id,))
         five, six = (sequence.generate_state(n, np.uint64) for n in (5, 6))

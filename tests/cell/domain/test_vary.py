@@ -1,4 +1,4 @@
-"""A record alone makes the scene, and the scene is what its words say."""
+"""A record alone makes the scene, and the scene has the values of the record."""
 
 import json
 from dataclasses import replace
@@ -32,14 +32,14 @@ STILL = {"distance_factor": 1.0, "tilt_rad": 0.0, "azimuth_rad": 0.0, "roll_rad"
 
 
 def textured():
-    """A cell of which one part has a picture and one a reflectance at the projector's line."""
+    """Return a cell with a textured part and one with a reflectance at the projector's line."""
     picture = np.random.default_rng(5).integers(0, 256, (8, 8, 3), dtype=np.uint8)
     return cell((Material(texture=picture), Material(projector_reflectance=0.4)))
 
 
 @pytest.fixture
 def full(tmp_path):
-    """A cell and a domain that uses every section there is, files too."""
+    """Return a cell and a domain that uses every section and every kind of file."""
     for folder, name in (("skies", "a.exr"), ("skies", "b.hdr")):
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / name).write_bytes(b"read by a renderer alone")
@@ -61,7 +61,7 @@ def full(tmp_path):
 
 
 def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
-    """Through the bytes of a manifest: what was drawn and not recorded would be missing."""
+    """The record passes the bytes of a manifest: drawn values that it omits would be missing."""
     scene, own = full
     places = set()
     for seed in range(8):
@@ -78,13 +78,13 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
     assert not changed & {".rig", ".surfaces", ".bin.friction", ".bin.wall_m"}
 
 
-def test_a_kind_of_part_that_is_there_stays_however_small_its_share():
-    """By hand, rounded: a fifth of 40, of 7, of 1 and of none."""
+def test_a_kind_of_part_remains_however_small_its_share():
+    """By hand, rounded: a fifth of 40, of 7, of 1 and of 0."""
     assert shared_out((40, 7, 1, 0), 0.2) == (8, 1, 1, 0)
 
 
-def test_what_is_painted_anew_keeps_nothing_of_its_old_surface(full):
-    """Neither a picture, nor what was known at the projector's line, nor a floor of its own."""
+def test_a_repainted_surface_keeps_nothing_of_its_old_material(full):
+    """It loses its texture, its reflectance at the projector's line, and its floor."""
     scene, own = full
     scene = replace(scene, bin=replace(scene.bin, floor=Material(base_color=(0.9, 0.1, 0.1))))
     record = draw(own, scene, (7, 7), np.random.default_rng(1))
@@ -99,8 +99,8 @@ def test_what_is_painted_anew_keeps_nothing_of_its_old_surface(full):
     assert varied.bin.material.roughness == record["bin"]["roughness"]
 
 
-def test_a_drawn_map_gives_the_radiance_that_is_drawn_and_not_its_own(full):
-    """The record says how bright the sky is; a map's file says how that is spread over it."""
+def test_a_drawn_map_has_the_drawn_radiance_and_not_its_own(full):
+    """The record has the brightness of the sky; the file of the map has its distribution."""
     scene, own = full
     record = draw(own, scene, (7, 7), np.random.default_rng(1))
     sky = vary(own, scene, (7, 7), record).scene.environment
@@ -109,7 +109,7 @@ def test_a_drawn_map_gives_the_radiance_that_is_drawn_and_not_its_own(full):
     assert sky.map_file.name == record["environment"]["map"]
 
 
-def test_a_bin_that_is_a_mesh_grows_and_is_painted_like_a_box(full, tmp_path):
+def test_a_mesh_bin_is_scaled_and_painted_like_a_box(full, tmp_path):
     scene, own = full
     crate = replace(Crate().bin(tmp_path), own_texture=True)
     scene = replace(scene, bin=crate)
@@ -134,8 +134,8 @@ def test_the_record_of_an_adapted_scene_makes_the_same_scene_again():
     assert differences(scene, once.scene) != []
 
 
-def test_without_any_tolerance_the_scene_is_the_cell_s_in_every_bit():
-    """Even the sign of a zero, which a product with the identity would lose."""
+def test_without_any_tolerance_the_scene_equals_the_cell_in_every_bit():
+    """Even the sign of a zero is kept, which a product with the identity would lose."""
     down = -np.diag([-1.0, 1.0, 1.0, -1.0])
     down[2, 3] = 0.8
     assert np.signbit(down[0, 1])
@@ -150,7 +150,7 @@ def test_without_any_tolerance_the_scene_is_the_cell_s_in_every_bit():
         assert differences(scene, vary(own, scene, (7, 0), record).scene) != [], section
 
 
-def test_with_every_section_null_only_the_counts_change():
+def test_if_every_section_is_null_only_the_counts_change():
     scene = cell()
     names = ("camera", "environment", "lamps", "bin", "table", "parts", "distractors")
     own = domain(scene, {"kind": "randomized"} | dict.fromkeys(names))
@@ -161,8 +161,8 @@ def test_with_every_section_null_only_the_counts_change():
     assert 20 <= varied.counts[0] <= 40
 
 
-def test_tilt_azimuth_and_distance_are_those_of_a_view():
-    """Oracle: `place` with the sums puts the rig where the record's camera goes."""
+def test_tilt_azimuth_and_distance_are_added_to_those_of_the_view():
+    """Oracle: `place` with the sums gives the pose of the record's camera."""
     scene = cell()
     own = domain(scene, {"kind": "randomized", "bin": None})
     moved = {"distance_factor": 1.2, "tilt_rad": 0.15, "azimuth_rad": -0.9, "roll_rad": 0.0,
@@ -179,7 +179,7 @@ def test_tilt_azimuth_and_distance_are_those_of_a_view():
     assert pose == pytest.approx(expected, abs=1e-12)
 
 
-def test_roll_turns_the_rig_about_its_own_axis_and_moves_it_nowhere():
+def test_roll_rotates_the_rig_about_its_own_axis_without_moving_it():
     scene = cell()
     own = domain(scene, {"kind": "randomized", "bin": None})
     record = {"kind": "randomized", "camera": STILL | {"roll_rad": 0.3}, "count_share": 1.0,
@@ -192,8 +192,8 @@ def test_roll_turns_the_rig_about_its_own_axis_and_moves_it_nowhere():
     assert turn == pytest.approx(axis_rotation("z", 0.3), abs=1e-12)
 
 
-def test_a_bin_that_stands_aside_is_a_world_that_moves_the_other_way():
-    """The world's origin is on the bin's floor: seen from the cell, camera and lamps stay."""
+def test_a_moved_bin_moves_the_rest_of_the_world_the_other_way():
+    """The world's origin is on the bin's floor; relative to the cell, camera and lamps stay."""
     scene = replace(cell(), environment=replace(cell().environment, rotation_rad=0.4))
     own = domain(scene, {**NO_TOLERANCE, "bin": {"position_m": 0.05, "rotation_deg": 20}})
     record = draw(own, scene, (1, 1), np.random.default_rng(8))
@@ -208,12 +208,12 @@ def test_a_bin_that_stands_aside_is_a_world_that_moves_the_other_way():
             np.array([still.center_m, still.target_m]), abs=1e-12
         )
         assert replace(lamp, center_m=still.center_m, target_m=still.target_m) == still
-    # A map's feature at angle a of the world is at a + turn of the cell, where it was before.
+    # A map's feature at angle a of the world is at a + rotation of the cell, its former place.
     assert varied.environment.rotation_rad + turn == pytest.approx(0.4, abs=1e-12)
     assert varied.bin == scene.bin
 
 
-def test_the_rig_hangs_within_its_tolerance():
+def test_the_pose_of_the_rig_is_within_its_tolerance():
     scene = cell()
     settings = {**NO_TOLERANCE, "camera": {"position_m": 0.01, "rotation_deg": 2}}
     own = domain(scene, settings)
@@ -229,7 +229,7 @@ def test_the_rig_hangs_within_its_tolerance():
 
 
 @pytest.mark.parametrize(("share", "less"), [(0.05, 0.005), (0.5, 0.085)])
-def test_a_lamp_gives_the_irradiance_that_is_stated(share, less):
+def test_a_lamp_gives_the_stated_irradiance(share, less):
     """Oracle: radiance integrated over the lamp's square, L cos cos / r^2, at the bin's middle."""
     scene = cell()
     record = {"distance_m": 1.6, "elevation_rad": 0.7, "azimuth_rad": 2.0, "size_m": 1.6 * share,
@@ -254,7 +254,7 @@ def test_a_lamp_gives_the_irradiance_that_is_stated(share, less):
     assert np.arcsin(away[2] / 1.6) == pytest.approx(0.7)
 
 
-def test_distractors_go_last_and_have_no_label(full):
+def test_distractors_come_last_and_have_no_label(full):
     scene, own = full
     record = draw(own, scene, (3, 4), np.random.default_rng(0))
     varied = vary(own, scene, (3, 4), record)
@@ -276,13 +276,13 @@ def test_a_distractor_that_is_a_part_of_the_cell_is_refused_or_left_out():
         domain(scene, settings)
 
 
-def test_distractors_too_large_for_the_bin_are_not_put_in_unasked():
+def test_default_distractors_that_are_too_large_for_the_bin_are_left_out():
     scene = cell()
     scene = replace(scene, bin=replace(scene.bin, inner_m=(0.4, 0.11, 0.1)))
     assert [part.name for part in domain(scene, "randomized").distractors] == ["metal_workpiece_2"]
 
 
-def test_files_are_in_the_order_of_their_names_whatever_the_disk_says(full, monkeypatch, tmp_path):
+def test_files_are_sorted_by_name_whatever_the_order_on_disk(full, monkeypatch, tmp_path):
     own = full[1]
     assert [file.name for file in own.maps] == ["a.exr", "b.hdr"]
     listed = Path.iterdir
@@ -291,7 +291,7 @@ def test_files_are_in_the_order_of_their_names_whatever_the_disk_says(full, monk
     assert (again.maps, again.bin_textures) == (own.maps, own.bin_textures)
 
 
-def test_a_file_that_the_domain_has_no_longer_is_named(full):
+def test_a_file_that_the_domain_no_longer_has_is_named(full):
     scene, own = full
     record = draw(own, scene, (1, 1), np.random.default_rng(0))
     record["environment"]["map"] = "gone.exr"

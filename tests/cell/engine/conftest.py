@@ -1,4 +1,4 @@
-"""Small scenes, and an undisturbed dataset of them."""
+"""Small scenes, and a dataset of them that was made without interruption."""
 
 import pytest
 from small_cell import start, write_cell
@@ -21,7 +21,7 @@ def task(config_file):
 
 @pytest.fixture(scope="session")
 def undisturbed(config_file, tmp_path_factory):
-    """Makes a dataset of so many scenes by one undisturbed worker; each size once."""
+    """Make a dataset of this many scenes with one worker, once for each size."""
     folders = {}
 
     def of(scenes):

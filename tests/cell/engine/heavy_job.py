@@ -1,4 +1,4 @@
-"""A job with large results, in a file of its own: a worker imports what it needs and no tests."""
+"""A job with large results, in its own file: a worker imports it without the tests."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from graycast.cell.engine.job import Job, TaskResult
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeavyJob(Job):
-    """Its results are larger than what a pipe holds, so they are read while they are written."""
+    """A job whose results are larger than a pipe, so that they are read while they are written."""
 
     def open(self, **_ignored):
         return self

@@ -1,4 +1,4 @@
-"""Ray on this machine: what comes out is what one worker makes, also when a machine is lost."""
+"""Ray on this machine: the results are those of one worker, even if a machine is lost."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ def test_an_address_without_ray_is_refused(config_file, tmp_path, capsys):
     assert "--address applies only to a Ray cluster: add --engine ray" in capsys.readouterr().err
 
 
-def test_ray_that_is_not_installed_is_told_with_its_remedy(
+def test_if_ray_is_not_installed_the_error_has_the_remedy(
     config_file, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, "ray", None)
@@ -44,13 +44,13 @@ def test_ray_that_is_not_installed_is_told_with_its_remedy(
         ({"CPU": 16.0, "GPU": 1.0}, 4, 4),
         ({"CPU": 48.0, "GPU": 4.0}, 1, 12),
         ({"CPU": 2.0, "GPU": 8.0}, 1, 1),  # more GPUs than processors
-        ({"CPU": 3.0, "GPU": 1.0}, 1, 3),  # three thirds, rounded, still fit on one
+        ({"CPU": 3.0, "GPU": 1.0}, 1, 3),  # three thirds, rounded, fit on one GPU
     ],
 )
 def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_on_a_gpu):
     share = gpu_share(resources, threads)
     assert int(1.0 / share) == scenes_on_a_gpu
-    assert share * 1e4 == pytest.approx(round(share * 1e4))  # Ray counts no smaller shares
+    assert share * 1e4 == pytest.approx(round(share * 1e4))  # the smallest share in Ray
 
 
 def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
@@ -64,7 +64,7 @@ def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """Two nodes of one processor each on this machine: a head, and one that may be lost."""
+    """Start two nodes of one processor each on this machine: a head, and one that may be lost."""
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
 
     def node(*arguments):
@@ -96,7 +96,7 @@ def raylets():
 
 @contextmanager
 def giving_up(process, seconds):
-    """Kills a process that takes longer, so that nobody waits for it for ever."""
+    """Kill a process that takes too long, so that the test does not wait for ever."""
     timer = threading.Timer(seconds, process.kill)
     timer.start()
     try:
@@ -110,7 +110,7 @@ SCENES = 200
 
 @pytest.mark.slow
 @needs_ray
-def test_a_node_that_is_lost_in_the_middle_loses_no_scene(
+def test_a_node_that_is_lost_during_a_run_loses_no_scene(
     cluster, config_file, undisturbed, tmp_path
 ):
     address, lost = cluster

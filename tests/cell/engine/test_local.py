@@ -1,4 +1,4 @@
-"""Worker processes of this machine: killed, starved, stopped. What comes out stays the same."""
+"""Worker processes of this machine are killed, starved and stopped, and the result is equal."""
 
 import logging
 import multiprocessing
@@ -24,7 +24,7 @@ from graycast.dataset.checking import validate
 
 
 def workers_of(pid):
-    """Processes that a run has started to make scenes."""
+    """Return the processes that a run has started to make scenes."""
     pids = []
     for file in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in file.read_text().split():
@@ -45,7 +45,7 @@ def alive(pid):
 
 
 class WorkerOf:
-    """Stands in for a worker: its process has made some scenes, and holds so much memory."""
+    """A substitute for a worker whose process has made some scenes and uses this much memory."""
 
     def __init__(self, rss_bytes, scenes):
         self.connection, theirs = multiprocessing.Pipe()
@@ -60,8 +60,8 @@ class WorkerOf:
         self.ended = True
 
 
-def test_a_scene_that_needs_more_than_a_worker_s_memory_is_named_once_with_what_fits(monkeypatch):
-    """Four workers share 0.8 of 20 GB; one that needs 5 GB for a single scene needs it again."""
+def test_a_scene_that_exceeds_a_worker_s_memory_is_warned_of_once_with_a_remedy(monkeypatch):
+    """Four workers share 0.8 of 20 GB; a process that used 5 GB for one scene would do so again."""
     monkeypatch.setattr(local_module, "_machine_memory_bytes", lambda: 20e9)
     messages = []
     handler = logging.Handler()
@@ -70,7 +70,7 @@ def test_a_scene_that_needs_more_than_a_worker_s_memory_is_named_once_with_what_
     logger.addHandler(handler)
     pool = LocalPool(HeavyJob(seed=0, device="cpu"), workers=4, threads=1)
     try:
-        # What a process gathers over many scenes goes with it, and one of 3 GB fits.
+        # Memory that a process collects over many scenes ends with it, and one of 3 GB fits.
         gigabyte = 10**9
         cases = [(3, 1, False), (5, 9, True), (5, 1, True), (5, 1, True)]
         for gigabytes, scenes, ends in cases:
@@ -87,7 +87,7 @@ def test_a_scene_that_needs_more_than_a_worker_s_memory_is_named_once_with_what_
     ]
 
 
-def test_gpus_are_those_that_the_user_allows(monkeypatch):
+def test_only_gpus_that_the_user_allows_are_used(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-5a,7")
     assert list_gpus() == ["2", "GPU-5a", "7"]
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
@@ -111,7 +111,7 @@ def test_workers_share_threads_and_gpus(task, monkeypatch):
     assert {variables["OIDN_SET_AFFINITY"] for variables in environments} == {"0"}
 
 
-def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
+def test_ctrl_c_while_a_worker_starts_takes_effect_afterwards():
     with pytest.raises(KeyboardInterrupt):
         with _deaf_to_interrupts():
             signal.raise_signal(signal.SIGINT)
@@ -120,14 +120,14 @@ def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
 
 
 @pytest.mark.slow
-def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
-    """Before it, Python starts a process of its own, and lets Ctrl-C through again."""
+def test_ctrl_c_does_not_reach_the_first_worker_of_a_program():
+    """Python first starts a process of its own, and unblocks Ctrl-C."""
     program = (
         "from graycast.cell.engine.local import _Worker\n"
         "worker = _Worker(None, 1, {})\n"
         "worker._start()\n"
         "print(open(f'/proc/{worker._process.pid}/status').read())\n"
-        "worker._process.kill()"  # It would import everything first, and then stop.
+        "worker._process.kill()"  # It would first import everything, and then stop.
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     (blocked,) = [line for line in run.stdout.splitlines() if line.startswith("SigBlk")]
@@ -135,7 +135,7 @@ def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_waiting():
+def test_a_worker_that_is_killed_while_it_sends_its_scene_does_not_block_the_run():
     pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=1, threads=1), []
     try:
         pool.submit(0)
@@ -155,14 +155,14 @@ def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_wait
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
+def test_a_killed_worker_is_replaced_and_its_scene_is_made_again(task):
     pool = LocalPool(task, workers=1, threads=1)
     try:
         outcomes = []
         for outcome in make_all(pool, range(3)):
             outcomes.append(outcome)
             if len(outcomes) == 1:
-                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # it has scene 1 in hand
+                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # it is making scene 1
     finally:
         pool.close()
     (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
@@ -177,14 +177,14 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
 
 
 @pytest.mark.slow
-def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, monkeypatch):
+def test_a_worker_that_exceeds_its_share_of_memory_is_replaced_between_scenes(task, monkeypatch):
     def pids(share):
         monkeypatch.setattr(local_module, "_MEMORY_SHARE", share)
         pool, child_pids = LocalPool(task, workers=1, threads=1), []
         try:
             for scene_id in range(3):
                 pool.submit(scene_id)
-                # By number: a process that has just been forked does not bear its name yet.
+                # By number, because a process that was just forked does not have its name yet.
                 child_pids += [child.pid for child in multiprocessing.active_children()]
                 assert isinstance(pool.gather(), TaskResult)
         finally:
@@ -203,7 +203,7 @@ def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
             time.sleep(0.05)
         workers = workers_of(run.pid)
         assert len(workers) == 2
-        os.kill(run.pid, signal.SIGKILL)  # the parent alone
+        os.kill(run.pid, signal.SIGKILL)  # the parent only
     deadline = time.monotonic() + 10
     while any(map(alive, workers)) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -212,7 +212,7 @@ def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path, monkeypatch, word):
+def test_a_stopped_run_leaves_no_process_or_file_behind(config_file, tmp_path, monkeypatch, word):
     out, temporary = tmp_path / "out", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
@@ -239,8 +239,8 @@ SCENES, WORKER_KILLS, RUN_KILLS = 100, 20, 5
 
 
 @pytest.mark.slow
-def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, undisturbed, tmp_path):
-    """`kill -9` of a random worker 20 times, of the whole run 5 times, while it is at work."""
+def test_killed_workers_and_killed_runs_give_the_same_dataset(config_file, undisturbed, tmp_path):
+    """`kill -9` hits a random worker 20 times and the whole run 5 times during its work."""
     rng, out = np.random.default_rng(5), tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
     kills = ["run"] * RUN_KILLS + ["worker"] * WORKER_KILLS
@@ -248,8 +248,8 @@ def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, und
     run, before = start(*command), 0
     try:
         for number, kind in enumerate(kills):
-            # Spread over the whole run. A scene is finished between two kills: so there are workers
-            # to kill, and none of them is the third that the same scene loses.
+            # The kills are spread over the whole run. A scene is finished between two kills, so
+            # there are workers to kill, and no scene loses three of them.
             goal = max((number + 1) * (SCENES - 10) // len(kills), before + 1)
             while (finished(out) < goal or not workers_of(run.pid)) and run.poll() is None:
                 time.sleep(0.01)
@@ -264,7 +264,7 @@ def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, und
             before = finished(out)
         _, complaint = run.communicate()
     finally:
-        if run.poll() is None:  # It would go on, and its open pipes would fail the next test.
+        if run.poll() is None:  # It would continue, and its open pipes would fail the next test.
             os.killpg(run.pid, signal.SIGKILL)
             run.communicate()
     assert (run.returncode, complaint) == (0, "")

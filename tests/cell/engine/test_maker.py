@@ -1,4 +1,4 @@
-"""A worker keeps its renderer from scene to scene, and never after what nobody foresaw."""
+"""A worker keeps its renderer between scenes, but not after an unforeseen error."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -11,7 +11,7 @@ from graycast.rendering import Renderer
 
 
 class Opened(Renderer):
-    """A renderer that knows whether it is still open."""
+    """A renderer that records whether it is open."""
 
     name, versions, device, denoiser = "open", {}, "cpu", "oidn"
 
@@ -23,7 +23,7 @@ class Opened(Renderer):
 
 
 def opened_for(task, monkeypatch, *errors):
-    """The renderers that a worker opens for scenes that fail so, in order."""
+    """Return the renderers that a worker opens for scenes with these errors, in order."""
     renderers, used, left = [], [], list(errors)
 
     def open_one(cell, **words):
@@ -46,20 +46,20 @@ def opened_for(task, monkeypatch, *errors):
 
 
 @pytest.mark.parametrize("error", [DropError("no rest"), DecodeError("dark"), ValueError("black")])
-def test_a_scene_s_own_failure_leaves_the_renderer_open(task, monkeypatch, error):
+def test_a_scene_s_own_error_leaves_the_renderer_open(task, monkeypatch, error):
     assert opened_for(task, monkeypatch, error, error, error) == [0, 0, 0]
 
 
 @pytest.mark.parametrize(
     "error", [RuntimeError("driver lost"), MemoryError(), DeviceError("gone"), KeyboardInterrupt()]
 )
-def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
-    """It may hold a lost device, or the half of a scene."""
+def test_after_an_unforeseen_error_the_renderer_is_opened_again(task, monkeypatch, error):
+    """The old one may have a lost device, or half of a scene."""
     assert opened_for(task, monkeypatch, error, DropError("no rest"), error) == [0, 1, 1]
 
 
-def test_a_job_goes_to_another_device_with_all_else(task):
-    """Workers of a cluster get the job so: with another seed or cell they would make others."""
+def test_a_job_for_another_device_is_otherwise_the_same(task):
+    """Workers of a cluster receive such a job; another seed or cell would give other scenes."""
     there = replace(task, device="cuda")
     assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")
     assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

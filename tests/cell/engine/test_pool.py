@@ -1,4 +1,4 @@
-"""Every scene comes out or is given up, however its workers fare."""
+"""Every scene is made or given up, whatever happens to its workers."""
 
 from collections import Counter
 
@@ -22,7 +22,7 @@ IDS = range(20)
 
 
 class Scripted:
-    """Three workers; tries fail as the script says, and the last scene in comes out first."""
+    """A pool of three workers whose tries fail by a script; the last submitted scene ends first."""
 
     def __init__(self, script=()):
         self.script = {scene_id: list(errors) for scene_id, errors in dict(script).items()}
@@ -63,7 +63,7 @@ def test_each_scene_is_made_once():
 
 
 @pytest.mark.parametrize("error", [WorkerDied("killed"), DeviceError("lost"), MemoryError()])
-def test_what_may_be_the_machines_fault_is_tried_again(error):
+def test_an_error_that_may_be_the_machine_s_fault_is_tried_again(error):
     done, failed, submitted = outcomes({4: [error] * 2, 19: [error]})
     assert done == list(IDS)
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [
@@ -74,7 +74,7 @@ def test_what_may_be_the_machines_fault_is_tried_again(error):
     assert (submitted[4], submitted[19], submitted[5]) == (3, 2, 1)
 
 
-def test_three_failures_end_a_scene_and_no_other():
+def test_three_failures_give_up_one_scene_and_no_other():
     done, failed, submitted = outcomes({4: [WorkerDied("killed")] * 9})
     assert done == [scene_id for scene_id in IDS if scene_id != 4]
     assert [f.final for f in failed] == [False, False, True]
@@ -82,14 +82,14 @@ def test_three_failures_end_a_scene_and_no_other():
 
 
 @pytest.mark.parametrize("error", [DropError("no rest"), ValueError("dark")])
-def test_what_would_fail_again_is_given_up_at_once(error):
+def test_a_scene_that_would_fail_again_is_given_up_at_once(error):
     _, failed, submitted = outcomes({4: [error]})
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [(4, 1, True)]
     assert submitted[4] == 1
 
 
 def test_a_machine_that_loses_scene_after_scene_ends_the_run():
-    """Its driver is lost after six scenes; with three at work 13 in a row come to nothing."""
+    """Its driver is lost after six scenes; with three workers, 13 scenes in a row fail."""
     results = []
     lost = {scene_id: [DeviceError("no driver")] * 9 for scene_id in range(6, 40)}
     with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: repair the machine"):
@@ -99,7 +99,7 @@ def test_a_machine_that_loses_scene_after_scene_ends_the_run():
     assert all(isinstance(o, Failed) and not o.final for o in results[-13:])
 
 
-def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
+def test_scenes_that_are_lost_occasionally_do_not_end_a_run():
     script = {scene_id: [WorkerDied("killed")] for scene_id in range(0, 80, 2)}
     script |= {
         scene_id: [DropError("no rest")] for scene_id in range(80, 100)
@@ -114,7 +114,7 @@ def test_an_unknown_engine_is_refused(task):
 
 
 def handed(monkeypatch, script, ids=IDS, before=1):
-    """What `make_missing` hands over of a pool that fails so, what it gives up, and the pool."""
+    """Return what `make_missing` hands over for a pool with these errors, and what it gives up."""
     pool, results, failed, meter = Scripted(script), [], [], Metered()
     monkeypatch.setattr(workers, "open_pool", lambda *_, **words: pool)
     whole = before + len(ids)
@@ -134,7 +134,7 @@ def handed(monkeypatch, script, ids=IDS, before=1):
     return [one.scene_id for one in results], [one.scene_id for one in failed], lost, pool
 
 
-def test_scenes_that_are_given_up_are_told_once_the_others_are_made(monkeypatch):
+def test_scenes_that_are_given_up_are_reported_after_the_others_are_made(monkeypatch):
     script = {9: [KeyError("a bug")] * 3, 4: [DropError("no\nrest")], 7: [MemoryError()]}
     done, failed, lost, pool = handed(monkeypatch, script)
     assert sorted(done) == [scene_id for scene_id in IDS if scene_id not in (4, 9)]
@@ -146,7 +146,7 @@ def test_scenes_that_are_given_up_are_told_once_the_others_are_made(monkeypatch)
 
 
 def test_a_device_that_is_lost_for_a_moment_costs_no_scene(monkeypatch):
-    """A rescan once ended at the first such error, where `generate` tried three times."""
+    """A rescan used to end at the first such error, while `generate` tried three times."""
     script = {19: [DeviceError("lost")] * 2, 4: [DeviceError("lost")]}
     done, failed, lost, _ = handed(monkeypatch, script, before=0)
     assert (sorted(done), sorted(failed), lost) == (list(IDS), [4, 19, 19], ())
@@ -155,20 +155,20 @@ def test_a_device_that_is_lost_for_a_moment_costs_no_scene(monkeypatch):
 @pytest.mark.parametrize(
     "error", [ConfigError("the tool fits round no part"), DropError("no rest")]
 )
-def test_where_nothing_comes_out_the_third_that_is_given_up_ends_the_run(monkeypatch, error):
+def test_if_no_scene_succeeds_the_third_that_is_given_up_ends_the_run(monkeypatch, error):
     script = {scene_id: [error] for scene_id in IDS}
     done, failed, lost, pool = handed(monkeypatch, script, before=0)
     assert (done, len(failed), lost, pool.closed) == ([], 2, error, True)
 
 
-def test_an_error_that_nobody_foresaw_is_raised_with_its_type(monkeypatch):
+def test_an_unforeseen_error_is_raised_with_its_type(monkeypatch):
     script = {0: [KeyError("a bug")] * 3}
     _, _, lost, _ = handed(monkeypatch, script, ids=(0,), before=0)
     assert isinstance(lost, GraycastError) and isinstance(lost.__cause__, KeyError)
     assert str(lost) == "KeyError 'a bug': this is an error in Graycast or in the machine"
 
 
-def test_where_others_came_out_those_that_fail_are_set_aside(monkeypatch):
+def test_if_other_scenes_succeeded_those_that_fail_are_set_aside(monkeypatch):
     errors = [DropError("no rest"), DropError("none either")]
     script = {0: [errors[0]], 1: [errors[1]]}
     _, failed, lost, pool = handed(monkeypatch, script, ids=(0, 1))

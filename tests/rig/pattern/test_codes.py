@@ -1,4 +1,4 @@
-"""Phases, lines, combinations: what each frame shows, by laws that a decoder may rely on."""
+"""Phases, lines, combinations: laws of the frames on which a decoder may rely."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from graycast.rig.pattern import (
 
 
 def shares(code, axis, kind):
-    """What each frame of a kind shows along an axis."""
+    """Return the share of light of each frame of a kind along an axis."""
     i = 0 if axis == "column" else 1
     return [
         level_share(
@@ -37,7 +37,7 @@ def shares(code, axis, kind):
 
 @pytest.mark.parametrize("axis", ["column", "row"])
 @pytest.mark.parametrize("steps", [3, 4, 8])
-def test_steps_of_a_cosine_sum_to_half_light_everywhere_and_turn_once(axis, steps):
+def test_steps_of_a_cosine_sum_to_half_light_and_run_through_one_turn(axis, steps):
     code = gray_phase(200, 150, axes=(axis,), period_px=20.0, steps=steps)
     share = np.array(shares(code, axis, "phase"))
     assert np.allclose(share.mean(axis=0), 0.5)
@@ -59,8 +59,8 @@ def test_lines_light_each_pixel_once_in_a_period():
     assert share[3, 3] == share[3, 11] == 1
 
 
-def test_the_complementary_bit_turns_over_in_the_middle_of_every_period_and_nowhere_else():
-    """And the Gray bits at the borders of periods: so at no place do both turn over."""
+def test_the_complementary_bit_changes_only_in_the_middle_of_every_period():
+    """The Gray bits change at the borders of periods, so both never change at one position."""
     code = gray_phase(160, 120, period_px=16.0)
     (complementary,) = shares(code, "column", "complementary")
     gray_bits = np.array(shares(code, "column", "gray"))
@@ -71,13 +71,13 @@ def test_the_complementary_bit_turns_over_in_the_middle_of_every_period_and_nowh
 
 
 @pytest.mark.parametrize("period_px", [16.0, 20.0])
-def test_no_two_places_of_a_picture_share_the_phases_of_three_frequencies(period_px):
-    """Also not its two ends; 0.4 rad apart is ten standard deviations of a usual phase."""
+def test_no_two_positions_of_a_picture_share_the_phases_of_three_frequencies(period_px):
+    """This includes its two ends; 0.4 rad is ten standard deviations of a typical phase."""
     code = multi_frequency(640, 480, period_px=period_px)
     periods = sorted({frame.period_px for frame in code.frames if frame.kind == "phase"})
     assert len(periods) == 3 and periods[0] == pytest.approx(period_px)
     first = np.arange(-0.5, period_px, 0.5)[:, None, None]
-    u = first + period_px * np.arange(40)  # all places of one phase of the first period
+    u = first + period_px * np.arange(40)  # all positions of one phase of the first period
     inside = u < 639.5
     apart = 0.0
     for period in periods[1:]:
@@ -89,7 +89,7 @@ def test_no_two_places_of_a_picture_share_the_phases_of_three_frequencies(period
 
 @pytest.mark.parametrize("base", [0, 1, 2])
 def test_stripes_of_a_combined_code_are_no_wider_than_those_of_its_base(base):
-    """Two pixels a stripe in XOR-02, four in XOR-04, as their names say; eight in ours of bit 2."""
+    """Two pixels per stripe in XOR-02, four in XOR-04, as in their names; eight for our bit 2."""
     code = xor_gray(256, 192, base_bit=base)
     widest = []
     for share in shares(code, "column", "gray"):
@@ -98,7 +98,7 @@ def test_stripes_of_a_combined_code_are_no_wider_than_those_of_its_base(base):
     assert max(widest) == 2 ** (base + 1)
 
 
-def test_short_periods_of_micro_phase_shifting_lie_within_a_seventh_of_each_other():
+def test_short_periods_of_micro_phase_shifting_differ_by_less_than_a_seventh():
     code = micro_phase(640, 480, period_px=16.0)
     periods = {frame.period_px for frame in code.frames if frame.kind == "phase"}
     assert len(periods) == 6
@@ -106,21 +106,21 @@ def test_short_periods_of_micro_phase_shifting_lie_within_a_seventh_of_each_othe
     assert len(code.frames) == 2 + 3 + 5
 
 
-def test_offset_and_stride_place_a_code_on_the_projector():
-    """Value 0 from pixel 5, each value three pixels wide; of bit 0, 0 1 1 0 0 1 1 0."""
+def test_offset_and_stride_set_the_columns_of_a_code_on_the_projector():
+    """Value 0 starts at pixel 5, and each value is three pixels wide; bit 0 is 0 1 1 0 0 1 1 0."""
     frame = Frame(kind="gray", axis="column", bit=0)
     share = level_share(frame, 23, offset_px=5.0, stride_px=3.0)
     assert share[5:].tolist() == [0] * 3 + [1] * 6 + [0] * 6 + [1] * 3
 
 
-def test_a_projector_s_response_is_undone_in_the_pictures():
+def test_patterns_compensate_the_projector_s_response():
     code = gray_phase(64, 8, steps=4)
     squared = code.render(lambda share: np.round(255 * np.sqrt(share)).astype(np.uint8))
     light = (squared / 255.0) ** 2
     assert np.abs(light - code.render() / 255.0).max() < 1.5 / 255
 
 
-def test_pictures_are_written_in_order_as_they_are_projected(tmp_path):
+def test_pictures_are_written_in_the_order_of_projection(tmp_path):
     code = gray_phase(40, 30, axes=("row",), inverses=True)
     paths = list(write_pngs(code, tmp_path))
     assert len({p.name for p in paths}) == len(code.frames)
@@ -130,7 +130,7 @@ def test_pictures_are_written_in_order_as_they_are_projected(tmp_path):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_every_codec_is_known_by_name_and_takes_its_own_words(codec):
+def test_every_codec_is_known_by_name_and_accepts_its_own_options(codec):
     code = CodeSpec(codec=codec, axes=("row",)).code(320, 240)
     assert code.axes == ("row",)
     assert (code.width_px, code.height_px) == (320, 240)
@@ -144,7 +144,7 @@ def test_every_codec_is_known_by_name_and_takes_its_own_words(codec):
         ({"codec": "micro_phase", "base_bit": 1}, "micro_phase has no base_bit"),
     ],
 )
-def test_a_codec_refuses_words_that_are_not_its_own(words, message):
+def test_a_codec_refuses_options_of_other_codecs(words, message):
     with pytest.raises(ValueError, match=message):
         CodeSpec(**words)
 
@@ -184,6 +184,6 @@ WHITE = Frame(kind="white")
         (lambda: gray_line_shift(64, 8, period_px=7.5), "period_px is 7.5; give a whole number"),
     ],
 )
-def test_frames_and_codes_without_sense_are_refused(make, message):
+def test_meaningless_frames_and_codes_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()

@@ -1,4 +1,4 @@
-"""Scenes for a script: those that `generate` makes, in their order, whoever makes them."""
+"""Scenes for a script equal those of `generate`, in order, with any workers."""
 
 import subprocess
 import sys
@@ -28,15 +28,15 @@ def scenes(cell):
     return list(graycast.scenes(cell, 2, seed=5, device="cpu"))
 
 
-def test_saved_scenes_are_the_dataset_that_generate_makes(cell, scenes, tmp_path):
+def test_saved_scenes_are_the_dataset_of_generate(cell, scenes, tmp_path):
     for scene in scenes:
         scene.save(tmp_path / "saved")
     graycast.generate(cell, tmp_path / "generated", scenes=2, seed=5, device="cpu")
     assert content(tmp_path / "saved") == content(tmp_path / "generated")
 
 
-def test_the_cloud_is_what_the_pixels_with_depth_see(scenes):
-    """Each point projects to the middle of its pixel, and its z is the depth there."""
+def test_the_cloud_has_the_points_of_the_pixels_with_depth(scenes):
+    """Each point projects to the centre of its pixel, and its z is the depth there."""
     depth = scenes[0].depth
     row, column = np.nonzero(np.isfinite(depth.depth_m))
     cloud = depth.points()
@@ -58,13 +58,13 @@ def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
     assert closed
 
 
-def test_the_seed_is_the_configurations_unless_one_is_given(cell, scenes):
+def test_the_seed_is_the_configuration_s_unless_one_is_given(cell, scenes):
     first = next(graycast.scenes(cell, 1, device="cpu"))
     assert first.shots[0].sample.manifest["dataset_seed"] == cell.config.seed == 0
     assert not np.array_equal(first.layout.T_world_part, scenes[0].layout.T_world_part)
 
 
-def test_a_scene_that_cannot_be_made_is_its_own_error(tmp_path):
+def test_a_scene_that_cannot_be_made_raises_its_own_error(tmp_path):
     cell = graycast.load_cell(write_cell(tmp_path, drop={"simulated_s": 0.1, "attempts": 1}))
     with pytest.raises(DropError):
         next(graycast.scenes(cell, 1, device="cpu"))
@@ -73,14 +73,14 @@ def test_a_scene_that_cannot_be_made_is_its_own_error(tmp_path):
 def test_a_sheet_needs_a_viewer_only_to_be_shown(scenes, monkeypatch):
     monkeypatch.setattr(ImageShow, "_viewers", [])
     sheet = scenes[0].sheet()
-    assert np.asarray(sheet).std() > 20  # It is not one flat colour.
-    monkeypatch.setattr(type(scenes[0]), "sheet", lambda scene: sheet)  # Drawn once.
+    assert np.asarray(sheet).std() > 20  # not a uniform colour
+    monkeypatch.setattr(type(scenes[0]), "sheet", lambda scene: sheet)  # drawn once
     with pytest.raises(GraycastError, match=r"sheet\.png"):
         scenes[0].show()
 
 
 @pytest.mark.slow
-def test_workers_serve_a_script_without_a_guard_and_keep_the_order(cell, scenes, tmp_path):
+def test_workers_serve_a_script_without_a_main_guard_and_keep_the_order(cell, scenes, tmp_path):
     """`spawn` would run the script again in each worker."""
     script = tmp_path / "script.py"
     script.write_text(
@@ -109,7 +109,7 @@ def test_a_cell_is_read_from_a_file_or_from_values(tmp_path):
 
 
 class PoolWithASlowScene:
-    """Workers that finish scene 0 only when nothing else is left to do."""
+    """Workers that finish scene 0 only when all others are done."""
 
     def __init__(self, workers):
         self.workers, self.at_work, self.submitted = workers, [], 0
@@ -132,7 +132,7 @@ class PoolWithASlowScene:
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_scenes_behind_a_slow_one_do_not_pile_up_in_memory(workers):
+def test_scenes_behind_a_slow_one_do_not_accumulate_in_memory(workers):
     """Symptom: all later scenes, hundreds of MB each, wait for the first one."""
     pool = PoolWithASlowScene(workers)
     order = []

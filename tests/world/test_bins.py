@@ -1,4 +1,4 @@
-"""Bins from mesh files: placed and measured, as a configuration names them."""
+"""Bins from mesh files: placed and measured as a configuration names them."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from graycast.world.scene import Bin, bin_mesh, bin_surfaces, table_quad
 from studies.crates import Crate
 
 CRATE = Crate()
-# How a file's axes stand in the world when `up` points up; columns are the file's x, y, z.
+# Directions of a file's axes in the world if `up` points up; columns are the file's x, y, z.
 TURNS = {
     "z": np.eye(3),
     "-z": np.diag([1.0, -1.0, -1.0]),
@@ -29,17 +29,17 @@ TURNS = {
 
 @pytest.mark.parametrize("up", TURNS)
 @pytest.mark.parametrize(("unit", "unit_m"), [("mm", 1e-3), ("inch", 0.0254)])
-def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has(
+def test_a_crate_is_moved_to_the_origin_and_measured_in_any_frame_of_its_file(
     tmp_path, up, unit, unit_m
 ):
-    """Oracle: the crate as it was made, and its walls half way down in closed form."""
+    """Oracle: the crate as it was made, and its walls at half height in closed form."""
     path = CRATE.write(tmp_path / "crate.stl", unit_m=unit_m, turn=TURNS[up].T)
     loaded = load_bin(path, unit=unit, up=up)
     assert loaded.inner_m == pytest.approx(CRATE.middle_m, abs=2e-6)  # STL has single precision
     solid = CRATE.solid()
     placed = trimesh.Trimesh(loaded.mesh.vertices_m, loaded.mesh.faces)
     assert loaded.mesh.bounds_m == pytest.approx(solid.bounds, abs=2e-6)
-    assert placed.volume == pytest.approx(solid.volume, rel=1e-4)  # not inside out
+    assert placed.volume == pytest.approx(solid.volume, rel=1e-4)  # not inverted
     across = np.einsum("fi,fci->fc", placed.face_normals, loaded.mesh.corner_normals)
     assert across.min() > 0.99  # a crate's faces are flat
     assert cKDTree(solid.vertices).query(placed.vertices)[0].max() < 2e-6
@@ -51,7 +51,7 @@ def test_the_crate_of_the_configurations_is_this_one(tmp_path):
     assert CRATE.write(tmp_path / "crate.stl").read_bytes() == ours.read_bytes()
 
 
-def test_a_box_as_a_mesh_is_the_box(tmp_path):
+def test_a_box_given_as_a_mesh_equals_the_box(tmp_path):
     box = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
     own = bin_mesh(box)
     trimesh.Trimesh(own.vertices_m, own.faces, process=False).export(tmp_path / "box.ply")
@@ -62,7 +62,7 @@ def test_a_box_as_a_mesh_is_the_box(tmp_path):
     assert as_mesh.floor_m == pytest.approx(box.floor_m, abs=1e-7)
 
 
-def test_the_table_is_under_the_bars_and_the_inner_floor_is_a_surface_of_its_own(tmp_path):
+def test_the_table_is_below_the_bars_and_the_inner_floor_has_its_own_surface(tmp_path):
     cell = resolve_cell(config(CRATE.write(tmp_path / "crate.stl")), tmp_path)
     assert table_quad(cell.scene).center_m == pytest.approx((0, 0, -0.010), abs=1e-6)
     (name, walls, _), (floor_name, floor, material) = bin_surfaces(cell.scene.bin)
@@ -80,7 +80,7 @@ def test_the_table_is_under_the_bars_and_the_inner_floor_is_a_surface_of_its_own
     assert floor.corner_normals[..., 2] == pytest.approx(np.ones((len(floor.faces), 3)), abs=1e-6)
 
 
-def test_a_foot_as_high_as_the_inner_floor_is_no_floor(tmp_path):
+def test_a_foot_as_high_as_the_inner_floor_is_not_taken_for_the_floor(tmp_path):
     crate = Crate(floor_m=0.01, bar_m=0.0)
     foot = trimesh.creation.box((0.5, 0.4, 0.01))
     foot.apply_translation((0.0, 0.0, -0.005))
@@ -109,7 +109,7 @@ def config(path, **words):
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "bin": box})
 
 
-def test_a_configuration_says_a_mesh_or_a_size(tmp_path):
+def test_a_configuration_has_a_mesh_or_a_size_but_not_both(tmp_path):
     path = tmp_path / "crate.stl"
     with pytest.raises(ValueError, match="a mesh has its own size: remove inner_m, or mesh"):
         config(path, inner_m=[0.3, 0.2, 0.1])
@@ -123,7 +123,7 @@ def test_a_configuration_says_a_mesh_or_a_size(tmp_path):
     assert again == config(path)
 
 
-def test_a_changed_file_is_another_dataset(tmp_path):
+def test_a_changed_mesh_gives_another_dataset(tmp_path):
     path = CRATE.write(tmp_path / "crate.stl")
     before = file_digests(config(path), tmp_path)
     Crate(wall_m=0.004).write(path)
@@ -133,7 +133,7 @@ def test_a_changed_file_is_another_dataset(tmp_path):
 
 
 @pytest.mark.parametrize("up", ["-z", "x", "y"])
-def test_a_crate_on_its_side_is_no_bin(tmp_path, up):
+def test_a_crate_on_its_side_is_refused_as_a_bin(tmp_path, up):
     path = CRATE.write(tmp_path / "crate.stl")
     with pytest.raises(
         MeshError, match=f"not an open bin whose opening faces {up}.*state with up_axis which"
@@ -141,15 +141,15 @@ def test_a_crate_on_its_side_is_no_bin(tmp_path, up):
         load_bin(path, unit="mm", up=up)
 
 
-def test_a_block_and_a_plate_are_no_bins(tmp_path):
+def test_a_block_and_a_plate_are_refused_as_bins(tmp_path):
     for size in ((0.4, 0.3, 0.2), (0.4, 0.3, 0.005)):
         trimesh.creation.box(size).export(tmp_path / "block.stl")
         with pytest.raises(MeshError, match="the middle is not lower than the top"):
             load_bin(tmp_path / "block.stl", unit="m", up="z")
 
 
-def test_real_bins_have_the_size_that_their_drawings_show(shared):
-    """Oracle: the liner that NIST ships beside its parts bin; a drawing of cuts, read by eye."""
+def test_real_bins_have_the_sizes_in_their_drawings(shared):
+    """Oracle: the liner that NIST publishes with its parts bin; a drawing of cuts, read by eye."""
     nist = shared / "data" / "meshes" / "nist"
     liner = trimesh.load_mesh(nist / "parts_bin" / "bin_interior.stl")
     outer = trimesh.load_mesh(nist / "parts_bin" / "bin_exterior.stl")

@@ -1,4 +1,4 @@
-"""What is set becomes a configuration, and a rig file where no key says it."""
+"""Settings of the page become a configuration, and a rig file for values without a key."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,13 +30,13 @@ def path(tmp_path):
     return tmp_path / "cell.yaml"
 
 
-def test_a_value_is_put_at_its_place_and_nothing_else_moves():
+def test_a_value_is_set_at_its_key_and_no_other_value_changes():
     before = document(exposure={"target": 0.5})
     after = changed(before, "exposure.percentile", 90)
     assert after.content["exposure"] == {"target": 0.5, "percentile": 90}
     after = changed(after, "parts.0.material", {"roughness": 0.2})
     assert after.content["parts"] == [WORDS["parts"][0] | {"material": {"roughness": 0.2}}]
-    assert before.content == WORDS | {"exposure": {"target": 0.5}}  # an earlier state stays
+    assert before.content == WORDS | {"exposure": {"target": 0.5}}  # an earlier state is kept
     assert changed(after, "exposure.target", None).content["exposure"] == {"percentile": 90}
 
 
@@ -52,19 +52,19 @@ def test_a_value_is_put_at_its_place_and_nothing_else_moves():
         ("rig.weight", 1, "the keys are power, baseline, toe_in_deg"),
     ],
 )
-def test_what_cannot_be_set_is_told(key, value, message):
+def test_impossible_settings_are_refused_with_a_message(key, value, message):
     with pytest.raises(ConfigError, match=message):
         changed(document(), key, value)
 
 
-def test_the_configuration_is_refused_in_the_command_line_s_words(path):
+def test_an_invalid_configuration_is_refused_with_the_command_line_s_message(path):
     with pytest.raises(ConfigError, match=r"cell.yaml: exposure.target is 4: it should be less"):
         checked(changed(document(), "exposure.target", 4), path)
     with pytest.raises(ConfigError, match=r"unknown key expozure: did you mean exposure\?"):
         checked(changed(document(), "expozure", 4), path)
 
 
-def test_ambient_light_is_a_factor_of_all_that_shines(path):
+def test_ambient_light_is_a_factor_of_all_lamps_and_the_environment(path):
     lamp = {"center_m": [0.7, -0.5, 1.6], "radiance": [10.0, 20.0, 30.0]}
     turned = changed(document(light={"lamps": [lamp, lamp]}), "ambient", 3)
     light = files_of(turned, path, rig_name="rig.yaml")[0]["light"]
@@ -72,11 +72,11 @@ def test_ambient_light_is_a_factor_of_all_that_shines(path):
     assert [one["radiance"] for one in light["lamps"]] == [[30.0, 60.0, 90.0]] * 2
 
 
-def test_what_is_not_turned_is_written_as_it_was(path):
+def test_an_unchanged_configuration_is_written_as_it_was(path):
     assert files_of(document(), path, rig_name="rig.yaml") == (WORDS, None)
 
 
-def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
+def test_a_changed_rig_is_a_file_of_its_own_exact_to_the_last_bit(path):
     turned = replace(
         document(rig="like-phoxi-m", resolution="small"),
         rig=RigChange(power=1.7, baseline=0.9, toe_in_deg=0.3),
@@ -94,8 +94,8 @@ def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("axis", ["column", "row"])
-def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axis):
-    """Oracle: the angle between both axes; they meet nearer, where toe-in is more."""
+def test_toe_in_rotates_the_axes_by_its_value_and_keeps_the_baseline(side, axis):
+    """Oracle: the angle between both axes; with more toe-in, they meet nearer."""
     rig = preset_rig("like-phoxi-m")
     half_turn = np.diag([side, side, 1.0, 1.0])  # the projector on the other side
     quarter = np.eye(4)
@@ -109,8 +109,8 @@ def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axi
     assert turned_rig(rig, RigChange()).T_cam_proj.tolist() == rig.T_cam_proj.tolist()
 
 
-def test_a_slider_of_a_surface_leaves_its_roughness_map_alone(tmp_path):
-    """A control sends its whole section; the values that it starts from have the map's name."""
+def test_a_slider_of_a_surface_keeps_its_roughness_map(tmp_path):
+    """A control sends its whole section; its initial values include the map's name."""
     Image.fromarray(np.zeros((2, 2), dtype=np.uint8)).save(tmp_path / "worn.png")
     worn = {"roughness_map": "worn.png", "roughness": 0.4}
     parts = [{"builtin": "toothpaste", "material": worn}]
@@ -128,8 +128,8 @@ def test_a_slider_of_a_surface_leaves_its_roughness_map_alone(tmp_path):
             assert values[key]["roughness"] == 0.4
 
 
-def test_each_control_of_a_setting_has_the_description_that_the_setting_has():
-    """Only what the page itself scales has none: the light around, and changes of the rig."""
+def test_each_control_of_a_setting_has_the_description_of_the_setting():
+    """Only values that the page itself scales have none: ambient light, and changes of the rig."""
     config = Config.model_validate({"parts": [{"builtin": "toothpaste"}], "rig": "like-phoxi-m"})
     controls = described_controls(config, resolve_cell(config, Path()).scanner)["controls"]
     texts = {control["key"]: control["about"] for control in controls}

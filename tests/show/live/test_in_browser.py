@@ -1,4 +1,4 @@
-"""The page in Chromium: every control does what it says, and all is given back at the end."""
+"""The page in Chromium: every control works, and all resources are released at the end."""
 
 import os
 import random
@@ -17,7 +17,7 @@ from graycast.show.live import serve
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 120_000
-POLLING_MS = 50  # and not at every frame, of which a busy machine may paint none
+POLLING_MS = 50  # not at every frame, because a busy machine may paint none
 MOVES = 200
 
 
@@ -30,7 +30,7 @@ def server(tmp_path):
 
 @pytest.fixture
 def page(browser, server):
-    """The page once it shows its cell; what the browser complains about fails the test."""
+    """Open the page and wait for its cell; messages of the browser fail the test."""
     complaints = []
     page = browser.new_page(viewport={"width": 1400, "height": 900})
     page.on("console", lambda message: complaints.append(message.text))
@@ -44,14 +44,14 @@ def page(browser, server):
 
 
 def finished(page, *, may_fail=False):
-    """Wait until what was asked for last is shown, as preview makes it; an error ends the wait."""
+    """Wait until the last request is shown with the quality of preview; an error ends the wait."""
     from playwright.sync_api import TimeoutError
 
     try:
         page.wait_for_function(
             """() => { const d = document.getElementById("main").dataset;
             const ended = (d.exact === "true" && d.shown === d.asked) || d.failed === d.asked;
-            return ended && d.asked !== undefined; }""",  # at first neither is there
+            return ended && d.asked !== undefined; }""",  # at first, both are missing
             timeout=WAIT_MS,
             polling=POLLING_MS,
         )
@@ -66,7 +66,7 @@ def finished(page, *, may_fail=False):
 
 
 def act_and_wait(page, act, *, may_fail=False):
-    """Do something, and wait for the picture of it."""
+    """Do something, and wait for its picture."""
     before = page.get_attribute("#main", "data-asked")
     act()
     page.wait_for_function(
@@ -89,7 +89,7 @@ def controls(page):
 
 
 def other_value(control, now):
-    """Somewhere else within the bounds, near enough that a scene is still seen."""
+    """Return another value within the bounds, near enough that the scene stays visible."""
     low, high, step = control["low"], control["high"], control.get("step")
     if step is None:
         return float(f"{now * 1.3 if now * 1.3 < high else now / 1.3:.4g}")
@@ -108,7 +108,7 @@ def control_value(page, control):
 
 
 def compared(page, server, renderer):
-    """What is shown against what `make_scene` makes of the saved file."""
+    """Compare the page with the result of `make_scene` for the saved file."""
     path = server.session.save("saved.yaml")
     cell = resolve_cell(load_config(path), path.parent)
     shot = make_scene(cell, 0, seed=cell.config.seed, renderer=renderer)
@@ -119,8 +119,8 @@ def compared(page, server, renderer):
     np.testing.assert_array_equal(scene_map(page, "reason"), shot.sample.scanner_depth.reason)
 
 
-def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, server):
-    """Oracle: the file that Save writes, through `load_config` and `make_scene`."""
+def test_every_control_changes_its_setting_and_shows_the_picture_of_preview(page, server):
+    """Oracle: the file that Save writes, read by `load_config` and rendered by `make_scene`."""
     cell = resolve_cell(load_config(server.session._path), server.session._path.parent)
     done = set()
     with open_cell_renderer(cell, device="cpu") as renderer:
@@ -151,7 +151,7 @@ def test_every_control_sets_what_it_says_and_shows_what_preview_makes(page, serv
     assert len(done) > 45 and page.evaluate("Graycast.live.errors") == []
 
 
-def test_a_slider_that_is_moved_is_one_step_of_undo(page):
+def test_a_moved_slider_is_one_step_of_undo(page):
     slider = page.locator('[data-key="exposure.target"] input[type=range]')
     slider.focus()
     before = page.locator("#text").input_value()
@@ -179,7 +179,7 @@ def test_the_rig_is_dragged_in_the_3d_view(page):
     assert page.evaluate("Graycast.opened().header.values['view.tilt_deg']") == 0
 
 
-def test_two_settings_stand_side_by_side_and_one_goes_back(page):
+def test_two_settings_are_shown_side_by_side_and_one_can_be_restored(page):
     page.click("#hold")
     before = scene_map(page, "reason")
     number = page.locator('[data-key="exposure.target"] input[type=number]')
@@ -193,7 +193,7 @@ def test_two_settings_stand_side_by_side_and_one_goes_back(page):
     np.testing.assert_array_equal(scene_map(page, "reason"), before)
 
 
-def test_errors_are_told_in_the_command_line_s_words(page, server):
+def test_errors_are_shown_with_the_command_line_s_messages(page, server):
     number = page.locator('[data-key="exposure.target"] input[type=number]')
     number.fill("4")
     number.press("Enter")
@@ -209,15 +209,15 @@ def test_errors_are_told_in_the_command_line_s_words(page, server):
     )
     assert "no built-in part 'nothing': choose " in page.locator("#error").inner_text()
     failed, now = (page.get_attribute("#main", f"data-{name}") for name in ("failed", "asked"))
-    assert failed == now  # so that nobody waits for its picture
+    assert failed == now  # so that no test waits for its picture
     dimmed = "parseFloat(getComputedStyle(document.querySelector('#picture-side .stage')).opacity)"
-    assert page.evaluate(dimmed) < 0.5  # The picture is of other settings than the page has now.
+    assert page.evaluate(dimmed) < 0.5  # The picture has other settings than the page now.
     act_and_wait(page, lambda: page.click("#undo"))
     assert page.locator("#error").is_hidden()
     assert page.evaluate(dimmed) == 1
 
 
-def test_all_figures_are_in_sight_in_a_window_of_1500_by_950(page):
+def test_all_figures_are_visible_in_a_window_of_1500_by_950(page):
     page.set_viewport_size({"width": 1500, "height": 950})
     beside = page.locator("#beside").bounding_box()
     last = page.locator("#figures > :last-child").bounding_box()
@@ -226,7 +226,7 @@ def test_all_figures_are_in_sight_in_a_window_of_1500_by_950(page):
 
 
 def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, server):
-    """Another page, and one after all were closed: the way back is the control itself."""
+    """Also a second page, and one opened after all were closed: the control can undo the change."""
     number = page.locator('[data-key="view.distance_m"] input[type=number]')
     number.fill("5")
     act_and_wait(page, lambda: number.press("Enter"), may_fail=True)
@@ -247,8 +247,8 @@ def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, se
     again.close()
 
 
-def test_controls_are_there_before_any_picture(browser, server):
-    """Here no process makes pictures at all."""
+def test_controls_exist_before_any_picture(browser, server):
+    """In this test, no process makes pictures."""
     server.session.open = lambda: None
     page = browser.new_page()
     page.goto(server.url)
@@ -263,7 +263,7 @@ def test_controls_are_there_before_any_picture(browser, server):
     page.close()
 
 
-def test_a_refused_text_stays_to_be_mended(page):
+def test_a_refused_text_stays_so_that_it_can_be_corrected(page):
     text = page.locator("#text")
     wrong = text.input_value().replace("count: 3", "count: 4\nconut: 3")
     text.fill(wrong)
@@ -279,7 +279,7 @@ def test_a_refused_text_stays_to_be_mended(page):
     assert "count: 4" in text.input_value()
 
 
-def test_a_low_bit_depth_names_what_stands_against_it_which_has_a_control(page):
+def test_a_low_bit_depth_names_the_conflicting_setting_which_has_a_control(page):
     depth = page.locator('[data-key="sensor.bit_depth"] input[type=number]')
     depth.fill("6")
     depth.press("Enter")
@@ -293,7 +293,7 @@ def test_a_low_bit_depth_names_what_stands_against_it_which_has_a_control(page):
     assert "bit_depth: 6" in page.locator("#text").input_value()
 
 
-def test_every_view_paints_and_the_pointer_reads_values(page):
+def test_every_view_is_drawn_and_shows_values_under_the_pointer(page):
     pictures = set()
     for view in page.evaluate("Graycast.VIEWS.map((view) => view.id)"):
         page.click(f'[data-view="{view}"]')
@@ -317,8 +317,8 @@ def resident(pid):
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def test_200_random_moves_leave_no_error_and_no_leak_and_all_is_given_back(page, server):
-    """Refusals in the configuration's own words may come: a bin can be too small for its parts."""
+def test_200_random_actions_cause_no_error_and_no_leak(page, server):
+    """Refusals of the configuration may occur: a bin can be too small for its parts."""
     rng = random.Random(3)
     listed = [one for one in controls(page) if "choices" not in one and one["cost"] != "physics"]
     listed = [one for one in listed if not one["key"].startswith("render.")]
@@ -340,16 +340,16 @@ def test_200_random_moves_leave_no_error_and_no_leak_and_all_is_given_back(page,
             page.click('[data-look="top"]')
             act_and_wait(page, lambda: page.click("#undo"), may_fail=True)
             memory.append(resident(pid))
-    assert server.session.pid == pid  # it was never started anew
+    assert server.session.pid == pid  # it was never restarted
     errors = page.evaluate("Graycast.live.errors")
     assert not [text for text in errors if "error in Graycast" in text or "was ended" in text]
     assert memory[-1] - memory[1] < 150e6, memory
     page.goto("about:blank")
     deadline = time.monotonic() + 30
     while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)  # the session lets go of it first, and then it ends
+        time.sleep(0.1)  # the session drops it first, and then it ends
     assert server.session.pid is None and not Path(f"/proc/{pid}").exists()
-    page.goto(server.url)  # and it comes back, with what was set: a picture, or why there is none
+    page.goto(server.url)  # it returns with its settings: a picture, or the reason for none
     page.wait_for_function(
         "() => document.getElementById('main').dataset.shown !== undefined "
         "|| !document.getElementById('error').hidden",

@@ -1,4 +1,4 @@
-"""Whatever is kept, what is finished is what `make_scene` makes of the same words."""
+"""With any reuse of earlier results, a finished picture equals that of `make_scene`."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from graycast.show.live.showing import picture_answer
 
 
 class Watched:
-    """A line, what it told, and the cell that it is asked for."""
+    """A line, its messages, and the requested cell."""
 
     def __init__(self, path: Path):
         self.path, self.answers, self.stop = path, [], False
@@ -35,7 +35,7 @@ class Watched:
         self.config = load_config(path)
 
     def show(self, *, ambient=1.0, power=1.0, unturned=None, **sections):
-        """Show the cell with other sections; returns what kinds of pictures came."""
+        """Show the cell with other sections; return the kinds of pictures that came."""
         self.config = Config.model_validate(
             self.config.model_dump(exclude_none=True) | sections  # as a user writes them
         )
@@ -52,11 +52,11 @@ class Watched:
         return [one.header["kind"] for one in self.answers if one.kind == "picture"]
 
     def look(self):
-        """Look at another frame of what was shown last."""
+        """Show another frame of the last result."""
         self.line.look(replace(self.ask, frame=1))
 
     def shot(self):
-        """What `make_scene` makes of it."""
+        """Return the result of `make_scene`."""
         cell = resolve_cell(self.config, self.path.parent)
         with open_cell_renderer(cell, device="cpu") as renderer:
             return make_scene(cell, 0, seed=self.config.seed, renderer=renderer)
@@ -83,19 +83,19 @@ def watched(tmp_path_factory):
         yield watched
 
 
-def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
+def test_the_first_pictures_are_rough_and_the_last_is_that_of_preview(watched):
     kinds = watched.show()
     pictures = [one for one in watched.answers if one.kind == "picture"]
-    assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes after
+    assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes later
     assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
     assert set(kinds) == {"physics"} and [one.kind for one in watched.answers].count("world") == 1
     watched.assert_finished()
-    # The denoiser took half of the time of all tests below, and has nothing to do with them.
+    # The denoiser takes half of the time of the tests below, which do not concern it.
     watched.show(render={"samples": 6, "denoise": False})
 
 
-def test_the_page_gets_what_is_shown_in_its_own_order(watched):
-    """Millimetres, the way of WebGL's matrices, and instances from 1; noise by its own law."""
+def test_the_page_receives_the_result_in_its_own_formats(watched):
+    """Millimetres, column-major matrices of WebGL, and instances from 1; noise by its own law."""
     watched.show(seed=3)
     content = watched.line.content
     (world,) = (one for one in watched.answers if one.kind == "world")
@@ -145,7 +145,7 @@ def box(**words):
         ({"view": {"tilt_deg": 20.0}}, False),
     ],
 )
-def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sections, falls):
+def test_parts_are_dropped_again_only_after_changes_that_move_them(tmp_path, sections, falls):
     def key(**sections):
         config = load_config(write_cell(tmp_path, **sections))
         scene = resolve_cell(config, tmp_path).scene
@@ -163,7 +163,7 @@ def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sec
         slow({"faults": {"raster_px": 0.3, "raster_limit_m": 0.0005}}),
     ],
 )
-def test_a_free_change_is_measured_again_without_rendering(watched, sections):
+def test_a_change_of_the_sensor_is_evaluated_again_without_rendering(watched, sections):
     watched.show()
     number = watched.line._count
     assert set(watched.show(**sections)) == {"free"}
@@ -172,7 +172,7 @@ def test_a_free_change_is_measured_again_without_rendering(watched, sections):
 
 
 def test_more_light_is_scaled_at_once_and_then_rendered(watched):
-    """Oracle: light is linear. Scaled and rendered differ by rounding alone."""
+    """Oracle: light is linear. Scaled and rendered pictures differ by rounding only."""
     watched.show()
     unturned = watched.config
     light = unturned.light.model_dump(exclude_none=True)
@@ -196,7 +196,7 @@ def test_more_light_is_scaled_at_once_and_then_rendered(watched):
     watched.assert_finished()
 
 
-def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
+def test_a_moved_rig_is_rendered_without_a_new_drop(watched):
     layout = watched.line.content.layout
     kinds = watched.show(view={"tilt_deg": 8.0, "azimuth_deg": 20.0})
     assert set(kinds) == {"light"} and watched.line.content.layout is layout
@@ -205,7 +205,7 @@ def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
 
 
 @pytest.mark.slow
-def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
+def test_a_surface_needs_rendering_and_a_number_of_parts_needs_physics(watched):
     watched.show()  # the slow suite has shown nothing before
     box = watched.config.bin.model_dump(exclude_none=True)
     material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
@@ -216,8 +216,8 @@ def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
 
 
 @pytest.mark.slow
-def test_an_edited_file_is_read_again_although_its_name_is_the_same(watched):
-    """A rig of another baseline decoded the pictures of the old one; another box did not come."""
+def test_an_edited_file_is_read_again_even_if_its_name_is_unchanged(watched):
+    """A rig of another baseline decoded pictures of the old one; a changed box was not read."""
     folder = watched.path.parent
     rig_file, mesh_file = folder / "rig.yaml", folder / "box.stl"
     rig, mesh = rig_file.read_bytes(), mesh_file.read_bytes()
@@ -239,7 +239,7 @@ def test_an_edited_file_is_read_again_although_its_name_is_the_same(watched):
 
 
 @pytest.mark.parametrize("word", ["material", "map", "rig"])
-def test_the_light_depends_on_the_content_of_pictures_that_a_cell_names(tmp_path, word):
+def test_the_light_depends_on_the_content_of_the_pictures_of_a_cell(tmp_path, word):
     picture = tmp_path / "picture.png"
     write_cell(tmp_path)
     settings = yaml.safe_load((tmp_path / "cell.yaml").read_text())
@@ -259,8 +259,8 @@ def test_the_light_depends_on_the_content_of_pictures_that_a_cell_names(tmp_path
     assert keys[0] == keys[1] != keys[2]
 
 
-def test_what_comes_next_breaks_off_what_is_being_made(watched):
-    """Rough pictures are finished, so that a hand that goes on moving sees some."""
+def test_a_new_request_interrupts_the_rendering_of_the_old_one(watched):
+    """Rough pictures are finished, so that a moving hand sees some."""
     passes, line = [], watched.line
 
     def on_pass(done, total):
@@ -279,7 +279,7 @@ def test_what_comes_next_breaks_off_what_is_being_made(watched):
 
 
 @pytest.mark.slow
-def test_a_free_change_on_a_rough_picture_goes_on_with_it(watched):
+def test_a_change_of_the_sensor_during_a_rough_picture_continues_with_it(watched):
     watched.show(seed=6)
     lit = watched.line._lit
     rough = replace(lit, quality=replace(lit.quality, samples=4), final=False)

@@ -1,4 +1,4 @@
-"""Who may speak to the server, and what it answers; nothing is rendered here."""
+"""Access to the server, and its answers; nothing is rendered here."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def do(server, **command):
     return json.loads(text)
 
 
-def test_the_page_and_its_scripts_are_there_and_no_other_file(server):
+def test_the_server_has_the_page_and_its_scripts_and_no_other_file(server):
     status, page = response(server, "GET", "/")
     assert status == 200
     for name in re.findall(r'(?:src|href)="(\w+\.\w+)"', page):
@@ -79,19 +79,19 @@ def test_the_page_and_its_scripts_are_there_and_no_other_file(server):
     ],
 )
 @pytest.mark.parametrize("method", ["GET", "POST"])
-def test_other_names_and_other_pages_are_refused(server, headers, method):
+def test_requests_of_other_hosts_and_other_pages_are_refused(server, headers, method):
     sent = {name: value.format(port=server.port) for name, value in headers.items()}
     body = {"do": "undo"} if method == "POST" else None
     assert response(server, method, "/do" if body else "/", body, **sent)[0] == 403
 
 
-def test_forms_and_floods_are_refused(server):
+def test_forms_and_large_requests_are_refused(server):
     plain = {"Content-Type": "text/plain"}
     assert response(server, "POST", "/do", {"do": "undo"}, **plain)[0] == 404
     assert response(server, "POST", "/do", None, **{"Content-Length": "99999999"})[0] == 413
 
 
-def test_settings_are_set_undone_and_told(server):
+def test_settings_are_set_undone_and_returned(server):
     session = server.session
     assert do(server, do="set", key="exposure.target", value=0.3) == {"number": 1}
     do(server, do="set", key="exposure.target", value=0.4, draft=True)
@@ -121,13 +121,13 @@ def test_settings_are_set_undone_and_told(server):
         ({"do": "dance"}, 'the page asked for {"do": "dance"}: reload it'),
     ],
 )
-def test_what_is_refused_is_told_and_changes_nothing(server, command, message):
+def test_a_refused_setting_is_reported_and_changes_nothing(server, command, message):
     before = server.session.state()
     assert message in do(server, **command)["error"]
     assert server.session.state() == before
 
 
-def test_what_was_saved_here_may_be_saved_again(server, tmp_path):
+def test_a_file_that_was_saved_here_may_be_overwritten(server, tmp_path):
     do(server, do="set", key="rig.power", value=2)
     assert do(server, do="save", name="mine.yaml") == {"saved": str(tmp_path / "mine.yaml")}
     assert (tmp_path / "mine_rig.yaml").exists()
@@ -136,15 +136,15 @@ def test_what_was_saved_here_may_be_saved_again(server, tmp_path):
     assert "count: 2" in (tmp_path / "mine.yaml").read_text()
 
 
-def test_a_taken_port_and_a_wrong_file_are_told(server, tmp_path):
+def test_a_used_port_and_a_wrong_file_are_reported(server, tmp_path):
     with pytest.raises(GraycastError, match=f"port {server.port} of this machine cannot be opened"):
         Server(tmp_path / "cell.yaml", port=server.port)
     with pytest.raises(ConfigError, match="no such file"):
         Server(tmp_path / "none.yaml")
 
 
-def test_a_saved_file_is_the_cell_that_is_shown(server):
-    """`test_line.py` has that a shown cell is `make_scene`'s."""
+def test_a_saved_file_gives_the_cell_that_is_shown(server):
+    """`test_line.py` tests that a shown cell equals `make_scene`'s."""
     for key, value in (("ambient", 2.5), ("rig.power", 0.7), ("rig.toe_in_deg", 0.5)):
         do(server, do="set", key=key, value=value)
     do(server, do="set", key="parts.0.material", value={"roughness": 0.1})
@@ -155,8 +155,8 @@ def test_a_saved_file_is_the_cell_that_is_shown(server):
     assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
 
 
-def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypatch):
-    """Else a page whose stream broke off would wait for it without end."""
+def test_a_page_that_opens_later_is_told_why_there_is_no_picture(server, monkeypatch):
+    """Otherwise a page whose stream was interrupted would wait for ever."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
     session, refusal = server.session, {"error": "the bin is too small"}
@@ -180,8 +180,8 @@ def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypat
         assert kinds() == ["state"]
 
 
-def test_a_page_that_joins_while_an_answer_comes_gets_it(server, monkeypatch):
-    """The answer comes when the page has taken what there was, and does not listen yet."""
+def test_a_page_that_joins_while_an_answer_arrives_receives_it(server, monkeypatch):
+    """The answer arrives after the page has read the existing ones and before it listens."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
     session = server.session
@@ -192,7 +192,7 @@ def test_a_page_that_joins_while_an_answer_comes_gets_it(server, monkeypatch):
         answers = newer(version)
         threads.append(threading.Thread(target=session._answered, args=(picture,)))
         threads[0].start()
-        threads[0].join(0.2)  # it ends, unless it has to wait for the page
+        threads[0].join(0.2)  # it ends, unless it waits for the page
         return answers
 
     monkeypatch.setattr(session, "newer", newer_and_an_answer)
@@ -203,8 +203,8 @@ def test_a_page_that_joins_while_an_answer_comes_gets_it(server, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp_path):
-    """A killed process stands for one that crashed, or for which memory was exhausted."""
+def test_a_killed_process_is_restarted_unless_it_finished_nothing(tmp_path):
+    """A killed process represents one that crashed, or that ran out of memory."""
     queue = SimpleQueue()
     session = Session(write_cell(tmp_path), device="cpu", on_message=queue.put)
 
@@ -226,13 +226,13 @@ def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp
     error = heard("error")
     assert "before it finished a picture: undo the" in error["error"]
     assert session.pid is None and error["number"] == session.number
-    session.open()  # as a page does that is loaded again
+    session.open()  # as a reloaded page does
     assert heard("picture")["number"] == session.number
     assert "target: 0.3" in session.state()["text"]
     session.close()
     assert session.pid is None
     while not queue.empty():
-        assert queue.get().kind != "error"  # what was stopped did not end by itself
+        assert queue.get().kind != "error"  # the stopped process did not end on its own
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""A session without its process: what is set, and the way back."""
+"""A session without its process: settings and undo."""
 
 import pytest
 from small_cell import write_cell
@@ -18,7 +18,7 @@ def where(session):
     return state["values"]["ambient"], state["undo"], state["redo"]
 
 
-def test_what_was_undone_is_gone_once_something_else_is_set(session):
+def test_undone_settings_are_gone_after_another_change(session):
     for ambient in (2.0, 3.0, 4.0):
         session.set("ambient", ambient)
     session.undo(2)
@@ -33,12 +33,12 @@ def test_what_was_undone_is_gone_once_something_else_is_set(session):
     assert where(session) == (1.0, 0, 3)
 
 
-def test_drafts_in_a_row_are_one_step_of_undo(session):
+def test_consecutive_drafts_are_one_step_of_undo(session):
     session.set("ambient", 2.0)
     for ambient in (3.0, 4.0, 5.0):
         session.set("ambient", ambient, draft=True)
     assert where(session)[:2] == (5.0, 2)
-    session.set("ambient", 6.0)  # the hand lets go
+    session.set("ambient", 6.0)  # the mouse button is released
     assert where(session) == (6.0, 2, 0)
     session.undo()
     assert where(session) == (2.0, 1, 1)

@@ -1,4 +1,4 @@
-"""What a user of the page does and sees, for the tests that drive a browser."""
+"""Actions of a user of the page, and what the page shows, for tests with a browser."""
 
 from contextlib import contextmanager
 
@@ -13,7 +13,7 @@ def ready(page, name):
 
 @contextmanager
 def watched_page(browser, address):
-    """The overview; at the end, whatever the browser complained about fails the test."""
+    """Open the overview; at the end, any message of the browser fails the test."""
     complaints = []
     page = browser.new_page(viewport={"width": 1400, "height": 860})
     page.on("console", lambda message: complaints.append(message.text))
@@ -39,7 +39,7 @@ def opened(page, report, scene_id, view=None):
 
 
 def pressed(page):
-    """The view that is shown."""
+    """Return the view that is shown."""
     return page.get_attribute('[data-view][aria-pressed="true"]', "data-view")
 
 
@@ -48,7 +48,7 @@ def scene_map(page, name):
 
 
 def canvas_pixels(page, canvas="picture"):
-    """What a canvas shows; a copy is read, as browsers complain of slow canvases read often."""
+    """Return a canvas's pixels from a copy, since browsers warn of canvases that are often read."""
     data = page.evaluate(
         """(name) => {
             const copy = document.createElement("canvas");
@@ -63,7 +63,7 @@ def canvas_pixels(page, canvas="picture"):
 
 
 def place(page, row, column):
-    """Where a pixel of the picture is on the screen."""
+    """Return the position of a pixel of the picture on the screen."""
     box = page.locator("#picture").bounding_box()
     return (
         box["x"] + (column + 0.5) * box["width"] / 160,

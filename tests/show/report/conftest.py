@@ -1,4 +1,4 @@
-"""Small pages, and a browser to open them from the disk."""
+"""Small pages, and a browser that opens them from the disk."""
 
 import pytest
 from pictured import lensed_rig, write_dataset
@@ -22,7 +22,7 @@ def report(rig, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def report_with_frames(rig, tmp_path_factory):
-    """The same with captured frames and decoded columns."""
+    """The same page with captured frames and decoded columns."""
     folder = tmp_path_factory.mktemp("kept")
     samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
     return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
@@ -30,6 +30,6 @@ def report_with_frames(rig, tmp_path_factory):
 
 @pytest.fixture
 def page(browser, report):
-    """The overview; at the end, whatever the browser complained about fails the test."""
+    """Open the overview; at the end, any message of the browser fails the test."""
     with watched_page(browser, report[2].as_uri()) as page:
         yield page

@@ -1,7 +1,7 @@
-"""A folder of picks made by hand, without light, physics or a planner: what pages read.
+"""A folder of picks made by hand, without light, physics or a planner, for the page.
 
-Two boxes in a small bin, three scans: one box is picked, the other is lost on the way, and then
-nothing is found.
+Two boxes in a small bin, three scans: one box is picked, the other is lost during the motion, and
+then no box is detected.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ FROM_GRIP_TO_PART = rigid(axis_rotation("z", 0.3), np.array([0.004, -0.002, -0.0
 
 
 def write_picks(folder, *, bins=(0, 2), **changes):
-    """Returns the folder of picks and the cell's file."""
+    """Write the picks; return their folder and the cell's file."""
     options = {"robot": {"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]}, **changes}
     path = write_cell(folder, "scenes", **options)
     config = load_pick_config(path)
@@ -78,7 +78,7 @@ def attempt(outcome, lay, present, *, T=None, moved=None, **fields):
 
 
 def motion(robot, cell, *, place_m):
-    """Angles from home down to a grip and up to the other side, and `T_world_tip` at the grip."""
+    """Return angles from home to a grip and up to the other side, and `T_world_tip` at the grip."""
     T = rigid(axis_rotation("z", 0.4), np.array(place_m))
     T_flange = inverse(cell.T_world_base) @ T @ inverse(T_flange_tip(cell.config.tool))
     down = robot.reach(T_flange, robot.home, seed=0)[0]
@@ -88,7 +88,7 @@ def motion(robot, cell, *, place_m):
 
 
 def depth(cell, T_world_part):
-    """z of the nearest surface of bin and parts."""
+    """Return z of the nearest surface of bin and parts."""
     scene = cell.cell.scene
     T_cam_world, camera = inverse(scene.T_world_cam), scene.rig.camera
     things = [(bin_mesh(scene.bin), np.eye(4))]

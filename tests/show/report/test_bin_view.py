@@ -1,4 +1,4 @@
-"""The sheet shows the bin and what lies in it; the camera looks straight down from 0.5 m."""
+"""The sheet shows the bin and its content; the camera looks straight down from 0.5 m."""
 
 from dataclasses import replace
 
@@ -32,14 +32,14 @@ def truth_of(instance=None, depth_m=None):
 
 
 def part_at(row, column, depth_m):
-    """A part that covers 5 x 5 pixels from there on, at a depth."""
+    """Return a part that covers 5 x 5 pixels from this pixel on, at a depth."""
     instance, depth = np.full((HEIGHT, WIDTH), -1, dtype=np.int32), np.full((HEIGHT, WIDTH), 0.5)
     instance[row : row + 5, column : column + 5] = 0
     depth[row : row + 5, column : column + 5] = depth_m
     return truth_of(instance, depth.astype(np.float32))
 
 
-def test_the_crop_holds_the_walls_of_the_bin_and_little_more():
+def test_the_crop_contains_the_walls_of_the_bin_and_little_more():
     """Oracle: similar triangles; the rim is 0.4 m from the camera."""
     left, top, width, height = bin_crop(scene_of(BOX), truth_of())
     rim_px = np.array([F_PX * 0.22 / 0.4, F_PX * 0.12 / 0.4])
@@ -49,35 +49,35 @@ def test_the_crop_holds_the_walls_of_the_bin_and_little_more():
 
 
 @pytest.mark.parametrize(("row", "column"), [(2, 3), (290, 390), (150, 1)])
-def test_a_part_beside_the_bin_is_in_the_crop(row, column):
+def test_a_part_outside_the_bin_is_in_the_crop(row, column):
     left, top, width, height = bin_crop(scene_of(BOX), part_at(row, column, 0.49))
     assert left <= column and column + 5 <= left + width
     assert top <= row and row + 5 <= top + height
 
 
-def test_a_bin_that_is_longer_than_the_picture_is_high_does_not_make_a_tall_sheet():
+def test_a_bin_longer_than_the_height_of_the_picture_does_not_make_a_tall_sheet():
     left, top, width, height = bin_crop(scene_of(Bin(inner_m=(0.02, 0.3, 0.1))), truth_of())
     assert (top, height) == (0, HEIGHT) and width >= height
     assert left + width / 2 == pytest.approx(WIDTH / 2, abs=1)
 
 
-def test_without_a_bin_in_the_picture_the_whole_picture_is_shown():
+def test_without_a_visible_bin_the_whole_picture_is_shown():
     whole = (0, 0, WIDTH, HEIGHT)
     assert bin_crop(scene_of(None), truth_of()) == whole
     aside = ABOVE.copy()
     aside[0, 3] = 5.0
     assert bin_crop(replace(scene_of(BOX), T_world_cam=aside), truth_of()) == whole
     behind = ABOVE.copy()
-    behind[:3, :3] = np.eye(3)  # It looks at the sky.
+    behind[:3, :3] = np.eye(3)  # it looks at the sky
     assert bin_crop(replace(scene_of(BOX), T_world_cam=behind), truth_of()) == whole
 
 
 def test_the_colours_of_depth_span_the_bin_and_not_the_room():
-    """The rim is at 400 mm, the floor at 500 mm; the room reaches to 5 m."""
+    """The rim is at 400 mm, the floor at 500 mm; the room extends to 5 m."""
     room_m = np.full((HEIGHT, WIDTH), 5.0, dtype=np.float32)
     room = truth_of(depth_m=room_m)
     assert depth_limits_mm(scene_of(BOX), room) == pytest.approx((398.0, 502.0))
-    heap = depth_limits_mm(scene_of(BOX), part_at(140, 190, 0.3))  # It stands out of the bin.
+    heap = depth_limits_mm(scene_of(BOX), part_at(140, 190, 0.3))  # it is higher than the rim
     assert heap == pytest.approx((300 - 4, 500 + 4), abs=1e-3)
     low_mm, high_mm = depth_limits_mm(scene_of(None), part_at(140, 190, 0.3))
     assert (low_mm, high_mm) == pytest.approx((300 - 4, 500 + 4), abs=1e-3)

@@ -1,4 +1,4 @@
-"""The share of the parts that is seen is one number in run, statistics, card and page."""
+"""The share of the parts' pixels with depth is the same in run, statistics, card and page."""
 
 import json
 from dataclasses import replace
@@ -17,8 +17,8 @@ from graycast.dataset.stats import dataset_statistics, statistics_json
 from graycast.show.report.page import write_report
 
 
-def test_pictures_of_unequal_sizes_count_by_their_pixels():
-    """Half of ten pixels and all of ninety are 95 %, and the mean of the shares would be 75 %."""
+def test_shares_of_pictures_of_unequal_sizes_are_weighted_by_pixels():
+    """Half of ten pixels and all of ninety are 95 %; the mean of the shares would be 75 %."""
     few = np.repeat(np.array([Reason.DECODED, Reason.SHADOW], dtype=np.uint8), 5)
     many, none = np.zeros(90, dtype=np.uint8), np.zeros(0, dtype=np.uint8)
     shares = pooled_shares([reason_counts(few), reason_counts(many), reason_counts(none)])
@@ -40,7 +40,7 @@ def pixels_of(out):
 
 @pytest.mark.slow
 def test_run_statistics_card_and_page_state_the_same_share(tmp_path):
-    """One scene is empty, and the others differ. Oracle: pixels of the pictures, counted."""
+    """One scene is empty, and the others differ. Oracle: a count of the pictures' pixels."""
     cell = load_cell(write_cell(tmp_path, count=[0, 9]))
     out = tmp_path / "out"
     results = []
@@ -76,8 +76,8 @@ def test_run_statistics_card_and_page_state_the_same_share(tmp_path):
             assert row["part_reasons"]["decoded"] == row["part_decoded"]
 
 
-def test_the_record_of_a_rescan_gives_the_pixels_behind_its_shares():
-    """Shares of 7 of 12 and 2 of 5 pixels come back as whole numbers."""
+def test_the_record_of_a_rescan_gives_the_pixel_counts_of_its_shares():
+    """Shares of 7 of 12 and 2 of 5 pixels are read back as whole numbers."""
     record = ImageRecord(
         seeds={},
         exposure_s=0.01,

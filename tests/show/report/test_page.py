@@ -1,4 +1,4 @@
-"""A dataset's web page: its files, and that only what changed is built again."""
+"""A dataset's web page: its files, and that only changed parts are built again."""
 
 import base64
 import json
@@ -41,8 +41,8 @@ def content(out):
 
 
 @pytest.mark.parametrize("kind", ["random", "plane", "edge"])
-def test_packed_words_add_up_to_what_they_were(kind):
-    """Oracle: two running sums undo the two differences that a plane leaves nothing of."""
+def test_packed_values_are_unpacked_to_the_same_values(kind):
+    """Oracle: two cumulative sums undo the two differences, which are zero for a plane."""
     v, u = np.mgrid[:31, :17]
     values = {
         "random": np.random.default_rng(0).integers(0, 65536, (31, 17)),
@@ -55,7 +55,7 @@ def test_packed_words_add_up_to_what_they_were(kind):
     np.testing.assert_array_equal(unpacked, values)
 
 
-def test_packed_differences_of_either_sign_come_back():
+def test_packed_differences_of_both_signs_are_unpacked():
     base = np.array([[0, 65535, 9000, 9000, 5]], dtype=np.uint16)
     values = np.array([[65535, 1, 9003, 8990, 0]], dtype=np.uint16)
     folded = planes(pack_difference(values, base)).reshape(values.shape)
@@ -65,7 +65,7 @@ def test_packed_differences_of_either_sign_come_back():
     assert folded[0, 2:].tolist() == [6, 19, 0]
 
 
-def test_a_second_build_makes_nothing_and_changes_nothing(dataset, tmp_path):
+def test_a_second_build_writes_nothing(dataset, tmp_path):
     first = write_report(dataset, tmp_path / "page")
     before = content(tmp_path / "page")
     again = write_report(dataset, tmp_path / "page")
@@ -73,7 +73,7 @@ def test_a_second_build_makes_nothing_and_changes_nothing(dataset, tmp_path):
     assert content(tmp_path / "page") == before
 
 
-def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset, tmp_path):
+def test_only_a_changed_scene_is_built_again_and_a_deleted_one_is_removed(dataset, tmp_path):
     out = tmp_path / "bins"
     shutil.copytree(dataset, out)
     write_report(out, tmp_path / "page")
@@ -88,7 +88,7 @@ def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset
     assert not (tmp_path / "page/scenes/train-000003").exists()
 
 
-def test_a_build_that_fails_goes_on_where_it_was(dataset, tmp_path):
+def test_a_build_continues_after_a_failure(dataset, tmp_path):
     out = tmp_path / "bins"
     shutil.copytree(dataset, out)
     path = out / "train/000003/rgb/000000.png"
@@ -101,7 +101,7 @@ def test_a_build_that_fails_goes_on_where_it_was(dataset, tmp_path):
     assert write_report(out, tmp_path / "page").current == 1
 
 
-def test_another_folder_is_not_written_into(dataset, tmp_path):
+def test_a_folder_of_other_files_is_not_written_into(dataset, tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(GraycastError, match=r"thesis\.tex"):
         write_report(dataset, tmp_path)
@@ -119,7 +119,7 @@ def test_the_page_needs_nothing_from_the_network(dataset, tmp_path):
         assert addresses <= {"http://www.w3.org/2000/svg"}, path.name
 
 
-def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
+def test_reasons_have_the_same_colours_as_in_all_pictures(dataset, tmp_path):
     write_report(dataset, tmp_path / "page")
     text = (tmp_path / "page/index.js").read_text()
     index = json.loads(text.removeprefix("Graycast.report = ").rstrip().rstrip(";"))
@@ -130,14 +130,14 @@ def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
     assert len(index["scanners"][""]["code"]["frames"]) == 2 + 8 + 7
 
 
-def test_wide_maps_are_thinned(dataset, tmp_path):
+def test_wide_maps_are_reduced(dataset, tmp_path):
     write_report(dataset, tmp_path / "page", width_px=100)
     text = (tmp_path / "page/scenes/train-000000/scene.js").read_text()
     scene = json.loads(text.removeprefix("Graycast.receive(").rstrip().removesuffix(");"))
     assert (scene["stride"], scene["width"], scene["height"]) == (2, 80, 60)
 
 
-def test_frames_and_columns_are_scripts_of_their_own(dataset, tmp_path):
+def test_frames_and_columns_are_in_separate_scripts(dataset, tmp_path):
     out = tmp_path / "bins"
     write_dataset(out, scene_ids=(0,), keeps=True)
     write_report(out, tmp_path / "page", width_px=100)
@@ -173,10 +173,10 @@ def test_pages_of_real_pictures_are_built(dataset, tmp_path):
 
 
 def test_every_file_for_the_browser_is_on_a_page(dataset, tmp_path):
-    """The names in Python and the files in `web` are the same, so none is forgotten or left."""
+    """The names in Python and the files in `web` are the same, so none is missing or unused."""
     write_report(dataset, tmp_path / "page")
     web = {path.name for path in (resources.files(dataset_page.__package__) / "web").iterdir()}
-    web -= {"types.d.ts"}  # which TypeScript's checker alone reads
+    web -= {"types.d.ts"}  # which only TypeScript's checker reads
     written = {path.name for path in (tmp_path / "page").glob("*.*")}
     assert written == web | {"index.js"}
     page = (tmp_path / "page/index.html").read_text()

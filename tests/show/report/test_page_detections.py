@@ -1,4 +1,4 @@
-"""A run's detections on the page: what the scripts hold, and what a user sees of it."""
+"""A run's detections on the page: content of the scripts, and what a user sees."""
 
 import json
 
@@ -15,7 +15,7 @@ from .browsing import opened, ready, watched_page
 
 pytestmark = [
     pytest.mark.slow,
-    # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+    # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
     pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning"),
 ]
 
@@ -24,7 +24,7 @@ FALSE_BOX = [2.0, 3.0, 10.0, 12.0]
 
 @pytest.fixture(scope="session")
 def run_report(report, tmp_path_factory):
-    """A page of scenes 0, 3 and 4 with the detections of a run that looked at 0 and 3.
+    """Write a page of scenes 0, 3 and 4 with the detections of a run on scenes 0 and 3.
 
     In scene 0 all is found, with scores that fall from 0.9 by 0.1; in scene 3 the first instance
     is missed and there is a false alarm of 0.85.
@@ -74,7 +74,7 @@ def received(page, name):
     return json.loads(text.removeprefix("Graycast.receive(").removesuffix(");\n"))
 
 
-def test_a_scene_s_script_says_what_each_detection_found(run_report):
+def test_a_scene_s_script_has_the_match_of_each_detection(run_report):
     _, examples, page = run_report
     scene_0 = received(page, "train-000000/detections.js")
     assert {one["state"] for one in scene_0["detections"]} <= {"hit", "ignored"}
@@ -92,7 +92,7 @@ def test_a_scene_s_script_says_what_each_detection_found(run_report):
     assert not (page.parent / "scenes" / "train-000004" / "detections.js").exists()
 
 
-def test_a_page_made_without_results_has_none(run_report, tmp_path):
+def test_a_page_without_results_has_no_detections(run_report, tmp_path):
     dataset, _, page = run_report
     again = write_report(dataset, page.parent.parent / "bare").page
     assert '"detections":null' in (again.parent / "index.js").read_text()
@@ -135,7 +135,7 @@ def move(page, slider, score):
     )
 
 
-def test_filters_select_scenes_with_missed_and_false_and_show_them(page):
+def test_filters_select_and_show_scenes_with_missed_parts_and_false_alarms(page):
     page.select_option("#pick-found", "missed")
     assert cards(page) == ["train-000003"]
     assert "1 missed" in page.locator(".found-line").inner_text()
@@ -157,7 +157,7 @@ def test_filters_select_scenes_with_missed_and_false_and_show_them(page):
     assert page.locator(".told-row .chip").inner_text().startswith("detector not run")
 
 
-def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(page, run_report):
+def test_a_higher_score_limit_shows_more_missed_parts_in_the_grid_and_in_a_scene(page, run_report):
     counted = int((run_report[1][0].visib_fract >= 0.1).sum())
     move(page, "least-score", 0.85)
     page.select_option("#pick-found", "missed")
@@ -165,7 +165,7 @@ def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(pag
     page.click('.card[data-key="train-000000"] a')
     ready(page, "train-000000")
     page.select_option("#choose-foundKind", "all")
-    assert outlines(page, "hit") == 1  # of 0.9 alone
+    assert outlines(page, "hit") == 1  # only that of score 0.9
     assert outlines(page, "missed") == counted - 1
     move(page, "score-slider", 0)
     assert outlines(page, "missed") == 0
@@ -173,8 +173,8 @@ def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(pag
     assert page.locator('#found-table tr[data-state="hit"]').count() == counted
 
 
-def test_a_false_alarm_is_drawn_where_it_is(page, run_report):
-    """Oracle: where the pixels of its box are on the screen, by the picture's own place."""
+def test_a_false_alarm_is_drawn_at_its_position(page, run_report):
+    """Oracle: the position of its box's pixels on the screen, from the picture's own position."""
     opened(page, run_report, 3)
     box = page.locator("#picture").bounding_box()
     outline = page.locator("#found path.mistake").bounding_box()
@@ -190,7 +190,7 @@ def test_a_false_alarm_is_drawn_where_it_is(page, run_report):
     assert page.locator("#found > *").count() > 0
 
 
-def test_a_scene_that_was_not_looked_at_says_so(page, run_report):
+def test_a_scene_outside_the_run_says_so(page, run_report):
     opened(page, run_report, 4)
     assert "was not run on this scene" in page.locator("#found-list").inner_text()
     assert page.locator("#toggle-found").count() == 0

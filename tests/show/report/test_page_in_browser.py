@@ -1,4 +1,4 @@
-"""The page in a real browser, opened from the disk: it loads, and its controls do what they say."""
+"""The page in a real browser, opened from the disk: it loads, and its controls work."""
 
 import shutil
 from dataclasses import replace
@@ -17,11 +17,11 @@ from graycast.show.report.page import write_report
 from .browsing import SCENES, canvas_pixels, opened, place, pressed, readout, ready, scene_map
 
 pytestmark = pytest.mark.slow
-NONE = "\N{EN DASH}"  # what the page writes where there is no value
+NONE = "\N{EN DASH}"  # the page's text for a missing value
 
 
-def test_the_browser_holds_the_dataset_s_numbers(page, report):
-    """Oracle: the PNGs, pixel by pixel, through packing, JavaScript and back."""
+def test_the_browser_has_the_dataset_s_numbers(page, report):
+    """Oracle: the PNGs, pixel by pixel, through packing and JavaScript."""
     dataset, samples, _ = report
     for scene_id in SCENES:
         opened(page, report, scene_id)
@@ -35,8 +35,8 @@ def test_the_browser_holds_the_dataset_s_numbers(page, report):
 
 
 @pytest.mark.parametrize("which", ["depth", "scanner"])
-def test_projector_positions_are_those_of_the_optics(page, report, rig, which):
-    """Oracle: `optics.rays` and `project`, through both lenses' distortion."""
+def test_projector_positions_agree_with_optics(page, report, rig, which):
+    """Oracle: `optics.rays` and `project`, with the distortion of both lenses."""
     opened(page, report, 0)
     step = scene_map(page, which)
     ray = rays(rig.camera, pixel_grid(120, 160))
@@ -66,7 +66,7 @@ def test_projector_positions_are_those_of_the_optics(page, report, rig, which):
         ((0.0, 0.0, 0.9, 0.0, 0.0), True),
     ],
 )
-def test_rays_are_refused_where_optics_refuses_them(page, report, rig, distortion, folds):
+def test_rays_are_refused_wherever_optics_refuses_them(page, report, rig, distortion, folds):
     """Oracle: `optics.rays`, which refuses a lens that folds over within the picture."""
     opened(page, report, 0)
     result = page.evaluate(
@@ -92,8 +92,8 @@ def test_rays_are_refused_where_optics_refuses_them(page, report, rig, distortio
 
 
 @pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
-def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, report, rig, k):
-    """Oracle: `optics.project`; beyond the fold the polynomial leads back into the picture."""
+def test_there_is_no_projector_position_beyond_the_end_of_the_lens(page, report, rig, k):
+    """Oracle: `optics.project`; beyond the fold, the polynomial returns into the picture."""
     opened(page, report, 0)
     lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
     result = page.evaluate(
@@ -114,7 +114,7 @@ def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, report,
     assert not result[ended].any() and result[inside].all()
 
 
-def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, report):
+def test_a_lens_without_an_inverse_is_reported_where_its_rays_are_needed(page, report):
     opened(page, report, 0)
     page.evaluate(
         """() => {
@@ -131,7 +131,7 @@ def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, repor
     assert pressed(page) == "scanner"
 
 
-def test_pattern_bits_are_the_code_s(page, report):
+def test_pattern_bits_are_those_of_the_code(page, report):
     opened(page, report, 0, "pattern")
     page.click("#toggle-shade")
     patterns = CodeSpec().code(160, 120).render()
@@ -176,7 +176,7 @@ def wait_for_frame(page, k):
 
 
 def grey(sample):
-    """Captured frames in sRGB: black at the sensor's offset, white where it saturates."""
+    """Return frames in sRGB: black is the sensor's offset, white its saturation."""
     sensor = sample.raw.capture.sensor
     share = (sample.raw.capture.frames - sensor.offset_dn) / (
         sensor.saturation_dn - sensor.offset_dn
@@ -185,7 +185,7 @@ def grey(sample):
 
 
 def encoded(share):
-    """IEC 61966-2-1."""
+    """Encode as in IEC 61966-2-1."""
     share = share.clip(0, 1)
     return 255 * np.where(share < 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
 
@@ -203,11 +203,11 @@ def test_dark_pictures_can_be_brightened(page, report_with_frames, gain):
     x, y = place(page, 60, 80)
     page.mouse.move(x, y)
     level = int(readout(page, "white frame").split()[1])
-    assert level == pytest.approx(float(stored[60, 80]), abs=25)  # whatever the brightness
+    assert level == pytest.approx(float(stored[60, 80]), abs=25)  # at any brightness
     page.select_option("#choose-gain", "1")
 
 
-def test_captured_frames_are_brought_in_when_they_are_looked_at(page, report_with_frames):
+def test_captured_frames_are_loaded_only_when_they_are_shown(page, report_with_frames):
     opened(page, report_with_frames, 0)
     assert page.evaluate("!Graycast.opened().scene.frames && !Graycast.opened().scene.columns")
     stored = grey(report_with_frames[1][0])
@@ -221,7 +221,7 @@ def test_captured_frames_are_brought_in_when_they_are_looked_at(page, report_wit
     assert "captured, 12 bit" in page.locator("span.note").inner_text()
 
 
-def test_frames_flip_by_arrows_brackets_and_play(page, report_with_frames):
+def test_frames_change_by_arrows_brackets_and_play(page, report_with_frames):
     opened(page, report_with_frames, 0, "pattern")
     slide(page, 16)
     for key, k in (("ArrowDown", 17), ("]", 0), ("ArrowUp", 17), ("[", 16)):
@@ -238,14 +238,14 @@ def test_frames_flip_by_arrows_brackets_and_play(page, report_with_frames):
     page.wait_for_timeout(700)
     assert page.evaluate("Graycast.prefs.frame") == stopped
     page.keyboard.press("p")
-    page.keyboard.press("1")  # another view: nothing flips in the dark
+    page.keyboard.press("1")  # another view: frames do not change invisibly
     page.wait_for_timeout(700)
     assert page.evaluate("Graycast.prefs.frame") in (stopped, stopped + 1)
     page.keyboard.press("3")
     assert page.locator("#frame-play").get_attribute("aria-pressed") == "false"
 
 
-def test_ideal_bits_stand_beside_captured_frames(page, report_with_frames):
+def test_ideal_bits_are_shown_next_to_captured_frames(page, report_with_frames):
     opened(page, report_with_frames, 3, "pattern")
     slide(page, 2)
     captured = canvas_pixels(page)[..., 0]
@@ -281,7 +281,7 @@ def test_decoded_positions_are_the_stored_ones(page, report_with_frames, axis):
     )
 
 
-def test_frame_and_column_under_the_pointer(page, report_with_frames):
+def test_frame_and_column_under_the_pointer_are_shown(page, report_with_frames):
     opened(page, report_with_frames, 3, "column")
     page.wait_for_function("Graycast.opened().scene.columns.maps")
     sample = report_with_frames[1][3]
@@ -304,7 +304,7 @@ def test_frame_and_column_under_the_pointer(page, report_with_frames):
     assert readout(page, "decoded column") == NONE
 
 
-def test_what_is_not_stored_is_told_with_the_key_that_would(page, report):
+def test_missing_data_are_named_with_the_key_that_stores_them(page, report):
     opened(page, report, 0, "pattern")
     assert "store: {frames: true}" in page.locator("span.note").inner_text()
     page.click('[data-view="column"]')
@@ -314,7 +314,7 @@ def test_what_is_not_stored_is_told_with_the_key_that_would(page, report):
     assert page.locator('#readout tr[data-name="decoded column"]').count() == 0
 
 
-def test_frames_that_are_gone_are_told(browser, report_with_frames, tmp_path):
+def test_deleted_frames_are_reported(browser, report_with_frames, tmp_path):
     page_folder = shutil.copytree(report_with_frames[2].parent, tmp_path / "page")
     (page_folder / "scenes/train-000000/frames.js").unlink()
     page = browser.new_page()
@@ -327,7 +327,7 @@ def test_frames_that_are_gone_are_told(browser, report_with_frames, tmp_path):
     page.close()
 
 
-def test_values_under_the_pointer_are_the_files_(page, report):
+def test_values_under_the_pointer_are_those_of_the_files(page, report):
     opened(page, report, 3)
     step, scanner = scene_map(page, "depth"), scene_map(page, "scanner")
     instance = scene_map(page, "instance") - 1
@@ -344,7 +344,7 @@ def test_values_under_the_pointer_are_the_files_(page, report):
     assert readout(page, "reason") == "shadow"
 
 
-def test_masks_and_boxes_can_be_switched_and_name_what_is_under_the_pointer(page, report):
+def test_masks_and_boxes_can_be_hidden_and_are_named_under_the_pointer(page, report):
     opened(page, report, 0)
     instance = scene_map(page, "instance") - 1
     assert not canvas_pixels(page, "overlay").any()
@@ -362,7 +362,7 @@ def test_masks_and_boxes_can_be_switched_and_name_what_is_under_the_pointer(page
     assert not canvas_pixels(page, "overlay").any() and page.locator("#boxes rect").count() == 0
 
 
-def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, report):
+def test_a_reason_selected_in_the_legend_highlights_its_pixels(page, report):
     opened(page, report, 0, "reasons")
     page.hover("#reasons div:has-text('shadow')")
     np.testing.assert_array_equal(
@@ -370,7 +370,7 @@ def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, report):
     )
 
 
-def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page, report):
+def test_views_change_by_keys_and_a_zero_difference_is_white(page, report):
     opened(page, report, 0)
     page.keyboard.press("7")
     assert pressed(page) == "difference"
@@ -387,7 +387,7 @@ def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page
     ready(page, "overview")
 
 
-def test_a_picture_has_its_place_when_its_scene_is_ready(page, report):
+def test_the_layout_of_a_picture_is_known_when_its_scene_is_ready(page, report):
     first, later = page.evaluate(
         """async () => {
             const main = document.getElementById("main"), name = "train-000003";
@@ -414,7 +414,7 @@ def test_zoom_keeps_the_pixel_under_the_pointer(page, report):
         page.mouse.wheel(0, -300)
     width = "document.querySelector('#picture').getBoundingClientRect().width"
     page.wait_for_function(f"{width} > 1500")
-    page.wait_for_timeout(300)  # the last turn of the wheel, too
+    page.wait_for_timeout(300)  # including the last turn of the wheel
     assert readout(page, "pixel") == "33, 80"
     page.keyboard.press("0")
     assert page.locator("#picture").bounding_box()["width"] < 1200
@@ -442,7 +442,7 @@ def test_the_grid_filters_sorts_and_opens_scenes(page, report):
     ready(page, "train-000003")
 
 
-def test_the_3d_view_draws_what_is_switched_on(page, report):
+def test_the_3d_view_draws_the_selected_layers(page, report):
     def colors():
         page.wait_for_timeout(400)
         data = page.locator("#cloud").screenshot()
@@ -452,14 +452,14 @@ def test_the_3d_view_draws_what_is_switched_on(page, report):
     opened(page, report, 0, "cloud")
     page.select_option("#choose-surfacePaint", "colour")
     page.select_option("#choose-pointPaint", "difference")
-    page.click("text=camera")  # the side of the surface that is drawn is the one the camera saw
+    page.click("text=camera")  # the drawn side of the surface is the one that the camera saw
     both, first = colors()
     page.keyboard.press("s")
     points, second = colors()
     page.keyboard.press("p")
     nothing, _ = colors()
     assert both > 1000 and points > 30
-    assert nothing < 20  # the ground, and its rounded corners
+    assert nothing < 20  # the background, and its rounded corners
     assert np.abs(first.astype(int) - second).mean() > 1
     page.keyboard.press("s")
     surface, before = colors()
@@ -469,8 +469,8 @@ def test_the_3d_view_draws_what_is_switched_on(page, report):
     assert np.abs(before.astype(int) - after).mean() > 1
 
 
-def test_light_and_dark_can_be_read(page, report):
-    """Text against its ground has a contrast of 7 and more in both."""
+def test_light_and_dark_themes_are_readable(page, report):
+    """The contrast of text and background is at least 7 in both."""
 
     def contrast():
         tone = page.evaluate(
@@ -492,13 +492,13 @@ def test_light_and_dark_can_be_read(page, report):
     assert contrast() > 7
 
 
-def test_a_scene_that_is_not_there_is_said(page, report):
+def test_a_missing_scene_is_reported(page, report):
     page.goto(f"{report[2].as_uri()}#/train-000777")
     ready(page, "train-000777")
     assert "no scene train-000777" in page.locator(".sorry").inner_text()
 
 
-def test_real_pictures_show_what_they_have(page, rig, tmp_path):
+def test_pages_of_real_pictures_show_their_data(page, rig, tmp_path):
     write_dataset(tmp_path / "real", scene_ids=(3,), rig=rig)
     forget(tmp_path / "real")
     path = write_report(tmp_path / "real", tmp_path / "page").page

@@ -1,4 +1,4 @@
-"""Scenes of several pictures on the page: switched between, and fused in 3D."""
+"""Scenes of several pictures on the page: switching between them, and their fusion in 3D."""
 
 import json
 
@@ -38,7 +38,7 @@ def depth_on_page(page):
     return np.array(steps).reshape(height, width) * scale_mm / 1000
 
 
-def test_each_picture_is_a_card_and_is_found_by_its_name(page):
+def test_each_picture_has_a_card_and_can_be_found_by_name(page):
     assert page.locator(".card").count() == 2 * len(NAMES)
     page.fill("#find", "right-1")
     page.wait_for_function("document.querySelectorAll('.card').length === 2")
@@ -46,7 +46,7 @@ def test_each_picture_is_a_card_and_is_found_by_its_name(page):
 
 
 def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, several):  # noqa: F811
-    """Oracle: what each scanner measured; the view that is open stays."""
+    """Oracle: the depth of each scanner; the open view stays."""
     address, taken = page_of_several.as_uri(), several[1]
     opened(page, address, "train-000003-left-0")
     page.click('[data-view="scanner"]')
@@ -61,8 +61,8 @@ def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, severa
     ready(page, "train-000003-left-0")
 
 
-def test_the_fused_cloud_lies_on_the_parts_in_3d(page, page_of_several, several):  # noqa: F811
-    """Oracle: the places that the pictures measured, by their own cameras."""
+def test_the_fused_cloud_is_on_the_parts_in_3d(page, page_of_several, several):  # noqa: F811
+    """Oracle: the points that the pictures measured, by their own cameras."""
     opened(page, page_of_several.as_uri(), "train-000000-right-0")
     page.click('[data-view="cloud"]')
     before = page.screenshot(clip={"x": 50, "y": 150, "width": 800, "height": 500})
@@ -85,7 +85,7 @@ def test_the_fused_cloud_lies_on_the_parts_in_3d(page, page_of_several, several)
     assert page.get_attribute("#toggle-fused", "aria-pressed") == "false"
 
 
-def test_what_is_saved_on_the_page_names_pictures(page_of_several):
+def test_a_selection_saved_on_the_page_names_pictures(page_of_several):
     index = (page_of_several.parent / "index.js").read_text()
     content = json.loads(index.removeprefix("Graycast.report = ").removesuffix(";\n"))
     rows = [dict(zip(content["columns"], row, strict=True)) for row in content["scenes"]]

@@ -1,4 +1,4 @@
-"""Finding, ticking, tagging, saving and comparing scenes on the page, as a user does it."""
+"""Finding, selecting, tagging, saving and comparing scenes on the page, as a user does it."""
 
 import json
 
@@ -16,7 +16,7 @@ from .browsing import canvas_pixels, opened, place, pressed, readout, ready, sce
 
 pytestmark = [
     pytest.mark.slow,
-    # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+    # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
     pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning"),
 ]
 
@@ -26,7 +26,7 @@ SIZES = [(1400, 900), (1024, 768), (1920, 1080)]
 
 @pytest.fixture
 def page(page):
-    """The overview without the tags of the test before."""
+    """Open the overview without the tags of the previous test."""
     page.evaluate("localStorage.clear()")
     page.reload()
     ready(page, "overview")
@@ -42,7 +42,7 @@ def focused(page):
 
 
 def tag(page, text):
-    """Tag what is ticked, or the scene that is open, by keys."""
+    """Tag the selected scenes, or the open scene, by keys."""
     page.keyboard.press("g")
     page.keyboard.type(text)
     page.keyboard.press("Enter")
@@ -62,7 +62,7 @@ def tag(page, text):
         ("gear", []),
     ],
 )
-def test_scenes_are_found_by_number_span_and_part(page, text, scene_ids):
+def test_scenes_are_found_by_number_range_and_part(page, text, scene_ids):
     page.keyboard.press("/")
     page.keyboard.type(text)
     page.wait_for_function(f"document.querySelectorAll('.card').length === {len(scene_ids)}")
@@ -74,7 +74,7 @@ def test_scenes_are_found_by_number_span_and_part(page, text, scene_ids):
         assert len(cards(page)) == 3 and page.input_value("#find") == ""
 
 
-def test_a_filter_is_told_and_lifted_where_it_stands(page):
+def test_an_active_filter_is_shown_and_can_be_removed_there(page):
     page.click("#more summary")
     page.fill("#decoded-from", "99.9")
     assert page.locator("#more summary").inner_text().startswith("filters (1)")
@@ -99,10 +99,10 @@ def test_cards_are_reached_and_opened_by_keys(page):
     ready(page, "train-000004")
     page.keyboard.press("Escape")
     ready(page, "overview")
-    assert focused(page) == "train-000004"  # the keys go on from what was looked at
+    assert focused(page) == "train-000004"  # the keys continue from the last scene
 
 
-def test_ticked_scenes_are_tagged_found_by_tag_and_keep_it(page):
+def test_selected_scenes_can_be_tagged_and_found_by_their_lasting_tag(page):
     page.keyboard.press("ArrowRight")
     page.keyboard.press("x")
     page.keyboard.press("End")
@@ -142,7 +142,7 @@ def test_ticked_scenes_are_tagged_found_by_tag_and_keep_it(page):
     assert cards(page) == ["train-000000"]
 
 
-def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, report, tmp_path):
+def test_a_saved_selection_is_read_by_export_and_by_the_page(page, report, tmp_path):
     dataset = report[0]
     page.keyboard.press("End")
     page.keyboard.press("x")
@@ -192,7 +192,7 @@ def test_a_file_of_another_dataset_is_refused(page, tmp_path):
 
 
 def test_tags_of_another_dataset_are_not_mixed_in(page, report, tmp_path):
-    write_dataset(tmp_path / "bins", scene_ids=(4,))  # of the same name, with another rig
+    write_dataset(tmp_path / "bins", scene_ids=(4,))  # with the same name and another rig
     page.keyboard.press("End")
     page.keyboard.press("x")
     tag(page, "odd")
@@ -201,7 +201,7 @@ def test_tags_of_another_dataset_are_not_mixed_in(page, report, tmp_path):
     assert page.locator(".card .chip").count() == 0
 
 
-def test_scenes_are_in_sight_in_a_low_window(page):
+def test_scenes_are_visible_in_a_low_window(page):
     page.set_viewport_size({"width": 1000, "height": 700})
     page.reload()
     ready(page, "overview")
@@ -211,8 +211,8 @@ def test_scenes_are_in_sight_in_a_low_window(page):
     page.wait_for_selector(".plot svg")
 
 
-def test_the_plot_of_errors_reaches_as_far_as_most_points_do(page):
-    """A few wrong points at 40 mm among errors of 0.1 mm: the core is spread over many bins."""
+def test_the_plot_of_errors_has_the_range_of_most_points(page):
+    """A few wrong points at 40 mm among errors of 0.1 mm: the core covers many bins."""
     page.evaluate(
         """() => {
             const high = (k) => 1000 * (21 - Math.abs(k - 20));
@@ -232,7 +232,7 @@ def test_the_plot_of_errors_reaches_as_far_as_most_points_do(page):
     assert 0.1 <= max(ends) <= 0.4
 
 
-def test_what_has_one_value_is_a_line_of_text_and_no_plot(page):
+def test_a_single_value_is_shown_as_text_and_not_as_a_plot(page):
     titles = page.locator(".plot figcaption b").all_inner_texts()
     assert "Instances per scene" not in titles and "Scanner error" in titles
     assert "instances per scene: 8" in page.locator("#constant").inner_text()
@@ -241,12 +241,12 @@ def test_what_has_one_value_is_a_line_of_text_and_no_plot(page):
     page.wait_for_function("localStorage.getItem('graycast-figures-shut') === 'yes'")
     page.reload()
     ready(page, "overview")
-    assert not page.locator(".plots").is_visible()  # as it was left
+    assert not page.locator(".plots").is_visible()  # unchanged
     page.click(".figures > summary")
     page.wait_for_selector(".plot svg")
 
 
-def test_cards_say_scene_and_parts_in_full(page):
+def test_cards_have_the_full_names_of_scene_and_parts(page):
     text = page.locator('.card[data-key="train-000000"]').inner_text()
     assert text.startswith("scene 0") and f"4 {TIMES} box" in text and f"4 {TIMES} wedge" in text
     name = "bracket_left_with_flange_and_a_long_name_M8x25_rev_C"
@@ -262,7 +262,7 @@ def test_cards_say_scene_and_parts_in_full(page):
 # --- one scene ------------------------------------------------------------------------------------
 
 
-def test_two_views_are_compared_by_a_swipe(page, report):
+def test_two_views_are_compared_by_a_slider(page, report):
     opened(page, report, 0, "color")
     page.keyboard.press("Shift+Digit8")
     assert page.locator("#choose-second").input_value() == "reasons"
@@ -277,7 +277,7 @@ def test_two_views_are_compared_by_a_swipe(page, report):
     page.locator("#swipe").focus()
     page.keyboard.press("ArrowRight")
     assert abs(page.evaluate(share) - 27) <= 1
-    ready(page, "train-000000")  # an arrow on the bar is not the next scene
+    ready(page, "train-000000")  # an arrow key on the slider does not open the next scene
     first, second = canvas_pixels(page)[..., :3], canvas_pixels(page, "picture-2")[..., :3]
     pixels_of = on_screen(page)
     for column, expected in ((10, first), (30, first), (60, second), (150, second)):
@@ -289,7 +289,7 @@ def test_two_views_are_compared_by_a_swipe(page, report):
 
 
 def on_screen(page):
-    """What the user sees in the middle of every tenth pixel of a column of the picture."""
+    """Return what the user sees at every tenth pixel of a column of the picture."""
     data = page.screenshot()
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
@@ -300,7 +300,7 @@ def on_screen(page):
     return column
 
 
-def test_two_views_stand_side_by_side_and_move_together(page, report):
+def test_two_views_side_by_side_move_together(page, report):
     opened(page, report, 0, "color")
     page.keyboard.press("c")
     page.select_option("#choose-how", "side")
@@ -328,13 +328,13 @@ def test_two_views_stand_side_by_side_and_move_together(page, report):
     page.keyboard.press("v")
     assert page.locator("#choose-how").input_value() == "swipe"
     page.keyboard.press("9")
-    assert page.locator("#toggle-compare").count() == 0  # 3D stands alone
+    assert page.locator("#toggle-compare").count() == 0  # 3D is alone
     page.keyboard.press("1")
     page.mouse.move(*place(page, row, column))
     assert readout(page, "pixel") == f"{column}, {row}"
 
 
-def test_the_3d_view_begins_with_the_parts_colours_and_other_ones_for_the_scan(page, report):
+def test_the_3d_view_begins_with_the_colours_of_parts_and_others_for_the_scan(page, report):
     opened(page, report, 0, "cloud")
     for name, paint in (("surfacePaint", "instance"), ("pointPaint", "difference")):
         assert page.locator(f"#choose-{name}").input_value() == paint
@@ -347,7 +347,7 @@ def test_the_3d_view_begins_with_the_parts_colours_and_other_ones_for_the_scan(p
     assert len(np.unique(hue[colorful] // 4)) >= min(len(parts) - 1, 4)
 
 
-def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, report):
+def test_a_plane_has_one_normal_whatever_the_steps_of_depth(page, report):
     """Oracle: the plane's own normal; steps of 2 mm would tilt normals of neighbours by 45 deg."""
     opened(page, report, 0)
     normals = page.evaluate(
@@ -378,8 +378,8 @@ def test_a_plane_has_one_normal_whatever_the_depth_s_steps(page, report):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_toolbars_are_one_row_and_nothing_overlaps(page, report_with_frames, size):
-    """A row that wraps is higher than its highest control; controls overlap no other."""
+def test_toolbars_have_one_row_and_nothing_overlaps(page, report_with_frames, size):
+    """A wrapped row is higher than its highest control; controls do not overlap."""
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.goto(report_with_frames[2].as_uri())
     ready(page, "overview")
@@ -397,7 +397,7 @@ def test_toolbars_are_one_row_and_nothing_overlaps(page, report_with_frames, siz
 
 
 def rows(page, name):
-    """In how many rows a toolbar's controls stand; two may not share a place."""
+    """Return the number of rows of a toolbar's controls, none of which may overlap."""
     boxes = page.eval_on_selector_all(
         f"{name} > *",
         """all => all.map((e) => e.getBoundingClientRect())

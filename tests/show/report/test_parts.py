@@ -1,4 +1,4 @@
-"""The object database in words and pictures."""
+"""The table and the pictures of the parts."""
 
 import re
 from dataclasses import replace
@@ -15,7 +15,7 @@ from graycast.world.parts import Material, Mesh, Part, Symmetry, builtin_part, m
 
 
 def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry=None, at=0.0):
-    """A cuboid with its low corner at (at, at, at)."""
+    """Return a cuboid with its low corner at (at, at, at)."""
     corner = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)]) * np.array(size_m) + at
     faces = [[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
              [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]  # fmt: skip
@@ -30,12 +30,12 @@ def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry
 
 
 def cut_corner(part):
-    """The tetrahedron at a block's low corner: no symmetry hides a sign."""
+    """Return the tetrahedron at a block's low corner: it has no symmetry that could hide a sign."""
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     return replace(part, mesh=Mesh(vertices_m=part.mesh.vertices_m[[0, 1, 2, 4]], faces=faces))
 
 
-# --- words -------------------------------------------------------------------------------------
+# --- text ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("at", [0.0, 7.0])
@@ -43,7 +43,7 @@ def test_a_part_weighs_its_volume_times_its_density_wherever_its_frame_is(at):
     assert mass_kg(block((0.01, 0.02, 0.03), at=at)) == pytest.approx(0.012, rel=1e-9)
 
 
-def test_a_turned_ring_weighs_what_pappus_says():
+def test_the_weight_of_a_turned_ring_follows_pappus():
     """Oracle: V = 2 pi * (radius of the profile's centroid) * (its area); steel of 7800 kg/m3."""
     from graycast.world.parts.builtin import RING_PROFILE_MM
 
@@ -64,12 +64,12 @@ def test_a_turned_ring_weighs_what_pappus_says():
         ((0.01, 0.01, 0.53), "the part block is 530 mm long, and the diagonal of the bin is 520"),
     ],
 )
-def test_a_part_in_the_wrong_unit_is_noted(size_m, note):
+def test_a_part_in_the_wrong_unit_causes_a_note(size_m, note):
     notes = size_notes([block(size_m, density_kg_m3=7850.0)], (0.4, 0.3, 0.1428))
     assert [one[: len(note or "")] for one in notes] == ([note] if note else [])
 
 
-def test_the_table_tells_sizes_masses_materials_and_symmetries():
+def test_the_table_has_sizes_masses_materials_and_symmetries():
     about_y = Symmetry(continuous=(((0.0, -1.0, 0.0), (0.0, 0.0, 0.0)),))
     turns = Symmetry(discrete=tuple(np.eye(4) for _ in range(3)))
     print_ = np.zeros((20, 30, 3), dtype=np.uint8)
@@ -91,7 +91,7 @@ def test_the_table_tells_sizes_masses_materials_and_symmetries():
         "4 equivalent poses",
     ]
     assert cells[2][4:6] == ["Lambertian, colour 0.5 0.5 0.5", "none"]
-    # Columns are flush: every size ends where the head's does.
+    # Columns are aligned: every size ends where its heading does.
     ends = {row.index(cell[1]) + len(cell[1]) for row, cell in zip(rows, cells, strict=True)}
     assert ends == {head.index("size [mm]") + len("size [mm]")}
 
@@ -100,8 +100,8 @@ def test_the_table_tells_sizes_masses_materials_and_symmetries():
 
 
 @pytest.mark.parametrize("size_m", [(0.002, 0.001, 0.0015), (0.19, 0.04, 0.05), (0.3, 0.2, 1.2)])
-def test_a_part_of_any_size_fills_its_tile_and_no_more(size_m):
-    """All its vertices lie within 86 % of the tile about the middle, and one reaches that."""
+def test_a_part_of_any_size_fills_its_tile(size_m):
+    """All its vertices are within 86 % of the tile about the middle, and one is at this limit."""
     scene, layout = portrait_scene(cut_corner(block(size_m, at=3.0)))
     world = transform_points(layout.T_world_part[0], scene.parts[0].mesh.vertices_m)
     camera = scene.rig.camera
@@ -111,7 +111,7 @@ def test_a_part_of_any_size_fills_its_tile_and_no_more(size_m):
     assert reach.max() == pytest.approx(0.86, rel=1e-6)
 
 
-def test_a_part_stands_on_the_floor_and_the_eye_is_before_it_and_above():
+def test_a_part_is_on_the_floor_and_the_camera_is_in_front_and_above():
     scene, layout = portrait_scene(block((0.1, 0.2, 0.3), at=3.0))
     world = transform_points(layout.T_world_part[0], scene.parts[0].mesh.vertices_m)
     assert world[:, 2].min() == pytest.approx(scene.surfaces[0].center_m[2])
@@ -138,7 +138,7 @@ def test_the_picture_shows_each_part_in_its_own_colour_on_a_grey_floor(mitsuba_r
         coloured = sheet[..., channel] > 1.6 * sheet[..., 1] + 10
         areas.append(coloured.sum())
         middles.append(np.nonzero(coloured)[1].mean())
-    # Both are the same block, so they cover the same share of their tiles, side by side.
+    # Both are the same block, so they cover the same share of their tiles.
     assert areas[0] == pytest.approx(areas[1], rel=0.1) and areas[0] > 0.15 * 480 * 360
     assert middles[1] - middles[0] == pytest.approx(480 + 24, abs=10)
     corner = sheet[72 + 340, 24 + 20]  # floor near the first tile's lower left

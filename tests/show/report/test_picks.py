@@ -1,4 +1,4 @@
-"""Picks as a page: where things are said to be, and what is refused."""
+"""Picks as a page: positions of objects, and refused input."""
 
 import base64
 import json
@@ -43,7 +43,7 @@ def motions(replay, picks):
 
 @pytest.fixture
 def copied(picks, tmp_path):
-    """With the cell's own files beside it."""
+    """Copy the picks with the cell's own files."""
     return shutil.copytree(picks.parent, tmp_path / "cell") / "picks"
 
 
@@ -56,8 +56,8 @@ def unpacked(text, kind="<f4"):
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), kind)
 
 
-def test_limbs_are_where_the_robot_has_them(replay, motions):
-    """Law: the last limb of the arm stands to the flange as the URDF says, at every time."""
+def test_the_robot_s_links_have_the_poses_of_its_kinematics(replay, motions):
+    """Law: the last link's pose relative to the flange is that of the URDF at every time."""
     motion, robot = motions[0], replay.robot
     assert motion.T_world_limb.shape[:2] == (STEPS, len(replay.limbs))
     q = json.loads((replay.folder / "bins/000000/motion.json").read_text())["attempts"][0]["q"]
@@ -70,7 +70,7 @@ def test_limbs_are_where_the_robot_has_them(replay, motions):
 
 
 def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
-    """By hand: of four grips in two bins two took a part out, the other two lost it."""
+    """By hand: of four grips in two bins, two removed a part and two lost it."""
     other = shutil.copytree(picks, tmp_path / "other")
     plot = tmp_path / "runs.png"
     assert main(["robot", "summary", str(picks), str(other), "--out", str(plot)]) == 0
@@ -82,8 +82,8 @@ def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
         assert picture.height > 200
 
 
-def test_a_part_stands_still_to_the_tool_that_carries_it(replay, motions, picks):
-    """Law: the tool's frame and the part's keep their places to each other."""
+def test_a_carried_part_keeps_its_pose_in_the_tool(replay, motions, picks):
+    """Law: the frames of tool and part keep their relative pose."""
     motion = motions[0]
     before = np.array(read_episodes(picks)[0].attempts[0]["T_world_part"][0])
     assert T_world_part(motion, GRIP - 1, before) is None
@@ -93,7 +93,7 @@ def test_a_part_stands_still_to_the_tool_that_carries_it(replay, motions, picks)
     assert motion.held_until_s == pytest.approx(STEP_S * (STEPS - 1))
 
 
-def test_a_part_that_was_lost_is_let_go_then(motions):
+def test_a_lost_part_is_released_at_that_time(motions):
     motion = motions[1]
     assert motion.grip == GRIP
     assert motion.held_until_s == pytest.approx(STEP_S * GRIP + LOST_S)
@@ -103,8 +103,8 @@ def test_a_part_that_was_lost_is_let_go_then(motions):
     assert motions[2] is None
 
 
-def test_packed_places_come_back(motions):
-    """Oracle: SciPy turns the quaternions back; between two times none changes its sign."""
+def test_packed_poses_are_unpacked(motions):
+    """Oracle: SciPy rotates the quaternions; between two times, none changes its sign."""
     T = motions[0].T_world_limb
     places = unpacked(packed_places(T)).reshape(*T.shape[:2], 7)
     np.testing.assert_allclose(places[..., :3], 1e3 * T[..., :3, 3], atol=1e-3)
@@ -113,16 +113,16 @@ def test_packed_places_come_back(motions):
     assert ((places[1:, :, 3:] * places[:-1, :, 3:]).sum(axis=-1) > 0.9).all()
 
 
-def test_a_turn_all_the_way_round_keeps_its_quaternions_together():
-    """About any axis a whole turn passes through the quaternion's change of sign."""
+def test_the_quaternions_of_a_full_rotation_have_no_jump():
+    """About any axis, a full rotation passes the quaternion's change of sign."""
     angles = np.linspace(0, 4 * np.pi, 200)
     T = np.stack([rigid(Rotation.from_rotvec([0, a, 0]).as_matrix(), np.zeros(3)) for a in angles])
     places = unpacked(packed_places(T[:, None])).reshape(-1, 7)
     assert ((places[1:, 3:] * places[:-1, 3:]).sum(axis=-1) > 0.99).all()
 
 
-def test_one_looks_into_the_bin_from_every_side(replay):
-    """What is left of the bin is its inside and its rim: nothing of it faces out."""
+def test_the_inside_of_the_bin_is_visible_from_every_side(replay):
+    """Only the inside and the rim of the bin are drawn: no face looks outwards."""
     mesh = open_bin(replay)
     corner = mesh.vertices_m[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -133,14 +133,14 @@ def test_one_looks_into_the_bin_from_every_side(replay):
     assert (normal[~side][:, 2] > 0.5).all()
 
 
-def test_every_outcome_has_a_colour_and_a_meaning_of_its_own():
+def test_every_outcome_has_its_own_colour_and_meaning():
     words = outcome_words()
     assert {one["name"] for one in words} == {str(outcome) for outcome in Outcome}
     for key in ("color", "meaning"):
         assert len({one[key] for one in words}) == len(words)
 
 
-def test_the_page_holds_the_bins_and_is_made_anew_where_they_change(copied, tmp_path):
+def test_the_page_has_all_bins_and_only_changed_ones_are_built_again(copied, tmp_path):
     folder = {"cell_folder": copied.parent, "width_px": 100}
     done = write_pick_report(copied, tmp_path / "page", **folder)
     again = write_pick_report(copied, tmp_path / "page", **folder)
@@ -204,7 +204,7 @@ def cut_image(name):
         (cut_image("pictures/002.png"), "pictures/002.png: cannot be read"),
     ],
 )
-def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, message):
+def test_damaged_picks_are_reported_in_one_line(copied, tmp_path, capfd, damage, message):
     damage(copied)
     options = ["--out", str(tmp_path / "page"), "--files", str(copied.parent)]
     assert main(["robot", "report", str(copied), *options]) == 1
@@ -227,7 +227,7 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, mes
         ),
     ],
 )
-def test_a_wrong_wish_is_told_in_one_line(picks, tmp_path, capfd, words, message):
+def test_a_wrong_option_is_reported_in_one_line(picks, tmp_path, capfd, words, message):
     arguments = [word.format(picks=picks, out=tmp_path / "out") for word in words]
     if arguments[0] == "robot" and "--files" not in arguments:
         arguments += ["--files", str(picks.parent)]
@@ -236,7 +236,7 @@ def test_a_wrong_wish_is_told_in_one_line(picks, tmp_path, capfd, words, message
     assert message in output and len(output.splitlines()) == 1, output
 
 
-def test_mixed_cells_need_to_know_which_part_is_which(replay, picks):
+def test_mixed_cells_need_the_kind_of_each_part(replay, picks):
     episode = replace(read_episodes(picks)[0], kinds=())
     assert replay.kinds(episode) == (0, 0)  # there is only one kind
     scene = replay.cell.cell.scene

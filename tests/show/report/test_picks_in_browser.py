@@ -28,7 +28,7 @@ def address(picks, tmp_path_factory):
 
 @pytest.fixture
 def page(browser, address):
-    """All bins; at the end, whatever the browser complained about fails the test."""
+    """Open all bins; at the end, any message of the browser fails the test."""
     with watched_page(browser, address) as page:
         yield page
 
@@ -50,15 +50,15 @@ def at(page, time_s):
 
 
 def matrices(page, script):
-    """Column by column, millimetres."""
+    """Return matrices column by column, in millimetres."""
     values = page.evaluate(f"({script}).map((m) => Array.from(m))")
     T = np.array(values, dtype=float).reshape(-1, 4, 4).transpose(0, 2, 1)
     T[:, :3, 3] *= 1e-3
     return T
 
 
-def test_the_browser_has_the_limbs_where_python_has_them(page, address, picks):
-    """Oracle: the robot's own kinematics; between two times, the middle of both."""
+def test_the_browser_shows_the_robot_s_links_at_python_s_poses(page, address, picks):
+    """Oracle: the robot's own kinematics; between two times, the mean of both."""
     replay = open_replay(picks, folder=picks.parent)
     motions = read_motions(replay, read_episodes(picks)[1])
     opened(page, address, "bin-000002/0")
@@ -73,15 +73,15 @@ def test_the_browser_has_the_limbs_where_python_has_them(page, address, picks):
     np.testing.assert_allclose(turn @ turn.transpose(0, 2, 1) - np.eye(3), 0, atol=1e-5)
 
 
-def test_the_part_goes_with_the_tool_until_it_is_let_go(page, address, picks):
-    """Oracle: `T_world_part`; a lost part is shown where the next scan has it."""
+def test_the_part_moves_with_the_tool_until_its_release(page, address, picks):
+    """Oracle: `T_world_part`; a lost part is shown at its pose in the next scan."""
     replay = open_replay(picks, folder=picks.parent)
     episode = read_episodes(picks)[0]
     motion = read_motions(replay, episode)[1]
     before = np.array(episode.attempts[1]["T_world_part"][0])
     opened(page, address, "bin-000000/1")
     part = "Graycast.opened().content.attempts[1].parts[0]"
-    for i in range(0, STEPS, 3):  # none of them the very moment at which it is let go
+    for i in range(0, STEPS, 3):  # none is the exact time of the release
         time_s = STEP_S * i
         script = f"Graycast.carried(Graycast.opened().scan.motion, {time_s + 1e-9}, {part})"
         expected = T_world_part(motion, i, before)
@@ -97,7 +97,7 @@ def test_the_part_goes_with_the_tool_until_it_is_let_go(page, address, picks):
     np.testing.assert_allclose(fell, episode.attempts[2]["T_world_part"][0], atol=1e-5)
 
 
-def test_the_scan_is_the_file_s(page, address, picks):
+def test_the_scan_is_that_of_the_file(page, address, picks):
     for number in range(3):
         opened(page, address, f"bin-000000/{number}")
         scan = np.array(page.evaluate("Array.from(Graycast.opened().scan.scanner)"))
@@ -107,7 +107,7 @@ def test_the_scan_is_the_file_s(page, address, picks):
         np.testing.assert_array_equal(scan.reshape(stored.shape), stored)
 
 
-def test_points_of_the_scan_lie_on_the_true_parts(page, address, picks):
+def test_points_of_the_scan_are_on_the_true_parts(page, address, picks):
     """Law: the scan was made of these parts, so above the floor all its points are on them."""
     opened(page, address, "bin-000000/0")
     points = page.evaluate(
@@ -129,7 +129,7 @@ def test_points_of_the_scan_lie_on_the_true_parts(page, address, picks):
     assert len(raised) > 100 and on_any.all()
 
 
-def test_the_3d_view_draws_what_is_switched_on(page, address):
+def test_the_3d_view_draws_the_selected_layers(page, address):
     def picture():
         page.wait_for_timeout(400)
         data = page.locator("#cloud").screenshot()
@@ -151,7 +151,7 @@ def test_the_3d_view_draws_what_is_switched_on(page, address):
     assert (np.abs(picture() - here).max(axis=2) > 20).mean() > 5e-3  # the arm has moved
 
 
-def test_playing_goes_through_all_attempts(page, address):
+def test_play_shows_all_attempts(page, address):
     opened(page, address, "bin-000000/0")
     page.select_option("#speed", "8")
     page.keyboard.press("Space")
@@ -160,7 +160,7 @@ def test_playing_goes_through_all_attempts(page, address):
     assert page.locator(".under").inner_text() == "The arm does not move."
 
 
-def test_attempts_are_told_and_filtered_by_their_outcomes(page, address):
+def test_attempts_are_listed_and_filtered_by_outcome(page, address):
     assert page.locator(".facts").inner_text().count("50.0 %") == 1
     rows = page.eval_on_selector_all(
         "#outcomes tr", "all => all.map((r) => [r.dataset.outcome, r.children[1].textContent])"
@@ -180,7 +180,7 @@ def test_attempts_are_told_and_filtered_by_their_outcomes(page, address):
     assert page.locator(".attempt").count() == 3
 
 
-def test_words_follow_the_time(page, address):
+def test_the_text_changes_with_the_time(page, address):
     opened(page, address, "bin-000000/0")
     page.keyboard.press("ArrowRight")
     ready(page, "bin-000000/1")
@@ -198,13 +198,13 @@ def test_words_follow_the_time(page, address):
     ready(page, "bin-000002")
 
 
-def test_what_is_not_there_is_said(page, address):
+def test_a_missing_bin_is_reported(page, address):
     for key, text in (("bin-000007", "no bin-000007"), ("bin-000000/9", "3 attempts")):
         opened(page, address, key)
         assert text in page.locator(".sorry").inner_text()
 
 
 def test_no_two_rows_of_the_table_of_seconds_have_one_name(page):
-    """The scanner's own seconds and those of computing a scan are two things."""
+    """The scanner's own seconds and those of computing a scan are different."""
     names = page.locator("#stages th").all_inner_texts()
     assert len(names) >= 3 and len(names) == len(set(names))

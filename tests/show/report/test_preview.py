@@ -1,4 +1,4 @@
-"""The contact sheet of a small scene that is written down here, pixel by pixel."""
+"""The contact sheet of a small scene whose pixels are written down here."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
 CODE = gray(64, 48)
 SENSOR = SensorSpec()
 SIDE = slice(20, 40), slice(30, 50)  # rows and columns of the one instance
-# A camera somewhere askew, so that no test passes because two frames happen to coincide.
+# The camera is tilted, so that no test passes because two frames coincide by chance.
 T_WORLD_CAM = rigid(axis_rotation("x", 2.5) @ axis_rotation("z", 0.4), np.array([0.3, -0.2, 0.9]))
 
 
@@ -58,7 +58,7 @@ def rig():
 
 
 def quarters():
-    """Red, green over blue, white: every turn and mirror image of it is another picture."""
+    """Return red, green over blue, white: every rotation and mirror image of it differs."""
     image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     image[:30, :40], image[:30, 40:] = (255, 0, 0), (0, 255, 0)
     image[30:, :40], image[30:, 40:] = (0, 0, 255), (255, 255, 255)
@@ -66,7 +66,7 @@ def quarters():
 
 
 def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=None):
-    """A wall at WALL_M with one instance in the wall's plane, decoded but for `reason`."""
+    """Return a wall at WALL_M with one instance in its plane, decoded except for `reason`."""
     truth_m = np.full((HEIGHT, WIDTH), WALL_M, dtype=np.float32)
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8) if reason is None else reason
     if scanned is None:
@@ -128,7 +128,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
 
 @pytest.fixture
 def tiles(monkeypatch, tmp_path):
-    """Draws a shot and gives its figure and its tiles by title."""
+    """Draw a shot; return its figure, and its tiles by title."""
 
     def tiles_of(shot):
         figures = []
@@ -148,8 +148,8 @@ def image(ax):
 # --- the file ----------------------------------------------------------------------------------
 
 
-def test_pictures_stand_upright_and_unmirrored_on_the_sheet(tmp_path):
-    """Oracle: the order of four pure colours, found on the sheet by colour alone."""
+def test_pictures_are_upright_and_not_mirrored_on_the_sheet(tmp_path):
+    """Oracle: the order of four pure colours, located on the sheet by colour only."""
     preview.draw_preview(make_shot(), CODE, tmp_path / "sheet.png")
     sheet = np.array(Image.open(tmp_path / "sheet.png").convert("RGB")).astype(int)
     assert sheet.shape[1] == 2400
@@ -158,7 +158,7 @@ def test_pictures_stand_upright_and_unmirrored_on_the_sheet(tmp_path):
     for name, color in (("red", (255, 0, 0)), ("green", (0, 255, 0)), ("blue", (0, 0, 255))):
         rows, columns = np.nonzero(np.abs(first - color).sum(axis=-1) < 8)
         middle[name] = rows.mean(), columns.mean()
-        # A tile of 571 x 428 holds four quarters; blending may take a border of a few pixels.
+        # A tile of 571 x 428 has four quarters; blending may use a border of a few pixels.
         assert rows.size == pytest.approx(571 * 428 / 4, rel=0.04)
     assert middle["red"][0] == pytest.approx(middle["green"][0], abs=2)
     assert middle["red"][1] == pytest.approx(middle["blue"][1], abs=2)
@@ -167,7 +167,7 @@ def test_pictures_stand_upright_and_unmirrored_on_the_sheet(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_same_scene_gives_the_same_bytes_and_leaves_nothing_else(tmp_path):
+def test_the_same_scene_gives_the_same_bytes_and_no_other_file(tmp_path):
     (tmp_path / "b.png").write_text("an older sheet")
     for name in ("a.png", "b.png"):
         preview.draw_preview(make_shot(), CODE, tmp_path / name)
@@ -175,7 +175,7 @@ def test_the_same_scene_gives_the_same_bytes_and_leaves_nothing_else(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
-def test_a_sheet_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
+def test_a_sheet_that_cannot_be_written_is_named_and_leaves_no_file(tmp_path):
     (tmp_path / "taken.png").mkdir()
     for path in (tmp_path / "missing" / "sheet.png", tmp_path / "taken.png"):
         with no_pixels(), pytest.raises(GraycastError, match=path.name):
@@ -183,13 +183,13 @@ def test_a_sheet_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["taken.png"]
 
 
-def test_another_code_than_the_captures_is_refused(tmp_path):
+def test_another_code_than_that_of_the_capture_is_refused(tmp_path):
     with pytest.raises(ValueError, match="14 frames, and the code has 26"):
         preview.draw_preview(make_shot(), gray(64, 48, inverses=True), tmp_path / "sheet.png")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_scan_of_several_exposures_says_all_of_them(tiles):
+def test_the_head_of_a_scan_lists_all_its_exposures(tiles):
     shot = make_shot()
     exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
     exposure_s[:10] = 0.005
@@ -199,8 +199,8 @@ def test_a_scan_of_several_exposures_says_all_of_them(tiles):
     assert "exposure 5, 20 ms" in words
 
 
-def test_the_head_lists_an_exposure_that_no_pixel_is_taken_from(tiles):
-    """All pixels fit the longest of four exposures; the head says the other three, too."""
+def test_the_head_lists_an_exposure_that_no_pixel_uses(tiles):
+    """All pixels use the longest of four exposures; the head lists the other three, too."""
     shot = make_shot()
     times_s = (0.001, 0.01, 0.1, 0.4)
     single = [replace(shot.capture, exposure_s=time_s) for time_s in times_s]
@@ -216,17 +216,17 @@ def test_the_number_of_surfaces_on_a_light_path_is_not_called_depth(tiles):
     assert "up to 4 surfaces" in words and "depth 4" not in words
 
 
-def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):
+def test_a_scene_without_parts_and_without_depth_gives_a_sheet(tiles):
     nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
     figure, by_title = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
     assert len(by_title) == 12
     assert "no parts" in figure.texts[0].get_text()
 
 
-# --- what the tiles show -----------------------------------------------------------------------
+# --- content of the tiles -----------------------------------------------------------------------
 
 
-def test_the_head_tells_parts_counts_and_physics(tiles):
+def test_the_head_has_the_number_of_parts_and_the_physics(tiles):
     many = Layout(
         T_world_part=np.tile(np.eye(4), (3, 1, 1)),
         part_index=np.zeros(3, dtype=np.int64),
@@ -243,7 +243,7 @@ def test_the_head_tells_parts_counts_and_physics(tiles):
         assert fact in words
 
 
-def test_every_tile_but_the_close_up_shows_the_bin_and_the_head_says_how_large_it_is(tiles):
+def test_every_tile_except_the_close_up_shows_the_bin_and_the_head_its_size(tiles):
     shot = make_shot()
     T_world_cam = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, WALL_M], [0, 0, 0, 1]])
     box = Bin(inner_m=(0.12, 0.1, 0.1), wall_m=0.01)
@@ -261,7 +261,7 @@ def test_every_tile_but_the_close_up_shows_the_bin_and_the_head_says_how_large_i
     assert bar[0].get_xlim() == pytest.approx((398.0, 502.0), abs=1e-3)
 
 
-def test_frames_span_from_the_dark_level_to_saturation(tiles):
+def test_frames_range_from_the_dark_level_to_saturation(tiles):
     frames = np.full((len(CODE.frames), HEIGHT, WIDTH), 2000, dtype=np.uint16)
     frames[0, :, :20], frames[0, :, 20:40] = 64, 4095
     half_dn = SENSOR.offset_dn + (SENSOR.saturation_dn - SENSOR.offset_dn) / 2
@@ -273,7 +273,7 @@ def test_frames_span_from_the_dark_level_to_saturation(tiles):
     assert np.unique(white[:, 40:]).tolist() == [188]
 
 
-def test_bits_on_the_sheet_are_the_third_coarsest_and_the_finest(tiles):
+def test_the_sheet_shows_the_third_coarsest_and_the_finest_bit(tiles):
     """Each frame has its own level; 64 columns have the bits 5 to 0, after white and black."""
     level = np.arange(len(CODE.frames), dtype=np.uint16)[:, None, None] * 200 + 100
     frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
@@ -296,7 +296,7 @@ def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
     assert right.min() > 240 and np.ptp(unknown) == 0 and unknown.max() < 200
 
 
-def test_both_depths_share_their_colours(tiles):
+def test_both_depths_have_the_same_colours(tiles):
     _, by_title = tiles(make_shot())
     np.testing.assert_array_equal(
         image(by_title["perfect depth"]), image(by_title["scanner's depth"])
@@ -320,7 +320,7 @@ def test_reasons_are_listed_with_their_shares(tiles):
         np.testing.assert_array_equal(image(ax)[at], color)
 
 
-def test_boxes_lie_on_the_instance(tiles):
+def test_boxes_are_drawn_on_their_instance(tiles):
     """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
     _, by_title = tiles(make_shot())
     flat = by_title["boxes of the visible masks"].patches[0]
@@ -334,7 +334,7 @@ def test_boxes_lie_on_the_instance(tiles):
     assert len(back) == 4
 
 
-def test_masks_tint_their_own_pixels_only(tiles):
+def test_masks_tint_only_their_own_pixels(tiles):
     _, by_title = tiles(make_shot())
     tinted, plain = image(by_title["visible masks"]), image(by_title["white frame"])
     changed = (tinted != plain).any(axis=-1)
@@ -374,7 +374,7 @@ def test_box_edges_are_where_opencv_projects_them(distortion):
     assert got == expected
 
 
-def test_maps_have_the_published_colours():
+def test_colour_maps_have_the_published_colours():
     """Oracle: the ends of viridis as S. van der Walt and N. Smith published them, 2015."""
     value = np.array([[-5.0, 0.0, 10.0, 99.0, np.nan]], dtype=np.float32)
     color = preview.painted(value, "viridis", (0.0, 10.0), unknown=(1.0, 0.0, 0.0))[0]
@@ -383,8 +383,8 @@ def test_maps_have_the_published_colours():
 
 @pytest.mark.parametrize("sigma_mm", [0.08, 0.3, 2.0])
 @pytest.mark.parametrize("spikes", [0, 0.05])
-def test_the_scale_of_errors_holds_the_noise_and_not_the_spikes(tiles, sigma_mm, spikes):
-    """Oracle: 99 % of a normal law lie within 2.576 sigmas; no picture of noise may be white."""
+def test_the_scale_of_errors_covers_the_noise_and_not_outliers(tiles, sigma_mm, spikes):
+    """Oracle: 99 % of a normal law are within 2.576 sigmas; no picture of noise may be white."""
     rng = np.random.default_rng(3)
     error_m = rng.normal(0.0, 1e-3 * sigma_mm, (HEIGHT, WIDTH)).astype(np.float32)
     error_m[rng.random(error_m.shape) < spikes] = 0.04
@@ -397,16 +397,16 @@ def test_the_scale_of_errors_holds_the_noise_and_not_the_spikes(tiles, sigma_mm,
     )  # The median, 0.67 sigmas, is 7 % of 10 sigmas: 10 of 255 steps.
 
 
-def test_a_scale_of_errors_is_a_round_number_also_without_any_error():
+def test_the_scale_of_errors_is_a_round_number_even_without_errors():
     nothing = np.full((4, 5), np.nan)
     assert preview.error_limit_mm(nothing) == preview.error_limit_mm(0 * np.ones((4, 5))) == 0.01
     few = np.zeros((20, 20))
     few[:3, 0] = 0.013
     few[3:9, 0] = -0.0133
-    assert preview.error_limit_mm(few) == pytest.approx(0.015)  # most errors are 0: the 99 % hold
+    assert preview.error_limit_mm(few) == pytest.approx(0.015)  # most errors are 0
 
 
-def test_no_two_of_255_instances_look_the_same():
+def test_255_instances_have_different_colours():
     color = preview.instance_colors(255)
     distance = np.linalg.norm(color[:, None] - color[None], axis=-1) + 9 * np.eye(255)
     assert distance.min() > 0.01

@@ -8,7 +8,7 @@ from graycast.dataset.rescanned import ImageRecord
 from graycast.show.report.rescan_page import _reasons
 
 
-def test_each_reason_of_the_table_says_what_it_means():
+def test_each_reason_in_the_table_has_its_meaning():
     record = ImageRecord(
         seeds={},
         exposure_s=0.01,

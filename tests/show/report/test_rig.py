@@ -1,4 +1,4 @@
-"""The rig's picture and figures, against similar triangles."""
+"""The picture and figures of a rig, compared with similar triangles."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from graycast.rig.pair import Rig, preset_rig
 from graycast.show.report import rig_picture
 from graycast.show.report.rig_picture import common_field, describe_rig, draw_rig, footprint_m
 
-PURPLE = (148, 103, 189)  # the common volume's colour before it is made translucent
+PURPLE = (148, 103, 189)  # colour of the common volume before transparency
 
 
 def parallel_rig(rotation=None):
-    """Camera with a field of 1.0 z by 0.8 z, projector with 0.6 z by 0.4 z, 0.3 m to the right."""
+    """Return a camera with a field of 1.0 z by 0.8 z, and a projector of 0.6 z by 0.4 z."""
     rotation = np.eye(3) if rotation is None else rotation
     return Rig(
         name="parallel",
@@ -47,8 +47,8 @@ def test_fields_of_a_parallel_rig_follow_similar_triangles(z_m):
 
 
 @pytest.mark.parametrize("z_m", [0.384, 0.45, 0.52])
-def test_the_common_field_of_a_toed_in_rig_is_what_random_points_say(z_m):
-    """Oracle: points strewn on the plane, kept if both pinhole projections are in the image."""
+def test_the_common_field_of_a_toed_in_rig_agrees_with_random_points(z_m):
+    """Oracle: random points of the plane that both pinhole projections see."""
     rig = preset_rig("like-phoxi-s")
     rng = np.random.default_rng(0)
     half = np.array([0.6, 0.4])
@@ -66,13 +66,13 @@ def test_the_common_field_of_a_toed_in_rig_is_what_random_points_say(z_m):
     assert np.allclose(field.max(axis=0), point[visible, :2].max(axis=0), rtol=0, atol=3e-3)
 
 
-def test_a_projector_that_looks_aside_has_no_footprint():
+def test_a_projector_that_looks_sideways_has_no_footprint():
     rig = parallel_rig(axis_rotation("y", np.pi / 2))
     assert footprint_m(rig.projector, rig.T_cam_proj, 1.0).shape == (0, 2)
     assert common_field(rig, 1.0).shape == (0, 2)
 
 
-def test_the_words_give_the_figures_of_similar_triangles():
+def test_the_text_has_the_figures_of_similar_triangles():
     """z^2 / (f b) per column: 1.0 / 150 m at 1 m; out of the field nearer than 1 m."""
     text = describe_rig(parallel_rig())
     assert "baseline          300.0 mm" in text
@@ -87,8 +87,8 @@ def test_the_words_give_the_figures_of_similar_triangles():
     assert far.endswith("900 x 600 mm")
 
 
-def test_of_a_projector_above_the_camera_rows_are_told():
-    """The same rig turned by a quarter: 1.5^2 / 150 m per row, and nothing per column."""
+def test_rows_are_described_if_the_projector_is_above_the_camera():
+    """The same rig rotated by a quarter: 1.5^2 / 150 m per row, and nothing per column."""
     rig = parallel_rig()
     above = replace(
         rig,
@@ -105,7 +105,7 @@ def test_of_a_projector_above_the_camera_rows_are_told():
 def purple_share(rig, path):
     draw_rig(rig, path)
     picture = cv2.imread(str(path))[..., ::-1].astype(float)
-    # Translucent purple over white or over a pale field: less green than either of the others.
+    # Transparent purple over white or over a pale field has less green than either of the others.
     red, green, blue = np.moveaxis(picture, -1, 0)
     return ((green < blue - 20) & (green < red - 10) & (blue > red)).mean()
 
@@ -119,8 +119,8 @@ def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["like-phoxi-m", "like-zivid-2-m70", "office-projector"])
-def test_both_views_have_one_scale_and_fill_their_places(name, monkeypatch, tmp_path):
-    """A millimetre is as long in one view as in the other, on paper, and little stays empty."""
+def test_both_views_have_one_scale_and_fill_their_areas(name, monkeypatch, tmp_path):
+    """A millimetre is as long in one view as in the other, and little space is empty."""
     figures = []
     monkeypatch.setattr(rig_picture, "save_png", lambda figure, path, dpi: figures.append(figure))
     draw_rig(preset_rig(name), tmp_path / "rig.png")

@@ -1,4 +1,4 @@
-"""What sees a field at a distance, with a certain noise."""
+"""The list of scanners that see a field at a distance with a certain noise."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ def names(**wish):
 
 
 def parallel_rig():
-    """Both fields are 1 x 0.5 of the depth; the projector is 0.2 m to the right."""
+    """Return a rig with fields of 1 x 0.5 of the depth; the projector is 0.2 m to the right."""
     lens = Optics(width_px=200, height_px=100, fx_px=200.0, fy_px=200.0, cx_px=99.5, cy_px=49.5)
     T = np.eye(4)
     T[0, 3] = 0.2
@@ -33,15 +33,15 @@ def parallel_rig():
     [((0.79, 0.49), True), ((0.81, 0.49), False), ((0.79, 0.51), False), ((0.49, 0.79), True)],
 )
 def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
-    """Oracle: 1 m less 0.2 m of baseline is common at one metre, and half a metre of height."""
+    """Oracle: 1 m minus 0.2 m of baseline is common at one metre, and half a metre of height."""
     assert covers(parallel_rig(), field_m, 1.0) is fits
 
 
 @pytest.mark.parametrize("ratio", [0.6, slow(1.0), slow(2.0)])
-def test_a_rectangle_fits_into_a_slanted_field_where_a_search_places_it(ratio):
+def test_a_rectangle_fits_into_a_slanted_field_as_a_search_finds(ratio):
     """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.
 
-    Keystone from two sides: no side of this field but the camera's is parallel to another.
+    Keystone from two sides: only the camera's sides of this field are parallel.
     """
     rig, z_m = preset_rig("lab-lightcrafter-4500"), 0.8
     middles = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2), axis=-1).reshape(-1, 2)
@@ -64,20 +64,20 @@ def test_a_rectangle_fits_into_a_slanted_field_where_a_search_places_it(ratio):
     assert not covers(rig, (1.03 * largest * size[0], 1.03 * largest * size[1]), z_m)
 
 
-def test_nothing_fits_where_the_fields_do_not_meet():
+def test_no_rectangle_fits_if_the_fields_do_not_overlap():
     rig = parallel_rig()
     T = rig.T_cam_proj.copy()
     T[0, 3] = 3.0
     assert not covers(replace(rig, T_cam_proj=T), (0.01, 0.01), 1.0)
 
 
-def test_all_are_listed_without_a_wish():
+def test_without_a_condition_all_scanners_are_listed():
     assert names() == list(PRESETS)
 
 
 def test_those_with_a_large_field_at_one_metre_are_listed():
-    """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and less than an XL's
-    nearest place is away. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
+    """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and nearer than an XL's
+    range. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
     listed = names(field_m=(0.6, 0.4), at_m=1.0)
     assert {"like-phoxi-m", "like-phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(
         listed
@@ -88,7 +88,7 @@ def test_those_with_a_large_field_at_one_metre_are_listed():
     assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
 
 
-def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_between(monkeypatch):
+def test_noise_is_that_of_measured_distances_and_quadratic_between_them(monkeypatch):
     """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
     own = measured().scanners["like-phoxi-m"]
     for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
@@ -101,7 +101,7 @@ def test_noise_is_that_of_the_measured_distances_and_grows_with_the_square_betwe
         assert stored_noise_m("like-phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
 
 
-def test_a_stricter_wish_leaves_fewer():
+def test_a_stricter_condition_leaves_fewer_scanners():
     listed = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
     assert listed[0] > listed[1] > listed[2] == set()
     assert listed[0] == set(names(at_m=1.0)) - {"paper"}
@@ -112,7 +112,7 @@ def test_a_stricter_wish_leaves_fewer():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_each_stated_number_of_a_line_has_the_class_of_its_source(name):
-    """Oracle: the words of each number; without the classes, a number's own unit follows it."""
+    """Oracle: the text of each number; without classes, a number is followed by its unit."""
     line = next(line for line in shelf_lines() if line.split()[0] == name)
     kinds = {
         r" m \[(\w+)\], baseline": class_of(name, "near_m", "far_m"),
@@ -133,7 +133,7 @@ def test_a_scanner_s_sources_are_printed_with_each_number():
     assert len(stated) == len(stated_numbers("like-mech-eye-nano"))
 
 
-def test_the_paper_s_rig_has_the_sources_of_another_geometry_alone():
+def test_the_paper_s_rig_has_only_the_sources_of_its_geometry():
     lines = source_lines("paper")
     assert lines[0].startswith("The geometry is that of like-phoxi-m")
     assert not any(line.startswith(("light", "claims", "f_number")) for line in lines)

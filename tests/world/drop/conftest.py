@@ -1,4 +1,4 @@
-"""Parts made of a few numbers, so that closed forms exist for them."""
+"""Parts of a few numbers that have closed forms."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def ring_part() -> Part:
 
 @pytest.fixture(scope="session")
 def angle_part() -> Part:
-    """An L of two boxes: 50 x 30 x 8 mm lying, 8 x 30 x 42 mm standing on its end."""
+    """Return an L of two boxes: 50 x 30 x 8 mm lying, 8 x 30 x 42 mm standing on its end."""
     lying, standing = (
         trimesh.creation.box((0.05, 0.03, 0.008)),
         trimesh.creation.box((0.008, 0.03, 0.042)),

@@ -41,12 +41,12 @@ def mesh_of(shape: trimesh.Trimesh) -> Mesh:
 
 
 def in_hulls(hulls, point) -> np.ndarray:
-    """Which points lie in a hull; an own path, by the planes of Qhull."""
+    """Return which points are in a hull, independently, by the planes of Qhull."""
     planes = [ConvexHull(vertices).equations for vertices, _ in hulls]
     return np.any([(point @ p[:, :3].T + p[:, 3] < 0).all(axis=1) for p in planes], axis=0)
 
 
-def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
+def test_a_box_is_one_hull_of_its_own_volume_and_needs_no_child_process(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
     result = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
     ((vertices, faces),) = result.hulls
@@ -57,7 +57,7 @@ def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkey
 
 @pytest.mark.slow
 def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_hulls):
-    """Oracle: the ring's closed form. Samples on all hulls, and points well inside the ring."""
+    """Oracle: the ring's closed form, for samples on all hulls and points inside the ring."""
     hull_m = np.vstack(
         [
             trimesh.sample.sample_surface(trimesh.Trimesh(v, f), 2000, seed=1)[0]
@@ -72,14 +72,14 @@ def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_h
     r, turn = rng.uniform(0.0153, 0.0247, 5000), rng.uniform(0, 2 * np.pi, 5000)
     z = rng.uniform(-0.0047, 0.0047, 5000)
     body = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-    # Wedges leave a gap of some 50 nm between them, in which a point may fall.
+    # Gaps of some 50 nm are between the wedges, and a point may be in one.
     assert in_hulls(ring_hulls, body).mean() > 0.9995
     assert len(ring_hulls) <= 40
 
 
 @pytest.mark.parametrize("thickness_m", [0.4e-3, pytest.param(0.8e-3, marks=pytest.mark.slow)])
 def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
-    """Its bore is nowhere deeper under the hull than half the thickness, but it is 8 mm wide."""
+    """Its bore is at most half the thickness below the hull, but it is 8 mm wide."""
     mesh = mesh_of(trimesh.creation.annulus(4e-3, 8e-3, thickness_m, sections=48))
     hulls = decompose(mesh)
     rng = np.random.default_rng(0)
@@ -91,7 +91,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
 
 @pytest.mark.slow
 def test_a_thin_cup_stays_open():
-    """Walls of 0.3 mm: nothing is deep under its hull, but a ball of 30 mm falls into it."""
+    """With walls of 0.3 mm, no point is deep below its hull, but a ball of 30 mm fits into it."""
     outer = trimesh.creation.cylinder(0.018, 0.04, sections=32)
     inner = trimesh.creation.cylinder(0.0177, 0.04, sections=32)
     inner.apply_translation((0, 0, 0.3e-3))
@@ -104,7 +104,7 @@ def test_a_thin_cup_stays_open():
 
 
 def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
-    """Exact: twelve vertices of the head, and a shank whose rings are the mesh's own."""
+    """Exact: twelve vertices of the head, and a shank with the mesh's own rings."""
     mesh = zoo_part("hex_bolt").mesh
     hulls = sorted(decompose(mesh), key=lambda hull: len(hull[0]))
     head, shank = hulls[0][0], hulls[1][0]
@@ -131,7 +131,7 @@ def test_two_cubes_that_share_an_edge_are_two_cubes():
     assert volumes == pytest.approx([8e-6, 8e-6], rel=1e-5)
 
 
-def test_a_cavity_is_filled():
+def test_an_inner_cavity_is_filled():
     outer = trimesh.creation.box((0.04,) * 3)
     inner = trimesh.creation.box((0.03,) * 3)
     inner.invert()
@@ -139,7 +139,7 @@ def test_a_cavity_is_filled():
     assert [len(vertices) for vertices, _ in decompose(mesh)] == [8]
 
 
-def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_corner():
+def test_the_error_of_hulls_is_the_depth_of_a_notch_and_the_height_of_a_lost_corner():
     """A wide notch, 3 mm deep, that one hull bridges; a hull that ends 2 mm early."""
     block = trimesh.creation.box((0.1, 0.1, 0.02))
     notch = trimesh.creation.box((0.04, 0.2, 0.006))
@@ -153,7 +153,7 @@ def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_c
     assert measure(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
 
 
-def test_distances_to_triangles_are_those_of_trimesh():
+def test_distances_to_triangles_agree_with_trimesh():
     rng = np.random.default_rng(1)
     corner, point = rng.normal(size=(300, 3, 3)), rng.normal(size=(300, 3))
     nearest = decomposition.error._nearest_m(point, np.arange(300)[:, None], corner)
@@ -162,7 +162,7 @@ def test_distances_to_triangles_are_those_of_trimesh():
 
 
 @pytest.mark.parametrize("open_or_reversed", ["open", "reversed"])
-def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
+def test_a_mesh_that_is_no_solid_is_refused_with_the_reason(open_or_reversed, tmp_path):
     shape = trimesh.creation.box((0.04,) * 3)
     if open_or_reversed == "open":
         shape.update_faces(np.arange(12) > 0)
@@ -173,7 +173,7 @@ def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["flipped bit", "cut short", "empty", "words"])
-def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
+def test_a_damaged_cache_file_is_made_again(tmp_path, damage):
     part = box_part((0.04, 0.05, 0.06))
     good = convex_hulls(part, tmp_path).hulls
     (file,) = tmp_path.iterdir()
@@ -194,7 +194,7 @@ def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, monkeypatch):
+def test_a_second_call_reads_the_cache_and_another_mesh_has_its_own_file(tmp_path, monkeypatch):
     part = box_part((0.04, 0.05, 0.06))
     first = convex_hulls(part, tmp_path)
     convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)), tmp_path)
@@ -206,7 +206,7 @@ def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, mon
     assert figures(again) == figures(first)
 
 
-def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
+def test_the_cache_is_in_the_folder_of_xdg(tmp_path, monkeypatch):
     part = box_part((0.04, 0.05, 0.06))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     prepare((part,))
@@ -218,8 +218,8 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("home", ["a file", "a folder that may not be made", "none"])
-def test_hulls_are_made_where_none_can_be_kept(tmp_path, monkeypatch, home):
-    """The user of a container has no home; nobody named this folder, so nothing may ask for it."""
+def test_hulls_are_made_even_if_they_cannot_be_stored(tmp_path, monkeypatch, home):
+    """A container's user has no home, and this default folder must not cause an error."""
     part = box_part((0.04, 0.05, 0.06))
     good = convex_hulls(part, tmp_path / "hulls").hulls
     file = tmp_path / "file"
@@ -234,7 +234,7 @@ def test_hulls_are_made_where_none_can_be_kept(tmp_path, monkeypatch, home):
 
 
 @pytest.mark.slow
-def test_one_kind_tells_its_stages(tmp_path):
+def test_a_single_part_reports_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
     (result,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
     assert len(result.hulls) > 1
@@ -245,9 +245,9 @@ def test_one_kind_tells_its_stages(tmp_path):
 
 @pytest.fixture
 def children(monkeypatch, tmp_path):
-    """Every child process in the order of their starts, and two processors for them.
+    """Return all child processes in the order of their starts; they have two processors.
 
-    Temporary folders lie in `tmp_path / "aside"`.
+    Temporary folders are in `tmp_path / "aside"`.
     """
     started = []
 
@@ -266,7 +266,7 @@ def children(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(children, tmp_path):
+def test_several_parts_decomposed_by_two_children_give_the_same_hulls(children, tmp_path):
     box = box_part((0.04, 0.05, 0.06))
     nut, *others = (zoo_part(name) for name in ("nut", "washer", "hex_bolt"))
     parts = (box, nut, *others, replace(nut, name="another nut"))
@@ -293,7 +293,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
 
 
 @pytest.mark.slow
-def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(children, tmp_path):
+def test_an_error_in_one_part_ends_all_children_and_keeps_finished_hulls(children, tmp_path):
     parts = [box_part((0.04, 0.05, 0.06)), *map(zoo_part, ("washer", "nut", "hex_bolt"))]
 
     def stop(stage):
@@ -336,8 +336,8 @@ prepare((part,), hull_folder=Path({folder!r}), progress=meter)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["start", "building", "cutting", "joining"])
-def test_a_batch_systems_stop_is_heard_at_any_stage(stage, tmp_path):
-    """Within 2 s, and no process is left behind."""
+def test_a_batch_system_s_stop_takes_effect_at_any_stage(stage, tmp_path):
+    """It takes at most 2 s, and no process is left behind."""
     mesh = wavy_ring(330_000)
     np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
@@ -387,24 +387,24 @@ def _alive(pid: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ZOO)
-def test_hulls_of_the_zoo_keep_to_their_bound(name):
+def test_hulls_of_the_zoo_are_within_their_bound(name):
     mesh = zoo_part(name).mesh
     assert measure(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
 
 
 @pytest.mark.slow
-def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
-    """What simplifying takes is in the bound, which is held against the mesh as it was."""
+def test_a_part_of_half_a_million_faces_keeps_its_bound_and_its_hole():
+    """The bound includes the simplification, since hulls are compared with the original mesh."""
     mesh = wavy_ring(500_000)
     hulls = decompose(mesh)
     assert measure(mesh, hulls).worst_m <= tolerance_m(mesh)
     turn = np.linspace(0, 2 * np.pi, 500)
-    for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
+    for radius_m in (0.0, 0.005, 0.01):  # the hole is at least 11.5 mm wide
         circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
         assert not in_hulls(hulls, np.stack(circle, axis=1)).any()
 
 
-def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch):
+def test_a_part_with_too_much_detail_is_decomposed_more_coarsely_with_a_note(monkeypatch):
     stages = []
     monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
     hulls = decompose(zoo_part("nut").mesh, progress=Stages(stages.append))
@@ -415,10 +415,10 @@ def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch)
     )
 
 
-def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
+def test_hulls_that_exceed_their_bound_cause_a_note_with_the_measured_error():
     """A washer as one hull. Oracle: the middle of its hole is 4 mm from the wall.
 
-    Of the 1000 samples some nine lie within 0.5 mm of the hole's axis.
+    About nine of the 1000 samples are within 0.5 mm of the hole's axis.
     """
     shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
     part = as_part(shape, "washer")
@@ -436,8 +436,8 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
 
 
 @pytest.mark.slow
-def test_a_springs_inside_stays_open():
-    """Oracle: its inner radius is 6 mm; the wire, its facets and the tolerance take 0.5 mm."""
+def test_the_inside_of_a_spring_stays_open():
+    """Oracle: the inner radius is 6 mm; wire, facets and the tolerance reduce it by 0.5 mm."""
     hulls = decompose(zoo_part("spring").mesh)
     rng = np.random.default_rng(0)
     r, turn = 5.5e-3 * np.sqrt(rng.random(5000)), rng.uniform(0, 2 * np.pi, 5000)
@@ -446,7 +446,7 @@ def test_a_springs_inside_stays_open():
 
 
 @pytest.mark.slow
-def test_a_fresh_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
+def test_a_new_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
     np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
     program = (
         "import numpy as np; from pathlib import Path; from graycast.world.drop import prepare;"

@@ -10,7 +10,7 @@ ROD = np.array(trimesh.creation.box((0.02, 0.02, 0.12)).vertices)
 BIN = Bin(inner_m=(0.4, 0.3, 0.2))
 
 
-def test_parts_start_in_cells_of_their_own_between_the_walls_and_above_the_rim():
+def test_parts_start_in_separate_cells_between_the_walls_and_above_the_rim():
     T, kind = start_poses(BIN, (BOX, ROD), (150, 60), np.random.default_rng(1))
     middle = np.array([BOX.mean(axis=0), ROD.mean(axis=0)])[kind]
     center = np.einsum("nij,nj->ni", T[:, :3, :3], middle) + T[:, :3, 3]
@@ -20,13 +20,13 @@ def test_parts_start_in_cells_of_their_own_between_the_walls_and_above_the_rim()
         corner = (BOX, ROD)[k] @ pose[:3, :3].T + pose[:3, 3]
         assert (np.abs(corner[:, :2]) < [0.2, 0.15]).all() and corner[:, 2].min() > 0.2
     assert np.bincount(kind).tolist() == [150, 60]
-    # Mixed: the two kinds have the same mean place, within 4 standard errors along each axis.
+    # In a mix, the two kinds have the same mean position within 4 standard errors per axis.
     shift = center[kind == 1].mean(axis=0) - center[kind == 0].mean(axis=0)
     assert (np.abs(shift) < 4 * center.std(axis=0) * np.sqrt(1 / 150 + 1 / 60)).all()
 
 
 def test_parts_fall_over_a_share_of_the_opening_but_never_over_less_than_a_cell():
-    """As many parts then need more layers; the middle of the bin stays their middle."""
+    """The same number of parts then needs more layers; the centre is still the bin's."""
     T, _ = start_poses(BIN, (BOX,), (60,), np.random.default_rng(1), opening_share=0.5)
     center = T[:, :3, :3] @ BOX.mean(axis=0) + T[:, :3, 3]
     assert (np.abs(center[:, :2]) < [0.1, 0.075]).all() and np.abs(center[:, 0]).max() > 0.04
@@ -40,7 +40,7 @@ def test_parts_fall_over_a_share_of_the_opening_but_never_over_less_than_a_cell(
 
 @pytest.mark.slow
 def test_orientations_are_uniform():
-    """Over uniform rotations each entry has mean 0 and mean square 1/3 (variance 4/45)."""
+    """In uniform rotations, each entry has mean 0 and mean square 1/3 (variance 4/45)."""
     T, _ = start_poses(BIN, (BOX,), (4000,), np.random.default_rng(2))
     entry = T[:, :3, :3].reshape(-1, 9)
     assert np.abs(entry.mean(axis=0)).max() < 4 * np.sqrt(1 / 3 / 4000)

@@ -1,4 +1,4 @@
-"""A held part: what hangs on the tool is its weight, and the tool lets go where its law says."""
+"""A gripped part: the tool carries its weight, and loses it as its law says."""
 
 import math
 
@@ -36,7 +36,7 @@ def lying(x=0.0, y=0.0, z=0.0):
 
 
 def upwards(start, *, metres=0.1, seconds=1.0, acceleration=None):
-    """A smooth rise; or one of constant acceleration."""
+    """Return a smooth rise, or one of constant acceleration."""
     t = np.arange(round(seconds / STEP_S)) * STEP_S
     s = t / seconds
     rise = metres * (3 * s**2 - 2 * s**3) if acceleration is None else acceleration * t**2 / 2
@@ -62,8 +62,8 @@ def lifted(body, hold, path, starts=None, number=0):
     return lift(BIN, (body,), starts, index, number, hold, path)
 
 
-def test_what_hangs_on_the_tool_is_its_weight():
-    """Held still a part pulls with its weight; with 3 m/s2 upwards, with so much more."""
+def test_the_tool_carries_the_part_s_weight():
+    """At rest, the force is the part's weight; with 3 m/s2 upwards, it is larger by this much."""
     body = plate(0.2)
     for acceleration in (None, 3.0):
         loads = []
@@ -81,7 +81,7 @@ def test_what_hangs_on_the_tool_is_its_weight():
 
 
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
-def test_a_cup_lifts_what_its_vacuum_holds_and_no_more(share, holds):
+def test_a_cup_lifts_only_the_weight_that_its_vacuum_can_hold(share, holds):
     body = plate(share * CUP.pull_n / GRAVITY_M_S2)
     path = upwards(lying() @ on_top(), metres=0.1, seconds=3.0)
     end = lifted(body, hold_of(CUP, on_top()), path)
@@ -92,8 +92,8 @@ def test_a_cup_lifts_what_its_vacuum_holds_and_no_more(share, holds):
 
 
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
-def test_a_cup_beside_the_centre_of_mass_lets_go_by_tilt(share, holds):
-    """Held 30 mm beside its middle: m g (1 + 2 d / r) <= pull, by the ring's statics."""
+def test_a_cup_off_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
+    """The grip is 30 mm off the centre: m g (1 + 2 d / r) <= pull, by the ring's statics."""
     beside_m = 0.03
     limit_kg = CUP.pull_n / GRAVITY_M_S2 / (1 + 2 * beside_m / CUP.radius_m)
     body = plate(share * limit_kg)
@@ -103,7 +103,7 @@ def test_a_cup_beside_the_centre_of_mass_lets_go_by_tilt(share, holds):
 
 
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
-def test_jaws_hold_below_their_friction_and_lose_above(share, holds):
+def test_jaws_hold_a_part_below_their_friction_and_lose_it_above(share, holds):
     jaws = Jaws(opening_m=0.1, force_n=20.0, friction=0.3)
     body = plate(share * 2 * 0.3 * 20.0 / GRAVITY_M_S2)
     T = rigid(np.eye(3), np.zeros(3))  # pads on both ends, through the centre of mass
@@ -115,8 +115,8 @@ def test_jaws_hold_below_their_friction_and_lose_above(share, holds):
     assert (end.lost_s is None) == holds
 
 
-def test_a_part_under_another_lifts_it_too_and_the_tool_feels_both():
-    """The upper plate lies on the lower one, beside the cup's place."""
+def test_a_part_under_another_lifts_both_and_the_tool_carries_both():
+    """The upper plate is on the lower one, beside the cup's position."""
     body = plate(0.1)
     starts = np.stack([lying(), lying(x=0.035, z=PLATE_M[2] + 2 * SKIN_M)])
     hold = Hold(T_part_tool=on_top(-0.03), factor=lambda force, moment: 10 + float(force[2]))
@@ -125,8 +125,8 @@ def test_a_part_under_another_lifts_it_too_and_the_tool_feels_both():
     assert 10 - end.least_factor == pytest.approx(0.2 * GRAVITY_M_S2, rel=0.1)
 
 
-def test_nothing_explodes_whatever_is_light_or_pulled_hard():
-    """A light part on a stiff tool, torn sideways through a wall that stands still."""
+def test_the_simulation_is_stable_for_light_parts_and_strong_pulls():
+    """A light part on a stiff tool is pulled sideways through a fixed wall."""
     body = plate(0.002)
     hold = Hold(
         T_part_tool=on_top(), factor=lambda force, moment: math.inf, stiffness_n_m=1e6,
@@ -139,8 +139,8 @@ def test_nothing_explodes_whatever_is_light_or_pulled_hard():
     assert np.linalg.norm(end.T_world_part[0, :3, 3]) < 1.0
 
 
-def test_rotation_vectors_are_those_of_another_library_up_to_half_a_turn():
-    """Oracle: SciPy's, and the vector that the rotation was made of."""
+def test_rotation_vectors_agree_with_scipy_up_to_half_a_turn():
+    """Oracle: SciPy's vector, and the vector that the rotation was made from."""
     rng = np.random.default_rng(3)
     axis = rng.normal(size=(200, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -152,7 +152,7 @@ def test_rotation_vectors_are_those_of_another_library_up_to_half_a_turn():
     np.testing.assert_allclose(np.abs(half), [0, np.pi, 0], atol=1e-12)
 
 
-def test_the_same_lift_ends_alike_to_the_last_bit():
+def test_the_same_lift_gives_the_same_result_to_the_last_bit():
     body = plate(0.1)
     path = upwards(lying() @ on_top())
     first, second = (lifted(body, hold_of(CUP, on_top()), path) for _ in range(2))

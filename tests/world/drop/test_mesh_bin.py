@@ -1,4 +1,4 @@
-"""Parts in a bin that is a mesh: the same laws as in a box, and walls that lean."""
+"""Parts in a mesh bin: the same laws as in a box, with inclined walls."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def at(*xyz_m, turn=None):
 
 def test_a_cube_rests_on_triangles_as_on_a_block():
     turn = axis_rotation("x", 0.1) @ axis_rotation("y", 0.2)
-    start = at(0.02, 0.0, 0.15, turn=turn)  # over the floor's diagonal, an edge that is none
+    start = at(0.02, 0.0, 0.15, turn=turn)  # over the floor's diagonal, which is no real edge
     ends = [
         simulate(box, (body_of_box((0.04,) * 3),), start, np.zeros(1, int), simulated_s=5.0)
         for box in (BOX, AS_MESH)
@@ -42,8 +42,8 @@ def test_a_cube_rests_on_triangles_as_on_a_block():
         assert end.T_world_part[0, 2, 3] == pytest.approx(0.0202, abs=2e-5)
 
 
-def test_a_cube_between_walls_that_are_too_close_is_measured():
-    """36 mm between two walls, a cube of 40 mm: one of them is 2 mm in it, or more."""
+def test_the_overlap_of_a_cube_between_walls_that_are_too_close_is_measured():
+    """A cube of 40 mm is between two walls 36 mm apart, so one of them overlaps by 2 mm or more."""
     narrow = Bin(inner_m=(0.16, 0.036, 0.08))
     narrow = Bin(inner_m=narrow.inner_m, mesh=bin_mesh(narrow))
     body = body_of_box((0.04,) * 3)
@@ -55,19 +55,19 @@ def test_a_cube_between_walls_that_are_too_close_is_measured():
 
 
 @pytest.mark.slow
-def test_a_heap_stays_between_leaning_walls(tmp_path, angle_part, hull_folder):
-    """Oracle: the planes of floor and walls, which the crate was made of."""
+def test_a_heap_stays_between_inclined_walls(tmp_path, angle_part, hull_folder):
+    """Oracle: the planes of floor and walls, from which the crate was made."""
     scene = Scene(
         rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(angle_part,), bin=CRATE.bin(tmp_path)
     )
     layout = drop(scene, (10,), seed=0, limits=DropLimits(), hull_folder=hull_folder)
     corner = angle_part.mesh.vertices_m
     point = np.concatenate([corner @ T[:3, :3].T + T[:3, 3] for T in layout.T_world_part])
-    assert 0.0 < point[:, 2].min() < 0.5e-3  # the lowest lies on the floor
+    assert 0.0 < point[:, 2].min() < 0.5e-3  # the lowest part is on the floor
     inside = point[point[:, 2] < CRATE.inner_m[2] - CRATE.rim_m]
     beyond_m = np.stack(
         [np.abs(inside[:, k]) - CRATE.half_m(0)[k] - CRATE.lean * inside[:, 2] for k in (0, 1)]
     )
     assert beyond_m.max() < 0.1e-3
-    assert beyond_m.max() > -1e-3  # and one leans on a wall
+    assert beyond_m.max() > -1e-3  # one part leans on a wall
     assert layout.outside == 0

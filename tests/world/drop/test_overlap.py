@@ -9,23 +9,23 @@ CUBE = np.array(trimesh.creation.box((0.02, 0.02, 0.02)).vertices)
 
 
 @pytest.mark.parametrize("depth_m", [1e-5, 5e-4, 4e-3])
-def test_two_cubes_face_to_face_overlap_by_what_they_were_pushed(depth_m):
+def test_two_cubes_face_to_face_overlap_by_the_distance_of_their_push(depth_m):
     assert overlap_m(CUBE, CUBE + np.array([0.02 - depth_m, 0.001, 0.002])) == pytest.approx(
         depth_m
     )
 
 
 def test_two_crossed_edges_overlap_by_the_distance_along_their_common_normal():
-    """Edges along x + z-roof and y: both at height 10 sqrt 2 mm, pushed 1 mm past touching."""
+    """The edges are along x + z-roof and y, at height 10 sqrt 2 mm, and overlap by 1 mm."""
     lower = CUBE @ axis_rotation("x", np.pi / 4).T
     upper = CUBE @ axis_rotation("y", np.pi / 4).T + [0, 0, 0.02 * np.sqrt(2) - 1e-3]
     assert overlap_m(lower, upper) == pytest.approx(1e-3)
 
 
-def test_cubes_apart_do_not_overlap_even_where_their_boxes_do():
+def test_separate_cubes_do_not_overlap_even_if_their_bounding_boxes_do():
     turned = CUBE @ axis_rotation("z", np.pi / 4).T
     assert overlap_m(CUBE, CUBE + np.array([0.021, 0, 0])) == 0
-    # The flat of `turned` faces the corner of CUBE along the diagonal; their boxes overlap.
+    # The face of `turned` is opposite the corner of CUBE along the diagonal.
     corner_gap = (0.01 + 0.01 / np.sqrt(2)) * 1.05 * np.array([1, 1, 0])
     assert overlap_m(CUBE, turned + corner_gap) == 0
     assert overlap_m(CUBE, turned + corner_gap / 1.2) > 0

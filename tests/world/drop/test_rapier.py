@@ -23,7 +23,7 @@ def at(*xyz_m, turn=None):
     return rigid(np.eye(3) if turn is None else turn, np.array(xyz_m, dtype=float))[None]
 
 
-def test_mass_and_inertia_of_a_displaced_box_and_of_a_ring_are_the_textbook_ones(ring_part):
+def test_mass_and_inertia_of_a_displaced_box_and_of_a_ring_agree_with_textbooks(ring_part):
     shape = trimesh.creation.box((0.02, 0.04, 0.06))
     shape.apply_translation((0.1, -0.2, 0.3))
     body = body_of(as_part(shape, "box"), ())
@@ -37,7 +37,7 @@ def test_mass_and_inertia_of_a_displaced_box_and_of_a_ring_are_the_textbook_ones
     assert ring.inertia_kg_m2[2, 2] == pytest.approx(about_axis, rel=4e-3)  # 64 sides
 
 
-def test_the_engine_takes_over_mass_centre_and_principal_moments():
+def test_the_engine_has_the_given_mass_centre_and_principal_moments():
     shape = trimesh.creation.box((0.02, 0.04, 0.06))
     shape.apply_transform(rigid(axis_rotation("x", 0.5), np.array([0.01, 0.02, 0.03])))
     part = as_part(shape, "box")
@@ -65,13 +65,13 @@ def test_a_dropped_box_rests_flat_at_half_its_side():
     assert layout.at_rest and layout.outside == 0
     assert layout.last_motion_m <= rest.STILL_MOTION_M
     assert T[2, 3] == pytest.approx(0.02, abs=0.3e-3)
-    assert np.abs(T[2, :3]).max() == pytest.approx(1, abs=1e-5)  # one of its axes is upright
+    assert np.abs(T[2, :3]).max() == pytest.approx(1, abs=1e-5)  # one of its axes is vertical
     assert layout.deepest_penetration_m < 0.1e-3
 
 
 @pytest.mark.parametrize("angle_deg, holds", [(12.5, True), (19.5, False)])
-def test_a_slab_holds_below_the_friction_angle_and_slides_above(monkeypatch, angle_deg, holds):
-    """Oracle: Coulomb, atan 0.3 = 16.7 deg; 13.1 deg with what is left of friction when let go.
+def test_a_slab_stays_below_the_friction_angle_and_slides_above(monkeypatch, angle_deg, holds):
+    """Oracle: Coulomb, atan 0.3 = 16.7 deg; 13.1 deg with the reduced friction after the release.
 
     The floor is tilted by tilting gravity.
     """
@@ -90,10 +90,10 @@ def test_a_slab_holds_below_the_friction_angle_and_slides_above(monkeypatch, ang
     assert moved < 1e-3 if holds else moved == pytest.approx(0.27, abs=2e-3)  # at the far wall
 
 
-def test_what_holds_by_the_last_tenth_of_its_friction_does_not_rest(monkeypatch):
-    """At 13.8 degrees, as above: the engine's 6/7 of 0.3 hold to 14.4, nine tenths of that to 13.0.
+def test_a_part_held_only_by_the_last_tenth_of_its_friction_is_not_at_rest(monkeypatch):
+    """At 13.8 degrees: the engine's 6/7 of 0.3 hold up to 14.4, nine tenths of that up to 13.0.
 
-    Let go, the slab creeps on, and so it would in a heap that a hand has touched.
+    Released, the slab creeps on, as it would in a heap that a hand has touched.
     """
     upright, angle = rapier._world, np.deg2rad(13.8)
 
@@ -110,10 +110,10 @@ def test_what_holds_by_the_last_tenth_of_its_friction_does_not_rest(monkeypatch)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 20.0, 45.0])
-def test_sliding_friction_is_never_more_than_stated_and_at_most_a_seventh_less(
+def test_sliding_friction_is_at_most_the_stated_one_and_at_most_a_seventh_less(
     monkeypatch, turn_deg
 ):
-    """Oracle: x = (sin a - mu cos a) g t^2 / 2 down a floor at 22 degrees, nothing to brake it."""
+    """Oracle: x = (sin a - mu cos a) g t^2 / 2 down a floor at 22 degrees without an obstacle."""
     upright, angle, seconds = rapier._world, np.deg2rad(22), 0.4
 
     def tilted(stage):
@@ -135,7 +135,7 @@ def test_sliding_friction_is_never_more_than_stated_and_at_most_a_seventh_less(
 
 @pytest.fixture(scope="session")
 def bolt():
-    """An M8x25 hex bolt: a hexagonal head of 13 x 5.3 mm, a shank of 8 mm."""
+    """Return an M8x25 hex bolt: a hexagonal head of 13 x 5.3 mm, a shank of 8 mm."""
     head = trimesh.creation.cylinder(radius=0.013 / 3**0.5, height=0.0053, sections=6)
     shank = trimesh.creation.cylinder(radius=0.004, height=0.025, sections=48)
     shank.apply_translation((0, 0, 0.0053 / 2 + 0.0125))
@@ -145,9 +145,9 @@ def bolt():
 
 @pytest.mark.parametrize("tilt_rad", [0.6, 1.2, 1.9, 2.8])
 def test_a_bolt_on_the_floor_comes_to_rest_on_head_and_shank(bolt, tilt_rad):
-    """Oracle: it lies where its head's lowest corners and the end of its shank touch the floor.
+    """Oracle: the head's lowest corners and the end of the shank touch the floor.
 
-    Its weight is 12 mm above its head's face, so it stands on that up to a tilt of atan(6.5 / 12).
+    Its centre of mass is 12 mm above its head's face, so it stands up to a tilt of atan(6.5 / 12).
     """
     start = at(0.02, 0.01, 0.06, turn=axis_rotation("x", tilt_rad))
     layout = simulate(BIN, (bolt,), start, np.zeros(1, int), simulated_s=6.0)
@@ -157,8 +157,8 @@ def test_a_bolt_on_the_floor_comes_to_rest_on_head_and_shank(bolt, tilt_rad):
     assert lowest_m == pytest.approx([rapier.SKIN_M] * 2, abs=0.05e-3)
 
 
-def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
-    """Down 15.5 degrees a slab slides 75 mm in 0.6 s; damped by 1e5 it creeps 0.06 mm in 0.6 s."""
+def test_a_part_held_only_by_damping_is_detected_when_damping_ends(monkeypatch):
+    """At 15.5 degrees a slab slides 75 mm in 0.6 s; damped by 1e5 it creeps 0.06 mm in 0.6 s."""
     monkeypatch.setattr(rapier, "LINEAR_DAMPING", 1e5)
     upright, angle = rapier._world, np.deg2rad(15.5)
 
@@ -171,14 +171,14 @@ def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
     box, body = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.2), body_of_box((0.06, 0.06, 0.01), 0.4)
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert not layout.at_rest
-    monkeypatch.setattr(rest, "REST_MOTION_M", 1.0)  # nobody looks
+    monkeypatch.setattr(rest, "REST_MOTION_M", 1.0)  # without checks
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert layout.at_rest
 
 
-def test_what_leaves_its_place_slowly_does_not_rest(monkeypatch):
-    """A tenth of a degree beyond what nine tenths of the friction hold, a slab slides 0.2 mm in the
-    first 0.2 s, in which what rests moves by 0.01 mm at most, and 0.54 mm in 0.6 s.
+def test_a_part_that_moves_away_slowly_is_not_at_rest(monkeypatch):
+    """A tenth of a degree beyond the angle that nine tenths of the friction hold, a slab slides 0.2
+    mm in the first 0.2 s, in which a part at rest moves at most 0.01 mm, and 0.54 mm in 0.6 s.
     """
     upright, angle = rapier._world, np.deg2rad(13.2)
 
@@ -194,7 +194,7 @@ def test_what_leaves_its_place_slowly_does_not_rest(monkeypatch):
 
 
 class Scripted(rapier.RapierHeap):
-    """A heap whose parts are at these heights [m] at each look; it notes how they are damped."""
+    """A heap whose parts have these heights [m] at each check; it records their damping."""
 
     def __init__(self, height_m):
         object.__setattr__(self, "world", None)
@@ -212,16 +212,16 @@ class Scripted(rapier.RapierHeap):
         return np.concatenate([at(0, 0, z) for z in self.parts["height_m"][look]])
 
 
-def test_only_a_part_on_its_way_is_damped_and_rest_counts_from_when_none_is():
-    """One of two parts sinks by 1 mm a look for ten looks. Oracle: by hand. It has left its place
-    at look 1, and come to another at look 15, which sees five looks without motion; five looks
-    without damping end at look 19. It is damped from look 2 to look 15, the other part never.
+def test_only_a_moving_part_is_damped_and_rest_counts_only_without_damping():
+    """One of two parts sinks by 1 mm per check for ten checks. Oracle, by hand: it has moved at
+    check 1, and has come to rest at check 15, after five checks without motion; five checks without
+    damping end at check 19. It is damped from check 2 to check 15, the other part never.
     """
     sinking = [(0.1 - 1e-3 * min(look, 10), 0.1) for look in range(30)]
     heap = Scripted(sinking)
     box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
     end, last_m, seconds, rests = rest._rest(heap, box_m, 5.0)
-    assert last_m == 0  # in the 0.2 s that showed rest, not in the fall before them
+    assert last_m == 0  # in the 0.2 s that showed rest, not in the fall before
     assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
     assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
     factors = np.array(heap.parts["factors"])
@@ -230,8 +230,8 @@ def test_only_a_part_on_its_way_is_damped_and_rest_counts_from_when_none_is():
     assert factors[1:6, 0].tolist() == [1.0] * 5 and (np.diff(factors[10:15, 0]) > 0).all()
 
 
-def test_motion_is_that_of_the_farthest_point_since_each_look():
-    """Oracle: a turn by a about a corner moves the far end of a diagonal by 2 L sin(a / 2)."""
+def test_motion_is_that_of_the_farthest_point_since_each_check():
+    """Oracle: a rotation by a about a corner moves the end of a diagonal by 2 L sin(a / 2)."""
     body = body_of_box((0.06, 0.02, 0.02))
     corner = np.array([-0.03, -0.01, -0.01])
     turns = [axis_rotation("z", a) for a in (0.0, 0.4, 0.1)]
@@ -241,7 +241,7 @@ def test_motion_is_that_of_the_farthest_point_since_each_look():
 
 
 @pytest.mark.slow
-def test_a_ring_let_down_over_a_peg_ends_with_the_peg_through_its_hole(ring_part, ring_hulls):
+def test_a_ring_lowered_over_a_peg_ends_with_the_peg_through_its_hole(ring_part, ring_hulls):
     base = trimesh.creation.box((0.06, 0.06, 0.006))
     pin = trimesh.creation.cylinder(radius=0.010, height=0.05, sections=48)
     pin.apply_translation((0, 0, 0.025))
@@ -257,8 +257,8 @@ def test_a_ring_let_down_over_a_peg_ends_with_the_peg_through_its_hole(ring_part
     assert np.linalg.norm((ring_end - peg_end)[:2, 3]) < RING_INNER_M - 0.010 + 0.5e-3
 
 
-def test_what_is_heaped_over_the_rim_falls_off_and_is_counted():
-    """Four cubes fit into the bin side by side; of twelve at least four end elsewhere."""
+def test_parts_heaped_above_the_rim_fall_off_and_are_counted():
+    """Four cubes fit side by side into the bin; of twelve, at least four end elsewhere."""
     box = Bin(inner_m=(0.1, 0.1, 0.04))
     start = np.concatenate(
         [
@@ -276,10 +276,10 @@ def test_what_is_heaped_over_the_rim_falls_off_and_is_counted():
     assert parts_outside(box, (body,), layout.T_world_part, kind).sum() == layout.outside
 
 
-def test_a_rod_is_not_held_up_by_the_walls_that_only_guide_the_fall():
-    """A 260 mm rod leans on a guide in a bin 100 mm wide and 40 mm deep, its weight inside.
+def test_a_rod_is_not_held_by_the_walls_that_only_guide_the_fall():
+    """A 260 mm rod leans on a guide in a bin 100 mm wide and 40 mm deep, its centre inside.
 
-    Left to itself it lies over the rim: from the opposite corner its middle is 21 mm beyond.
+    Without the guide it lies across the rim: its centre is 21 mm beyond the opposite corner.
     """
     box = Bin(inner_m=(0.1, 0.1, 0.04))
     lean = axis_rotation("y", -np.deg2rad(70))
@@ -288,7 +288,7 @@ def test_a_rod_is_not_held_up_by_the_walls_that_only_guide_the_fall():
     assert layout.at_rest and layout.outside == 1
 
 
-def test_inside_and_outside_are_told_by_weight_and_lowest_point():
+def test_a_part_is_inside_by_its_centre_of_mass_and_lowest_point():
     body = body_of_box((0.1, 0.02, 0.02))
     upright, diagonal = axis_rotation("y", np.pi / 2), axis_rotation("y", 0.6)
     poses = {
@@ -304,15 +304,15 @@ def test_inside_and_outside_are_told_by_weight_and_lowest_point():
         assert parts_outside(BIN, (body,), pose, np.zeros(1, int))[0] == expected, name
 
 
-def test_a_pair_that_is_jammed_together_is_measured():
-    """Two cubes start 16 mm inside each other and the drop ends at once."""
+def test_the_overlap_of_two_jammed_parts_is_measured():
+    """Two cubes start 16 mm inside each other, and the drop ends at once."""
     body = body_of_box((0.04,) * 3)
     start = np.concatenate([at(-0.012, 0, 0.5), at(0.012, 0, 0.5)])
     layout = simulate(BIN, (body,), start, np.zeros(2, int), simulated_s=0.03)
     gap = np.diff(layout.T_world_part[:, 0, 3])[0]
     assert gap < 0.0395  # still jammed
-    # They have turned a little apart. Their extents along x overlap by the upper bound, and the
-    # overlap would be the lower one without the turn.
+    # They have rotated a little. Their extents along x overlap by the upper bound; without the
+    # rotation, the overlap would be the lower one.
     extent_m = 0.02 * np.abs(layout.T_world_part[:, 0, :3]).sum()
     assert 0.04 - gap <= layout.deepest_penetration_m <= extent_m - gap + 1e-6
     assert layout.deepest_penetration_m > 0.5e-3

@@ -17,7 +17,7 @@ LIMITS = DropLimits()
 
 
 @pytest.mark.slow
-def test_one_seed_gives_one_layout_and_another_seed_another(scene_of, angle_part, hull_folder):
+def test_each_seed_gives_its_own_layout(scene_of, angle_part, hull_folder):
     scene = scene_of((angle_part,))
     one, again, other = (
         drop(scene, (12,), seed=seed, limits=LIMITS, hull_folder=hull_folder) for seed in (0, 0, 1)
@@ -27,7 +27,7 @@ def test_one_seed_gives_one_layout_and_another_seed_another(scene_of, angle_part
 
 
 @pytest.mark.slow
-def test_a_fresh_process_with_an_empty_cache_gives_the_same_bits(
+def test_a_new_process_with_an_empty_cache_gives_the_same_bits(
     scene_of, angle_part, hull_folder, tmp_path
 ):
     here = drop(scene_of((angle_part,)), (12,), seed=5, limits=LIMITS, hull_folder=hull_folder)
@@ -53,10 +53,10 @@ np.save(folder / "there.npy", layout.T_world_part)
 
 
 @pytest.mark.slow
-def test_true_surfaces_in_a_heap_do_not_press_into_each_other(scene_of, angle_part, hull_folder):
+def test_true_surfaces_in_a_heap_do_not_overlap(scene_of, angle_part, hull_folder):
     """Oracle: the angle is two boxes, so depth below its surface has a closed form.
 
-    Points sampled on every true mesh are looked up in every other part, not in its hulls.
+    Points of every true mesh are tested in every other part, not in its hulls.
     """
     layout = drop(
         scene_of((angle_part,), (0.15, 0.15, 0.2)), (30,), seed=3, limits=LIMITS,
@@ -78,10 +78,10 @@ def test_true_surfaces_in_a_heap_do_not_press_into_each_other(scene_of, angle_pa
             depth = (halves - np.abs(local[:, None] - centers)).min(axis=-1).max()
             deepest, touching = max(deepest, depth), touching + (depth > -0.5e-3)
     assert deepest < LIMITS.penetration_m
-    assert touching >= 30  # and they do lie on each other
+    assert touching >= 30  # some parts touch each other
 
 
-def test_several_kinds_keep_their_numbers_and_an_absent_kind_costs_nothing(scene_of, hull_folder):
+def test_several_kinds_keep_their_numbers_and_an_absent_kind_has_no_effect(scene_of, hull_folder):
     never_closed = trimesh.Trimesh(*_one_triangle(), process=False)
     from .conftest import as_part
 
@@ -97,7 +97,7 @@ def _one_triangle():
     return np.eye(3) * 0.1, np.array([[0, 1, 2]])
 
 
-def test_flaws_are_told_with_their_numbers():
+def test_flaws_of_a_layout_are_reported_with_their_numbers():
     pose = np.eye(4)[None]
     good = dict(T_world_part=pose, part_index=np.zeros(1, int))
     assert flaws(Layout(**good, deepest_penetration_m=0.49e-3), LIMITS) == ()
@@ -111,7 +111,7 @@ def test_flaws_are_told_with_their_numbers():
     assert flaws(Layout(**good, deepest_penetration_m=float("nan")), LIMITS)
 
 
-def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, monkeypatch):
+def test_a_drop_is_repeated_with_other_seeds_until_one_is_good(scene_of, hull_folder, monkeypatch):
     from graycast.world.drop import settle
 
     starts, real = [], settle.simulate
@@ -139,7 +139,7 @@ def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, 
         (4, dict(deepest_penetration_m=1e-3), "drop.penetration_m, now 0.0005 m", "larger bin"),
     ],
 )
-def test_an_error_names_what_helps_this_case_and_only_keys_that_exist(
+def test_an_error_names_a_remedy_for_this_case_and_only_existing_keys(
     scene_of, hull_folder, monkeypatch, count, end, message, absent
 ):
     from graycast.world.drop import settle
@@ -158,10 +158,10 @@ def test_an_error_names_what_helps_this_case_and_only_keys_that_exist(
     assert set(re.findall(r"drop\.(\w+)", str(caught.value))) <= keys
 
 
-def test_no_parts_leave_the_bin_empty_without_a_fall(scene_of, hull_folder, monkeypatch):
+def test_a_bin_without_parts_needs_no_simulation(scene_of, hull_folder, monkeypatch):
     from graycast.world.drop import settle
 
-    monkeypatch.setattr(settle, "simulate", None)  # whoever calls it ends
+    monkeypatch.setattr(settle, "simulate", None)  # a call would fail the test
     parts = (box_part((0.03,) * 3), box_part((0.5,) * 3))  # the second does not fit into the bin
     layout = drop(scene_of(parts), (0, 0), seed=0, limits=LIMITS, hull_folder=hull_folder)
     assert layout.T_world_part.shape == (0, 4, 4) and layout.part_index.shape == (0,)
@@ -179,11 +179,11 @@ def test_no_parts_leave_the_bin_empty_without_a_fall(scene_of, hull_folder, monk
         ((0.5, 0.2, 0.02), (1,), None),
     ],
 )
-def test_what_cannot_be_dropped_is_refused_before_any_fall(
+def test_impossible_drops_are_refused_before_any_fall(
     scene_of, hull_folder, size_m, counts, message
 ):
     scene = scene_of((box_part(size_m),))
-    if message is None:  # longer than the bin, but it goes in on end
+    if message is None:  # longer than the bin, but it fits upright
         layout = drop(scene, counts, seed=0, limits=LIMITS, hull_folder=hull_folder)
         assert layout.outside == 0
         return

@@ -1,8 +1,8 @@
-"""A box as a STEP file (ISO 10303-21, AP214): its surfaces and edges, with the unit of length."""
+"""A box as a STEP file (ISO 10303-21, AP214): surfaces and edges, with the unit of length."""
 
 import numpy as np
 
-_FACES = (  # The corners of each face, seen from outside against the clock, and its normal.
+_FACES = (  # corners of each face, counter-clockwise from outside, and its normal
     ((0, 2, 3, 1), (0, 0, -1)),
     ((4, 5, 7, 6), (0, 0, 1)),
     ((0, 1, 5, 4), (0, -1, 0)),
@@ -26,7 +26,7 @@ class _Lines(list):
 
 
 def step_box(length, width, height, prefix):
-    """`prefix` is of the metre, such as .MILLI."""
+    """Write the file; `prefix` is that of the metre, such as .MILLI."""
     lines = _Lines()
     size = np.array([length, width, height])
     corner = [np.array([k & 1, k >> 1 & 1, k >> 2]) * size for k in range(8)]

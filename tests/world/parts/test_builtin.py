@@ -20,7 +20,7 @@ from studies.printed_labels import (
 )
 
 part_of = cache(builtin_part)  # no test changes it
-# The outward normal of a panel and the way up for its reader.
+# The outward normal of a panel, and the reader's upward direction.
 READERS = {
     "front": ((0, -1, 0), (0, 0, 1)),
     "right": ((1, 0, 0), (0, 0, 1)),
@@ -42,7 +42,7 @@ def as_trimesh(part):
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_a_builtin_part_is_one_closed_body_round_the_origin(name):
+def test_a_built_in_part_is_one_closed_body_around_the_origin(name):
     part = part_of(name)
     mesh = as_trimesh(part)
     assert part.name == name
@@ -57,7 +57,7 @@ def test_a_builtin_part_is_one_closed_body_round_the_origin(name):
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_shading_normals_of_a_builtin_part_lean_no_further_than_its_facets(name):
+def test_shading_normals_of_a_built_in_part_deviate_no_more_than_its_facets(name):
     part = part_of(name)
     normal = part.mesh.corner_normals
     assert np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-12
@@ -66,7 +66,7 @@ def test_shading_normals_of_a_builtin_part_lean_no_further_than_its_facets(name)
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_a_part_is_made_alike_every_time(name):
+def test_a_part_is_the_same_every_time(name):
     one, other = builtin_part(name), builtin_part(name)
     assert np.array_equal(one.mesh.vertices_m, other.mesh.vertices_m)
     assert np.array_equal(one.mesh.faces, other.mesh.faces)
@@ -74,12 +74,12 @@ def test_a_part_is_made_alike_every_time(name):
         assert np.array_equal(one.material.texture, other.material.texture)
 
 
-def test_an_unknown_part_is_refused_with_the_names_there_are():
+def test_the_error_for_an_unknown_part_lists_the_names():
     with pytest.raises(ValueError, match=r"'salt'.*yellow_salt_cube.*toothpaste"):
         builtin_part("salt")
 
 
-def test_the_ring_has_the_volume_of_pappus():
+def test_the_volume_of_the_ring_follows_pappus():
     """Oracle: V = 2 pi * (first moment of the profile about the axis), in trapezoids along z.
 
     Each edge adds its z step times the mean of r^2 over it; chords enclose sin(x)/x of a circle.
@@ -93,7 +93,7 @@ def test_the_ring_has_the_volume_of_pappus():
 
 
 def share_not_shared(part, T):
-    """The volume of a part outside its own moved copy, over its volume."""
+    """Return the volume of a part outside its own moved copy, over its volume."""
     mesh = Mesh64(part.mesh.vertices_m * 1e3, part.mesh.faces.astype(np.uint64))
     body = Manifold(mesh)
     T_mm = T[:3].copy()
@@ -113,11 +113,11 @@ def test_every_declared_symmetry_maps_the_part_onto_itself(name):
     for axis, point_m in part.symmetry.continuous:
         assert axis == (0.0, 0.0, 1.0) and point_m == (0.0, 0.0, 0.0)
         for angle_rad in (0.3, 1.0, 2.5):
-            # Facets of 128 cross each other: at most 1 - sin(x)/x of the outer disc, x = 2 pi/128.
+            # Facets of 128 do not coincide: at most 1 - sin(x)/x of the outer disc, x = 2 pi/128.
             assert share_not_shared(part, turn("z", angle_rad)) < 2e-3
 
 
-def test_no_further_symmetry_has_been_forgotten():
+def test_no_further_symmetry_exists():
     """Half turns about the axes and, for the workpieces, quarter turns: none fits undeclared."""
     bracket, ring = part_of("metal_workpiece_1"), part_of("metal_workpiece_2")
     assert len(bracket.symmetry.discrete) == 1 and len(ring.symmetry.continuous) == 1
@@ -146,10 +146,10 @@ def test_the_stored_pictures_of_labels_are_those_that_the_study_draws(name):
 
 
 def view_of(part, normal, up, right_m, up_m):
-    """What a far viewer sees of the texture at the points (right, up) [m] of the view, row by row.
+    """Return the texture that a far viewer sees at the points (right, up) [m], row by row.
 
-    Parallel rays against every triangle, nearest hit, uv interpolated, nearest texel: an own path
-    from texture to picture, by `Material`'s and `Mesh`'s conventions alone.
+    Parallel rays against every triangle, nearest hit, uv interpolated, nearest texel: independent
+    of the program except for the conventions of `Material` and `Mesh`.
     """
     normal, up = np.array(normal, dtype=float), np.array(up, dtype=float)
     view = np.stack([np.cross(up, normal), up, normal])
@@ -185,8 +185,8 @@ def likeness(one, other):
     ("name", "panels"),
     [("yellow_salt_cube", cache(salt_box_panels)), ("toothpaste", cache(toothpaste_panels))],
 )
-def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
-    """Oracle: the panel as drawn, against what a viewer in front of that side sees."""
+def test_a_box_shows_each_panel_upright_and_not_mirrored(name, panels, side):
+    """Oracle: the panel as drawn, compared with the view from in front of that side."""
     part, panel = part_of(name), panels()[side]
     normal, up = READERS[side]
     width_m = abs(np.cross(up, normal) @ part.mesh.extent_m)
@@ -197,7 +197,7 @@ def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
     up_m = (0.5 - (row + 0.5) / h) * height_m
     picture = view_of(part, normal, up, right_m, up_m)
     expected = panel[row, column].astype(float)
-    assert np.abs(picture - expected).mean() < 1  # some texels fall to their neighbour
+    assert np.abs(picture - expected).mean() < 1  # some texels belong to their neighbour
     assert likeness(picture, expected) > 0.99
     for wrong in (expected[:, ::-1], expected[::-1], expected[::-1, ::-1]):
         assert likeness(picture, wrong) < 0.9
@@ -206,8 +206,8 @@ def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
 BOTTLE_AXIS_M = 0.029 - 0.067 / 2  # x of the body's axis: the nozzle shifts the box's middle
 
 
-def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
-    """The middle of the front is nearly flat, so arc length is x there."""
+def test_the_bottle_shows_its_name_upright_and_not_mirrored_in_front():
+    """The middle of the front is nearly flat, so arc length equals x there."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     girth_m, height_m = 0.1774, 0.128  # of the superellipse 58 x 46 mm, exponent 3.2; to the neck
     h, w = panel.shape[:2]
@@ -221,13 +221,13 @@ def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
         assert likeness(picture, wrong) < 0.6
 
 
-def test_the_bottle_is_wrapped_once_with_its_seam_behind():
-    """A reader behind the bottle finds the panel's two ends meeting in the middle."""
+def test_the_label_is_wrapped_once_around_the_bottle_with_its_seam_behind():
+    """From behind the bottle, the panel's two ends meet in the middle."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     uv = part.mesh.corner_uv
     assert uv.min() >= 0 and uv.max() <= 1
-    assert np.ptp(uv[..., 0], axis=1).max() < 0.1  # no face runs back across the whole label
-    # From behind, right is -x: the panel's left end, with the barcode, goes right from the seam.
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.1  # no face crosses the whole label in reverse
+    # From behind, right is -x: the panel's left end, with the barcode, is right of the seam.
     x_m = np.linspace(-0.018, 0.018, 61)[None] - BOTTLE_AXIS_M
     z_m = np.full_like(x_m, 0.6 * 0.128 - part.mesh.extent_m[2] / 2)
     picture = view_of(part, (0, 1, 0), (0, 0, 1), x_m, z_m)[0]

@@ -5,8 +5,8 @@ from graycast.world.parts.normals import crease_normals
 from graycast.world.parts.shapes import rounded_box
 
 
-def test_a_cylinder_is_smooth_round_its_axis_and_sharp_at_its_rims():
-    """Oracle: the radial direction, exact at the vertices of a regular prism by its symmetry."""
+def test_a_cylinder_is_smooth_around_its_axis_and_sharp_at_its_rims():
+    """Oracle: the radial direction, which is exact at a regular prism's vertices by symmetry."""
     mesh = trimesh.creation.cylinder(radius=0.02, height=0.05, sections=48)
     normal = crease_normals(mesh.vertices, mesh.faces, np.radians(30))
     corner = mesh.vertices[mesh.faces]
@@ -23,8 +23,8 @@ def test_facets_steeper_than_the_crease_stay_flat():
     assert np.abs(normal - mesh.face_normals[:, None]).max() < 1e-9
 
 
-def test_a_cube_smoothed_over_points_along_its_diagonals():
-    """However its sides are cut into triangles: each side weighs the same at a corner."""
+def test_a_smoothed_cube_has_normals_along_its_diagonals():
+    """For any triangulation of its sides, each side has the same weight at a corner."""
     mesh = trimesh.creation.box((1, 1, 1))
     normal = crease_normals(mesh.vertices, mesh.faces, np.radians(95))
     assert np.abs(normal - mesh.vertices[mesh.faces] * 2 / np.sqrt(3)).max() < 1e-12
@@ -41,7 +41,7 @@ def test_normals_of_a_sphere_converge_to_the_radius_at_least_linearly_in_the_edg
     assert error[1] / error[2] > 1.9
 
 
-def test_flat_sides_of_a_finely_rounded_box_do_not_bulge():
+def test_flat_sides_of_a_finely_rounded_box_have_flat_normals():
     vertices, faces, panel = rounded_box((70.0, 60.0, 145.0), 2.5, steps=3)
     normal = crease_normals(vertices, faces, np.radians(35))
     corner = vertices[faces]
@@ -51,7 +51,7 @@ def test_flat_sides_of_a_finely_rounded_box_do_not_bulge():
     assert np.degrees(np.arccos(normal[large][..., 2].min())) < 1.0
 
 
-def test_turning_the_mesh_turns_the_normals():
+def test_rotating_the_mesh_rotates_the_normals():
     mesh = trimesh.creation.torus(0.03, 0.01, major_sections=24, minor_sections=12)
     turn = trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.5, 0.7]))[:3, :3]
     straight = crease_normals(mesh.vertices, mesh.faces, 0.6)

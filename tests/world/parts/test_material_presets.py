@@ -1,4 +1,4 @@
-"""Materials by name: colours of metals follow from published indices, one key changes one word."""
+"""Materials by name: colours of metals from published indices; one key overrides one property."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -74,7 +74,7 @@ def test_every_metal_with_a_source_is_compared_with_it():
     assert with_source == {MATERIALS[name].material.base_color for name in INDICES}
 
 
-# Reflectance at 460, 470, 550 and 610 nm, as the measurements of physicallybased.info have it.
+# Reflectance at 460, 470, 550 and 610 nm, measured by physicallybased.info.
 REFLECTANCES = {
     "cast-iron": (0.02685, 0.02687, 0.02650, 0.02685),
     "rust": (0.02563, 0.02680, 0.06761, 0.15199),
@@ -85,8 +85,8 @@ REFLECTANCES = {
 
 
 @pytest.mark.parametrize("name", REFLECTANCES)
-def test_the_colour_of_what_is_no_metal_is_its_measured_reflectance(name):
-    """Symptom: rust might be blue. The colour has three digits; that of rubber is one grey."""
+def test_the_colour_of_a_material_that_is_no_metal_is_its_measured_reflectance(name):
+    """Symptom: rust could be blue. The colour has three digits; that of rubber is one grey."""
     red, green, blue = MATERIALS[name].material.base_color
     assert MATERIALS[name].material.metallic == 0
     measured = np.array(REFLECTANCES[name])
@@ -102,20 +102,20 @@ def resolved(words, own=None):
     return resolve_material(MaterialSection.model_validate(words), Path(), own=own)
 
 
-def test_a_name_is_the_material_and_one_key_changes_one_word():
+def test_a_name_gives_the_material_and_one_key_overrides_one_property():
     brass = MATERIALS["brass"].material
     assert resolved({"preset": "brass"}) == brass
     assert resolved({"preset": "brass", "roughness": 0.4}) == replace(brass, roughness=0.4)
 
 
-def test_a_name_replaces_all_of_a_built_in_parts_look():
+def test_a_name_replaces_the_whole_look_of_a_built_in_part():
     label = builtin_part("toothpaste").material
     line = Material(texture=label.texture, projector_reflectance=0.3)
     assert resolved({"preset": "rubber"}, own=line) == MATERIALS["rubber"].material
 
 
 @pytest.mark.parametrize("material", ["brass", {"preset": "brass"}])
-def test_a_file_has_a_name_in_place_of_a_section(tmp_path, material):
+def test_a_file_may_have_a_name_instead_of_a_section(tmp_path, material):
     part = {"builtin": "metal_workpiece_1", "material": material}
     content = {"parts": [part], "table": "rubber", "bin": {"material": "paper", "floor": "rust"}}
     path = tmp_path / "cell.yaml"
@@ -149,7 +149,7 @@ def test_a_wrong_name_is_refused_in_one_line(tmp_path, material, line):
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_door_knows_the_same_names():
+def test_the_library_exports_the_same_names():
     assert material_preset("zinc") is MATERIALS["zinc"]
     with pytest.raises(ValueError, match="did you mean zinc"):
         MaterialSection(preset="zink")
@@ -169,7 +169,7 @@ def test_a_sphere_has_no_grain():
         Sphere(center_m=(0.0, 0.0, 0.0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
 
 
-def test_the_widths_are_those_of_burley():
+def test_the_widths_of_grooves_follow_burley():
     """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
     for anisotropy in (0.0, 0.6, 1.0):
         grain = Grain(axis=(1.0, 0.0, 0.0))
@@ -179,7 +179,7 @@ def test_the_widths_are_those_of_burley():
         assert abs(across / along - 1 / (1 - 0.9 * anisotropy)) < 1e-9
 
 
-def test_keys_of_grooves_arrive():
+def test_keys_of_grooves_are_applied():
     brushed = MATERIALS["steel-brushed"].material
     lathe = Grain(axis=(0.0, 1.0, 0.0), turned=True, point_m=(0.1, 0.0, 0.0))
     turned = {"preset": "steel-brushed", "turned": "y", "turned_about_m": [0.1, 0, 0]}
@@ -201,12 +201,12 @@ def test_keys_of_grooves_arrive():
         ({"preset": "steel-brushed", "grain": [0, 0, 0]}, "an axis must have a direction"),
     ],
 )
-def test_grooves_that_would_do_nothing_are_refused(words, line):
+def test_grooves_without_an_effect_are_refused(words, line):
     with pytest.raises((ConfigError, ValueError), match=line):
         resolved(words)
 
 
-def test_a_part_of_another_size_keeps_the_axis_of_its_lathe():
+def test_a_scaled_part_keeps_the_axis_of_its_lathe():
     part = builtin_part("metal_workpiece_2")
     lathe = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=(0.01, 0.0, 0.0))
     metal = replace(MATERIALS["steel-turned"].material, grain=lathe)
@@ -214,8 +214,8 @@ def test_a_part_of_another_size_keeps_the_axis_of_its_lathe():
     assert part.scaled(2.0).material == part.material
 
 
-def test_ends_of_a_brushed_box_have_grooves_of_their_own():
-    """On every face the direction lies in the face, along the grain wherever that can be."""
+def test_ends_of_a_brushed_box_have_their_own_grooves():
+    """On every face, the direction is in the face, and along the grain if possible."""
     corner_m = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1.0)])
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
@@ -232,14 +232,14 @@ def test_ends_of_a_brushed_box_have_grooves_of_their_own():
     )
 
 
-def test_only_metal_keeps_its_grooves_when_it_is_retouched():
+def test_only_metal_keeps_its_grooves_when_its_look_is_varied():
     brushed = MATERIALS["steel-brushed"].material
     less = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-0.5)
     none = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-1.0)
     assert (less.anisotropy, none.anisotropy) == (0.8, 0.0)
 
 
-def test_another_direction_of_grooves_is_another_part():
+def test_another_direction_of_grooves_gives_another_part():
     part = replace(builtin_part("toothpaste"), material=MATERIALS["steel-brushed"].material)
     other = replace(part.material, grain=Grain(axis=(0.0, 1.0, 0.0)))
     assert part_digest(part) != part_digest(replace(part, material=other))
@@ -256,7 +256,7 @@ SELLMEIER = {
 
 
 @pytest.mark.parametrize("name", SELLMEIER)
-def test_what_is_transparent_has_the_index_of_its_source(name):
+def test_a_transparent_material_has_the_index_of_its_source(name):
     """Oracle: Sellmeier's equation at the helium line."""
     line2 = 0.5876**2
     index = np.sqrt(1 + sum(b * line2 / (line2 - c) for b, c in SELLMEIER[name]))

@@ -41,7 +41,7 @@ def write_obj(path, vertices, faces):
 
 
 def textured_box(size=(0.06, 0.04, 0.03)):
-    """Every face with corners of its own, so that all edges are uv seams."""
+    """Return a box whose faces have their own corners, so that all edges are uv seams."""
     mesh = box(size)
     vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
     rng = np.random.default_rng(5)
@@ -59,7 +59,7 @@ def textured_box(size=(0.06, 0.04, 0.03)):
     ("ending", "kind"),
     [("obj", None), ("ply", None), ("stl", None), ("STL", "stl_ascii"), ("glb", None)],
 )
-def test_a_box_comes_back_from_every_format(tmp_path, ending, kind):
+def test_a_box_is_read_from_every_format(tmp_path, ending, kind):
     path = tmp_path / f"block.{ending}"
     box().export(path, file_type=kind)
     part, findings = load(path)
@@ -79,14 +79,14 @@ def test_a_box_comes_back_from_every_format(tmp_path, ending, kind):
     ("unit", "size", "metres"),
     [("m", 0.06, 1.0), ("cm", 6, 0.01), ("mm", 60, 0.001), ("inch", 2.5, 0.0254)],
 )
-def test_a_stated_unit_is_taken_at_its_word(tmp_path, unit, size, metres):
+def test_a_stated_unit_is_used(tmp_path, unit, size, metres):
     box((size, size / 2, size / 3)).export(tmp_path / "block.ply")
     part, findings = load(tmp_path / "block.ply", unit=unit, name="mine")
     assert part.name == "mine" and findings == ()
     assert part.mesh.extent_m.max() == pytest.approx(size * metres, rel=1e-6)
 
 
-def test_the_files_own_frame_is_kept(tmp_path):
+def test_the_file_s_own_frame_is_kept(tmp_path):
     mesh = box()
     mesh.apply_translation([0.01, 0.02, 0.03])
     mesh.export(tmp_path / "block.glb")
@@ -101,8 +101,8 @@ def test_the_files_own_frame_is_kept(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["obj", "glb"])
-def test_texture_and_uv_survive_although_seams_are_welded(tmp_path, ending):
-    """Each corner, found by its position within its face, keeps its uv; the picture its texels."""
+def test_texture_and_uv_are_kept_when_seams_are_welded(tmp_path, ending):
+    """Each corner, located by its position in its face, keeps its uv; the picture its texels."""
     mesh, uv, picture = textured_box()
     mesh.export(tmp_path / f"block.{ending}")
     part, findings = load(tmp_path / f"block.{ending}")
@@ -118,7 +118,7 @@ def test_texture_and_uv_survive_although_seams_are_welded(tmp_path, ending):
         assert np.abs(turns - face).max(axis=(2, 3)).min() < 1e-6
 
 
-def test_a_picture_is_the_right_way_up(tmp_path):
+def test_a_texture_is_upright(tmp_path):
     """Oracle: in the glTF file itself v = 0 is the picture's top; in a `Mesh` v = 1 is."""
     mesh, uv, _ = textured_box()
     mesh.export(tmp_path / "block.glb")
@@ -128,7 +128,7 @@ def test_a_picture_is_the_right_way_up(tmp_path):
     assert np.abs(part.mesh.corner_uv[..., 1] - uv[0, 1]).min() < 1e-6
 
 
-def test_the_callers_material_wins_over_the_files(tmp_path):
+def test_the_caller_s_material_replaces_the_file_s(tmp_path):
     mesh, _, picture = textured_box()
     mesh.export(tmp_path / "block.glb")
     steel = Material(metallic=1.0, base_color=(0.2, 0.2, 0.2))
@@ -151,7 +151,7 @@ def test_scene_transforms_of_a_glb_are_applied(tmp_path):
     assert findings == ("2 separate bodies are taken as one rigid part.",)
 
 
-def test_what_is_put_right_is_reported(tmp_path):
+def test_corrections_of_a_mesh_are_reported(tmp_path):
     mesh = box()
     faces = [*mesh.faces, np.roll(mesh.faces[3], 1), [0, 1, 1]]
     part, findings = load(write_obj(tmp_path / "block.obj", mesh.vertices, faces), unit="m")
@@ -169,7 +169,7 @@ def test_what_is_put_right_is_reported(tmp_path):
     assert volume(part) == pytest.approx(0.06 * 0.04 * 0.03 - 0.02**3, rel=1e-5)
 
 
-def test_colours_that_are_not_used_are_reported(tmp_path):
+def test_unused_colours_are_reported(tmp_path):
     mesh = box()
     mesh.visual.vertex_colors = [200, 10, 10, 255]
     mesh.export(tmp_path / "red.ply")
@@ -284,7 +284,7 @@ def inside_out(folder):
 
 def flat_sheet(folder):
     corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
-    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]  # a tetrahedron pressed flat
+    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]  # a flat tetrahedron
     return write_obj(folder / "part.obj", corners, faces)
 
 
@@ -361,7 +361,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path, ending):
         load(sparse(tmp_path / f"part.{ending}", 10_000_000_000))
 
 
-def test_a_binary_stl_of_too_many_faces_is_refused_by_its_head(tmp_path, monkeypatch):
+def test_a_binary_stl_with_too_many_faces_is_refused_by_its_header(tmp_path, monkeypatch):
     import trimesh
 
     path = sparse(tmp_path / "part.stl", 84 + 50 * 500_001)
@@ -373,7 +373,7 @@ def test_a_binary_stl_of_too_many_faces_is_refused_by_its_head(tmp_path, monkeyp
         load(path)
 
 
-def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
+def test_a_path_that_is_no_regular_file_is_refused_at_once(tmp_path):
     (tmp_path / "folder.stl").mkdir()
     os.mkfifo(tmp_path / "pipe.stl")
     (tmp_path / "zero.stl").symlink_to("/dev/zero")
@@ -389,7 +389,7 @@ def cubes(folder, corners, name="part.stl"):
     return exported(trimesh.util.concatenate(shapes), folder / name)
 
 
-def test_bodies_that_overlap_are_joined_and_their_common_volume_counts_once(tmp_path):
+def test_overlapping_bodies_are_joined_and_their_common_volume_counts_once(tmp_path):
     """Two cubes of 8 cm^3 that share an eighth of one."""
     part, findings = load(cubes(tmp_path, [(0, 0, 0), (0.01, 0.01, 0.01)]), unit="m")
     assert volume(part) == pytest.approx(15e-6, rel=1e-6)
@@ -402,14 +402,14 @@ def test_bodies_that_overlap_are_joined_and_their_common_volume_counts_once(tmp_
 
 
 @pytest.mark.parametrize("beside", [(0.02, 0, 0), (0.02, 0.02, 0), (0.02,) * 3, (0.03, 0, 0)])
-def test_bodies_that_touch_or_stand_apart_stay_as_they_are(tmp_path, beside):
-    """By a face, an edge, a corner, or not at all; file vertices are kept."""
+def test_bodies_that_touch_or_are_apart_are_unchanged(tmp_path, beside):
+    """They touch in a face, an edge, a corner, or not at all; file vertices are kept."""
     part, findings = load(cubes(tmp_path, [(0, 0, 0), beside]), unit="m")
     assert volume(part) == pytest.approx(16e-6, rel=1e-6) and len(part.mesh.faces) == 24
     assert findings[-1] == "2 separate bodies are taken as one rigid part."
 
 
-def test_a_body_inside_another_is_not_counted_and_one_in_its_cavity_is(tmp_path):
+def test_a_body_inside_another_is_not_counted_but_one_in_its_cavity_is(tmp_path):
     outer, hole, inner = (trimesh.creation.box((s,) * 3) for s in (0.04, 0.03, 0.02))
     hole.invert()
     nested = trimesh.util.concatenate([outer, inner])
@@ -421,7 +421,7 @@ def test_a_body_inside_another_is_not_counted_and_one_in_its_cavity_is(tmp_path)
     assert findings[-1] == "1 of 3 shells face inwards, taken as cavities."
 
 
-def test_a_body_that_is_inside_out_beside_another_is_no_cavity(tmp_path):
+def test_an_inverted_body_next_to_another_is_no_cavity(tmp_path):
     large, small = trimesh.creation.box((0.04,) * 3), trimesh.creation.box((0.02,) * 3)
     small.apply_translation((0.05, 0, 0))
     small.invert()
@@ -473,7 +473,7 @@ def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):
     assert len(part.mesh.faces) == 24
 
 
-def test_an_unknown_unit_is_the_callers_mistake(tmp_path):
+def test_an_unknown_unit_is_an_error_of_the_caller(tmp_path):
     with pytest.raises(ValueError, match="'inches'; choose one of m, cm, mm, inch"):
         load(exported(box(), tmp_path / "part.stl"), unit="inches")
 
@@ -490,8 +490,8 @@ load_mesh(Path({path!r}), unit="m")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.1, 0.3, 1.0, 2.0])
-def test_a_batch_systems_stop_is_heard_while_a_large_mesh_is_read(tmp_path, delay_s):
-    """Also while the reader itself is loaded, which swallows what is raised then."""
+def test_a_batch_system_s_stop_takes_effect_while_a_large_mesh_is_read(tmp_path, delay_s):
+    """Also while the reader itself is imported, which swallows exceptions."""
     mesh = wavy_ring(490_000)
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     program = READ.format(path=str(exported(shape, tmp_path / "part.stl")))
@@ -520,7 +520,7 @@ def test_a_batch_systems_stop_is_heard_while_a_large_mesh_is_read(tmp_path, dela
         ("nist/battery/battery_pins.stl", None, 0.0240),
     ],
 )
-def test_real_meshes_load_with_the_volume_that_trimesh_finds(file, unit, longest_m):
+def test_real_meshes_have_the_volume_that_trimesh_computes(file, unit, longest_m):
     part, _ = load(MESHES / file, unit=unit)
     scale = {None: 1.0, "m": 1.0, "mm": 1e-3, "inch": 0.0254}[unit]
     assert part.mesh.extent_m.max() == pytest.approx(longest_m, abs=5e-5)
@@ -530,7 +530,7 @@ def test_real_meshes_load_with_the_volume_that_trimesh_finds(file, unit, longest
 
 
 @needs_meshes
-def test_a_mesh_in_inches_is_not_mistaken_for_metres():
+def test_a_mesh_in_inches_is_not_taken_for_metres():
     with pytest.raises(MeshError, match=r"idler_riser.STL: no unit .* 75.01 mm if in inch"):
         load(MESHES / "cad/idler_riser.STL")
 
@@ -540,7 +540,7 @@ def test_a_mesh_in_inches_is_not_mistaken_for_metres():
 
 @pytest.mark.parametrize(("prefix", "metres"), [(".MILLI.", 1e-3), (".CENTI.", 1e-2)])
 def test_a_step_file_is_read_in_its_own_unit(tmp_path, prefix, metres):
-    """A box of 6 x 4 x 3 lengths as a CAD program writes it: planes, edges and a unit."""
+    """The box of 6 x 4 x 3 lengths is written as by a CAD program: planes, edges and a unit."""
     pytest.importorskip("cascadio", reason="needs cascadio: make extras")
     (tmp_path / "box.step").write_text(step_box(6, 4, 3, prefix))
     part, findings = load(tmp_path / "box.step")

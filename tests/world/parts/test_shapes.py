@@ -11,8 +11,8 @@ def closed(vertices, faces):
     return mesh
 
 
-def test_a_revolved_profile_has_the_volume_of_pappus():
-    """Oracle: V = 2 pi r_centroid A for a triangle, times what n chords enclose of a circle."""
+def test_the_volume_of_a_revolved_profile_follows_pappus():
+    """Oracle: V = 2 pi r_centroid A for a triangle, times the share of a circle in n chords."""
     profile, n = np.array([[2.0, 0.0], [5.0, 1.0], [3.0, 4.0]]), 40
     area = 0.5 * (3 * 4 - 1 * 1)
     pappus = 2 * np.pi * profile[:, 0].mean() * area
@@ -20,7 +20,7 @@ def test_a_revolved_profile_has_the_volume_of_pappus():
     assert mesh.volume == pytest.approx(pappus * np.sin(2 * np.pi / n) / (2 * np.pi / n), rel=1e-12)
 
 
-def test_a_rounded_box_has_the_volume_of_steiner():
+def test_the_volume_of_a_rounded_box_follows_steiner():
     """Oracle: Steiner's formula for a box grown by r, its quarter circles replaced by chords."""
     size, r, steps = (70.0, 60.0, 145.0), 8.0, 3
     a, b, c = (side - 2 * r for side in size)
@@ -42,7 +42,7 @@ def test_a_box_with_sharp_edges_has_the_inertia_of_a_box():
     assert mesh.moment_inertia == pytest.approx(np.diag(a * b * c * squares / 12), abs=1e-10)
 
 
-def test_each_panel_of_a_box_faces_its_own_way():
+def test_each_panel_of_a_box_faces_its_own_direction():
     vertices, faces, panel = rounded_box((0.3, 0.2, 0.1), 0.01, steps=2)
     normal = closed(vertices, faces).face_normals
     outward = {"front": -normal[:, 1], "right": normal[:, 0], "back": normal[:, 1],

@@ -1,4 +1,4 @@
-"""What leaves a shape as it is."""
+"""Motions that map a shape onto itself."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def box(x, y, z):
 @pytest.mark.parametrize(
     ("size", "order"), [((0.06, 0.04, 0.1), 4), ((0.05, 0.05, 0.1), 8), ((0.05, 0.05, 0.05), 24)]
 )
-def test_a_box_has_the_rotations_that_group_theory_says(size, order):
+def test_a_box_has_the_rotations_of_its_group(size, order):
     """Orders of the proper rotation groups D2, D4 and O; the identity is not listed."""
     estimate = shape_symmetry(box(*size))
     assert not estimate.continuous
@@ -47,8 +47,8 @@ MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
         ([(Z, MIDDLE, 4), (X, MIDDLE, 4)], (0.05, 0.05, 0.05), 24),
     ],
 )
-def test_turns_make_the_group_that_the_shape_has(turns, size, order):
-    """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape finds."""
+def test_rotations_generate_the_group_of_the_shape(turns, size, order):
+    """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape gives."""
     group = turns_together(turns)
     assert len(group) + 1 == order
     if size is not None:
@@ -56,18 +56,18 @@ def test_turns_make_the_group_that_the_shape_has(turns, size, order):
         assert all(any(np.allclose(one, other, atol=1e-6) for other in estimate) for one in group)
 
 
-def test_turns_about_axes_that_miss_each_other_are_refused():
+def test_rotations_about_axes_that_do_not_meet_are_refused():
     with pytest.raises(ValueError, match="check that their axes meet in one point"):
         turns_together([(Z, MIDDLE, 2), (X, (0.0, 0.0, 0.1), 2), (Z, (0.1, 0.0, 0.0), 3)])
 
 
-def test_the_ring_turns_about_its_axis_but_not_upside_down():
+def test_the_ring_has_rotations_about_its_axis_but_not_upside_down():
     estimate = shape_symmetry(builtin_part("metal_workpiece_2").mesh)
     assert estimate.continuous[0][0] == (0.0, 0.0, 1.0)
     assert not estimate.discrete
 
 
-def test_the_bracket_has_the_half_turn_that_it_states():
+def test_the_bracket_has_its_stated_half_turn():
     part = builtin_part("metal_workpiece_1")
     estimate = shape_symmetry(part.mesh)
     assert len(estimate.discrete) == 1
@@ -75,8 +75,8 @@ def test_the_bracket_has_the_half_turn_that_it_states():
     assert len(joined(part.symmetry, estimate).discrete) == 1
 
 
-def test_a_rim_moves_by_less_than_a_hundredth_of_the_diameter_from_turn_to_turn():
-    """BOP's rule; the longest of a turned body's chords to the next turn."""
+def test_a_rim_moves_by_less_than_a_hundredth_of_the_diameter_between_rotations():
+    """BOP's rule: the longest chord of the body to its next rotation."""
     turns = motions(Symmetry(continuous=(((0.0, 0.0, 2.0), (0.1, 0.2, 0.0)),)))
     rim = np.array([0.1 + 0.5, 0.2, 0.3, 1.0])  # diameter 1 about an axis away from the origin
     place = turns @ rim
@@ -100,13 +100,13 @@ def test_there_are_24_rotations_of_the_axes():
 
 
 def test_surface_points_lie_on_the_surface_a_step_apart():
-    """On a box: each point is on its face's plane, and no two are nearer than the step."""
+    """On a box: each point is on its face's plane, and no two are closer than the step."""
     point, normal = surface_points(box(0.06, 0.04, 0.1), 0.008, most=5000)
     np.testing.assert_allclose((np.abs(point) * np.abs(normal)).sum(axis=1),
                                np.abs(normal) @ [0.03, 0.02, 0.05], atol=1e-12)  # fmt: skip
     apart = np.linalg.norm(point[:, None] - point[None], axis=-1) + np.eye(len(point))
     assert apart.min() >= 0.008
-    assert apart.min(axis=1).max() < 0.018  # and none is alone
+    assert apart.min(axis=1).max() < 0.018  # and none is isolated
 
 
 HALF_TURNS = tuple(np.diag([*sign, 1.0]) for sign in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
@@ -125,8 +125,8 @@ def angle(R):
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
 @pytest.mark.parametrize("referred", [False, True])
-def test_all_poses_that_look_the_same_have_one_member(symmetry, referred):
-    """Oracle: the motions of the symmetry one by one, with a reference also their least angle."""
+def test_all_poses_that_look_the_same_have_one_representative(symmetry, referred):
+    """Oracle: the motions of the symmetry one by one; with a reference, their least angle, too."""
     rng = np.random.default_rng(3)
     for _ in range(5):
         T, near = (rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)) for _ in "ab")
@@ -137,7 +137,7 @@ def test_all_poses_that_look_the_same_have_one_member(symmetry, referred):
             np.testing.assert_allclose(again, one, atol=1e-9)
         turned = np.swapaxes((T @ np.array(group))[:, :3, :3], 1, 2)
         apart = angle(turned @ one[:3, :3])
-        assert min(apart) <= np.pi / 315 + 1e-9  # it is a member, at most half a turn's step aside
+        assert min(apart) <= np.pi / 315 + 1e-9  # one of them, at most half a step of rotation away
         closest = (T @ group[int(np.argmin(apart))])[:3, 3]
         np.testing.assert_allclose(one[:3, 3], closest, atol=5e-3)
         if referred:
@@ -147,8 +147,8 @@ def test_all_poses_that_look_the_same_have_one_member(symmetry, referred):
 
 @pytest.mark.parametrize("symmetry", [Symmetry(discrete=(s,)) for s in HALF_TURNS])
 @pytest.mark.parametrize("side", [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
-def test_noise_does_not_choose_for_a_part_that_lies_on_any_side(symmetry, side):
-    """On each side of a box, turned by a drawn angle: a tilt by a degree moves it by a degree."""
+def test_noise_does_not_change_the_representative_of_a_part_on_any_side(symmetry, side):
+    """On each side of a box at a random angle, a tilt by a degree moves it by a degree."""
     rng = np.random.default_rng(5)
     lying = Rotation.from_euler("z", rng.uniform(10, 80), degrees=True).as_matrix() @ np.diag(side)
     first = nearest_member(rigid(lying, np.zeros(3)), symmetry)

@@ -68,7 +68,7 @@ def test_a_changed_file_has_another_sum(copy, fault):
 
 
 @pytest.mark.parametrize("fault", some(KNOWN, 12))
-def test_form_and_models_show_a_fault_whose_sums_were_made_again(copy, fault):
+def test_form_and_models_reveal_a_fault_with_recomputed_checksums(copy, fault):
     do, words = KNOWN[fault]
     do(copy)
     reseal(copy)

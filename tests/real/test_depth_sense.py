@@ -1,4 +1,4 @@
-"""Depth of another unit, and holes that were filled with the farthest depth."""
+"""Depth in another unit, and holes filled with the farthest depth."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ RANGE = {"near_m": 0.67, "far_m": 1.0, "name": "a.png", "whose": "the detector l
 
 
 def slope(rng, middle_m=0.88):
-    """A floor that leans by 0.2 m, with noise of a millimetre, in steps of 0.02 mm."""
+    """Return a floor with a slope of 0.2 m, noise of a millimetre, and steps of 0.02 mm."""
     depth_m = middle_m + np.linspace(-0.1, 0.1, 120)[None] + 1e-3 * rng.standard_normal((90, 120))
     return np.rint(depth_m / 2e-5) * 2e-5
 
 
 @pytest.mark.parametrize("factor", [5, 0.02, 10, 0.1, 1000, 0.001, 25.4, 1 / 25.4])
-def test_depth_of_another_unit_is_refused(factor):
+def test_depth_in_another_unit_is_refused(factor):
     """The scales of a public report are 5 and 0.02; the others are mm, cm, 0.1 mm and inches."""
     depth_m = factor * slope(np.random.default_rng(0))
     with pytest.raises(
@@ -28,7 +28,7 @@ def test_depth_of_another_unit_is_refused(factor):
 
 
 @pytest.mark.parametrize("middle_m", [0.5, 0.88, 1.4])
-def test_a_camera_that_stands_elsewhere_is_none_of_it(middle_m):
+def test_a_camera_of_another_range_is_not_called_a_wrong_unit(middle_m):
     refuse_beyond(slope(np.random.default_rng(1), middle_m), **RANGE)
     refuse_beyond(np.full((4, 4), np.nan), **RANGE)
 
@@ -43,8 +43,8 @@ def test_filled_holes_are_named_with_their_share_and_depth():
 
 
 @pytest.mark.parametrize("step_m", [2e-5, 1e-3, 2e-3])
-def test_measured_depth_in_coarse_steps_is_not_taken_for_filled_holes(step_m):
-    """A floor that faces the camera, with noise of 1 mm: its farthest step has few pixels."""
+def test_measured_depth_in_coarse_steps_is_not_called_filled_holes(step_m):
+    """The floor faces the camera, with noise of 1 mm: its farthest step has few pixels."""
     rng = np.random.default_rng(3)
     flat = np.rint((0.88 + 1e-3 * rng.standard_normal((90, 120))) / step_m) * step_m
     assert filled_holes(flat, "a.png") is None
@@ -55,10 +55,10 @@ def test_measured_depth_in_coarse_steps_is_not_taken_for_filled_holes(step_m):
 
 
 @pytest.mark.parametrize("pixels", [5, 100])
-def test_a_few_pixels_at_one_depth_far_behind_all_others_are_named(pixels):
-    """A sentinel in floats, such as 65.535 m, whatever its share is."""
+def test_a_few_pixels_at_one_distant_depth_are_named(pixels):
+    """A sentinel in floats, such as 65.535 m, is named for any share of pixels."""
     depth_m = slope(np.random.default_rng(4))
-    assert depth_m.size > 20 * pixels  # under the share of a fill
+    assert depth_m.size > 20 * pixels  # below the share of filled holes
     depth_m.flat[:pixels] = 65.535
     note = filled_holes(depth_m, "a.png")
     assert "exactly the farthest depth, 65.53 m" in note or "65.54 m" in note
@@ -66,7 +66,7 @@ def test_a_few_pixels_at_one_depth_far_behind_all_others_are_named(pixels):
 
 
 def heap(f_px, seed):
-    """A tilted table of which heaped parts hide about half, with 1 mm of noise; and its optics."""
+    """Return a tilted table, about half hidden by parts, with 1 mm of noise; and its optics."""
     rng = np.random.default_rng(seed)
     optics = Optics(width_px=120, height_px=90, fx_px=f_px, fy_px=f_px, cx_px=59.5, cy_px=44.5)
     z_m = 0.8 / (picture_rays(optics) @ np.array([0.2, -0.1, 1.0]))
@@ -78,8 +78,8 @@ def heap(f_px, seed):
 
 
 @pytest.mark.parametrize("f_px", [75.0, 150.0, 300.0], ids=["wide", "usual", "narrow"])
-def test_a_plane_tells_z_from_the_length_of_rays(f_px):
-    """Oracle: the length is z times the norm of the ray; the fit knows the plane by its own."""
+def test_a_plane_distinguishes_z_from_the_length_of_rays(f_px):
+    """Oracle: the length is z times the norm of the ray; the fit detects the plane itself."""
     z_m, optics = heap(f_px, seed=0)
     length_m = z_m * np.linalg.norm(picture_rays(optics), axis=-1)
     z, lengths = plane_shares([z_m], optics), plane_shares([length_m], optics)
@@ -89,7 +89,7 @@ def test_a_plane_tells_z_from_the_length_of_rays(f_px):
     assert "leave out --ray-length" in depth_kind_note(z, ray_length=True)
 
 
-def test_pictures_without_a_plane_tell_nothing_of_their_depth():
+def test_pictures_without_a_plane_do_not_show_the_kind_of_depth():
     _, optics = heap(150.0, seed=0)
     rough_m = 0.5 + 0.4 * np.random.default_rng(5).random((90, 120))
     for depths_m in ([rough_m], [np.full((90, 120), np.nan)], []):

@@ -1,4 +1,4 @@
-"""A device that moved between groups of views: no median over the views can see a half."""
+"""A device that moved between groups of views: medians do not show that half of them moved."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ FINE_PX = {"noise_px": 0.02, "code_px": 0.02}
 
 
 def views_of(count, *, first_seed=5, every=6):
-    """Views of a board with 14 corners each, in closed form and off by noise."""
+    """Return views of a board with 14 corners each, in closed form and with noise."""
     views = []
     for seed in range(first_seed, first_seed + count):
         corners = corners_of(*LENSES, depth_m=0.55 + 0.02 * (seed % 4), seed=seed, **FINE_PX)
@@ -28,7 +28,7 @@ def views_of(count, *, first_seed=5, every=6):
 
 
 def knocked(view, turn_deg):
-    """Return the view of a camera that was turned about its own centre: `K R K^-1` of each pixel.
+    """Return the view of a camera rotated about its own centre: `K R K^-1` of each pixel.
 
     This holds for a lens without distortion, whatever the board's pose.
     """
@@ -53,10 +53,10 @@ def calibrated(views):
 @pytest.mark.parametrize(
     ("first", "count", "turn_deg"), [(3, 6, 0.5), slow(4, 9, 0.1), slow(5, 9, 2.0)]
 )
-def test_a_camera_that_was_knocked_between_two_halves_of_the_views_gives_no_rig(
+def test_a_camera_that_was_moved_between_two_halves_of_the_views_gives_no_rig(
     first, count, turn_deg
 ):
-    """Symptom: a rig with focal lengths 15 to 18 % off, stated to 2.8 %, and no view named."""
+    """Symptom: a rig with focal lengths 15 to 18 % off, a stated 2.8 %, and no view named."""
     views = [knocked(v, turn_deg) if k >= first else v for k, v in enumerate(views_of(count))]
     names = f"views v0 to v{first - 1} and views v{first} to v{count - 1}"
     words = rf"{names} have the devices (\S+) degrees and \S+ mm apart: a device moved between them"
@@ -70,7 +70,7 @@ def test_a_camera_that_was_knocked_between_two_halves_of_the_views_gives_no_rig(
     ("bad", "by_px"),
     [slow((1, 4, 7), (0.0, 5.0)), slow((0, 5, 9), (4.0, 0.0)), slow((9, 10, 11), (0.0, 6.0))],
 )
-def test_three_of_twelve_views_that_moved_alike_are_left_out(bad, by_px):
+def test_three_of_twelve_views_that_moved_together_are_left_out(bad, by_px):
     """Symptom: the fit follows them; the medians of nine good views are those of a bad fit."""
     views = [shifted(v, by_px) if k in bad else v for k, v in enumerate(views_of(12))]
     good, fit = calibrated(views)
@@ -82,10 +82,10 @@ def test_three_of_twelve_views_that_moved_alike_are_left_out(bad, by_px):
 
 
 @pytest.mark.parametrize("turn_deg", [slow(0.005), slow(0.01)])
-def test_deviations_contain_what_the_residual_is_too_small_to_refuse(turn_deg):
-    """Half of the views are off by so little that the residual stays below 0.05 px.
+def test_deviations_include_a_movement_that_is_too_small_to_be_refused(turn_deg):
+    """Half of the views moved so little that the residual stays below 0.05 px.
 
-    The noise of the corners alone states a deviation that the error exceeds several times.
+    The error is several times the deviation that follows from the noise of the corners alone.
     """
     still = views_of(8)
     _, before = calibrated(still)
@@ -96,8 +96,8 @@ def test_deviations_contain_what_the_residual_is_too_small_to_refuse(turn_deg):
 
 
 @pytest.mark.parametrize("seed", [slow(100 + 20 * k) for k in range(20)])
-def test_a_good_calibration_is_whole_and_keeps_its_deviations(seed):
-    """Noise of the corners, which differs from view to view, is no reason to part the views."""
+def test_a_good_calibration_keeps_all_views_and_its_deviations(seed):
+    """Noise of the corners, which differs between views, is no reason to divide the views."""
     rng = np.random.default_rng(seed)
     views = []
     for view in views_of(int(rng.integers(4, 12)), first_seed=seed):

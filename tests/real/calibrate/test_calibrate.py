@@ -1,8 +1,7 @@
 """Rigs from simulated boards whose truth is known.
 
-A board is a plane, so what each device sees of it has a closed form: a camera ray meets the plane,
-the point found there has a colour and a projector coordinate. No renderer is in between, but in
-the last test.
+A board is a plane, so its image in each device has a closed form: a camera ray meets the plane in a
+point with a colour and a projector coordinate. Only the last test uses a renderer.
 """
 
 import math
@@ -51,7 +50,7 @@ RIG = Rig(
     far_m=1.0,
 )
 SIZE = (PROJECTOR.width_px, PROJECTOR.height_px)
-pytestmark = pytest.mark.slow  # half a minute of boards
+pytestmark = pytest.mark.slow  # boards that take half a minute
 CHESSBOARD = parse_board("chessboard:9x7:0.025")
 CHARUCO = parse_board("charuco:6x5:0.04:0.03:DICT_4X4_50")
 DARK, PAPER, WALL = 0.05, 0.8, 0.3
@@ -60,9 +59,9 @@ SAMPLES = 4  # along each side of a pixel
 
 @pytest.fixture(scope="module")
 def camera_rays():
-    """Rays of the pixel centres and their change per pixel in x and y.
+    """Return rays of the pixel centres and their change per pixel in x and y.
 
-    Within a pixel they are taken for linear, which is off by some 1e-4 px.
+    They are assumed to be linear within a pixel, with an error of about 1e-4 px.
     """
     ray = rays(CAMERA, pixel_grid(CAMERA.height_px, CAMERA.width_px))
     return ray, np.gradient(ray, axis=1), np.gradient(ray, axis=0)
@@ -79,8 +78,8 @@ def chess_albedo(board):
 
 
 def charuco_albedo(board):
-    """As OpenCV prints it, so that its order of markers and corners is the oracle for ours."""
-    cell = 48  # pixels per square: a marker of 3/4 with its 6 cells then falls on whole pixels
+    """Return a board as OpenCV prints it, the oracle for our order of markers and corners."""
+    cell = 48  # pixels per square: a marker of 3/4 with its 6 cells is then on whole pixels
     printed = board.charuco().generateImage((cell * board.squares_x, cell * board.squares_y))
 
     def albedo(x_m, y_m):
@@ -98,9 +97,9 @@ def on_plane(ray, T_cam_board):
 
 
 def photograph(camera_rays, T_cam_board, albedo):
-    """Albedo as the camera sees it, each pixel the mean over its square.
+    """Return the albedo that the camera sees, in each pixel the mean over its square.
 
-    The samples stand like rooks, so that no edge meets two at once.
+    No two samples share a row or column, so that no edge crosses two at once.
     """
     ray, by_x, by_y = camera_rays
     k = np.arange(SAMPLES**2)
@@ -115,7 +114,7 @@ def photograph(camera_rays, T_cam_board, albedo):
 
 
 def code_of(camera_rays, T_cam_board):
-    """Exact projector coordinates of every pixel's centre; NaN outside the projector's picture."""
+    """Return exact projector coordinates of pixel centres; NaN outside the projector's picture."""
     point = on_plane(camera_rays[0], T_cam_board)
     code = project(PROJECTOR, transform_points(inverse(RIG.T_cam_proj), point))
     outside = ((code < -0.5) | (code > np.array(SIZE) - 0.5)).any(axis=-1)
@@ -143,7 +142,7 @@ def in_both(board, T_cam_board):
 
 
 def poses(board, n, *, seed, tilt_rad=0.65):
-    """Boards in both devices' fields, tilted in all directions at several depths."""
+    """Return boards in both devices' fields, tilted in all directions at several depths."""
     rng = np.random.default_rng(seed)
     half = board.square_m / 2 * np.array([board.squares_x, board.squares_y, 0])
     T_cam_boards = []
@@ -190,7 +189,7 @@ def from_gray(gray_views):
 
 
 def assert_acceptable(calibration, *, share=1e-3, rms_px=0.1):
-    """What a calibration must reach: focal lengths, centres and residuals within their bounds."""
+    """Check focal lengths, centres and residuals of a calibration against their limits."""
     rig = calibration.rig
     for estimate, true in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
         assert estimate.fx_px == pytest.approx(true.fx_px, rel=share)
@@ -200,22 +199,22 @@ def assert_acceptable(calibration, *, share=1e-3, rms_px=0.1):
     assert calibration.projector_rms_px < rms_px
 
 
-def test_a_chessboard_under_plain_gray_code_gives_the_rig_back(from_gray):
+def test_a_chessboard_with_plain_gray_code_recovers_the_rig(from_gray):
     assert_acceptable(from_gray)
     T = inverse(RIG.T_cam_proj) @ from_gray.rig.T_cam_proj
     assert math.acos(min(1.0, (np.trace(T[:3, :3]) - 1) / 2)) < math.radians(0.1)
 
 
 @pytest.mark.slow
-def test_a_sub_pixel_code_gives_the_rig_ten_times_better(exact_views):
-    """The code ties both devices together at each corner, whatever the corner's own error is."""
+def test_a_sub_pixel_code_recovers_the_rig_ten_times_better(exact_views):
+    """The code connects both devices at each corner, whatever the corner's own error is."""
     calibration = calibrate_rig(exact_views, CHESSBOARD, projector_size_px=SIZE)
     assert_acceptable(calibration, share=1e-4, rms_px=0.05)
     assert calibration.epipolar_rms_px < 1e-3
 
 
 def test_standard_deviations_cover_the_errors(from_gray):
-    """None is off by 5 deviations, not those left out either; not all are within a tenth of one."""
+    """No error exceeds 5 deviations, even of omitted terms; not all are within a tenth of one."""
     ratio = [(from_gray.rig.baseline_m - RIG.baseline_m) / from_gray.deviation["baseline_m"]]
     for device, true in (("camera", CAMERA), ("projector", PROJECTOR)):
         estimate = getattr(from_gray.rig, device)
@@ -230,8 +229,8 @@ def test_standard_deviations_cover_the_errors(from_gray):
     assert np.sqrt(np.mean(np.square(ratio))) > 0.1
 
 
-def test_boards_come_back_where_they_stood(from_gray, truth_poses):
-    """Up to the half turn by which a chessboard without marks can be read."""
+def test_the_poses_of_boards_are_recovered(from_gray, truth_poses):
+    """A chessboard without marks may be read rotated by half a turn."""
     middle = CHESSBOARD.corners_m.mean(axis=0)
     for view, T in zip(from_gray.views, truth_poses, strict=True):
         estimate_m = transform_points(view.T_cam_board, middle)
@@ -239,14 +238,14 @@ def test_boards_come_back_where_they_stood(from_gray, truth_poses):
         assert view.tilt_rad == pytest.approx(math.acos(abs(T[2, 2])), abs=0.003)
 
 
-def test_the_working_range_holds_all_corners(from_gray, truth_poses):
+def test_the_working_range_contains_all_corners(from_gray, truth_poses):
     depth_m = [transform_points(T, CHESSBOARD.corners_m)[:, 2] for T in truth_poses]
     assert from_gray.rig.near_m == pytest.approx(0.9 * np.min(depth_m), rel=0.002)
     assert from_gray.rig.far_m == pytest.approx(1.1 * np.max(depth_m), rel=0.002)
 
 
 @pytest.mark.slow
-def test_dark_squares_that_hardly_decode_do_no_harm(gray_views):
+def test_dark_squares_that_are_hardly_decoded_do_no_harm(gray_views):
     """Half of the dark pixels have no code, every twentieth of all has one bit wrong."""
     rng = np.random.default_rng(5)
     worse = []
@@ -265,8 +264,8 @@ def test_dark_squares_that_hardly_decode_do_no_harm(gray_views):
 
 
 @pytest.mark.slow
-def test_a_charuco_board_half_out_of_the_picture_gives_the_rig_back(camera_rays):
-    """Its corners have names, so a part of them will do."""
+def test_a_charuco_board_half_out_of_the_picture_recovers_the_rig(camera_rays):
+    """Its corners have names, so a part of them is enough."""
     views = []
     for i, T in enumerate(poses(CHARUCO, 10, seed=3, tilt_rad=0.55)):
         if i % 3 == 0:
@@ -278,7 +277,7 @@ def test_a_charuco_board_half_out_of_the_picture_gives_the_rig_back(camera_rays)
     assert min(view.corners for view in calibration.views) < 0.8 * CHARUCO.corner_count
 
 
-def test_charuco_corners_carry_the_right_names(camera_rays):
+def test_charuco_corners_have_the_right_names(camera_rays):
     T = poses(CHARUCO, 1, seed=8)[0]
     corners = find_corners(photograph(camera_rays, T, charuco_albedo(CHARUCO)), CHARUCO)
     true = project(CAMERA, transform_points(T, CHARUCO.corners_m[corners.id]))
@@ -286,8 +285,8 @@ def test_charuco_corners_carry_the_right_names(camera_rays):
     assert np.abs(corners.position_px - true).max() < 0.1
 
 
-def test_corners_are_found_to_a_few_hundredths_of_a_pixel(gray_views, truth_poses):
-    """Three times nearer than OpenCV's own sub-pixel positions in the same sharp pictures."""
+def test_corners_are_located_to_a_few_hundredths_of_a_pixel(gray_views, truth_poses):
+    """The error is a third of OpenCV's sub-pixel positions in the same sharp pictures."""
     ours, opencv = [], []
     for view, T in zip(gray_views[:4], truth_poses[:4], strict=True):
         corners = find_corners(view.white, CHESSBOARD)
@@ -306,7 +305,7 @@ def to_nearest(point, targets):
     return np.linalg.norm(point[:, None] - targets, axis=2).min(axis=1)
 
 
-def test_a_sharp_edge_along_the_pixel_rows_does_not_lead_astray():
+def test_a_sharp_edge_along_the_pixel_rows_does_not_move_a_corner():
     """Symptom: corners 0.8 px off where an edge without blur ran within a degree of the rows."""
     y, x = np.mgrid[0:41, 0:41]
     fine = np.arange(10) / 10 - 0.45
@@ -336,10 +335,10 @@ def true_corners(T_cam_board):
 
 
 @pytest.mark.parametrize(("plain_gray", "allowed_px"), [(False, 0.002), (True, 0.06)])
-def test_projector_corners_lie_between_the_codes_steps(
+def test_projector_corners_are_interpolated_between_the_steps_of_the_code(
     camera_rays, truth_poses, plain_gray, allowed_px
 ):
-    """Exact code: what the quadratic leaves out. Gray: a fifth of the rounding's 0.29 px."""
+    """Exact code: the error of the quadratic. Gray code: a fifth of the rounding's 0.29 px."""
     for T in truth_poses[:3]:
         code = code_of(camera_rays, T)
         code = (np.rint(code) if plain_gray else code).astype(np.float32)
@@ -361,8 +360,8 @@ def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, 
     assert np.isfinite(corner_px[0]).all()
 
 
-def test_a_third_of_the_pixels_may_be_grossly_wrong(camera_rays, truth_poses):
-    """All on one side, as a wrong coarse bit puts them: no average could stand that."""
+def test_a_third_of_the_pixels_may_be_completely_wrong(camera_rays, truth_poses):
+    """All errors are on one side, as after a wrong coarse bit, which no average could tolerate."""
     T = truth_poses[1]
     code = code_of(camera_rays, T).astype(np.float32)
     wrong = np.random.default_rng(4).random(code.shape[:2]) < 0.33
@@ -388,8 +387,8 @@ def test_corners_with_a_wrong_code_are_left_out_and_counted(truth_poses, exact_v
     assert sum(lost) == lost[3]
 
 
-def test_pixels_weigh_by_their_sigma(camera_rays, truth_poses):
-    """Two fifths of the pixels are off by 0.4 columns and say so: too little to be called wrong."""
+def test_pixels_are_weighted_by_their_sigma(camera_rays, truth_poses):
+    """Two fifths of the pixels are off by 0.4 columns with this sigma: too little for outliers."""
     T = truth_poses[0]
     code = code_of(camera_rays, T).astype(np.float32)
     sigma = np.full(code.shape[:2], 0.1, dtype=np.float32)
@@ -408,7 +407,7 @@ def test_pixels_weigh_by_their_sigma(camera_rays, truth_poses):
 
 @pytest.mark.slow
 def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views):
-    """Its code was taken 2 mm nearer and turned by a degree: after its white picture."""
+    """Its code was taken 2 mm nearer and rotated by a degree: after its white picture."""
     moved = truth_poses[4] @ rigid(axis_rotation("x", 0.02), np.array([0.001, 0.0, -0.002]))
     code = np.rint(code_of(camera_rays, moved)).astype(np.float32)
     views = list(gray_views)
@@ -426,7 +425,7 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
         (np.s_[::-1, ::-1], "leaves out view pose4: .* its pictures may be turned"),
     ],
 )
-def test_a_mirrored_or_turned_view_is_left_out_by_name(gray_views, turn, says):
+def test_a_mirrored_or_rotated_view_is_left_out_by_name(gray_views, turn, says):
     """Symptom: a projector with fx 5 million and fy 0.4 px, and no error."""
     view = gray_views[4]
     views = list(gray_views)
@@ -436,14 +435,14 @@ def test_a_mirrored_or_turned_view_is_left_out_by_name(gray_views, turn, says):
     assert re.search(says, " | ".join(calibration.warnings))
 
 
-def test_one_pose_five_times_is_refused(gray_views):
-    """Symptom: no end."""
+def test_one_pose_repeated_five_times_is_refused(gray_views):
+    """Symptom: the fit did not end."""
     views = [replace(gray_views[0], name=f"pose{i}") for i in range(5)]
     with pytest.raises(CalibrationError, match=r"of 5 views .* 1 can be used.* same pose as view"):
         calibrate_rig(views, CHESSBOARD, projector_size_px=SIZE)
 
 
-def test_few_parallel_boards_are_warned_of(camera_rays):
+def test_a_few_parallel_boards_cause_a_warning(camera_rays):
     views = []
     for i, z_m in enumerate((0.5, 0.55, 0.6)):
         turn = axis_rotation("x", 0.05 + 0.05 * i) @ axis_rotation("y", 0.04 * i)
@@ -474,7 +473,7 @@ def test_views_without_a_board_are_all_named(gray_views):
         calibrate_rig([gray_views[0], empty, flat], CHESSBOARD, projector_size_px=SIZE)
 
 
-def test_inner_corners_given_for_squares_are_recognised(gray_views):
+def test_a_number_of_inner_corners_in_place_of_squares_is_recognised(gray_views):
     with pytest.raises(CalibrationError, match="counts squares, so give 9x7"):
         find_corners(gray_views[0].white, parse_board("chessboard:8x6:0.025"))
 
@@ -490,7 +489,7 @@ def test_a_projector_too_small_for_its_code_is_refused(gray_views):
         calibrate_rig(gray_views[:3], CHESSBOARD, projector_size_px=(200, 150))
 
 
-def test_views_of_two_sizes_and_twice_one_name_are_refused(gray_views):
+def test_views_of_two_sizes_or_with_one_name_are_refused(gray_views):
     small = BoardView(
         name="small",
         white=gray_views[0].white[:300],
@@ -532,14 +531,14 @@ def test_a_board_is_read_from_its_text():
         ("charuco:20x20:0.03:0.022:DICT_4X4_50", "needs 200 markers, DICT_4X4_50 has 50"),
     ],
 )
-def test_a_text_that_is_no_board_is_refused_with_the_forms(text, message):
+def test_a_text_that_is_no_board_is_refused_with_the_valid_forms(text, message):
     with pytest.raises(ValueError, match=message):
         parse_board(text)
 
 
 @pytest.mark.slow
-def test_boards_seen_by_the_path_tracer_and_the_decoder_give_the_rig_back(mitsuba_renderer):
-    """The whole way of a real calibration: light, Gray stacks, decoder; no sensor noise."""
+def test_boards_seen_by_the_path_tracer_and_the_decoder_recover_the_rig(mitsuba_renderer):
+    """All steps of a real calibration: light, Gray stacks, decoder; no sensor noise."""
     code = gray(*SIZE, inverses=True)
     pattern = code.render()
     levels = Levels(offset_dn=0.0, saturation_dn=65535.0, floor_dn2=1.0, slope_dn=1.0)
@@ -569,7 +568,7 @@ def test_boards_seen_by_the_path_tracer_and_the_decoder_give_the_rig_back(mitsub
 
 
 def textured_board(board, T_cam_board, cell=24):
-    """A chessboard with a white margin of one square as a picture on a quad, camera frame."""
+    """Return a chessboard with a white margin of one square on a quad, in the camera frame."""
     x, y = np.meshgrid(*(np.arange(cell * (n + 2)) for n in (board.squares_x, board.squares_y)))
     place = ((v + 0.5) / cell * board.square_m - board.square_m for v in (x, y))
     grey = np.where(chess_albedo(board)(*place) == DARK, 60, 230).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Radial terms that the corners do not determine are 0 and said so; those that they do are kept."""
+"""Radial terms that the corners do not determine are 0 with a note; the others are kept."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def lens(focal_px, distortion):
 
 
 def noisy(corners, rng):
-    """The same corners, each coordinate off by noise."""
+    """Return the same corners with noise in each coordinate."""
     return replace(
         corners,
         camera_px=corners.camera_px + rng.normal(0, NOISE_PX, corners.camera_px.shape),
@@ -39,9 +39,9 @@ def noisy(corners, rng):
 def corners_of(
     camera, projector, *, depth_m, seed, per_camera_px=NOTHING, noise_px=NOISE_PX, code_px=NOISE_PX
 ):
-    """Corners of seven tilted boards in both devices, off by noise.
+    """Return corners of seven tilted boards in both devices, with noise.
 
-    The projector's place is off by the code's own noise, and by the camera's carried over.
+    The projector position has the noise of the code, and that of the camera's corner.
     """
     rng = np.random.default_rng(seed)
     T_cam_proj = rigid(Rotation.from_euler("y", -0.2).as_matrix(), np.array([0.15, 0.0, 0.0]))
@@ -71,15 +71,15 @@ def corners_of(
 @pytest.mark.parametrize(
     "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
 )
-def test_terms_that_a_long_lens_does_not_show_are_left_out_and_told(seed):
-    """The field is 20 degrees wide, where r^6 is under 1e-4: k3 is anything, k1 is not."""
+def test_terms_that_a_long_lens_does_not_determine_are_left_out_with_a_note(seed):
+    """The field is 20 degrees wide, where r^6 is under 1e-4: k3 is undetermined, k1 is not."""
     camera = projector = lens(3600.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
     corners = corners_of(camera, projector, depth_m=0.8, seed=seed)
     fit = adjust(corners, SIZE, SIZE, radial_terms=3, tangential=True)
     for name, device in (("camera", fit.camera), ("projector", fit.projector)):
         value, sigma = fit.undetermined[f"{name}.k3"]
         assert abs(value) < 5 * sigma
-        assert sigma > 1  # a number like -113 +- 34: of no lens
+        assert sigma > 1  # a value like -113 +- 34, which no lens has
         assert device.distortion[4] == 0
         assert f"{name}.k3" not in fit.deviation
         assert abs(device.distortion[0] + 0.3) < 5 * fit.deviation[f"{name}.k1"]
@@ -89,7 +89,7 @@ def test_terms_that_a_long_lens_does_not_show_are_left_out_and_told(seed):
 
 
 @pytest.mark.slow
-def test_terms_that_a_wide_lens_shows_are_kept():
+def test_terms_that_a_wide_lens_determines_are_kept():
     camera = projector = lens(750.0, (-0.21, 0.13, -0.0009, 0.0012, -0.04))
     fit = adjust(
         corners_of(camera, projector, depth_m=0.5, seed=0),
@@ -106,10 +106,10 @@ def test_terms_that_a_wide_lens_shows_are_kept():
 
 
 @pytest.mark.slow
-def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
-    """The code is a hundred times finer than the corners: it knows how the devices stand.
+def test_the_error_of_the_camera_s_corners_does_not_separate_the_devices():
+    """The code is a hundred times more precise than the corners: it determines the relative pose.
 
-    Forgotten, the camera's error in the projector's place hides that.
+    Without the camera's error in the projector position, the fit hides that.
     """
     lenses = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
     carried = np.array([[0.9, 0.1], [-0.15, 1.1]])
@@ -127,10 +127,10 @@ def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
 
 
 @pytest.mark.slow
-def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
-    """34 numbers take up a quarter of the squares of 36 corners, and of 324 a fortieth.
+def test_deviations_scale_with_the_square_root_of_the_number_of_corners():
+    """34 parameters reduce the squares of 36 corners by a quarter, and of 324 by a fortieth.
 
-    Forgotten, that is 12 % of a deviation; four fits of 36 corners know theirs to 3 %.
+    Without a correction, that is 12 % of a deviation; four fits of 36 corners give 3 %.
     """
     camera = projector = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0))
     ratio = []
@@ -148,7 +148,7 @@ def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
 
 
 @pytest.mark.slow
-def test_a_lens_without_distortion_comes_out_as_one():
+def test_a_lens_without_distortion_is_calibrated_as_such():
     camera = projector = lens(1500.0, (0.0,) * 5)
     fit = adjust(
         corners_of(camera, projector, depth_m=0.6, seed=4),

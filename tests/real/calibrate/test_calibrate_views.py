@@ -1,4 +1,4 @@
-"""Views that cannot be of one rig are left out or refused by name, and so are impossible rigs."""
+"""Views that cannot belong to one rig are left out or refused by name, as are impossible rigs."""
 
 import re
 from dataclasses import replace
@@ -38,7 +38,7 @@ def observed():
 
 
 def with_one(observed, edit):
-    """The same with the projector's corners of view 2 changed."""
+    """Return the same with changed projector corners in view 2."""
     views = list(observed.views)
     corners = views[2].corners
     changed = replace(corners, projector_px=edit(corners.projector_px, observed.views))
@@ -67,7 +67,7 @@ def test_views_of_one_rig_are_all_kept(observed):
 
 
 @pytest.mark.parametrize("edit", [turned, shifted, halved, of_another_pose])
-def test_a_view_that_is_not_of_the_rig_is_left_out_by_name(edit, observed):
+def test_a_view_that_does_not_belong_to_the_rig_is_left_out_by_name(edit, observed):
     left = agreeing(with_one(observed, edit), SIZE, SIZE)
     assert list(left.left_out) == ["v2"]
     assert len(left.views) == 4
@@ -75,7 +75,7 @@ def test_a_view_that_is_not_of_the_rig_is_left_out_by_name(edit, observed):
 
 @pytest.fixture(scope="module")
 def many():
-    """Nine views of 14 corners: the fit cannot follow a single one that is wrong."""
+    """Nine views of 14 corners: the fit cannot follow a single wrong one."""
     views = []
     for seed, depth_m in ((5, 0.6), (6, 0.65), (7, 0.55)):
         corners = corners_of(*LENSES, depth_m=depth_m, seed=seed)
@@ -89,8 +89,8 @@ def many():
     "shift_px",
     [slow((60.0, 0.0)), slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))],
 )
-def test_a_view_whose_board_moved_by_a_few_pixels_spoils_no_fit(shift_px, many):
-    """All its corners are outliers then, so no pose of its board can be fitted."""
+def test_a_view_whose_board_moved_by_a_few_pixels_does_not_spoil_the_fit(shift_px, many):
+    """All its corners are outliers, so no pose of its board can be fitted."""
     wrong = with_one(many, lambda px, views: px + np.array(shift_px))
     assert agreeing(wrong, SIZE, SIZE).left_out == {}, "it is found before the fit"
     good, fit = fit_agreeing(wrong, (SIZE, SIZE), 1, False)
@@ -100,7 +100,7 @@ def test_a_view_whose_board_moved_by_a_few_pixels_spoils_no_fit(shift_px, many):
         np.testing.assert_allclose(device.fx_px, truth.fx_px, rtol=5e-4)
 
 
-def test_too_few_views_that_agree_are_refused_with_the_reason_of_each(observed):
+def test_too_few_consistent_views_are_refused_with_the_reason_of_each(observed):
     few = replace(observed, views=observed.views[:2], left_out={"a": "dark 1", "b": "dark 2"})
     with pytest.raises(
         CalibrationError, match=r"of 5 views .* 2 can be used, .* views a, b, c: dark"
@@ -109,7 +109,7 @@ def test_too_few_views_that_agree_are_refused_with_the_reason_of_each(observed):
 
 
 def test_the_same_pose_taken_twice_is_named(observed):
-    """The board's corners are off by noise alone; 15 px further it is another pose."""
+    """The board's corners differ by noise only; 15 px further it is another pose."""
     first = observed.views[0]
     rng = np.random.default_rng(1)
     again, moved = (
@@ -125,7 +125,7 @@ def test_the_same_pose_taken_twice_is_named(observed):
 
 
 def test_a_mirrored_code_is_named_as_decode_names_it():
-    """A board that faces camera and projector, whose columns then run from right to left."""
+    """The board faces camera and projector, so its columns increase from right to left."""
     squares = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.ones((30, 30)))
     white = np.pad(np.where(squares == 0, 20, 200), 30, constant_values=220).astype(np.uint8)
     y, x = np.indices(white.shape).astype(np.float32)
@@ -138,7 +138,7 @@ def test_a_mirrored_code_is_named_as_decode_names_it():
         _observe_one(replace(view, column=view.row, row=view.column), board, (512, 384))
 
 
-def test_numbers_that_are_not_finite_end_in_one_clear_error(observed):
+def test_numbers_that_are_not_finite_give_one_clear_error(observed):
     corners = observed.corners
     nothing = replace(corners, per_camera_px=np.full_like(corners.per_camera_px, np.nan))
     with pytest.raises(CalibrationError, match="no camera and projector fit these views"):
@@ -161,7 +161,7 @@ def device(**change):
         (device(), 9.0, "a residual of 9 px"),
     ],
 )
-def test_a_result_that_no_device_has_is_named(optics, rms_px, says):
+def test_an_impossible_result_is_named(optics, rms_px, says):
     (wrong, *_) = _impossible(optics, rms_px)
     assert says in wrong
 
@@ -170,10 +170,10 @@ def test_a_result_that_no_device_has_is_named(optics, rms_px, says):
     "optics",
     [
         device(cy_px=850.0),  # lens shift: the axis is below the picture
-        device(fx_px=1000.0, fy_px=2000.0),  # a mirror array of diamond pixels
+        device(fx_px=1000.0, fy_px=2000.0),  # an array of diamond-shaped mirrors
         device(fx_px=9000.0, fy_px=9000.0, distortion=(-0.3, 12.0, 0.0, 0.0, 0.0)),
         device(distortion=(-0.4, 0.2, 0.001, 0.001, 0.0)),
     ],
 )
-def test_devices_that_exist_are_not_refused(optics):
+def test_existing_devices_are_not_refused(optics):
     assert list(_impossible(optics, 0.3)) == []

@@ -1,4 +1,4 @@
-"""A bin that is not as drawn: its mesh is bent to scans of a bin whose true shape is known."""
+"""The mesh of a bin is bent to scans of a bin whose true shape is known."""
 
 import json
 from dataclasses import replace
@@ -32,9 +32,9 @@ from .empty_bins import noisy, perfect_depth, pose
 CAMERA = Optics(width_px=400, height_px=300, fx_px=330.0, fy_px=330.0, cx_px=199.5, cy_px=149.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
 STRAIGHT = Mesh(vertices_m=bin_mesh(BOX).vertices_m, faces=bin_mesh(BOX).faces)
-# Over the wall -x, so that the wall +x is not seen at a grazing angle.
+# Above the wall -x, so that the wall +x is not seen at a grazing angle.
 T = pose(azimuth_deg=0.0, distance_m=0.6, aside_m=(-0.08, -0.02))
-# Low and high corner of blocks over the middle of the floor, much nearer than the floor.
+# Low and high corner of blocks above the middle of the floor, much nearer than the floor.
 BLOCKS = (((-0.06, -0.05, 0.03), (0.05, 0.04, 0.06)), ((0.06, -0.02, 0.0), (0.10, 0.05, 0.05)))
 
 
@@ -49,7 +49,7 @@ def cast(mesh, T=T, camera=CAMERA):
 
 @cache
 def bulged():
-    """The box, finely cut by trimesh: the wall +x goes out by 6 mm, the floor down by 3 mm."""
+    """Return the finely cut box: the wall +x moves out by 6 mm, the floor down by 3 mm."""
     x, y, z = (size / 2 for size in BOX.inner_m)
     vertices, faces = trimesh.remesh.subdivide_to_size(
         STRAIGHT.vertices_m, STRAIGHT.faces, 5e-3, max_iter=20
@@ -70,7 +70,7 @@ def bulged():
 
 @pytest.fixture(scope="module")
 def scanned():
-    """The true depth, the scan of it with parts, gaps and noise, and the mesh bent to the scan."""
+    """Return the true depth, its scan with parts, gaps and noise, and the mesh bent to the scan."""
     true_m = cast(bulged())
     with_blocks = perfect_depth(T, BOX, CAMERA, BLOCKS)
     covered = with_blocks < cast(STRAIGHT) - 0.02
@@ -82,8 +82,8 @@ def scanned():
     return true_m, scan_m, covered, bend_bin(STRAIGHT, T, CAMERA, scan_m)
 
 
-def test_the_visible_surface_lies_where_it_was_measured(scanned):
-    """Oracle: the depth of the shape that was scanned, bent by formulas in the bin's frame."""
+def test_the_visible_surface_of_the_bent_mesh_is_the_measured_one(scanned):
+    """Oracle: the depth of the scanned shape, bent by formulas in the bin's frame."""
     true_m, scan_m, covered, bent = scanned
     straight_m = cast(STRAIGHT)
     point = T[:3, 3] + _rays() @ T[:3, :3].T * straight_m[..., None]
@@ -109,7 +109,7 @@ def _rays():
     return np.stack(ray, axis=-1)
 
 
-def test_a_bin_as_drawn_stays_as_drawn():
+def test_a_bin_that_equals_its_drawing_is_unchanged():
     bent = bend_bin(STRAIGHT, T, CAMERA, perfect_depth(T, BOX, CAMERA, BLOCKS))
     (x, y, height), wall = BOX.inner_m, BOX.wall_m
     sides = ([x / 2, x / 2 + wall], [y / 2, y / 2 + wall])
@@ -125,13 +125,13 @@ def test_a_bent_bin_is_still_a_solid(scanned):
     assert bent.is_watertight
     assert bent.is_winding_consistent
     assert bent.volume == pytest.approx(solid(STRAIGHT).volume, rel=0.05)
-    # The wall's outside went along with its inside: it bulges as well.
+    # The outside of the wall moved with its inside: it bulges, too.
     _, y, z = bent.vertices.T
     middle = (np.abs(y) < 0.02) & (np.abs(z - 0.075) < 0.02)
     assert bent.vertices[middle, 0].max() > BOX.inner_m[0] / 2 + BOX.wall_m + 3e-3
 
 
-def test_a_bin_elsewhere_is_refused():
+def test_a_bin_at_another_place_is_refused():
     far_m = perfect_depth(T, BOX, CAMERA) + 0.05
     with pytest.raises(GraycastError, match="check the pose and the mesh"):
         bend_bin(STRAIGHT, T, CAMERA, far_m)
@@ -169,7 +169,7 @@ SMALL = shrunk(CAMERA, 200, 150)
 def cell(tmp_path, monkeypatch):
     """A configuration whose bin is a mesh, and a scan of the bulged bin.
 
-    The pose is settled from the true one: tests/real/fit_bin/test_pose.py looks for it from afar.
+    The fit starts at the true pose: tests/real/fit_bin/test_pose.py starts far from it.
     """
     search = fitting.find_pose
     monkeypatch.setattr(fitting, "find_pose", lambda *a, **k: search(*a, **k | {"stated": T}))
@@ -187,7 +187,7 @@ def cell(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("box", [False, True])
-def test_the_new_configuration_names_the_bent_mesh_and_sees_what_was_scanned(cell, box, capsys):
+def test_the_new_configuration_names_the_bent_mesh_and_gives_the_scanned_depth(cell, box, capsys):
     folder = cell.parent
     if box:
         words = yaml.safe_load(cell.read_text())
@@ -204,14 +204,14 @@ def test_the_new_configuration_names_the_bent_mesh_and_sees_what_was_scanned(cel
     assert section["unit"] == "m"
     assert section["material"]["base_color"] != [0.5, 0.5, 0.5]
     scene = resolve_cell(load_config(out), folder).scene
-    # What is loaded is put to its own floor's middle, and the camera's pose goes with it.
+    # A loaded mesh is moved to the middle of its floor, and the camera's pose moves with it.
     off_m = np.abs(cast(scene.bin.mesh, scene.T_world_cam, SMALL) - np.load(scan))
     assert np.nanmedian(off_m) < 0.3e-3
     report = json.loads((folder / "fitted.fit.json").read_text())["bent"]
     assert report["after_m"]["p90"] < 0.5 * report["before_m"]["p90"]
 
 
-def test_a_mesh_that_is_there_already_stays(cell):
+def test_an_existing_mesh_is_not_overwritten(cell):
     mesh = cell.with_name("bent.ply")
     mesh.write_text("of another run")
     arguments = (cell.with_name("scan.npy"), "--config", cell, "--out", cell.with_name("new.yaml"))

@@ -1,4 +1,4 @@
-"""The empty bin out of views in which parts lie."""
+"""The empty bin, composed from views with parts in them."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ CAMERA = Optics(width_px=W, height_px=H, fx_px=80.0, fy_px=80.0, cx_px=39.5, cy_
 
 
 def cluttered(count, rng, sigma_m=2e-4):
-    """A tilted floor, and boxes that lie elsewhere in each view and hide a quarter of it."""
+    """Return a tilted floor, a quarter of it hidden by boxes at other positions in each view."""
     floor_m = 0.8 + 0.001 * np.arange(W)[None] + np.zeros((H, 1))
     views = []
     for _ in range(count):
@@ -23,30 +23,30 @@ def cluttered(count, rng, sigma_m=2e-4):
             y, x = rng.integers(0, H - 15), rng.integers(0, W - 20)
             depth_m[y : y + 15, x : x + 20] = 0.8 - rng.uniform(0.02, 0.1)
             color[y : y + 15, x : x + 20] = 200
-        depth_m[rng.random(depth_m.shape) < 0.01] += 0.05  # strays behind the floor
+        depth_m[rng.random(depth_m.shape) < 0.01] += 0.05  # outliers behind the floor
         depth_m[rng.random(depth_m.shape) < 0.05] = np.nan
         views.append(BinView(name="v", camera=CAMERA, depth_m=depth_m, rgb=color))
     return floor_m, views
 
 
-def test_five_views_with_parts_give_the_floor_without_parts_and_strays():
+def test_five_views_with_parts_give_the_floor_without_parts_and_outliers():
     floor_m, views = cluttered(5, np.random.default_rng(1))
     empty = empty_view(views)
     known = ~np.isnan(empty.depth_m)
     off = np.abs(empty.depth_m - floor_m)[known]
     assert known.mean() > 0.95
-    assert (off < 1e-3).mean() > 0.98  # what two views' parts hide alike may stay
+    assert (off < 1e-3).mean() > 0.98  # points that the parts of two views hide may remain
     assert (empty.rgb[known] == 40).all(axis=-1).mean() > 0.95
 
 
-def test_the_farthest_pair_that_agrees_is_taken_not_the_farthest():
+def test_the_farthest_pair_that_agrees_is_used_and_not_the_farthest_depth():
     depth_m = np.array([0.9, 0.7, 0.7004, 0.5, 0.5001]).reshape(5, 1, 1)
     assert farthest_shared(depth_m).item() == pytest.approx(0.7002)
     assert np.isnan(farthest_shared(depth_m[:2]).item())
     assert np.isnan(farthest_shared(np.full((3, 1, 1), np.nan)).item())
 
 
-def test_one_view_shares_nothing():
+def test_one_view_gives_no_composite():
     _, views = cluttered(1, np.random.default_rng(2))
     with pytest.raises(DatasetError, match="give at least two views"):
         empty_view(views)

@@ -1,4 +1,4 @@
-"""The pose of a bin that is a mesh, from depth of its inside in closed form."""
+"""The pose of a mesh bin, from depth of its inside in closed form."""
 
 import numpy as np
 import pytest
@@ -24,9 +24,9 @@ def shape(tmp_path_factory):
 
 
 def inside_depth(T_world_cam, crate=CRATE, camera=CAMERA):
-    """z-depth of floor and walls, in which each ray leaves the room between their planes.
+    """Return z-depth of floor and walls, where each ray leaves the space between their planes.
 
-    NaN where it leaves the room, or enters it, elsewhere than through the opening.
+    NaN if a ray leaves or enters this space other than through the opening.
     """
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
@@ -50,7 +50,7 @@ def inside_depth(T_world_cam, crate=CRATE, camera=CAMERA):
     return np.where(visible, depth, np.nan)
 
 
-def test_pixels_see_the_faces_where_their_rays_leave_the_room(shape):
+def test_pixels_see_the_faces_where_their_rays_leave_the_bin(shape):
     T = pose(tilt_deg=20.0)
     grid = view(inside_depth(T)).grid(160)
     face, z = shape.cast(T, grid)
@@ -58,12 +58,12 @@ def test_pixels_see_the_faces_where_their_rays_leave_the_room(shape):
     assert known.mean() > 0.1
     assert np.abs(z - grid.depth_m)[known].max() < 1e-5  # STL has single precision
     names = np.array(shape.names)[shape.surface[face[known]]]
-    assert set(names) == {"floor", "wall +x", "wall -x", "wall +y"}  # the near one hides itself
+    assert set(names) == {"floor", "wall +x", "wall -x", "wall +y"}  # the near wall hides itself
     outside = np.array(shape.names)[shape.surface[face[~known & (face != NO_FACE)]]]
     assert "rim and ledges" in outside
 
 
-def test_surfaces_are_named_by_where_they_look(shape):
+def test_surfaces_are_named_by_their_direction(shape):
     middle = shape.mesh.vertices_m[shape.mesh.faces].mean(axis=1)
     named = np.array(shape.names)[shape.surface]
     assert set(named) == set(shape.names)
@@ -78,7 +78,7 @@ def test_surfaces_are_named_by_where_they_look(shape):
                 assert (sign * middle[mine][:, axis] > 0).all()
 
 
-def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it(shape):
+def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it(shape):
     slope = np.hypot(1.0, CRATE.lean)
     wall = np.array([-1.0, 0.0, CRATE.lean]) / slope  # inward, of the wall towards +x
     on_wall = np.array([CRATE.half_m(0.07)[0], 0.02, 0.07])
@@ -89,11 +89,11 @@ def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it(shape):
     assert height_over(shape, point, face) == pytest.approx([0.002, 0.003, -0.001], abs=2e-6)
     assert distance_m == pytest.approx([0.002, 0.003, 0.001], abs=2e-6)
     face, _ = shape.nearest(point, -normal, np.array([0.0, 0.0, 1.0]))
-    # What looks the other way lies on a wall's outside, 3 mm away, which cannot be seen from there.
+    # A surface that faces the other way is on a wall's outside, 3 mm away, where it is invisible.
     assert (face == NO_FACE).all()
 
 
-def test_votes_count_what_agrees_and_what_was_seen_through_a_face(shape):
+def test_votes_count_points_on_a_face_and_points_behind_it(shape):
     T = pose(tilt_deg=20.0)
     grid = view(inside_depth(T)).grid(80)
     known = np.isfinite(grid.depth_m)
@@ -106,7 +106,7 @@ def test_votes_count_what_agrees_and_what_was_seen_through_a_face(shape):
     assert moved < 0.8 * same
 
 
-def test_a_box_that_is_a_mesh_is_fitted_as_the_box():
+def test_a_box_given_as_a_mesh_is_fitted_like_the_box():
     box = Bin(inner_m=BOX.inner_m, wall_m=BOX.wall_m)
     as_mesh = Bin(inner_m=BOX.inner_m, mesh=bin_mesh(BOX))
     crate = Crate(inner_m=BOX.inner_m, lean=0.0)
@@ -119,8 +119,8 @@ def test_a_box_that_is_a_mesh_is_fitted_as_the_box():
 
 
 @pytest.mark.slow
-def test_the_pose_of_a_crate_is_found_without_a_hint_and_its_leaning_walls_fit(shape):
-    """A box in its place would leave 6 mm at floor and rim; the residuals are the noise."""
+def test_the_pose_of_a_crate_with_inclined_walls_is_found_without_a_hint(shape):
+    """A box instead would leave 6 mm at floor and rim; the residuals are the noise."""
     T = pose(tilt_deg=25.0, azimuth_deg=20.0)
     views = [view(noisy(inside_depth(T), 0.4e-3, 1))]
     azimuth = np.arctan2(T[1, 0], T[0, 0])
@@ -135,14 +135,14 @@ def test_the_pose_of_a_crate_is_found_without_a_hint_and_its_leaning_walls_fit(s
     assert face["underside"].seen_px == 0
 
 
-def test_what_no_wall_holds_is_held_by_the_rim_of_a_mesh(shape):
-    """Both walls across x are lost, but for the floor's ends: the rim is where depth ends."""
+def test_a_direction_without_walls_is_determined_by_the_rim_of_a_mesh(shape):
+    """Both walls across x are lost except for the floor's ends: the rim is where depth ends."""
     T = pose(tilt_deg=0.0, azimuth_deg=0.0, roll_deg=0.0, aside_m=(0.0, 0.0))
     depth_m = inside_depth(T)
     x = np.mgrid[0 : CAMERA.height_px, 0 : CAMERA.width_px][1]
     ray_x = (x - CAMERA.cx_px) / CAMERA.fx_px
     on_floor = np.abs(T[0, 3] + depth_m * ray_x) < CRATE.half_m(0)[0]
-    table = np.where(np.isnan(depth_m), T[2, 3] + 0.010, np.nan)  # beside the crate
+    table = np.where(np.isnan(depth_m), T[2, 3] + 0.010, np.nan)  # outside the crate
     outside = np.abs(T[0, 3] + table * ray_x) > CRATE.half_m(CRATE.inner_m[2])[0] + 0.05
     depth_m = np.where(on_floor, depth_m, np.where(outside, table, np.nan))
     shifted = rigid(np.eye(3), np.array([0.004, 0.0, 0.0])) @ T
@@ -152,14 +152,14 @@ def test_what_no_wall_holds_is_held_by_the_rim_of_a_mesh(shape):
 
 
 @pytest.mark.slow
-def test_another_crate_is_not_in_the_depth(shape):
+def test_the_depth_of_another_crate_is_refused(shape):
     other = Bin(inner_m=(0.20, 0.15, 0.05), wall_m=0.012)
     views = [view(perfect_depth(pose(), other))]
     with pytest.raises(GraycastError, match="no bin of 373 x 273 x 140 mm inside is in the depth"):
         fit_pose(views, shape, azimuth_rad=0.0, seed=0)
 
 
-def test_a_pose_far_off_comes_back(shape):
+def test_a_distant_initial_pose_converges(shape):
     T = pose(tilt_deg=15.0)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
     T_world_cam = register(view(inside_depth(T)).cloud(), away, shape)

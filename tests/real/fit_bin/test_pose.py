@@ -1,4 +1,4 @@
-"""The bin's pose from depth with noise, lost walls and things left in it."""
+"""The bin's pose from depth with noise, lost walls and objects in the bin."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ CLUTTER = (
 
 
 def faulty(T, seed, box=BOX):
-    """0.4 mm of noise, three blocks on the floor, and no depth of the wall towards +x."""
+    """Return depth with 0.4 mm of noise, three blocks on the floor, and without the wall +x."""
     depth_m = noisy(perfect_depth(T, box, blocks=CLUTTER), 0.4e-3, seed)
     half, height = box.inner_m[0] / 2, box.inner_m[2]
     lost = lambda p: (np.abs(p[..., 0] - half) < 0.006) & (p[..., 2] < height - 0.004)  # noqa: E731
@@ -33,7 +33,7 @@ def faulty(T, seed, box=BOX):
 
 
 def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
-    """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, table left out."""
+    """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, without the table."""
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
     scan = view(perfect_depth(T))
@@ -42,12 +42,12 @@ def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
     hit = face != NO_FACE
     assert hit.mean() > 0.2
     off_m = np.abs(z[hit] - grid.depth_m[hit])
-    assert np.mean(off_m < 1e-9) > 0.995  # pixel centres on an edge may go to either side
+    assert np.mean(off_m < 1e-9) > 0.995  # pixel centres on an edge may belong to either side
     names = {box.names[f] for f in np.unique(face[hit])}
     assert {"floor", "wall +y", "wall +x", "wall -x", "rim -x", "outside -y"} <= names
 
 
-def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it():
+def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it():
     box = open_box((0.4, 0.3, 0.15), 0.01)
     point = np.array([[0.1, 0.0, 0.002], [0.198, 0.1, 0.07], [0.0, -0.149, 0.1], [0.0, 0.153, 0.1]])
     normal = np.array([[0.0, 0.6, 0.8], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
@@ -56,7 +56,7 @@ def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it():
     assert [box.names[f] for f in face] == ["floor", "wall +x", "wall -y", "wall +y"]
     assert height_over(box, point, face) == pytest.approx([0.002, 0.002, 0.001, -0.003])
     assert distance_m == pytest.approx([0.002, 0.002, 0.001, 0.003])
-    level = np.tile([0.0, 0.0, 1.0], (4, 1))  # the second is 70 mm over the floor, no wall's point
+    level = np.tile([0.0, 0.0, 1.0], (4, 1))  # the second is 70 mm above the floor, not on a wall
     face, distance_m = box.nearest(point, level, eye_m)
     assert [box.names[f] for f in face] == ["floor", "floor", "rim -y", "rim +y"]
     assert distance_m[1] == pytest.approx(0.07)
@@ -65,16 +65,16 @@ def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it():
 
 
 def test_normals_of_a_cloud_are_those_of_the_faces():
-    """Oracle: the bin's planes are level or upright, so one component is 1."""
+    """Oracle: the bin's planes are horizontal or vertical, so one component is 1."""
     T = pose(tilt_deg=30.0)
     cloud = view(perfect_depth(T)).cloud()
     normal = cloud[:, 3:] @ T[:3, :3].T
     assert np.linalg.norm(normal, axis=1) == pytest.approx(np.ones(len(normal)))
-    assert np.mean(np.abs(normal).max(axis=1) > 1 - 1e-6) > 0.9  # but for pixels at edges
+    assert np.mean(np.abs(normal).max(axis=1) > 1 - 1e-6) > 0.9  # except for pixels at edges
     assert ((cloud[:, :3] * cloud[:, 3:]).sum(axis=1) < 0).all()  # towards the camera
 
 
-def test_planes_are_found_largest_first_and_face_the_camera():
+def test_planes_are_found_from_the_largest_on_and_face_the_camera():
     T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
     detections = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
     camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
@@ -84,12 +84,12 @@ def test_planes_are_found_largest_first_and_face_the_camera():
         assert offset_m == pytest.approx(level_m - camera_z, abs=1e-6)
 
 
-def test_depth_seen_through_a_wall_speaks_against_a_pose():
+def test_depth_behind_a_wall_counts_against_a_pose():
     T, box = pose(), open_box(BOX.inner_m)
     grid = view(perfect_depth(T)).grid(80)
     beside = rigid(np.eye(3), np.array([0.45, 0.0, 0.0])) @ T
     true, aside = box.votes(np.stack([T, beside]), grid, 0.01) / grid.depth_m.size
-    for pose_of, score in ((T, true), (beside, aside)):  # the same again, by the other ray caster
+    for pose_of, score in ((T, true), (beside, aside)):  # the same, by the other ray caster
         behind_m = grid.depth_m - box.cast(pose_of, grid)[1]
         agrees = np.maximum(1 - np.abs(behind_m) / 0.01, 0)
         assert score == pytest.approx((agrees - (behind_m > 0.01)).mean(), abs=1e-12)
@@ -106,9 +106,7 @@ LEANING = {"tilt_deg": 30.0, "azimuth_deg": -35.0, "roll_deg": 0.0}
     ("seed", "view_words"),
     [(0, {}), (1, LEANING), (2, HANGING)],
 )
-def test_the_pose_is_found_without_a_hint_in_spite_of_noise_clutter_and_a_lost_wall(
-    seed, view_words
-):
+def test_the_pose_is_found_without_a_hint_despite_noise_objects_and_a_lost_wall(seed, view_words):
     T = pose(**view_words)
     box = open_box(BOX.inner_m, BOX.wall_m)
     azimuth = np.arctan2(T[1, 0], T[0, 0])
@@ -118,8 +116,8 @@ def test_the_pose_is_found_without_a_hint_in_spite_of_noise_clutter_and_a_lost_w
     assert off_deg < 0.1
 
 
-def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
-    """From 25 mm and 4 degrees away; 0.4 mm of noise over thousands of pixels leaves 0.05 mm."""
+def test_a_close_initial_pose_converges_despite_noise_objects_and_a_lost_wall():
+    """It starts 25 mm and 4 degrees away; 0.4 mm of noise in thousands of pixels is 0.05 mm."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
     views = [faulty(T, 0)]
@@ -129,12 +127,12 @@ def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
     assert off_deg < 0.05
     assert fit.loose == fit.by_edges == ()
     face = {face.name: face for face in fit.faces}
-    assert face["floor"].rms_m == pytest.approx(0.4e-3, rel=0.2)  # looked at from above
+    assert face["floor"].rms_m == pytest.approx(0.4e-3, rel=0.2)  # seen from above
     assert face["wall +x"].inliers < 0.1 < 0.7 < face["wall -x"].inliers
 
 
-def test_the_map_of_residuals_shows_each_face_as_far_off_as_it_is():
-    """A bin 2 mm longer than stated, its camera told 1 mm too low: walls and floor by 1 mm."""
+def test_the_map_of_residuals_shows_the_distance_of_each_face():
+    """The bin is 2 mm longer and its camera 1 mm lower than stated: all faces are 1 mm off."""
     T = pose(tilt_deg=0.0)
     lower = T.copy()
     lower[2, 3] -= 1e-3
@@ -150,7 +148,7 @@ def test_the_map_of_residuals_shows_each_face_as_far_off_as_it_is():
 
 
 @pytest.mark.slow
-def test_a_wall_s_thickness_need_not_be_known():
+def test_the_thickness_of_a_wall_need_not_be_known():
     T = pose()
     T_world_cam = find_pose(
         [faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0
@@ -162,8 +160,8 @@ def test_a_wall_s_thickness_need_not_be_known():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("inner_m", "turns"), [((0.40, 0.30, 0.15), 2), ((0.35, 0.35, 0.15), 4)])
-def test_of_poses_that_look_alike_the_one_nearest_to_the_azimuth_is_taken(inner_m, turns):
-    """They differ by whole turns about the bin's z."""
+def test_of_poses_that_look_the_same_the_one_nearest_to_the_azimuth_is_chosen(inner_m, turns):
+    """They differ by rotations of the bin about its z."""
     box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
     views = [view(perfect_depth(T, box))]
     own = np.arctan2(T[1, 0], T[0, 0])
@@ -175,8 +173,8 @@ def test_of_poses_that_look_alike_the_one_nearest_to_the_azimuth_is_taken(inner_
     assert wrong_by(turned, expected)[1] < 0.01
 
 
-def test_what_no_wall_holds_is_named():
-    """Of a bin without depth on both walls across x, and none outside, x is free."""
+def test_a_direction_that_no_wall_determines_is_named():
+    """If a bin has no depth of both walls across x, inside or outside, x is free."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.18) | (p[..., 2] < -0.004)  # noqa: E731
     views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, lost))]
@@ -185,7 +183,7 @@ def test_what_no_wall_holds_is_named():
     spot = lambda p: lost(p) & ~((p[..., 0] > 0.18) & (np.abs(p[..., 1]) < 0.016))  # noqa: E731
     views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, spot))]
     fit = judge(views, open_box(BOX.inner_m), register(views[0].cloud(), T, open_box(BOX.inner_m)))
-    assert fit.sigma[0] < 0.2e-3  # by its noise, a spot of a wall would do: but it may be clutter
+    assert fit.sigma[0] < 0.2e-3  # its noise is small, but a spot may be an object
     assert fit.loose == ("x",)
     whole = [view(noisy(perfect_depth(T), 0.3e-3, 5))]
     box = open_box(BOX.inner_m)
@@ -193,7 +191,7 @@ def test_what_no_wall_holds_is_named():
 
 
 @pytest.mark.slow
-def test_stated_deviations_are_those_over_many_noises():
+def test_stated_deviations_agree_with_the_scatter_over_many_noises():
     """Oracle: the scatter of 24 fits; its own relative error is 1 / sqrt(2 (n - 1)), 15 %."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     clean = perfect_depth(T)
@@ -207,8 +205,8 @@ def test_stated_deviations_are_those_over_many_noises():
     assert (ratio < 1.3 + 3 * 0.15).all()  # pixels that change sides at edges add a little
 
 
-def test_residuals_by_face_show_a_bin_that_is_longer_than_stated():
-    """Walls 2 mm farther apart than stated stand 1 mm behind theirs, each."""
+def test_residuals_by_face_show_that_a_bin_is_longer_than_stated():
+    """Two walls that are 2 mm farther apart than stated are each 1 mm behind their faces."""
     T = pose(tilt_deg=0.0)
     longer = Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)
     box = open_box(BOX.inner_m)
@@ -229,7 +227,7 @@ def test_a_picture_without_the_bin_is_refused():
 
 
 @pytest.mark.slow
-def test_several_views_share_one_pose_and_tell_how_far_they_are_apart():
+def test_several_views_share_one_pose_and_their_disagreement_is_reported():
     T = pose()
     box = open_box(BOX.inner_m, BOX.wall_m)
     views = [faulty(T, seed) for seed in (7, 8, 9)]
@@ -240,10 +238,10 @@ def test_several_views_share_one_pose_and_tell_how_far_they_are_apart():
     assert all(0 < m < 1e-3 for m, _ in fit.apart)
 
 
-def test_edges_hold_a_place_that_no_wall_holds():
-    """Both walls across x are lost inside: only rim and floor tell it, to a part of a pixel.
+def test_edges_determine_a_position_that_no_wall_determines():
+    """Both walls across x are lost inside: only rim and floor show it, to a fraction of a pixel.
 
-    A pixel is 5 mm wide here; some 200 of them lie on edges across x.
+    A pixel is 5 mm wide here; about 200 of them are on edges across x.
     """
     T = pose(tilt_deg=0.0)
     lost = lambda p: (np.abs(np.abs(p[..., 0]) - 0.2) < 0.006) & (p[..., 2] < 0.146)  # noqa: E731
@@ -258,8 +256,8 @@ def test_edges_hold_a_place_that_no_wall_holds():
     assert off_m[1:] == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_edges_do_not_claim_what_they_do_not_show():
-    """A floor alone, whose ends are out of the picture, holds nothing."""
+def test_edges_out_of_the_picture_determine_nothing():
+    """A floor alone, whose ends are out of the picture, determines no position."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), distance_m=0.9)
     flat = view(np.full((120, 160), T[2, 3]))
     huge = open_box((3.0, 2.0, 0.1))
@@ -268,8 +266,8 @@ def test_edges_do_not_claim_what_they_do_not_show():
     assert np.array_equal(T_world_cam, T)
 
 
-def test_a_face_that_is_hardly_seen_is_not_trusted():
-    """One of two walls is 2 mm off: the bin goes half way, less with a tenth of its weight."""
+def test_a_face_with_little_depth_has_little_weight():
+    """One of two walls is 2 mm off: the bin moves half way, and less with a tenth of its weight."""
     T = pose(tilt_deg=0.0, azimuth_deg=0.0, roll_deg=0.0, aside_m=(0.0, 0.0))
     box = open_box(BOX.inner_m)
     cloud = view(perfect_depth(T)).cloud()

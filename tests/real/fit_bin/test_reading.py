@@ -28,7 +28,7 @@ def depth_file(tmp_path):
     return tmp_path / "a.png"
 
 
-def test_depth_of_the_rig_s_size_is_seen_by_the_rig_s_camera(depth_file):
+def test_depth_of_the_rig_s_size_uses_the_rig_s_camera(depth_file):
     (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     assert view.camera == OWN
     assert np.isnan(view.depth_m[0, 0])
@@ -36,7 +36,7 @@ def test_depth_of_the_rig_s_size_is_seen_by_the_rig_s_camera(depth_file):
     assert view.rgb is None
 
 
-def test_a_picture_goes_with_its_depth(depth_file, tmp_path):
+def test_a_picture_is_read_with_its_depth(depth_file, tmp_path):
     rgb = np.zeros((30, 40, 3), dtype=np.uint8)
     rgb[..., 0] = 200
     cv2.imwrite(str(tmp_path / "c.png"), rgb[..., ::-1])
@@ -46,7 +46,7 @@ def test_a_picture_goes_with_its_depth(depth_file, tmp_path):
         read_views([depth_file], rgb=[tmp_path / "c.png"] * 2, options=FILE_OPTIONS, own=OWN)
 
 
-def test_another_camera_s_depth_needs_its_intrinsics(depth_file):
+def test_depth_of_another_camera_needs_its_intrinsics(depth_file):
     other = Optics(width_px=80, height_px=60, fx_px=50.0, fy_px=50.0, cx_px=39.5, cy_px=29.5)
     with pytest.raises(DatasetError, match="give its intrinsics"):
         read_views([depth_file], options=FILE_OPTIONS, own=other)
@@ -56,7 +56,7 @@ def test_another_camera_s_depth_needs_its_intrinsics(depth_file):
     assert not view.camera.has_distortion
 
 
-def test_what_cannot_be_a_view_is_refused(depth_file, tmp_path):
+def test_files_that_cannot_be_a_view_are_refused(depth_file, tmp_path):
     with pytest.raises(DatasetError, match=r"one of \.npy"):
         read_views([tmp_path / "x.jpg"], options=FILE_OPTIONS, own=OWN)
     few = np.full((30, 40), np.nan)
@@ -66,7 +66,7 @@ def test_what_cannot_be_a_view_is_refused(depth_file, tmp_path):
         read_views([tmp_path / "few.npy"], options=FileOptions(), own=OWN)
 
 
-def test_a_scene_of_a_dataset_brings_camera_depth_and_picture(tmp_path):
+def test_a_scene_of_a_dataset_has_camera_depth_and_picture(tmp_path):
     samples = write_dataset(tmp_path / "out", scene_ids=(0,))
     (view,) = read_views([tmp_path / "out/train/000000"], options=FileOptions(), own=OWN)
     assert np.array_equal(view.camera.K, make_rig().camera.K)
@@ -84,7 +84,7 @@ def stored_scene(tmp_path_factory):
 
 
 def damaged(change):
-    """The text of a scene's cameras with a change in the only one."""
+    """Return the text of a scene's cameras with a change in the only one."""
 
     def of(text):
         content = json.loads(text)
@@ -112,7 +112,7 @@ def damaged(change):
         (damaged(lambda view: view.update(distortion=[0.1])), r"0\.distortion: .*at least 5"),
     ],
 )
-def test_a_scene_s_damaged_cameras_are_told_with_their_file(stored_scene, tmp_path, damage, why):
+def test_damaged_cameras_of_a_scene_are_told_with_their_file(stored_scene, tmp_path, damage, why):
     scene = shutil.copytree(stored_scene, tmp_path / "scene")
     path = scene / "scene_camera_sl.json"
     path.write_text(damage(path.read_text()))
@@ -121,7 +121,7 @@ def test_a_scene_s_damaged_cameras_are_told_with_their_file(stored_scene, tmp_pa
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_a_camera_without_focal_length_is_told_with_its_picture(stored_scene, tmp_path):
+def test_a_camera_without_focal_length_is_reported_with_its_picture(stored_scene, tmp_path):
     scene = shutil.copytree(stored_scene, tmp_path / "scene")
     path = scene / "scene_camera_sl.json"
     flat = damaged(lambda view: view.update(cam_K=[0, 0, 9, 0, 9, 9, 0, 0, 1]))
@@ -130,7 +130,7 @@ def test_a_camera_without_focal_length_is_told_with_its_picture(stored_scene, tm
         read_views([scene], options=FileOptions(), own=OWN)
 
 
-def test_frames_are_of_the_view_s_camera(depth_file, tmp_path):
+def test_frames_must_have_the_size_of_the_view_s_camera(depth_file, tmp_path):
     (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     for name, size in (("white", (30, 40)), ("black", (15, 20))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.full(size, 32768, dtype=np.uint16))
@@ -140,8 +140,8 @@ def test_frames_are_of_the_view_s_camera(depth_file, tmp_path):
         read_frames(tmp_path / "white.png", tmp_path / "black.png", view)
 
 
-def test_white_and_black_frames_tell_lamps_from_projector_whatever_reflects():
-    """Closed form: w the projector's light, s a the lamps', b the leak; reflectance r cancels."""
+def test_white_and_black_frames_separate_lamps_and_projector_for_any_reflectance():
+    """Closed form: w is the projector's light, s a the lamps', b the leak; r cancels."""
     rng = np.random.default_rng(3)
     w, a, r = rng.uniform(1, 2, (30, 40)), rng.uniform(0.2, 0.9, (30, 40)), rng.uniform(0.1, 0.8)
     for scale in (0.3, 2.0):

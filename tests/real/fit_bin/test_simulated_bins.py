@@ -1,4 +1,4 @@
-"""Empty bins through the whole virtual camera: poses, and pictures that come out alike."""
+"""Empty bins through the whole virtual camera: poses, and reproduced pictures."""
 
 import json
 from dataclasses import replace
@@ -27,14 +27,14 @@ pytestmark = pytest.mark.slow
 
 
 def test_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_renderer):
-    """Noise of the whole camera, 3 to 8 parts left in, 30 % of the inner walls without depth."""
+    """With noise of the whole camera, 3 to 8 parts, and 30 % of the inner walls without depth."""
     rows = study(20, mitsuba_renderer, seed=0, on_bin=lambda row: None)
     assert all(abs(row["lost"] - LOST) < 0.005 for row in rows)
     good = [row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows]
     assert sum(good) >= 19, rows
 
 
-def test_crates_that_are_meshes_are_found_as_well(mitsuba_renderer):
+def test_mesh_crates_are_found_equally_well(mitsuba_renderer):
     rows = study(8, mitsuba_renderer, seed=3, crates=True, on_bin=lambda row: None)
     good = [row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows]
     assert sum(good) == 8, rows
@@ -54,7 +54,7 @@ def grey(material=None):
 
 
 def real_words(scale=1.0):
-    """The real cell: colours of its own, lamps a number of times as bright as configured."""
+    """Return the real cell: its own colours, lamps several times as bright as configured."""
     light = {
         "environment": {"radiance": [scale * v for v in LIGHT["environment"]["radiance"]]},
         "lamps": [LAMP | {"radiance": [scale * v for v in LAMP["radiance"]]}],
@@ -64,13 +64,13 @@ def real_words(scale=1.0):
 
 
 def base_words():
-    """What is known before: size, rig and lamps; all surfaces one grey."""
+    """Return the known values: size, rig and lamps; all surfaces have one grey."""
     light = {**LIGHT, "lamps": [LAMP]}
     return {"bin": BIN | {"material": grey()}, "light": light, "table": grey()}
 
 
 def make_cell(folder, words):
-    """A configuration before the paper's rig with a camera of 344 x 258 pixels."""
+    """Write a configuration of the paper's rig with a camera of 344 x 258 pixels."""
     folder.mkdir()
     path = write_cell(folder, **words)
     rig = preset_rig("paper")
@@ -80,7 +80,7 @@ def make_cell(folder, words):
 
 
 def photographed(path, renderer, *, seed, samples=64):
-    """Depth, colour picture, and the frames with white and black of the empty bin."""
+    """Return depth, colour picture, and the white and black frames of the empty bin."""
     cell = resolve_cell(load_config(path), path.parent)
     quality = Quality(samples=samples, depth=4)
     rendering = renderer.render(
@@ -94,7 +94,7 @@ def photographed(path, renderer, *, seed, samples=64):
 
 
 def write_shot(folder, depth_m, rgb, capture):
-    """As a real camera's files: floats in metres, PNG, and linear 16-bit frames."""
+    """Write a real camera's files: floats in metres, PNG, and linear 16-bit frames."""
     np.save(folder / "depth.npy", depth_m.astype(np.float32))
     cv2.imwrite(str(folder / "rgb.png"), rgb[..., ::-1])
     sensor = capture.sensor
@@ -110,7 +110,7 @@ def run(*arguments):
 
 
 def surface_colors(cell, rendering, rgb):
-    """Median 8-bit colour of walls, floor and table, by the renderer's truth."""
+    """Return the median 8-bit colour of walls, floor and table, by the renderer's truth."""
     camera, T = cell.scene.rig.camera, cell.scene.T_world_cam
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
@@ -128,13 +128,13 @@ def surface_colors(cell, rendering, rgb):
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.5])
-def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
+def test_a_fitted_configuration_reproduces_the_pictures_of_the_fit(
     scale, tmp_path, mitsuba_renderer, capsys
 ):
-    """Simulated, fitted from all-grey, simulated again: 8-bit colours equal within 3 of 255.
+    """A simulation, a fit that starts in grey, and its simulation have colours within 3 of 255.
 
-    The noise of a median is far below 1; 3 is what 0.3 % of each reflectance, its rounding, and the
-    exposure, which follows the brightest 2 % of the pixels, may add up to.
+    The noise of a median is far below 1; 3 is the sum of 0.3 % of each reflectance, its rounding,
+    and the exposure, which follows the brightest 2 % of the pixels.
     """
     real = make_cell(tmp_path / "real", real_words(scale))
     cell, rendering, capture, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
@@ -170,10 +170,10 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     assert (base.parent / "fitted.fit.png").is_file()
 
 
-def test_without_frames_the_lamps_stay_and_the_colours_come_out_all_the_same(
+def test_without_frames_the_lamps_are_unchanged_and_the_colours_are_right(
     tmp_path, mitsuba_renderer
 ):
-    """A floor stated twice as bright makes all reflect twice as much, as a picture cannot tell."""
+    """If the floor is stated twice as bright, all reflectances double, which no picture shows."""
     real = make_cell(tmp_path / "real", real_words())
     cell, _, _, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
     view = BinView(name="real", camera=cell.scene.rig.camera, depth_m=depth.depth_m, rgb=rgb)
@@ -199,4 +199,4 @@ def test_without_frames_the_lamps_stay_and_the_colours_come_out_all_the_same(
     dim, bright = (
         np.concatenate([look.reflectance[n] for n in ("table", "floor")]) for look in looks
     )
-    assert bright / dim == pytest.approx(np.full(6, 2.0), rel=0.25)  # but for interreflection
+    assert bright / dim == pytest.approx(np.full(6, 2.0), rel=0.25)  # except for interreflection

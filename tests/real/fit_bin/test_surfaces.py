@@ -26,7 +26,7 @@ def test_a_bin_of_one_material_is_one_mesh():
         assert np.array_equal(getattr(mesh, array), getattr(whole, array))
 
 
-def test_the_floor_is_the_rectangle_inside_at_height_0_and_the_walls_are_all_else():
+def test_the_floor_is_the_inner_rectangle_at_height_0_and_the_walls_are_the_rest():
     box = Bin(inner_m=SIZE_M, material=WALLS, floor=FLOOR)
     (_, walls, material), (_, floor, own) = bin_surfaces(box)
     assert (material, own) == (WALLS, FLOOR)
@@ -45,7 +45,7 @@ def scene(**words):
     )
 
 
-def test_the_floor_too_has_its_grey_in_the_projector_s_light():
+def test_the_floor_also_has_a_grey_in_the_projector_s_light():
     gray = at_projector_wavelength(scene(material=WALLS, floor=FLOOR))
     assert gray.bin.floor.base_color == (0.2, 0.2, 0.2)
     assert gray.bin.material.base_color == (0.5, 0.5, 0.5)
@@ -62,7 +62,7 @@ def test_decoding_a_colour_undoes_encoding_it():
 
 
 @pytest.mark.slow
-def test_a_floor_of_the_walls_material_changes_nothing(mitsuba_renderer):
+def test_a_floor_of_the_walls_material_does_not_change_the_light(mitsuba_renderer):
     """Same paths, same light, up to the rounding of float32."""
     plain, split = (_rendered(mitsuba_renderer, floor) for floor in (None, WALLS))
     for name in ("white", "ambient", "white_rgb"):
@@ -72,8 +72,8 @@ def test_a_floor_of_the_walls_material_changes_nothing(mitsuba_renderer):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["mitsuba", "cycles"])
-def test_both_back_ends_show_the_floor_in_its_own_colour(backend, request):
-    """By direct light alone a matt floor is as bright in each band as it reflects."""
+def test_both_renderers_show_the_floor_in_its_own_colour(backend, request):
+    """In direct light, the radiance of a matt floor in each band is its reflectance."""
     renderer = request.getfixturevalue(f"{backend}_renderer")
     floor = Material(base_color=(0.1, 0.3, 0.6), specular=0.0)
     rendering = _rendered(renderer, floor, depth=1)

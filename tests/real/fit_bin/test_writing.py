@@ -1,4 +1,4 @@
-"""What was fitted goes into a configuration; what a user wrote stays."""
+"""Fitted values are written into a configuration; the rest of the user's text is kept."""
 
 import errno
 
@@ -38,7 +38,7 @@ T = rigid(axis_rotation("x", 3.0), np.array([0.01, 0.02, 0.9]))
 VIEW = {"T_world_cam": [round(float(v), 9) for v in T.ravel()]}
 
 
-def test_fitted_sections_replace_their_own_and_nothing_else(tmp_path):
+def test_fitted_sections_replace_only_the_same_sections(tmp_path):
     path = tmp_path / "cell.yaml"
     sections = {"view": VIEW, "table": {"base_color": [0.1, 0.2, 0.3]}}
     text = fitted_text(BASE, path, sections, {"view": "from a fit\nof two lines"})
@@ -58,12 +58,12 @@ def test_a_configuration_in_braces_is_written_in_lines(tmp_path):
     assert yaml.safe_load(text) == yaml.safe_load(base) | {"view": VIEW}
 
 
-def test_what_would_be_no_configuration_is_refused(tmp_path):
+def test_an_invalid_result_is_not_written(tmp_path):
     with pytest.raises(ConfigError, match="T_world_cam"):
         fitted_text(BASE, tmp_path / "c.yaml", {"view": {"T_world_cam": [1.0, 2.0]}}, {})
 
 
-def test_nothing_is_written_over_and_paths_keep_their_meaning(tmp_path):
+def test_no_file_is_overwritten_and_paths_keep_their_meaning(tmp_path):
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
     refuse_existing(tmp_path / "new.yaml", base)
@@ -73,8 +73,8 @@ def test_nothing_is_written_over_and_paths_keep_their_meaning(tmp_path):
         refuse_existing(tmp_path / "sub" / "new.yaml", base)
 
 
-def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
-    """A floor between two lost walls, without its ends in the picture."""
+def test_an_undetermined_pose_is_not_written(tmp_path):
+    """A floor is between two lost walls, and its ends are out of the picture."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.15) | (p[..., 2] < -0.004)  # noqa: E731
     scans = [view(without(perfect_depth(T), T, lost))]
@@ -91,7 +91,7 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_no_partial_file(tmp_path, monkeypatch):
     T = pose()
     scans = [view(perfect_depth(T))]
     box = open_box(BOX.inner_m)
@@ -111,7 +111,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
+def test_a_file_that_appeared_meanwhile_is_not_overwritten(tmp_path, monkeypatch):
     T = pose()
     scans = [view(perfect_depth(T))]
     box = open_box(BOX.inner_m)
@@ -145,7 +145,7 @@ def test_an_exact_pose_is_the_camera_s(tmp_path):
     assert np.array_equal(scene.T_world_cam.ravel(), VIEW["T_world_cam"])
 
 
-def test_an_exact_pose_stands_alone():
+def test_an_exact_pose_excludes_other_keys_of_the_view():
     with pytest.raises(ValueError, match="T_world_cam is the whole pose: remove it, or tilt_deg"):
         cell(view=VIEW | {"tilt_deg": 3.0})
     with pytest.raises(ValueError, match="16"):
@@ -160,7 +160,7 @@ def test_a_configuration_with_a_pose_can_be_read_back_from_a_manifest():
 
 
 def test_a_surface_of_another_colour_keeps_its_roughness_map(tmp_path):
-    """Walls, floor and table of three maps; a floor without words is as the walls are."""
+    """Walls, floor and table have three maps; a floor without a section has that of the walls."""
     T, box = pose(), open_box(BOX.inner_m)
     color = dict.fromkeys(("walls", "floor", "table"), (0.1, 0.2, 0.3))
     look = BinAppearance(reflectance=color, pixels={}, off=0.0, light_scale=None, exposure=1.0)

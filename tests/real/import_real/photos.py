@@ -32,7 +32,7 @@ def write_pictures(folder: Path) -> None:
 
 
 def coco(segmentation=None) -> dict:
-    """The content of a COCO file of both pictures; each has one annotation."""
+    """Return the content of a COCO file of both pictures; each has one annotation."""
     return {
         "images": [
             {"id": k, "file_name": f"{k:06d}.png", "width": W, "height": H} for k in range(2)
@@ -47,7 +47,7 @@ def coco(segmentation=None) -> dict:
 
 
 def write_coco(folder: Path, content: dict) -> Path:
-    """The pictures with this COCO file; returns the folder."""
+    """Write the pictures with this COCO file; return the folder."""
     write_pictures(folder)
     (folder / "annotations/instances.json").write_text(json.dumps(content))
     return folder
@@ -62,7 +62,7 @@ def write_labelme(folder: Path, shapes: list[dict]) -> Path:
 
 
 def write_depth(folder: Path, depth: np.ndarray, count=2) -> Path:
-    """The same depth as so many pictures: whole numbers as PNG, others as NPY."""
+    """Write the same depth as several pictures: whole numbers as PNG, others as NPY."""
     (folder / "depth").mkdir(parents=True)
     for k in range(count):
         if depth.dtype.kind in "ui":

@@ -1,4 +1,4 @@
-"""Real pictures come in as they are: what was exported from a simulation is imported again."""
+"""Import of real pictures: an exported simulation is imported again."""
 
 import json
 import re
@@ -20,7 +20,7 @@ from graycast.real.depth_file import FileOptions
 from graycast.real.import_real import import_real
 from graycast.real.realism import read_scans
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SCENES = (0, 3)
@@ -29,7 +29,7 @@ SCALE_M = SCALE_MM / 1e3
 
 @pytest.fixture(scope="session")
 def simulation(tmp_path_factory):
-    """A simulated dataset, its samples, and its scanner's view as if somebody had taken it."""
+    """Return a simulated dataset, its samples, and its scanner's view as real pictures."""
     folder = tmp_path_factory.mktemp("made")
     samples = write_dataset(folder / "master", SCENES)
     export(folder / "master", folder / "coco", Options(format="coco", polygons=True))
@@ -79,7 +79,7 @@ def refusal(real, samples, **options):
 
 
 def labelme(real, samples, **changed):
-    """LabelMe files of squares around the visible parts instead of the COCO file."""
+    """Write LabelMe files of squares around the visible parts instead of the COCO file."""
     shutil.rmtree(real / "annotations")
     (real / "annotations").mkdir()
     for scene_id, sample in samples.items():
@@ -99,8 +99,8 @@ def labelme(real, samples, **changed):
         path.write_text(json.dumps(content))
 
 
-def test_a_simulated_scan_taken_as_real_gives_the_same_examples(simulation, real, samples):
-    """Masks, boxes and scanner depth to the last bit; what nobody knows is absent."""
+def test_a_simulated_scan_imported_as_real_gives_the_same_examples(simulation, real, samples):
+    """Masks, boxes and scanner depth are equal to the last bit; unknown values are missing."""
     out, done = imported(real, samples)
     assert done.categories == ("box", "wedge")
     assert done.holds == ("rgb", "gray_sl", "depth_sl", "masks")
@@ -112,7 +112,7 @@ def test_a_simulated_scan_taken_as_real_gives_the_same_examples(simulation, real
         assert b.depth_m is b.T_cam_part is b.visib_fract is None
 
 
-def test_validate_accepts_it_and_says_what_is_absent(real, samples):
+def test_validate_accepts_the_import_and_lists_missing_data(real, samples):
     out, _ = imported(real, samples)
     assert validate(out) == ()
     assert absent(out)[:3] == ("poses", "models", "perfect depth")
@@ -199,7 +199,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_validate_finds_damage(real, samples, name):
+def test_validate_detects_damage_of_the_import(real, samples, name):
     out, _ = imported(real, samples)
     damage, what = DAMAGE[name]
     damage(out / "train" / "000000")
@@ -207,8 +207,8 @@ def test_validate_finds_damage(real, samples, name):
     assert any(re.search(what, problem) for problem in problems), problems
 
 
-def test_other_readers_take_it_as_any_dataset(real, samples):
-    """The measures of realism, and every export that needs no more than it has."""
+def test_other_readers_accept_the_import_like_any_dataset(real, samples):
+    """These are the measures of realism, and every export that needs no more data."""
     out, _ = imported(real, samples)
     scans = list(read_scans([out]))
     for scan, sample in zip(scans, samples.values(), strict=True):
@@ -230,7 +230,7 @@ def test_other_readers_take_it_as_any_dataset(real, samples):
 
 
 @pytest.mark.parametrize("kind", ["npy", "tiff", "png", "ply"])
-def test_depth_of_every_kind_comes_in_to_half_a_step(simulation, real, samples, kind):
+def test_depth_of_every_kind_is_imported_to_half_a_step(simulation, real, samples, kind):
     for scene_id in samples:
         steps = cv2.imread(str(real / "depth" / f"{scene_id:06d}.png"), cv2.IMREAD_UNCHANGED)
         depth_m = np.where(steps > 0, steps * SCALE_M, np.nan)
@@ -251,7 +251,7 @@ def test_depth_of_every_kind_comes_in_to_half_a_step(simulation, real, samples, 
         for path in sorted((real.parent / "clouds" / "train").glob("*.ply")):
             shutil.copy(path, real / "depth" / f"{path.stem[:6]}.ply")
         shutil.rmtree(real / "rgb")
-        options["K"] = None  # the cloud brings it, and its colours
+        options["K"] = None  # from the cloud, with its colours
     out, done = imported(real, samples, **options)
     for example, sample in zip(open_examples(out), samples.values(), strict=True):
         np.testing.assert_array_equal(example.rgb, sample.rgb)
@@ -289,7 +289,7 @@ def test_labelme_rectangles_polygons_and_groups_become_masks(real, samples):
     assert validate(out) == ()
 
 
-def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
+def test_objects_get_the_numbers_of_a_named_dataset(real, samples):
     out, done = imported(real, samples, names=["lid", "wedge", "box"])
     assert done.categories == ("lid", "wedge", "box")
     ids = {0: 3, 1: 2}
@@ -300,7 +300,7 @@ def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
     assert "name 'wedge'" in refusal(real, samples, names=["box"])
 
 
-def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
+def test_pictures_without_labels_are_imported_if_this_is_requested(real, samples):
     shutil.rmtree(real / "annotations")
     assert "or --unlabelled" in refusal(real, samples)
     out, _ = imported(real, samples, labelled=False)
@@ -312,7 +312,7 @@ def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
     export(out, real.parent / "clouds", Options(format="clouds"))
 
 
-def test_broken_pictures_are_told_by_name(real, samples):
+def test_broken_pictures_are_reported_by_name(real, samples):
     for name in ("rgb/000003.png", "gray/000003.tiff", "depth/000003.png"):
         path = real / name
         data = path.read_bytes()
@@ -327,7 +327,7 @@ def test_broken_pictures_are_told_by_name(real, samples):
     assert "000003.jpg: is cut off or damaged" in refusal(real, samples)
 
 
-def test_files_that_do_not_fit_together_are_told(real, samples):
+def test_files_that_do_not_fit_together_are_reported(real, samples):
     (real / "depth/000003.png").unlink()
     assert "gray has a picture 000003, and depth has none" in refusal(
         real, samples
@@ -349,11 +349,11 @@ def test_files_that_do_not_fit_together_are_told(real, samples):
         (1e-7, "m is the least allowed: correct the scale"),
     ],
 )
-def test_a_wrong_scale_is_told(real, samples, scale_m, what):
+def test_a_wrong_scale_of_depth_is_reported(real, samples, scale_m, what):
     assert what in refusal(real, samples, scale_m=scale_m)
 
 
-def test_a_camera_that_nobody_stated_is_asked_for(real, samples):
+def test_a_missing_camera_is_an_error_with_a_remedy(real, samples):
     assert "give the intrinsics" in refusal(real, samples, K=None)
 
 
@@ -403,13 +403,13 @@ LABEL_DAMAGE = {
 
 
 @pytest.mark.parametrize("name", LABEL_DAMAGE)
-def test_broken_annotations_are_told(real, samples, name):
+def test_broken_annotations_are_reported(real, samples, name):
     damage, what = LABEL_DAMAGE[name]
     damage(real)
     assert re.search(what, refusal(real, samples))
 
 
-def test_labelme_files_that_cannot_be_used_are_told(real, samples):
+def test_unusable_labelme_files_are_reported(real, samples):
     labelme(real, samples, imageWidth=80)
     assert "lies outside of the picture of 80 x 120" in refusal(real, samples)
     labelme(real, samples)
@@ -420,11 +420,11 @@ def test_labelme_files_that_cannot_be_used_are_told(real, samples):
 
 
 def run(*words):
-    """A command as the command line has it."""
+    """Run a command as on the command line."""
     return main([*map(str, words), "--debug"])
 
 
-def test_the_commands_say_what_they_made_and_what_is_not_known(real, samples, capsys):
+def test_the_commands_report_their_result_and_what_is_unknown(real, samples, capsys):
     out, coco = real.parent / "out", real.parent / "coco"
     arguments = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]
     assert run("dataset", "import", real, "--out", out, *arguments) == 0
@@ -440,7 +440,7 @@ def test_the_commands_say_what_they_made_and_what_is_not_known(real, samples, ca
         open_examples(coco, split="test")
 
 
-def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples, capsys):
+def test_a_lens_with_distortion_is_kept_as_stated(real, samples, capsys):
     distortion = (-0.1, 0.02, 1e-3, -1e-3, 0.0)
     out, _ = imported(real, samples, distortion=distortion)
     assert validate(out) == ()
@@ -450,8 +450,8 @@ def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples, capsys):
     assert "'0.1,0.2' is not five numbers k1,k2,p1,p2,k3" in capsys.readouterr().err
 
 
-def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
-    """It is whole and nobody can say what it should show: only its SHA-256 tells."""
+def test_a_picture_that_was_changed_after_the_import_is_detected(real, samples):
+    """It is a valid picture with unknown content: only its SHA-256 shows the change."""
     out, _ = imported(real, samples)
     path = out / "train" / "000000" / "rgb" / "000000.png"
     cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
@@ -472,7 +472,7 @@ def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(simulation, rea
     assert "note:" not in capsys.readouterr().out
 
 
-def test_holes_that_were_filled_with_the_farthest_depth_are_named(real, samples):
+def test_holes_filled_with_the_farthest_depth_are_named(real, samples):
     path = real / "depth" / "000003.png"
     steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     steps[::2, ::2] = steps.max() + 1

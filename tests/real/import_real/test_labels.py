@@ -1,4 +1,4 @@
-"""Labels as tools and systems really leave them: read as they are meant, or refused by name."""
+"""Labels as tools and systems really write them: read with their meaning, or refused by name."""
 
 import base64
 import io
@@ -17,12 +17,12 @@ from graycast.real.import_real import import_real
 
 from .photos import BOX, H, K, W, coco, part, picture, write_coco, write_labelme, write_pictures
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
 def imported(folder):
-    """The masks of the first picture, and the notes."""
+    """Return the masks of the first picture, and the notes."""
     out = folder.with_name(f"{folder.name}-out")
     done = import_real(folder, out, files=FileOptions(K=K))
     assert validate(out) == ()
@@ -39,8 +39,8 @@ def refusal(folder):
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
-def test_pictures_that_are_stored_turned_are_refused(tmp_path, orientation, ending):
-    """Labelling tools show them turned, so that masks would lie elsewhere than the parts."""
+def test_pictures_that_are_stored_rotated_are_refused(tmp_path, orientation, ending):
+    """Labelling tools show them upright, so that masks would not be on the parts."""
     folder = write_coco(tmp_path / "photos", coco())
     exif = Image.Exif()
     exif[0x0112] = orientation
@@ -63,15 +63,13 @@ def test_pictures_that_are_stored_turned_are_refused(tmp_path, orientation, endi
         ([20, 10, W + 3, 10, W + 3, H + 1, 20, H + 1], slice(10, H), slice(20, W), "3 px"),
     ],
 )
-def test_outlines_that_lead_a_little_out_of_the_picture_are_cut(
-    tmp_path, polygon, rows, columns, beyond
-):
+def test_outlines_slightly_beyond_the_picture_are_cut(tmp_path, polygon, rows, columns, beyond):
     mask, (note,) = imported(write_coco(tmp_path / "photos", coco([polygon])))
     np.testing.assert_array_equal(mask, [part(rows, columns)])
     assert f"outlines in 2 pictures lead out of the picture, by up to {beyond}" in note
 
 
-def test_a_slanted_outline_is_cut_as_if_the_picture_went_on(tmp_path):
+def test_a_slanted_outline_is_cut_exactly_at_the_border(tmp_path):
     """Oracle: the same outline three pixels farther inside, where nothing is cut."""
     outline = np.array([[-2.3, -1.7], [50.2, 5.1], [31.4, 40.9]])
     cut, _ = imported(write_coco(tmp_path / "cut", coco([outline.ravel().tolist()])))
@@ -80,12 +78,12 @@ def test_a_slanted_outline_is_cut_as_if_the_picture_went_on(tmp_path):
     np.testing.assert_array_equal(cut[0, : H - 3, : W - 3], whole[0, 3:, 3:])
 
 
-def test_the_outline_of_another_picture_is_not_cut(tmp_path):
+def test_an_outline_far_beyond_the_picture_is_not_cut(tmp_path):
     far = refusal(write_coco(tmp_path / "photos", coco([[20, 10, W + 3.1, 10, 60, 50]])))
     assert "its corner (99.1, 10) lies outside of the picture of 96 x 64 pixels" in far
 
 
-def test_names_with_backslashes_and_hidden_files_are_read_as_they_are_meant(tmp_path):
+def test_names_with_backslashes_and_hidden_files_are_understood(tmp_path):
     content = coco()
     for image in content["images"]:
         image["file_name"] = f"rgb\\{image['file_name']}"
@@ -108,7 +106,7 @@ def mask_shape(inside, x=20, y=10, **changes):
     } | changes
 
 
-def test_masks_of_labelme_are_read_and_unite_with_the_polygons_of_their_group(tmp_path):
+def test_masks_of_labelme_are_joined_with_the_polygons_of_their_group(tmp_path):
     rng = np.random.default_rng(0)
     inside = rng.random((40, 30)) < 0.5
     polygon = {"label": "part", "points": [[0, 0], [4, 0], [4, 3], [0, 3]], "group_id": 7}
@@ -134,12 +132,12 @@ def test_masks_of_labelme_are_read_and_unite_with_the_polygons_of_their_group(tm
         (mask_shape(np.zeros((4, 3), bool)), "covers no pixel"),
     ],
 )
-def test_masks_of_labelme_that_cannot_be_used_are_refused(tmp_path, shape, message):
+def test_unusable_masks_of_labelme_are_refused(tmp_path, shape, message):
     assert re.search(message, refusal(write_labelme(tmp_path / "photos", [shape])))
 
 
-def test_the_same_mask_twice_is_refused_in_both_forms(tmp_path):
-    """The same polygon from another corner is the same mask; another id does not matter."""
+def test_a_repeated_mask_is_refused_in_both_formats(tmp_path):
+    """A polygon that starts at another corner is the same mask; another id does not matter."""
     content = coco()
     content["annotations"].append(
         content["annotations"][0] | {"id": 9, "segmentation": [[*BOX[4:], *BOX[:4]]]}
@@ -163,7 +161,7 @@ def test_the_same_mask_twice_is_refused_in_both_forms(tmp_path):
         ("images", {"id": 0, "file_name": "x.png"}, "images[0] and images[2] have the same id 0"),
     ],
 )
-def test_ids_and_names_that_stand_for_two_are_refused(tmp_path, kind, entry, message):
+def test_ambiguous_ids_and_names_are_refused(tmp_path, kind, entry, message):
     content = coco()
     content[kind].append(entry | {"width": W, "height": H})
     folder = write_coco(tmp_path / "photos", content)
@@ -182,19 +180,19 @@ def test_ids_and_names_that_stand_for_two_are_refused(tmp_path, kind, entry, mes
         (BOX, "polygon 1: is 20: a polygon is a list of x, y"),
     ],
 )
-def test_polygons_that_are_none_are_refused_with_a_true_sentence(tmp_path, segmentation, message):
+def test_invalid_polygons_are_refused_with_the_reason(tmp_path, segmentation, message):
     assert message in refusal(write_coco(tmp_path / "photos", coco(segmentation)))
 
 
-def test_boxes_alone_are_no_masks(tmp_path):
+def test_boxes_without_masks_are_refused(tmp_path):
     content = coco()
     del content["annotations"][1]["segmentation"]
     text = refusal(write_coco(tmp_path / "photos", content))
     assert "annotation 1 of 000001.png: has no polygon and no mask, and its box alone" in text
 
 
-def test_an_import_never_continues_what_is_there(tmp_path):
-    """So nothing needs to ask whether the pictures are still the same."""
+def test_an_import_never_continues_an_existing_one(tmp_path):
+    """So the pictures need not be compared with the existing ones."""
     folder = write_coco(tmp_path / "photos", coco())
     imported(folder)
     before = (tmp_path / "photos-out/graycast.json").read_bytes()
@@ -203,7 +201,7 @@ def test_an_import_never_continues_what_is_there(tmp_path):
     assert (tmp_path / "photos-out/graycast.json").read_bytes() == before
 
 
-def test_a_hidden_labelme_file_is_no_label(tmp_path):
+def test_a_hidden_labelme_file_is_ignored(tmp_path):
     write_pictures(tmp_path / "photos")
     labels = tmp_path / "photos/annotations"
     for k in range(2):

@@ -1,4 +1,4 @@
-"""Depth maps whose truth is known in closed form: planes, and plates before a wall with shadows."""
+"""Depth maps in closed form: planes, and plates in front of a wall with shadows."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def rays(height_px=HEIGHT_PX, width_px=WIDTH_PX):
 
 
 def plane(tilt_rad=0.0, distance_m=0.5, height_px=HEIGHT_PX, width_px=WIDTH_PX):
-    """z of a plane through (0, 0, distance), its normal turned by the tilt about y."""
+    """Return z of a plane through (0, 0, distance), its normal rotated by the tilt about y."""
     normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
     return distance_m * normal[2] / (rays(height_px, width_px) @ normal)
 
@@ -27,9 +27,9 @@ def scan(depth_m, **fields):
 
 
 def plates(projector_m, plate_m, wall_m=WALL_M):
-    """Depth of facing plates (left, top, right, bottom, z) [m] before a wall, NaN where unlit.
+    """Return depth of plates (left, top, right, bottom, z) [m] before a wall, NaN where unlit.
 
-    A pixel is lit where the straight line from its point to the projector meets no plate.
+    A pixel is lit if the straight line from its point to the projector meets no plate.
     """
     ray = rays()
     depth_m = np.full(ray.shape[:2], wall_m)
@@ -47,7 +47,7 @@ def plates(projector_m, plate_m, wall_m=WALL_M):
 
 
 def scattered_plates(rng, count=10):
-    """Plates in a loose grid, so that no shadow falls on another plate."""
+    """Return plates in a loose grid, so that no shadow is on another plate."""
     result = []
     for i in range(count):
         x, y = -0.4 + 0.2 * (i % 5), -0.22 + 0.3 * (i // 5)

@@ -17,7 +17,7 @@ def record(*depth_m, **fields):
 
 
 def sphere(radius_m=0.25, middle_m=0.8):
-    """z of a ball before the camera, where it is seen at less than 50 degrees or so."""
+    """Return z of a ball in front of the camera, where the incidence is under about 50 degrees."""
     ray = rays()
     unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     along = unit[..., 2] * middle_m
@@ -25,17 +25,17 @@ def sphere(radius_m=0.25, middle_m=0.8):
     return np.where(root > 0.02, (along - np.sqrt(root.clip(min=0))) * unit[..., 2], np.nan)
 
 
-def test_white_noise_has_its_sigma_in_every_percentile_s_middle():
+def test_the_estimate_of_white_noise_is_its_sigma_at_any_brightness_percentile():
     rng = np.random.default_rng(1)
     depth_m = plane(0.4) + SIGMA_M * rng.standard_normal((240, 320))
     fine = record(depth_m).fine
-    # 1200 tiles of some 15 degrees of freedom each.
+    # 1200 tiles with about 15 degrees of freedom each.
     assert fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=4 * 1.25 / np.sqrt(30 * 1200))
     assert fine.rough < 0.03
 
 
-def test_the_median_of_a_tile_is_that_of_drawn_noise():
-    """Oracle: thirty thousand tiles of white noise, not a law with its moments."""
+def test_the_median_of_a_tile_agrees_with_simulated_noise():
+    """Oracle: thirty thousand tiles of white noise, not a formula with their moments."""
     noise = np.random.default_rng(2).standard_normal((30_000, 8, 8))
     along = noise[:, :, :-2] - 2 * noise[:, :, 1:-1] + noise[:, :, 2:]
     mixed = (along[:, :-2] - 2 * along[:, 1:-1] + along[:, 2:]) / 6
@@ -43,7 +43,7 @@ def test_the_median_of_a_tile_is_that_of_drawn_noise():
     assert median_over_mean() == pytest.approx(np.median(power) / power.mean(), rel=0.01)
 
 
-def test_a_ball_s_noise_is_measured_where_a_plane_fit_finds_no_patch():
+def test_noise_of_a_ball_is_measured_where_no_plane_can_be_fitted():
     rng = np.random.default_rng(3)
     depth_m = sphere()
     depth_m = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
@@ -53,7 +53,7 @@ def test_a_ball_s_noise_is_measured_where_a_plane_fit_finds_no_patch():
     assert figures.fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.03)
 
 
-def test_fine_noise_is_put_down_to_the_brightness_it_was_measured_at():
+def test_fine_noise_is_assigned_to_the_brightness_of_its_pixels():
     rng = np.random.default_rng(6)
     gray = np.full((240, 320), 0.7)
     gray[:, 160:] = 0.05
@@ -88,8 +88,8 @@ def test_incidence_is_the_angle_between_ray_and_normal():
     assert np.sort(fine.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
 
 
-def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():
-    """Shape and a fixed pattern cancel; noise of two neighbours' mean has a half at lag 1."""
+def test_the_noise_of_a_pair_is_its_independent_part_with_its_correlation():
+    """Shape and a fixed pattern cancel; the mean of two neighbours has a half at lag 1."""
     rng = np.random.default_rng(8)
     fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))
 
@@ -103,7 +103,7 @@ def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():
     assert pair.along_rows == pytest.approx((0, 0, 0), abs=0.02)
 
 
-def test_what_moved_between_two_maps_is_no_noise():
+def test_movement_between_two_maps_is_not_counted_as_noise():
     rng = np.random.default_rng(9)
     first, second = (plane() + SIGMA_M * rng.standard_normal((240, 320)) for _ in range(2))
     second[60:160, 100:220] -= 0.05
@@ -112,13 +112,13 @@ def test_what_moved_between_two_maps_is_no_noise():
     assert pair.pixels < 240 * 320 - 100 * 120 + 1
 
 
-def test_maps_of_two_cameras_make_no_pair():
+def test_maps_of_two_cameras_are_not_a_pair():
     other = scan(plane(), K=np.array([[310.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]]))
     assert measure_pair(scan(plane()), other) is None
     assert pool([measure_scan(scan(plane()))], name="one").pairs.sigma_m is None
 
 
-def test_islands_are_told_by_size():
+def test_islands_are_counted_by_size():
     depth_m = np.full((60, 60), 0.5)
     depth_m[5, 5] = depth_m[20, 20:23] = depth_m[40, 10:17] = np.nan
     depth_m[30, 40:45] = np.nan

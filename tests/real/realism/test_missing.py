@@ -1,4 +1,4 @@
-"""Missing pixels, the drop-out step and islands, in known number."""
+"""Missing pixels, the drop-out step and islands of known numbers."""
 
 import numpy as np
 import pytest
@@ -19,18 +19,18 @@ def test_shares_are_of_all_pixels_of_all_maps():
     assert record(scan(full), scan(half)).missing.share == 0.25
 
 
-def test_reasons_are_those_of_missing_pixels_alone():
+def test_reasons_are_counted_for_missing_pixels_only():
     depth_m = plane()
     depth_m[:24] = np.nan
     depth_m[24:36] = np.nan
     reason = np.zeros(depth_m.shape, dtype=np.uint8)
-    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 where depth is known: does not count
+    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 where depth is known: is ignored
     figures = record(scan(depth_m, reason=reason, reason_names={1: "SHADOW", 2: "SATURATED"}))
     assert figures.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
 
 
 def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
-    """A ramp of brightness; below 0.04 nine of ten pixels are missing, above one of fifty."""
+    """Of a ramp of brightness, nine of ten pixels are missing below 0.04, one of fifty above."""
     rng = np.random.default_rng(1)
     depth_m = plane(height_px=400, width_px=600)
     gray = np.round(255 * np.linspace(0, 0.3, depth_m.size)).reshape(depth_m.shape) / 255
@@ -44,7 +44,7 @@ def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
 
 
 @pytest.mark.slow
-def test_a_gradual_drop_out_is_told_by_its_width():
+def test_a_gradual_drop_out_has_its_width():
     """The missing share falls linearly from 0.05 to 0.15: three quarters of it from 1 to 1/4."""
     rng = np.random.default_rng(2)
     depth_m = plane(height_px=800, width_px=600)
@@ -55,7 +55,7 @@ def test_a_gradual_drop_out_is_told_by_its_width():
     assert drop.last - drop.first == pytest.approx(0.05, abs=0.015)
 
 
-def test_missing_pixels_of_any_brightness_make_no_step():
+def test_missing_pixels_of_any_brightness_give_no_step():
     rng = np.random.default_rng(3)
     depth_m, gray = plane(), rng.uniform(0, 1, plane().shape)
     depth_m[rng.random(depth_m.shape) < 0.3] = np.nan
@@ -67,14 +67,14 @@ def test_missing_pixels_of_any_brightness_make_no_step():
 
 
 def test_islands_are_counted_up_to_ten_pixels():
-    """Holes in a plane and specks in a void, of 1 to 20 pixels, far from each other."""
+    """Holes in a plane and isolated specks, of 1 to 20 pixels, far from each other."""
     depth_m = np.concatenate([plane(), np.full_like(plane(), np.nan)])
     sizes = [1, 2, 5, 10, 11, 20]
     for i, size in enumerate(sizes):
         depth_m[20, 10 + 30 * i : 10 + 30 * i + size] = np.nan
         depth_m[300, 10 + 30 * i : 10 + 30 * i + size] = 0.5
     depth_m[100, 100] = depth_m[101, 101] = np.nan  # one hole: corners connect
-    # These go on beyond the border, perhaps.
+    # These may continue beyond the border.
     depth_m[0, 5] = depth_m[60, 0] = depth_m[60, -1] = np.nan
     depth_m[-1, 5] = depth_m[400, 0] = depth_m[400, -1] = 0.5
     islands = record(scan(depth_m)).islands
@@ -83,7 +83,7 @@ def test_islands_are_counted_up_to_ten_pixels():
     assert islands.speck_share == pytest.approx((1 + 2 + 5 + 10) / depth_m.size)
 
 
-def test_a_scan_refuses_what_is_no_depth():
+def test_an_array_that_is_no_depth_is_refused():
     with pytest.raises(ValueError, match="write NaN"):
         scan(np.zeros((4, 4)))
     with pytest.raises(ValueError, match="0 to 1"):

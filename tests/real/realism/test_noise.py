@@ -18,7 +18,7 @@ PATCHES = 20 * 28
 
 
 def noise_like(shape, rng, kernel=None):
-    """Noise of variance one; a kernel correlates it."""
+    """Return noise of variance one, correlated by a kernel."""
     if kernel is None:
         return rng.standard_normal(shape)
     white = rng.standard_normal(np.add(shape, 20))
@@ -31,7 +31,7 @@ def noisy_plane(rng, kernel=None, tilt_rad=0.0, sigma_m=SIGMA_M, size=SIZE_PX):
     return depth_m + sigma_m * noise_like(depth_m.shape, rng, kernel)
 
 
-def test_white_noise_on_a_plane_has_the_sigma_that_was_put_in():
+def test_white_noise_on_a_plane_is_measured_with_its_sigma():
     noise = measure_noise(scan(noisy_plane(np.random.default_rng(1))))
     variance = (noise.sigma_m**2).mean() / SIGMA_M**2
     standard_error = np.sqrt(2 / (FREEDOM * len(noise.sigma_m)))
@@ -39,7 +39,7 @@ def test_white_noise_on_a_plane_has_the_sigma_that_was_put_in():
     assert abs(variance - 1) < 4 * standard_error
 
 
-def test_the_scatter_over_patches_is_that_of_chi_square():
+def test_the_scatter_of_patches_is_that_of_chi_square():
     sigma_m = measure_noise(scan(noisy_plane(np.random.default_rng(2)))).sigma_m
     expected = SIGMA_M / np.sqrt(2 * FREEDOM)
     assert sigma_m.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * len(sigma_m)))
@@ -57,7 +57,7 @@ def test_the_scatter_over_patches_is_that_of_chi_square():
     ids=["white", "3x3 box", "pairs along rows", "1 2 1 along columns", "5x5 box"],
 )
 def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, columns):
-    """The kernel's own autocorrelation, in closed form. Uncorrected, a 3 x 3 box gives 0.62."""
+    """Oracle: the kernel's autocorrelation in closed form. Uncorrected, a 3 x 3 box gives 0.62."""
     record = pool([measure_scan(scan(noisy_plane(np.random.default_rng(3), kernel)))], name="plane")
     tolerance = 4 * np.sqrt(kernel.size**2 / kernel.size / np.prod(SIZE_PX)) + 1e-3
     assert record.autocorrelation.along_rows == pytest.approx(rows, abs=2 * tolerance)
@@ -73,8 +73,8 @@ def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
     assert abs((noise.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
 
 
-def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
-    """A patch is bent by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
+def test_a_sphere_gives_no_patch_and_a_plane_next_to_it_gives_all():
+    """A patch is curved by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
     rng = np.random.default_rng(8)
     ray, radius_m, middle = rays(), 0.06, np.array([0.0, 0.0, 0.56])
     unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
@@ -91,8 +91,8 @@ def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
     assert np.median(noise.sigma_m) == pytest.approx(SIGMA_M, rel=0.01)
 
 
-def test_patches_with_an_edge_in_them_are_left_out():
-    """Steps of 3 sigma at every 25th column: every patch of 15 but those that lie between."""
+def test_patches_with_an_edge_are_left_out():
+    """Every 25th column has a step of 3 sigma: only patches of 15 between them are used."""
     rng = np.random.default_rng(9)
     columns = np.arange(SIZE_PX[1])
     depth_m = noisy_plane(rng) + 4 * SIGMA_M * ((columns // 25) % 2)
@@ -117,7 +117,7 @@ def test_spikes_and_holes_do_not_spoil_a_patch():
 
 
 def test_the_correction_for_the_fit_is_exact_in_expectation():
-    """Covariances through the projector of the fit, done here with explicit matrices."""
+    """Oracle: covariances through the projection of the fit, with explicit matrices."""
     y, x = np.divmod(np.arange(225), 15)
     design = np.stack([np.ones(225), x, y], axis=1).astype(float)
     left = np.eye(225) - design @ np.linalg.pinv(design)
@@ -132,7 +132,7 @@ def test_the_correction_for_the_fit_is_exact_in_expectation():
     assert autocorrelation(np.array(products)) == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_map_without_a_flat_patch_has_no_figures():
+def test_a_map_without_a_flat_patch_has_no_noise_figures():
     record = pool([measure_scan(scan(np.full((40, 50), np.nan)))], name="empty")
     assert record.noise.percentiles_m is None
     assert record.autocorrelation.along_rows is None

@@ -1,4 +1,4 @@
-"""The same depth map from every kind of file, and what is said about files that cannot be read."""
+"""The same depth map from every kind of file, and errors about unreadable files."""
 
 import json
 import subprocess
@@ -19,14 +19,14 @@ SCALE_M = 1e-4
 
 @pytest.fixture
 def depth_m():
-    """A tilted plane in steps of 0.1 mm with a hole."""
+    """Return a tilted plane in steps of 0.1 mm with a hole."""
     depth_m = np.round(plane(0.3, height_px=30, width_px=40) / SCALE_M) * SCALE_M
     depth_m[5:9, 7:12] = np.nan
     return depth_m
 
 
 def ply(depth_m, form, *, info="obj_info num_cols 40\nobj_info num_rows 30\n", color=False):
-    """An organised cloud [mm] as a scanner might write it."""
+    """Return an organised cloud [mm] as a scanner might write it."""
     point = np.nan_to_num(rays(*depth_m.shape) * depth_m[..., None] * 1e3).reshape(-1, 3)
     order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}[form]
     kind = [(axis, order + "f4") for axis in "xyz"]
@@ -73,13 +73,13 @@ def test_the_largest_number_is_no_depth_in_files_and_in_scene_folders(tmp_path, 
         np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
-def test_a_map_of_one_channel_is_a_map(tmp_path, depth_m):
+def test_a_map_of_one_channel_is_read_as_a_map(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m[..., None])
     np.testing.assert_array_equal(one(tmp_path / "a.npy", K=K).depth_m, depth_m)
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_an_organised_ply_brings_depth_and_camera(tmp_path, depth_m, form):
+def test_an_organised_ply_gives_depth_and_camera(tmp_path, depth_m, form):
     (tmp_path / "a.ply").write_bytes(ply(depth_m, form))
     scan = one(tmp_path / "a.ply", scale_m=1e-3)
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-6)
@@ -87,12 +87,12 @@ def test_an_organised_ply_brings_depth_and_camera(tmp_path, depth_m, form):
     assert scan.gray is None
 
 
-def test_a_coloured_ply_brings_its_brightness(tmp_path, depth_m):
+def test_a_coloured_ply_gives_its_brightness(tmp_path, depth_m):
     (tmp_path / "a.ply").write_bytes(ply(depth_m, "binary_little_endian", color=True))
     np.testing.assert_allclose(one(tmp_path / "a.ply", scale_m=1e-3).gray, 60 / 255)
 
 
-def test_pictures_and_reasons_go_with_the_depth_files_in_their_order(tmp_path, depth_m):
+def test_pictures_and_reasons_are_matched_to_depth_files_by_their_order(tmp_path, depth_m):
     for i in range(2):
         np.save(tmp_path / f"{i}.npy", depth_m)
         cv2.imwrite(str(tmp_path / f"g{i}.png"), np.full((30, 40, 3), 51 * (i + 1), np.uint8))
@@ -124,10 +124,10 @@ def bop_scene(folder, depth_m, suffix=""):
 
 
 @pytest.mark.parametrize("level", ["", "train", "train/000003"])
-def test_a_dataset_of_ours_brings_everything(tmp_path, depth_m, level):
+def test_a_dataset_of_ours_gives_all_data(tmp_path, depth_m, level):
     scene = tmp_path / "train" / "000003"
     bop_scene(scene, depth_m, "_sl")
-    bop_scene(scene, np.full((30, 40), 0.7))  # the perfect depth beside it, not to be taken
+    bop_scene(scene, np.full((30, 40), 0.7))  # the perfect depth, which is not to be used
     (scene / "scene_sl.json").write_text('{"0": {"reasons": {"DECODED": 0, "SHADOW": 1}}}')
     T = np.eye(4)
     T[:3, 3] = [0.3, 0.0, 0.4]
@@ -140,7 +140,7 @@ def test_a_dataset_of_ours_brings_everything(tmp_path, depth_m, level):
     assert scan.baseline_m == pytest.approx(0.5)
 
 
-def test_a_foreign_bop_dataset_is_read_by_its_plain_names(tmp_path, depth_m):
+def test_another_bop_dataset_is_read_by_its_standard_names(tmp_path, depth_m):
     bop_scene(tmp_path / "test" / "000001", depth_m)
     scan = one(tmp_path)
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
@@ -179,7 +179,7 @@ def test_intrinsics_are_read_from_every_form(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("text", ["300,300", "nothing.json", "a,b,c,d", "0,0,1,1"])
-def test_intrinsics_that_are_none_are_refused(text):
+def test_invalid_intrinsics_are_refused(text):
     with pytest.raises(DatasetError, match="give fx,fy,cx,cy"):
         read_intrinsics(text)
 
@@ -200,7 +200,7 @@ def refusal(path, **options):
     return str(caught.value)
 
 
-def test_what_is_not_given_is_asked_for(tmp_path, depth_m):
+def test_missing_options_are_named(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m)
     np.save(tmp_path / "i.npy", np.ones((4, 4), np.uint16))
     np.save(tmp_path / "mm.npy", 1e3 * depth_m)
@@ -212,7 +212,7 @@ def test_what_is_not_given_is_asked_for(tmp_path, depth_m):
         list(read_scans([tmp_path / "a.npy"] * 2, options=options, gray=[tmp_path / "g.png"]))
 
 
-def test_a_ply_that_is_not_organised_is_refused_with_what_it_lacks(tmp_path, depth_m):
+def test_an_unorganised_ply_is_refused_with_what_is_missing(tmp_path, depth_m):
     path = tmp_path / "a.ply"
     path.write_bytes(ply(depth_m, "ascii", info=""))
     assert "obj_info num_cols" in refusal(path)
@@ -231,8 +231,8 @@ def test_a_ply_that_is_not_organised_is_refused_with_what_it_lacks(tmp_path, dep
     assert "is not a PLY" in refusal(path)
 
 
-def test_a_ply_of_another_frame_is_not_given_a_camera(tmp_path, depth_m):
-    """Points turned by 20 degrees about y are seen by no camera in their pixels."""
+def test_a_ply_in_another_frame_gives_no_camera(tmp_path, depth_m):
+    """No camera sees points that are rotated by 20 degrees about y in their pixels."""
     path = tmp_path / "a.ply"
     data = ply(depth_m, "binary_little_endian")
     at = data.index(b"end_header\n") + len(b"end_header\n")
@@ -245,7 +245,7 @@ def test_a_ply_of_another_frame_is_not_given_a_camera(tmp_path, depth_m):
 
 @pytest.mark.slow
 def test_a_picture_of_another_size_is_refused(tmp_path, depth_m):
-    """In a process of its own that checks no annotations, as users have it."""
+    """In a process of its own without checks of annotations, as for users."""
     np.save(tmp_path / "a.npy", depth_m)
     np.save(tmp_path / "g.npy", np.zeros((3, 3)))
     call = (

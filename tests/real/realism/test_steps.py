@@ -1,4 +1,4 @@
-"""Jumps, flying pixels and the projector's place, from plates before a wall."""
+"""Jumps, flying pixels and the projector's position, from plates in front of a wall."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from graycast.real.realism.gaps import estimate_baseline, find_gaps
 
 from .synthetic import K, plane, plates, scan, scattered_plates
 
-# The side on which the projector stands, its place, and the jumps that are then in shadow.
+# The side of the projector, its position, and the jumps that are then in shadow.
 SIDES = {
     "right": ((0.2, 0.0, 0.0), "left_farther"),
     "left": ((-0.2, 0.0, 0.0), "right_farther"),
@@ -25,8 +25,8 @@ def baseline(scans):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_jumps_lie_on_every_side_but_that_of_the_shadow(side):
-    """One plate: as many jumps as it has rows or columns, and none into its shadow."""
+def test_jumps_are_on_every_side_except_that_of_the_shadow(side):
+    """One plate has as many jumps as rows or columns, and none into its shadow."""
     projector_m, shadowed = SIDES[side]
     depth_m = plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])
     counts = count_steps(scan(depth_m))
@@ -39,8 +39,8 @@ def test_jumps_lie_on_every_side_but_that_of_the_shadow(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_gap_is_as_wide_as_the_formula_says(side):
-    """w = f b (1/z_near - 1/z_far), within the pixel that the two rims are rounded to."""
+def test_the_width_of_a_gap_follows_its_formula(side):
+    """w = f b (1/z_near - 1/z_far), to the pixel of the rounding of both rims."""
     projector_m, _ = SIDES[side]
     gaps = find_gaps(scan(plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])))
     rims = gaps[0] if side in ("right", "left") else gaps[1]
@@ -55,7 +55,7 @@ def test_a_gap_is_as_wide_as_the_formula_says(side):
     + [("right", 0.0)]
     + [slow(side, 0.0) for side in SIDES if side != "right"],
 )
-def test_the_shadows_tell_side_and_length_of_the_baseline(side, forward_m):
+def test_shadows_give_side_and_length_of_the_baseline(side, forward_m):
     projector_m = (*SIDES[side][0][:2], forward_m)
     rng = np.random.default_rng(1)
     scans = [scan(plates(projector_m, scattered_plates(rng))) for _ in range(6)]
@@ -69,8 +69,8 @@ def test_the_shadows_tell_side_and_length_of_the_baseline(side, forward_m):
     assert abs(estimate.eaten_px) < 0.5
 
 
-def test_rims_that_a_filter_has_eaten_do_not_change_the_baseline():
-    """Two pixels less on either side of every gap: uncorrected, 20 to 40 % too much."""
+def test_rims_removed_by_a_filter_do_not_change_the_baseline():
+    """Every gap is two pixels wider on both sides: uncorrected, this is 20 to 40 % too much."""
     rng = np.random.default_rng(2)
     scans = []
     for _ in range(6):
@@ -86,7 +86,7 @@ def test_rims_that_a_filter_has_eaten_do_not_change_the_baseline():
     assert estimate.plain_m > 1.15 * 0.2
 
 
-def test_holes_at_random_show_no_projector():
+def test_random_holes_show_no_projector():
     rng = np.random.default_rng(3)
     depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))  # light from the camera: no shadow
     assert not np.isnan(depth_m).any()
@@ -97,7 +97,7 @@ def test_holes_at_random_show_no_projector():
 
 
 def test_flying_pixels_are_counted_one_by_one():
-    """Every second row of a plate's right rim gets a pixel in the middle of the air."""
+    """Every second row of a plate's right rim has a pixel between plate and wall."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     clean = count_steps(scan(depth_m))
     y, x = np.nonzero(depth_m == 0.8)
@@ -110,7 +110,7 @@ def test_flying_pixels_are_counted_one_by_one():
     assert counts.flying == len(rows)
 
 
-def test_flyers_at_the_rim_of_a_shadow_are_counted_too():
+def test_flying_pixels_at_the_rim_of_a_shadow_are_counted_too():
     depth_m = plates((0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     y, x = np.nonzero(depth_m == 0.8)
     rows = np.arange(y.min() + 4, y.max() - 4, 2)
@@ -119,7 +119,7 @@ def test_flyers_at_the_rim_of_a_shadow_are_counted_too():
     assert count_steps(scan(depth_m)).flying == len(rows)
 
 
-def test_a_jump_with_a_flyer_in_it_is_still_one_jump():
+def test_a_jump_with_a_flying_pixel_in_it_counts_once():
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     before = count_steps(scan(depth_m.copy()))
     y, x = np.nonzero(depth_m == 0.8)
@@ -129,7 +129,7 @@ def test_a_jump_with_a_flyer_in_it_is_still_one_jump():
 
 
 @pytest.mark.parametrize("tilt_deg", [60, 75, 80])
-def test_a_steep_plane_with_holes_has_neither_jumps_nor_flyers(tilt_deg):
+def test_a_steep_plane_with_holes_has_neither_jumps_nor_flying_pixels(tilt_deg):
     rng = np.random.default_rng(4)
     depth_m = plane(np.radians(tilt_deg), width_px=200)
     depth_m = np.where((depth_m > 0.1) & (depth_m < 3), depth_m, np.nan)
@@ -139,7 +139,7 @@ def test_a_steep_plane_with_holes_has_neither_jumps_nor_flyers(tilt_deg):
 
 
 def test_jumps_do_not_depend_on_the_unit_of_length():
-    """All lengths times seven: the same picture, so the same counts."""
+    """All lengths times seven give the same picture and the same counts."""
     depth_m = plates((0.2, 0.0, 0.0), scattered_plates(np.random.default_rng(5)))
     assert count_steps(scan(depth_m)) == count_steps(scan(7 * depth_m))
 
@@ -151,8 +151,8 @@ def test_a_mirrored_map_has_mirrored_jumps():
     assert (there.flying, there.below_farther) == (back.flying, back.below_farther)
 
 
-def test_a_spike_before_or_behind_both_surfaces_does_not_fly():
-    """It is wrong, but hangs not between them: islands and outliers tell of it."""
+def test_an_outlier_in_front_of_or_behind_both_surfaces_is_not_flying():
+    """It is wrong, but not between them: islands and outliers count it."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     y, x = np.nonzero(depth_m == 0.8)
     rows = np.arange(y.min() + 4, y.max() - 4, 4)
@@ -162,10 +162,10 @@ def test_a_spike_before_or_behind_both_surfaces_does_not_fly():
 
 
 @pytest.mark.parametrize("filled", [0.04, 0.1, 0.5])
-def test_a_map_of_scattered_pixels_is_counted_without_a_numerical_warning(filled):
-    """Seven valid pixels may go on in the next row, under one another: they are no run.
+def test_a_map_of_isolated_pixels_causes_no_numerical_warning(filled):
+    """Seven valid pixels at the end of a row and the start of the next are no run.
 
-    Oracle: each row alone, where no run can leave it.
+    Oracle: each row alone, which no run can leave.
     """
     rng = np.random.default_rng(5)
     depth_m = np.where(rng.random((60, 24)) < filled, rng.choice([0.8, 0.7], (60, 24)), np.nan)

@@ -1,4 +1,4 @@
-"""Records: pooled, saved, printed and drawn."""
+"""Records of realism: pooled, saved, printed and drawn."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def record():
     return pool([measure_scan(noisy_scan(seed)) for seed in range(3)], name="three")
 
 
-def test_a_set_of_equal_maps_has_the_figures_of_one():
+def test_a_set_of_equal_maps_has_the_figures_of_one_map():
     one = measure_scan(noisy_scan(1))
     single, triple = pool([one], name="x"), pool([one] * 3, name="x")
     counted = {"scans", "pixels", "noise", "fine", "missing", "autocorrelation", "baseline"}
@@ -37,7 +37,7 @@ def test_a_set_of_equal_maps_has_the_figures_of_one():
     assert single.autocorrelation.along_rows == pytest.approx(triple.autocorrelation.along_rows)
 
 
-def test_a_record_survives_its_file(tmp_path, record):
+def test_a_record_is_read_back_from_its_file(tmp_path, record):
     write_record(record, tmp_path / "realism.json")
     assert read_record(tmp_path) == record == read_record(tmp_path / "realism.json")
 
@@ -66,7 +66,7 @@ def test_the_table_has_the_figures_in_readable_units(record):
     assert all(len(line) <= 100 for line in lines)
 
 
-def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
+def test_two_sets_are_side_by_side_with_a_dash_for_a_missing_figure(record):
     rng = np.random.default_rng(5)
     bare = pool([measure_scan(scan(0.5 + 1e-4 * rng.standard_normal((240, 320))))], name="bare")
     lines = table(record, bare).splitlines()
@@ -115,6 +115,6 @@ def test_the_plots_show_each_record_in_its_colour(tmp_path, record):
     assert (two == orange).all(axis=-1).sum() > 1000
 
 
-def test_a_plot_that_cannot_be_written_says_so(tmp_path, record):
+def test_a_plot_that_cannot_be_written_is_named(tmp_path, record):
     with pytest.raises(GraycastError, match="cannot be written"):
         draw_realism([record], tmp_path / "missing" / "a.png")

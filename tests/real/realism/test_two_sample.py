@@ -1,4 +1,4 @@
-"""The two-sample test: sets of one law are alike, and one that differs is told by what differs."""
+"""The two-sample test: equal sets look alike, and a difference is named."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ SIZE = {"height_px": 160, "width_px": 192}
 
 @pytest.fixture(autouse=True)
 def few_trees(monkeypatch):
-    """A tenth of the trees: what these sets differ by is plain."""
+    """Use a tenth of the trees, since the differences of these sets are clear."""
     monkeypatch.setattr(two_sample, "_TREES", 20)
 
 
@@ -35,8 +35,8 @@ def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
 
 
 @pytest.mark.slow
-def test_sets_of_one_law_cannot_be_told_apart():
-    """And their AUC is near a half by every group, whatever the classifier."""
+def test_sets_of_one_law_cannot_be_distinguished():
+    """Their AUC is near a half for every group and classifier."""
     a, b = (cut_squares(maps(4, seed)) for seed in (1, 2))
     for place in ("smooth", "floor"):
         assert sensor_auc(a, b, place, seed=0) == pytest.approx(0.5, abs=0.1)
@@ -50,7 +50,7 @@ def test_sets_of_one_law_cannot_be_told_apart():
         slow({"drop": 0.01}, "holes_1", "holes"),
     ],
 )
-def test_what_differs_is_named(change, feature, group):
+def test_the_difference_of_two_sets_is_named(change, feature, group):
     first, second = maps(3, 1), maps(3, 2, **change)
     test = two_sample_test(first, second, names=("a", "b"), seed=0)
     versus = test.row["a against b"]["floor"]
@@ -62,7 +62,7 @@ def test_what_differs_is_named(change, feature, group):
 
 
 @pytest.mark.slow
-def test_naive_depth_stands_in_the_table_and_is_told(tmp_path):
+def test_perfect_depth_is_in_the_table_and_is_distinguished(tmp_path):
     first, second = maps(2, 1), maps(2, 2)
     bare = [scan(plane(0.3, **SIZE)) for _ in range(2)]
     test = two_sample_test(first, second, perfect=bare, names=("real", "b"), seed=0)
@@ -89,9 +89,9 @@ def test_the_same_seed_gives_the_same_table():
 
 
 @pytest.mark.slow
-def test_files_in_coarse_steps_are_not_what_gives_a_set_away(monkeypatch):
-    """Both sets are brought to the coarser step first."""
-    monkeypatch.setattr(patches, "_DRAWS", 200)  # all that there is is the floor
+def test_coarse_steps_of_files_do_not_distinguish_two_sets(monkeypatch):
+    """Both sets are rounded to the coarser step first."""
+    monkeypatch.setattr(patches, "_DRAWS", 200)  # only the floor exists
     step_m = 1e-4
     first, second = maps(3, 1, step_m=step_m), maps(3, 2)
     assert depth_step_m(first) == pytest.approx(step_m)
@@ -100,7 +100,7 @@ def test_files_in_coarse_steps_are_not_what_gives_a_set_away(monkeypatch):
     assert sensor_auc(a, b, "smooth", seed=0) == pytest.approx(0.5, abs=0.12)
 
 
-def test_the_floor_is_the_plane_that_was_drawn():
+def test_the_estimated_floor_is_the_true_plane():
     tilt_rad, distance_m = 0.3, 0.5
     depth_m = [one.depth_m.copy() for one in maps(2, 1)]
     for one in depth_m:
@@ -112,10 +112,10 @@ def test_the_floor_is_the_plane_that_was_drawn():
 
 
 @pytest.mark.parametrize("seed", [0, 1, *map(slow, range(2, 6))])
-def test_a_floor_is_found_where_it_is_an_eighth_of_the_depth(seed):
-    """The rest are boxes that lean as they like, none of them as large as the floor that is left.
+def test_a_floor_is_found_if_it_is_an_eighth_of_the_depth(seed):
+    """The rest are randomly tilted boxes, each smaller than the visible floor.
 
-    Three random pixels lie on the floor once in 512 draws.
+    Three random pixels are all on the floor once in 512 draws.
     """
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:240, :300]
@@ -134,7 +134,7 @@ def test_a_floor_is_found_where_it_is_an_eighth_of_the_depth(seed):
     assert g[:2] == pytest.approx([0, 0], abs=1e-5)
 
 
-def test_second_differences_do_not_hear_a_bend():
+def test_second_differences_do_not_depend_on_curvature():
     y, x = np.mgrid[:32, :32] / 32.0
     bent = 0.5 + 0.01 * x**2 - 0.02 * y**2 + 0.01 * x * y + 0.003 * x**3
     assert np.abs(patches.second_difference(bent)).max() < 1e-15
@@ -143,11 +143,11 @@ def test_second_differences_do_not_hear_a_bend():
     assert patches.third_difference(white).std() == pytest.approx(1.0, rel=0.02)
 
 
-def test_the_sensor_s_features_are_not_the_shape_s():
+def test_features_of_the_sensor_do_not_contain_those_of_the_shape():
     assert set(GROUPS["sensor"]).isdisjoint(GROUPS["shape"] + GROUPS["steps"])
 
 
-def test_one_map_is_refused_and_so_is_a_missing_package(monkeypatch):
+def test_one_map_is_refused_and_a_missing_package_is_named(monkeypatch):
     with pytest.raises(
         GraycastError, match="depth map: give at least two, because the test leaves out each map"
     ):

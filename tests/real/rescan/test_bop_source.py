@@ -1,4 +1,4 @@
-"""Datasets in BOP's form: a cube of known pose is read back, and what is wrong is refused."""
+"""Datasets in BOP's form: a cube of known pose is read, and faults are refused."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def opened(path, **options):
 
 
 def change(path, **entry):
-    """Other keys of the first image, or of its first instance; None removes a key."""
+    """Change keys of the first image, or of its first instance; None removes a key."""
     content = json.loads(path.read_text())
     first = content["0"][0] if isinstance(content["0"], list) else content["0"]
     for key, value in entry.items():
@@ -48,7 +48,7 @@ def change(path, **entry):
 
 
 def refusal(path, *words, **options):
-    """Opening and reading ends with one line that has the words."""
+    """Check that opening and reading give an error of one line with this text."""
     with pytest.raises(DatasetError) as caught:
         source = opened(path, **options)
         for scene_id, image_id in source.images:
@@ -60,8 +60,8 @@ def refusal(path, *words, **options):
     return text
 
 
-def test_a_cube_comes_back_with_its_depth_pose_and_camera(tmp_path):
-    """Oracle: the depth of `rig/meshdepth` at the pose that the file states."""
+def test_a_cube_is_read_with_its_depth_pose_and_camera(tmp_path):
+    """Oracle: the depth of `rig/meshdepth` at the pose in the file."""
     rgb = np.full((48, 64, 3), (200, 90, 40), np.uint8)
     split = write_dataset(tmp_path, images=(0, 7), rgb=rgb)
     source = pickle.loads(pickle.dumps(opened(split)))
@@ -88,8 +88,8 @@ def test_parts_of_a_dataset_of_ours_keep_their_names(tmp_path):
     assert not any(name.startswith("obj_") for name in names.values())
 
 
-def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path):
-    """Oracle: the reader of training, which has its own way from the files to arrays."""
+def test_the_reader_for_training_reads_the_same_depth_and_poses(tmp_path):
+    """Oracle: the reader for training, which shares no code from the files to arrays."""
     split = write_dataset(tmp_path, rgb=np.zeros((48, 64, 3), np.uint8))
     scene = split / "000000"
     infos = [{"px_count_visib": 9, "visib_fract": 1.0}]
@@ -101,7 +101,7 @@ def test_the_foreign_reader_of_training_reads_the_same_depth_and_poses(tmp_path)
     assert np.array_equal(example.rgb, image.rgb)
 
 
-def test_what_blenderproc_writes_needs_models_or_depth_alone(tmp_path):
+def test_files_of_blenderproc_need_only_models_or_depth(tmp_path):
     split = write_dataset(tmp_path / "lm")
     (tmp_path / "lm/models").rename(tmp_path / "elsewhere")
     write_json(tmp_path / "lm/camera.json", {"fx": 1.0})
@@ -113,7 +113,7 @@ def test_what_blenderproc_writes_needs_models_or_depth_alone(tmp_path):
     assert image.T_cam_part.shape == (0, 4, 4)
 
 
-def test_models_of_cad_go_before_reconstructed_ones_and_those_for_scores(tmp_path):
+def test_cad_models_are_preferred_to_reconstructed_ones_and_those_for_scores(tmp_path):
     split = write_dataset(tmp_path)
     (tmp_path / "models").rename(tmp_path / "models_eval")
     assert np.allclose(opened(split).parts[1].mesh.extent_m, 0.06)
@@ -132,10 +132,10 @@ def test_grey_pictures_have_three_equal_bands(tmp_path):
     rgb = opened(split).read(0, 0).rgb
     assert (rgb == (level // 256)[..., None]).all()
     png(split / "000000/rgb/000000.png", np.full((48, 64, 3), (1, 2, 3), np.uint8))
-    assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # colours go first
+    assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # colours are preferred
 
 
-def test_floats_of_a_tiff_have_a_scale_too_and_may_be_unknown(tmp_path):
+def test_tiff_floats_have_a_scale_and_may_be_unknown(tmp_path):
     split = write_dataset(tmp_path)
     (split / "000000/depth/000000.png").unlink()
     values = (true_depth_m() * 1e3 / SCALE_MM).astype(np.float32)
@@ -149,17 +149,17 @@ def test_floats_of_a_tiff_have_a_scale_too_and_may_be_unknown(tmp_path):
     refusal(split, "000000.tif", "negative depth")
 
 
-def test_distortion_is_read_where_a_file_states_it(tmp_path):
+def test_distortion_is_read_if_a_file_states_it(tmp_path):
     split = write_dataset(tmp_path)
     change(split / "000000/scene_camera.json", distortion=[0.1, 0, 0, 0.001, 0])
     assert opened(split).read(0, 0).camera.distortion == (0.1, 0.0, 0.0, 0.001, 0.0)
 
 
-def test_one_of_several_sensors_is_read_by_its_name(tmp_path):
+def test_one_of_several_sensors_is_selected_by_name(tmp_path):
     scene = tmp_path / "val/000003"
     write_scene(scene, "photoneo")
     write_scene(scene, "cam1")
-    write_scene(scene, "sl")  # what our scanner adds is no sensor
+    write_scene(scene, "sl")  # the depth of our scanner is no sensor
     (scene / "aolp_cam1").mkdir()
     write_models(tmp_path / "models")
     change(scene / "scene_gt_cam1.json", cam_t_m2c=[0.0, 0.0, 700.0])
@@ -176,11 +176,11 @@ def test_one_of_several_sensors_is_read_by_its_name(tmp_path):
     refusal(tmp_path / "val", "depth_cam1", "--sensor")
 
 
-def test_a_sensor_is_not_asked_of_a_dataset_with_one_camera(tmp_path):
+def test_a_dataset_with_one_camera_needs_no_sensor(tmp_path):
     refusal(write_dataset(tmp_path), "leave out --sensor cam1", sensor="cam1")
 
 
-def test_a_scale_of_the_user_goes_before_the_files_own(tmp_path):
+def test_a_scale_of_the_user_replaces_the_file_s(tmp_path):
     split = write_dataset(tmp_path)
     doubled = opened(split, depth_scale_mm=2 * SCALE_MM).read(0, 0).depth_m
     assert np.allclose(doubled, 2 * opened(split).read(0, 0).depth_m)
@@ -191,7 +191,7 @@ def test_a_scale_of_the_user_goes_before_the_files_own(tmp_path):
         SourceOptions(depth_scale_mm=-1.0)
 
 
-def test_an_image_without_objects_has_none_only_where_the_file_says_so(tmp_path):
+def test_an_image_has_no_objects_only_if_the_file_says_so(tmp_path):
     split = write_dataset(tmp_path, images=(0, 1))
     write_json(split / "000000/scene_gt.json", {"0": [gt_of(POSE)], "1": []})
     assert opened(split).read(0, 1).obj_id.tolist() == []
@@ -201,7 +201,7 @@ def test_an_image_without_objects_has_none_only_where_the_file_says_so(tmp_path)
     refusal(split, "scene_camera.json", "image 5")
 
 
-def test_what_lies_behind_the_camera_and_is_not_in_the_image_stays(tmp_path):
+def test_objects_behind_the_camera_and_outside_the_image_are_kept(tmp_path):
     split = write_dataset(tmp_path)
     behind = rigid(np.eye(3), np.array([0.0, 0.0, -0.4]))
     write_json(split / "000000/scene_gt.json", {"0": [gt_of(POSE), gt_of(behind)]})
@@ -216,7 +216,7 @@ def test_what_lies_behind_the_camera_and_is_not_in_the_image_stays(tmp_path):
     refusal(split, "scene_gt_info.json", "1 instances", "2")
 
 
-def test_rounded_rotations_become_rotations_and_others_are_refused(tmp_path):
+def test_rounded_rotations_are_corrected_and_others_are_refused(tmp_path):
     split = write_dataset(tmp_path)
     rounded = np.round(POSE[:3, :3], 3).ravel().tolist()
     change(split / "000000/scene_gt.json", cam_R_m2c=rounded)
@@ -249,7 +249,7 @@ def test_rounded_rotations_become_rotations_and_others_are_refused(tmp_path):
         ("scene_gt", {"cam_t_m2c": [0, float("nan"), 500]}, ("cam_t_m2c", "finite")),
     ],
 )
-def test_what_a_file_cannot_mean_is_refused_by_its_name(tmp_path, name, entry, words):
+def test_impossible_values_of_a_file_are_refused_by_name(tmp_path, name, entry, words):
     split = write_dataset(tmp_path)
     change(split / f"000000/{name}.json", **entry)
     refusal(split, f"{name}.json" if entry != {"obj_id": 4} else "models", *words)
@@ -282,7 +282,7 @@ def test_damaged_and_missing_files_are_named(tmp_path):
     assert opened(split, depth_only=True).read(0, 0).depth_m.shape == (48, 64)
 
 
-def test_what_is_no_split_is_refused(tmp_path):
+def test_a_folder_that_is_no_split_is_refused(tmp_path):
     split = write_dataset(tmp_path)
     refusal(tmp_path / "models", "no scenes", "lm/train_pbr")
     write_json(split / "000000/scene_camera.json", {})
@@ -293,7 +293,7 @@ def test_what_is_no_split_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("none", [0, 65535])
-def test_depth_of_zero_and_of_the_largest_number_is_not_known(tmp_path, none):
+def test_a_depth_of_zero_or_of_the_largest_number_is_unknown(tmp_path, none):
     """65535 was a wall at 6.55 m."""
     split = write_dataset(tmp_path)
     steps = np.full((48, 64), 5000, np.uint16)
@@ -317,12 +317,12 @@ def test_pictures_with_another_number_of_digits_are_found(tmp_path, name):
     image = opened(split).read(0, 0)
     np.testing.assert_array_equal(image.depth_m, expected)
     assert image.step_m == SCALE_MM / 1e3
-    if name[:6] != "000000":  # BOP's own name goes before all others
+    if name[:6] != "000000":  # BOP's own name is preferred to all others
         png(folder / "00.png", steps)
         refusal(split, "are both image 0")
 
 
-def test_lengths_of_rays_become_z(tmp_path):
+def test_lengths_of_rays_are_converted_to_z(tmp_path):
     """Oracle: the distance of each point from the camera; BlenderProc writes it as `distance`."""
     split = write_dataset(tmp_path)
     z_m = opened(split).read(0, 0).depth_m
@@ -330,14 +330,14 @@ def test_lengths_of_rays_become_z(tmp_path):
     png(split / "000000/depth/000000.png", np.rint(length_m * 1e3 / SCALE_MM).astype(np.uint16))
     source = open_source(split, SourceOptions(ray_length=True))
     assert np.abs(source.read(0, 0).depth_m - z_m).max() <= 0.51e-3 * SCALE_MM
-    assert source.scenes == {}  # The result has depth of its own, which is z.
+    assert source.scenes == {}  # The result has its own depth, which is z.
     assert source.notes == ()
     (note,) = open_source(split).notes
     assert "seems to be the length of each ray" in note and "give --ray-length" in note
 
 
-def test_the_cube_of_the_test_is_where_its_pose_says():
-    """The test's own geometry: the middle of the cube projects into the cube's depth."""
+def test_the_cube_of_these_tests_is_at_its_stated_pose():
+    """Check of the test itself: the centre of the cube projects into the cube's depth."""
     x, y, z = POSE[:3, 3]
     column = round(CAMERA.fx_px * x / z + CAMERA.cx_px)
     row = round(CAMERA.fy_px * y / z + CAMERA.cy_px)

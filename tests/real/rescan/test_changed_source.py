@@ -1,4 +1,4 @@
-"""A rescan goes on only with the options and the images that it began with."""
+"""A rescan continues only with the options and the images that it began with."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ K = "90,91,31,24.5"
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    """A dataset of two images, and the scan of it."""
+    """Return a dataset of two images, and the rescan of it."""
     root = tmp_path_factory.mktemp("original")
     split = write_dataset(root / "lm", images=(0, 4), rgb=np.full((48, 64, 3), 150, np.uint8))
     rescan(open_source(split), RIG, root / "out", SPEC)
@@ -37,7 +37,7 @@ def original(tmp_path_factory):
 
 @pytest.fixture
 def root(original, tmp_path):
-    """A copy of both, in which the scan links to the copy of the dataset and says so."""
+    """Copy both; the rescan links to the copy of the dataset and records this."""
     shutil.copytree(original, tmp_path, symlinks=True, dirs_exist_ok=True)
     for link in [path for path in tmp_path.rglob("*") if path.is_symlink()]:
         place = tmp_path / link.readlink().relative_to(original)
@@ -119,15 +119,15 @@ def test_the_numbers_of_a_file_of_intrinsics_are_claimed_and_not_its_name(origin
     assert fingerprint(K) != fingerprint(str(file))
 
 
-def test_a_look_that_is_stated_is_another_one_than_none(original):
-    """The grey of an object without a look gives way to the mean colour of the pictures."""
+def test_a_stated_look_differs_from_no_look_in_the_claim(original):
+    """The grey of an object without a look is replaced by the mean colour of the pictures."""
     source = open_source(original / "lm/train_pbr")
     assert source.plain == {1}
     stated = replace(source, plain=frozenset())
     assert claim_of(source)["fingerprint"] != claim_of(stated)["fingerprint"]
 
 
-def test_an_option_that_is_added_is_in_the_claim():
+def test_an_added_option_is_in_the_claim():
     new = make_dataclass("New", [("added", int, 0)], bases=(SourceOptions,), frozen=True)
     assert claimed_options(new(added=3), without=("models",)) == {
         "sensor": "",
@@ -144,7 +144,7 @@ def test_an_option_that_is_added_is_in_the_claim():
 
 
 def test_a_rescan_is_not_continued_with_another_scale_of_depth(root):
-    """It once was, and validate called the mixture valid."""
+    """This was once allowed, and validate called the mixture valid."""
     words = r"differs in config\.options\.depth_scale_mm \(null there, 0\.2 here\)"
     with pytest.raises(DatasetError, match=words):
         again(root, depth_scale_mm=0.2)
@@ -181,8 +181,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_an_image_that_has_changed_is_named(root, name):
-    """The links would show the new original beside the scanner's old depth."""
+def test_a_changed_image_is_named(root, name):
+    """The links would show the new original next to the scanner's old depth."""
     assert again(root).there == 2
     CHANGES[name](root / "lm/train_pbr/000000")
     words = (
@@ -197,7 +197,7 @@ def test_an_image_that_has_changed_is_named(root, name):
         assert f"({name})" in what
 
 
-def test_an_image_that_is_gone_from_the_source_is_named(root):
+def test_an_image_missing_in_the_source_is_named(root):
     for name in ("scene_gt", "scene_camera"):
         path = root / f"lm/train_pbr/000000/{name}.json"
         write_json(path, {"0": json.loads(path.read_text())["0"]})
@@ -206,7 +206,7 @@ def test_an_image_that_is_gone_from_the_source_is_named(root):
     assert "has changed since it was scanned" in problems(root)[0]
 
 
-def test_a_json_file_that_is_only_laid_out_in_another_way_has_not_changed(root):
+def test_a_json_file_with_another_layout_only_is_unchanged(root):
     for name in ("scene_gt", "scene_camera"):
         path = root / f"lm/train_pbr/000000/{name}.json"
         path.write_text(json.dumps(json.loads(path.read_text()), indent=7))
@@ -219,7 +219,7 @@ def test_another_dataset_with_the_same_names_is_refused(root):
         again(root, "b")
 
 
-def test_a_dataset_that_was_moved_goes_on_where_its_old_place_links_to_it(root):
+def test_a_moved_dataset_can_be_continued_if_its_old_path_links_to_it(root):
     (root / "lm").rename(root / "moved")
     with pytest.raises(DatasetError, match="if the dataset was moved, put it back, or link it"):
         again(root, "moved")
@@ -227,7 +227,7 @@ def test_a_dataset_that_was_moved_goes_on_where_its_old_place_links_to_it(root):
     assert again(root).there == 2 and problems(root) == []
 
 
-def test_poses_of_both_are_compared_where_a_record_has_no_sums(root):
+def test_poses_of_both_are_compared_if_a_record_has_no_checksums(root):
     """Records of earlier versions have none."""
     scene = root / "out/train_pbr/000000"
     for path in (scene / "scan_sl").iterdir():
@@ -243,7 +243,7 @@ def test_poses_of_both_are_compared_where_a_record_has_no_sums(root):
     assert "image 4: scene_gt has 2 objects, and scene_gt_sl other ones (1)" in what
 
 
-def test_depth_alone_that_has_changed_is_named(tmp_path):
+def test_a_change_of_depth_only_is_named(tmp_path):
     (tmp_path / "in/depth").mkdir(parents=True)
     depth_m = true_depth_m().astype(np.float32)
     np.save(tmp_path / "in/depth/a.npy", depth_m)
@@ -261,7 +261,7 @@ def test_depth_alone_that_has_changed_is_named(tmp_path):
         scan()
 
 
-def test_a_damaged_record_is_named_and_no_surprise(root):
+def test_a_damaged_record_is_named_as_a_foreseen_error(root):
     (root / "out/train_pbr/000000/scan_sl/000004.json").write_text("{")
     with pytest.raises(DatasetError, match=r"000004\.json.*remove this record to scan its image"):
         again(root)
@@ -272,8 +272,8 @@ def test_a_damaged_record_is_named_and_no_surprise(root):
 GONE = "the original in {} is gone: put it back, or link it there (graycast rescan --copy"
 
 
-def test_links_to_what_is_gone_are_named(root):
-    """Validate once called such a rescan valid, and readers gave no picture without a word."""
+def test_links_to_missing_files_are_named(root):
+    """Validate once called such a rescan valid, and readers silently gave no picture."""
     scene = root / "lm/train_pbr/000000"
     (root / "lm").rename(root / "moved")
     for fast in (True, False):
@@ -286,7 +286,7 @@ def test_links_to_what_is_gone_are_named(root):
     assert GONE.format(scene) in str(caught.value)
 
 
-def test_a_picture_that_is_a_dead_link_is_no_missing_one(root):
+def test_a_picture_that_is_a_dead_link_is_not_a_missing_one(root):
     picture = root / "lm/train_pbr/000000/rgb/000000.jpg"
     picture.rename(root / "away.jpg")
     picture.symlink_to(root / "gone/away.jpg")
@@ -296,7 +296,7 @@ def test_a_picture_that_is_a_dead_link_is_no_missing_one(root):
     assert any("rgb/000000.jpg: the original" in what for what in problems(root))
 
 
-def test_copies_take_the_place_of_links(root):
+def test_copies_replace_links(root):
     source = open_source(root / "lm/train_pbr")
     rescan(source, RIG, root / "out", replace(SPEC, copies=True))
     assert not [path for path in (root / "out").rglob("*") if path.is_symlink()]
@@ -305,8 +305,8 @@ def test_copies_take_the_place_of_links(root):
     assert open_examples(root / "out/train_pbr")[0].rgb is not None
 
 
-def test_a_link_to_what_is_gone_is_made_again(root):
-    """The folder of the original is there again, and the link of an earlier run is dead."""
+def test_a_dead_link_is_made_again(root):
+    """The folder of the original exists again, and the link of an earlier run is dead."""
     link = root / "out/train_pbr/000000/rgb"
     link.unlink()
     link.symlink_to(root / "nowhere/rgb")

@@ -1,4 +1,4 @@
-"""Folders of depth alone, and which layout a folder has."""
+"""Folders of depth only, and recognition of a folder's layout."""
 
 import json
 import pickle
@@ -46,7 +46,7 @@ def intrinsics(tmp_path):
         "90,91,31,24.5",
     ],
 )
-def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
+def test_floats_are_metres_and_the_camera_is_the_user_s(tmp_path, content):
     folder = tmp_path / "scans"
     (folder / "depth").mkdir(parents=True)
     np.save(folder / "depth/b.npy", true_depth_m())
@@ -68,7 +68,7 @@ def test_floats_are_metres_and_the_camera_is_the_users(tmp_path, content):
     assert image.rgb is None and len(image.obj_id) == len(image.T_cam_part) == 0
 
 
-def test_whole_numbers_have_the_scale_of_the_user(tmp_path, intrinsics):
+def test_whole_numbers_have_the_user_s_scale(tmp_path, intrinsics):
     steps = np.rint(true_depth_m() * 1e4).astype(np.uint16)
     rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3)).astype(np.uint8)
     png(tmp_path / "depth/x.png", steps)
@@ -84,7 +84,7 @@ def test_whole_numbers_have_the_scale_of_the_user(tmp_path, intrinsics):
     refusal(tmp_path, "x.png", "16 bits", intrinsics=intrinsics, depth_scale_mm=0.1)
 
 
-def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
+def test_options_that_depth_alone_cannot_have_are_refused(tmp_path, intrinsics):
     (tmp_path / "depth").mkdir()
     refusal(tmp_path, "--intrinsics")
     refusal(tmp_path, "depth", intrinsics=intrinsics)
@@ -100,7 +100,7 @@ def test_what_depth_alone_cannot_be_is_refused(tmp_path, intrinsics):
     refusal(tmp_path, "EXR", "NPY", intrinsics=intrinsics)
 
 
-def test_lengths_of_rays_become_z(tmp_path, intrinsics):
+def test_lengths_of_rays_are_converted_to_z(tmp_path, intrinsics):
     (tmp_path / "depth").mkdir()
     length_m = np.linalg.norm(points(CAMERA, true_depth_m()), axis=-1)
     np.save(tmp_path / "depth/a.npy", length_m)
@@ -129,7 +129,7 @@ def test_depth_alone_has_a_background_and_no_objects(tmp_path, intrinsics):
             opened(tmp_path, intrinsics=intrinsics, materials=looks)
 
 
-def test_a_folder_says_which_layout_it_has(tmp_path):
+def test_the_layout_of_a_folder_is_recognised(tmp_path):
     split = write_dataset(tmp_path / "lm")
     assert opened(split).scenes
     refusal(split, "layout BOP", "leave out --intrinsics", intrinsics="1,1,1,1")

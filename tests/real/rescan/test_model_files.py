@@ -1,4 +1,4 @@
-"""Models of others as parts: their colours, units and materials."""
+"""Foreign models as parts: their colours, units and materials."""
 
 import cv2
 import numpy as np
@@ -46,15 +46,15 @@ def refusal(folder, *words, error=DatasetError, **options):
 
 
 def texels_at(material, corner_uv):
-    """The nearest pixels of a texture whose v goes up."""
+    """Return the nearest pixels of a texture whose v increases upwards."""
     h, w = material.texture.shape[:2]
     column = np.floor(corner_uv[..., 0] * w).astype(int)
     row = np.floor((1 - corner_uv[..., 1]) * h).astype(int)
     return material.texture[row, column], column + 0.5 - corner_uv[..., 0] * w
 
 
-def test_colours_of_vertices_become_one_colour_for_each_face(tmp_path):
-    """Oracle: the mean of the three vertices' colours, face by face, found by their places."""
+def test_colours_of_vertices_become_one_colour_per_face(tmp_path):
+    """Oracle: the mean of the three vertices' colours, face by face, matched by position."""
     colors = np.random.default_rng(0).integers(0, 256, (8, 3))
     write_models(tmp_path, colors=colors)
     models = read(tmp_path)
@@ -82,8 +82,8 @@ def test_a_texture_is_kept_with_its_coordinates(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["toothpaste", "metal_workpiece_1", "metal_workpiece_2"])
-def test_models_that_this_program_writes_come_back(tmp_path, name):
-    """Oracle: the part that was written: its shape, print and symmetries."""
+def test_models_written_by_this_program_are_read_back(tmp_path, name):
+    """Oracle: the part that was written: shape, print and symmetries."""
     part = builtin_part(name)
     for file, content in model_files((part,)).items():
         (tmp_path / file).write_bytes(content)
@@ -98,7 +98,7 @@ def test_models_that_this_program_writes_come_back(tmp_path, name):
         assert np.allclose(line, line_back, atol=1e-9)
 
 
-def test_an_open_mesh_has_normals_and_no_look_of_its_own(tmp_path):
+def test_an_open_mesh_has_normals_and_no_look(tmp_path):
     write_models(tmp_path, faces=FACES[:-2])
     models = read(tmp_path)
     mesh = models.parts[1].mesh
@@ -141,7 +141,7 @@ def test_a_model_of_another_unit_is_converted_if_its_diameter_shows_the_unit(tmp
 
 
 def test_a_dataset_in_metres_is_converted_with_its_symmetries(tmp_path):
-    """Its cube of 0.06 was taken for one of 0.06 mm, because the diameter agrees."""
+    """Its cube of 0.06 was read as 0.06 mm, because the diameter agrees."""
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     half_turn[0, 3] = 0.02
     axis = {"axis": [0, 0, 1], "offset": [0.01, 0, 0]}
@@ -156,7 +156,7 @@ def test_a_dataset_in_metres_is_converted_with_its_symmetries(tmp_path):
     assert "in m, and its models_info.json in m" in models.notes[0]
 
 
-def test_a_unit_that_is_stated_needs_no_diameter_and_goes_before_it(tmp_path):
+def test_a_stated_unit_needs_no_diameter_and_is_preferred_to_it(tmp_path):
     write_models(tmp_path, side=0.06)
     refusal(tmp_path, "0.06 mm", "seems to be in m", "--unit")
     models = read_models(bop_models(tmp_path.parent, tmp_path, "m"), {1}, None)
@@ -167,7 +167,7 @@ def test_a_unit_that_is_stated_needs_no_diameter_and_goes_before_it(tmp_path):
         read_models(bop_models(tmp_path.parent, tmp_path, "cm"), {1}, None)
 
 
-def test_the_diameter_of_a_box_and_of_a_rod_fit_their_longest_sides(tmp_path):
+def test_the_diameters_of_a_box_and_of_a_rod_fit_their_longest_sides(tmp_path):
     write_models(tmp_path)
     for diameter in (SIDE_MM, SIDE_MM * np.sqrt(3)):
         write_json(tmp_path / "models_info.json", {"1": {"diameter": diameter, "more": 1}})
@@ -176,7 +176,7 @@ def test_the_diameter_of_a_box_and_of_a_rod_fit_their_longest_sides(tmp_path):
     refusal(tmp_path, "models_info.json says")
 
 
-def test_materials_go_by_id_by_name_and_by_default(tmp_path):
+def test_materials_are_assigned_by_id_by_name_and_by_default(tmp_path):
     write_models(tmp_path, colors=np.full((8, 3), 200))
     for obj_id in (2, 3):
         (tmp_path / f"obj_{obj_id:06d}.ply").write_text(cube_ply())
@@ -215,7 +215,7 @@ def test_a_materials_file_is_refused_by_its_key(tmp_path, text, words):
     refusal(tmp_path, *words, error=ConfigError, materials=tmp_path / "looks.yaml")
 
 
-def test_a_texture_needs_a_mesh_that_it_lies_on(tmp_path):
+def test_a_texture_needs_texture_coordinates(tmp_path):
     write_models(tmp_path)
     assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((2, 2, 3), np.uint8))
     (tmp_path / "looks.yaml").write_text("1:\n  texture: a.png")
@@ -228,7 +228,7 @@ def test_a_damaged_model_is_named(tmp_path, content):
     refusal(tmp_path, "obj_000001.ply")
 
 
-def test_models_that_are_missing_or_damaged_are_named(tmp_path):
+def test_missing_or_damaged_models_are_named(tmp_path):
     refusal(tmp_path, "--models DIR", "--depth-only")
     write_models(tmp_path)
     refusal(tmp_path, "obj_000009.ply", "object 9", obj_ids={1, 9})

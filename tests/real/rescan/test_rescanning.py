@@ -1,4 +1,4 @@
-"""A dataset of others gets scanner depth beside what it had, once, and the same each time."""
+"""A foreign dataset gets scanner depth next to its own data, once and reproducibly."""
 
 import errno
 import hashlib
@@ -56,14 +56,14 @@ def spec(**words):
 
 
 def tree(folder):
-    """Every file below a folder, links followed, with its digest."""
+    """Return every file below a folder, with links followed, and its digest."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """Two scenes of two images and one, the original, and what the scan of it is."""
+    """Return two scenes of two images and one image, the original, and the rescan of it."""
     root = tmp_path_factory.mktemp("rescan")
     rgb = np.full((48, 64, 3), 150, dtype=np.uint8)
     split = write_dataset(root / "lm", images=(0, 4), rgb=rgb)
@@ -81,21 +81,21 @@ def scanned(folder, image):
     return np.where(steps > 0, steps * view["depth_scale"] / 1e3, np.nan), view
 
 
-def test_a_scan_measures_what_was_there(dataset):
+def test_a_rescan_measures_the_depth_of_the_original(dataset):
     root, _, summary = dataset
     assert (summary.written, summary.there, summary.set_aside) == (3, 0, {})
     depth_m, view = scanned(root / "out/train_pbr/000000", 4)
     assert view["cam_K"] == pytest.approx(CAMERA.K.ravel())
     alike, _ = scanned(root / "out/train_pbr/000000", 0)
-    assert not np.array_equal(alike, depth_m, equal_nan=True)  # each image has noise of its own
+    assert not np.array_equal(alike, depth_m, equal_nan=True)  # each image has independent noise
     assert summary.reasons["decoded"] == pytest.approx(np.isfinite(depth_m).mean(), abs=0.1)
     assert np.isfinite(depth_m).mean() > 0.4
-    # A pixel sees ten columns of Gray code, each of which stands for 1 to 2 mm.
+    # A pixel sees ten columns of Gray code, each of which is 1 to 2 mm.
     assert np.nanmedian(np.abs(depth_m - true_depth_m())) < 5e-3
 
 
-def test_shares_of_the_parts_pixels_are_those_of_the_masks(dataset):
-    """Oracle: the pictures that were written, counted."""
+def test_shares_of_the_parts_pixels_agree_with_the_masks(dataset):
+    """Oracle: a count in the written pictures."""
     root, _, summary = dataset
     own_pixels = []
     for scene, image in ((0, 0), (0, 4), (2, 1)):
@@ -116,8 +116,8 @@ def test_shares_of_the_parts_pixels_are_those_of_the_masks(dataset):
     assert summary.part_reasons["decoded"] == pytest.approx(pooled.mean())
 
 
-def test_pixels_that_the_projector_cannot_light_are_called_so(tmp_path):
-    """Oracle: pinholes. The whole ray lies beyond one side of the projector's picture."""
+def test_pixels_that_the_projector_cannot_light_have_their_own_reason(tmp_path):
+    """Oracle: pinholes. The whole ray is beyond one side of the projector's picture."""
     own = RIG.rig.projector
     narrow = replace(own, fx_px=3 * own.fx_px, fy_px=3 * own.fy_px)
     scanner = replace(RIG, rig=replace(RIG.rig, projector=narrow))
@@ -137,7 +137,7 @@ def test_pixels_that_the_projector_cannot_light_are_called_so(tmp_path):
     assert np.mean(reason[beside] == Reason.OUTSIDE_PROJECTOR) > 0.97  # stray light has codes
 
 
-def test_noise_is_neither_that_of_a_dataset_with_the_same_seed_nor_that_of_another_rig(dataset):
+def test_noise_differs_from_a_dataset_of_the_same_seed_and_from_another_rig(dataset):
     root, _, _ = dataset
     for image, record in image_records(root / "out/train_pbr/000000").items():
         assert record.seeds == rescan_seeds(3, 0, scanner=RIG.rig.name, image=image)
@@ -145,7 +145,7 @@ def test_noise_is_neither_that_of_a_dataset_with_the_same_seed_nor_that_of_anoth
         assert not set(record.seeds.values()) & set(source.values())
 
 
-def test_the_layout_is_that_of_the_original_and_links_to_it(dataset):
+def test_the_layout_is_that_of_the_original_with_links_to_it(dataset):
     root, split, _ = dataset
     scene = root / "out/train_pbr/000000"
     assert (root / "out/models").resolve() == (root / "lm/models").resolve()
@@ -168,7 +168,7 @@ def test_the_layout_is_that_of_the_original_and_links_to_it(dataset):
     assert coco.annToRLE(coco.loadAnns([2])[0]) == own
 
 
-def test_a_trainer_reads_both_depths(dataset):
+def test_the_reader_for_training_reads_both_depths(dataset):
     root, _, _ = dataset
     examples = open_foreign(root / "out/train_pbr")
     assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "nut"}
@@ -181,8 +181,8 @@ def test_a_trainer_reads_both_depths(dataset):
         open_dataset(root / "out")
 
 
-def test_one_of_several_cameras_is_scanned_and_trained_on(tmp_path):
-    """As in IPD, all files have the names of cameras."""
+def test_one_of_several_cameras_is_rescanned_and_read_for_training(tmp_path):
+    """As in IPD, all file names contain the names of cameras."""
     split = write_dataset(tmp_path / "ipd", sensor="photoneo")
     write_scene(split / "000000", sensor="cam1")
     source = open_source(split, SourceOptions(sensor="photoneo"))
@@ -195,7 +195,7 @@ def test_one_of_several_cameras_is_scanned_and_trained_on(tmp_path):
     assert np.isfinite(example.scanner_depth_m).mean() > 0.4
 
 
-def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(dataset, tmp_path):
+def test_a_rescan_is_reproducible_and_continues_after_a_stop(dataset, tmp_path):
     root, split, _ = dataset
     first = rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))
     assert (first.written, first.there) == (1, 0)
@@ -216,7 +216,7 @@ def test_the_same_seed_gives_the_same_files_and_a_stopped_run_goes_on(dataset, t
 
 
 def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
-    """Of the second image the cube stands before what the depth shows; the third is too far."""
+    """In the second image, the cube is in front of the depth; the third is too far."""
     split = write_dataset(tmp_path / "lm", images=(0, 1, 2))
     scene = split / "000000"
     gt = json.loads((scene / "scene_gt.json").read_text())
@@ -243,8 +243,8 @@ def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
     assert not (tmp_path / "out/set_aside.json").exists()
 
 
-def test_a_device_that_is_lost_is_tried_three_times(tmp_path, monkeypatch):
-    """A rescan once ended at the first error of its device."""
+def test_an_image_whose_device_is_lost_is_tried_three_times(tmp_path, monkeypatch):
+    """A rescan used to end at the first error of its device."""
     split, real, tries = write_dataset(tmp_path / "lm"), ImageScanner.make, []
 
     def make(self, scene_id):
@@ -258,7 +258,7 @@ def test_a_device_that_is_lost_is_tried_three_times(tmp_path, monkeypatch):
     assert (tries, summary.written, summary.set_aside) == ([0, 0, 0], 1, {})
 
 
-def test_a_rig_that_measures_elsewhere_is_refused_before_any_work(tmp_path):
+def test_a_rig_of_another_range_is_refused_before_any_work(tmp_path):
     split = write_dataset(tmp_path / "lm")
     far = replace(RIG, rig=replace(RIG.rig, near_m=1.0, far_m=1.2))
     with pytest.raises(ConfigError, match=r"scene 0, image 0: its depth is .*graycast rig list"):
@@ -441,7 +441,7 @@ RESEALED = {
 
 
 @pytest.mark.parametrize("fault", RESEALED)
-def test_a_fault_whose_sums_were_made_anew_makes_no_sense(dataset, tmp_path, fault):
+def test_a_fault_with_recomputed_checksums_is_still_implausible(dataset, tmp_path, fault):
     out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
     do, words = RESEALED[fault]
     do(out / "train_pbr/000000")
@@ -477,7 +477,7 @@ def test_a_rescan_without_images_is_no_dataset(dataset, tmp_path):
     assert ["holds no image with a scan" in problem.what for problem in validate(out)] == [True]
 
 
-def test_validate_finds_depth_of_another_scene(dataset, tmp_path):
+def test_validate_detects_depth_of_another_scene(dataset, tmp_path):
     _, split, _ = dataset
     out = tmp_path / "out"
     rescan(open_source(split), RIG, out, spec(images=1))
@@ -490,8 +490,8 @@ def test_validate_finds_depth_of_another_scene(dataset, tmp_path):
     assert "looked at another scene" in other
 
 
-def test_lengths_of_rays_give_a_result_in_which_depth_is_z(tmp_path):
-    """Its depth is a file of its own: a link to the original would lead to lengths."""
+def test_a_rescan_of_ray_lengths_stores_z(tmp_path):
+    """Its depth is its own file: a link to the original would give lengths."""
     split = write_dataset(tmp_path / "lm")
     length_m = np.linalg.norm(points(CAMERA, true_depth_m()), axis=-1)
     path = split / "000000/depth/000000.png"
@@ -508,7 +508,7 @@ def test_lengths_of_rays_give_a_result_in_which_depth_is_z(tmp_path):
 
 
 @pytest.mark.slow
-def test_depth_with_four_digits_is_scanned_and_its_result_is_read(tmp_path):
+def test_depth_files_with_four_digits_are_rescanned_and_read(tmp_path):
     split = write_dataset(tmp_path / "lm")
     folder = split / "000000/depth"
     (folder / "000000.png").rename(folder / "0000.png")

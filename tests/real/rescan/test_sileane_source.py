@@ -1,4 +1,4 @@
-"""Siléane's and IPA's layouts, with files written as their descriptions say."""
+"""Layouts of Siléane and IPA, with files written by their descriptions."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def refusal(folder, *words, **options):
 
 
 def check(image):
-    """The cube where it is, as `scene_files` has it."""
+    """Check that the cube is at the pose of `scene_files`."""
     assert np.isnan(image.depth_m[0, 0])
     assert np.nanmax(np.abs(image.depth_m - true_depth_m())) <= 0.51 * STEP_M
     assert image.step_m == pytest.approx(STEP_M)
@@ -49,7 +49,7 @@ def check(image):
 
 
 def write_sileane(folder, name="depth_gt"):
-    # The quaternion (w x y z) of a turn by pi about x, then 0.5 about the new z.
+    # The quaternion (w x y z) of a rotation by pi about x, then by 0.5 about the new z.
     half = np.array([np.cos(0.25), np.sin(0.25)])
     quaternion = [0.0, half[0], -half[1], 0.0]
     params = {
@@ -72,8 +72,8 @@ def write_sileane(folder, name="depth_gt"):
     return folder
 
 
-def test_a_scene_of_sileane_is_in_the_cameras_frame(tmp_path):
-    """Oracle: the pose that was taken to the absolute frame by the inverse of that motion."""
+def test_a_scene_of_sileane_is_in_the_camera_s_frame(tmp_path):
+    """Oracle: the pose that the inverse of that motion moved to the absolute frame."""
     assert np.allclose(inverse(T_WORLD_CAM) @ T_WORLD_CAM @ POSE, POSE)
     source = pickle.loads(pickle.dumps(open_source(write_sileane(tmp_path / "bunny"))))
     assert (source.split, source.scenes, source.sensor) == ("bunny", {}, "")
@@ -86,7 +86,7 @@ def test_a_scene_of_sileane_is_in_the_cameras_frame(tmp_path):
     assert source.parts[1].name == "bunny"
 
 
-def test_ideal_depth_goes_before_measured_depth(tmp_path):
+def test_ideal_depth_is_preferred_to_measured_depth(tmp_path):
     folder = write_sileane(tmp_path / "bunny", "depth")
     check(open_source(folder).read(0, 1))
     for stem in ("bunny_000", "bunny_001"):
@@ -95,7 +95,7 @@ def test_ideal_depth_goes_before_measured_depth(tmp_path):
     assert np.allclose(open_source(folder).read(0, 1).depth_m, middle_m)
 
 
-def test_what_contradicts_the_description_of_sileane_is_refused(tmp_path):
+def test_files_that_contradict_the_description_of_sileane_are_refused(tmp_path):
     folder = write_sileane(tmp_path / "bunny")
     params, gt = folder / "camera_params.txt", folder / "gt/bunny_001.json"
     text = params.read_text()
@@ -129,7 +129,7 @@ def test_what_contradicts_the_description_of_sileane_is_refused(tmp_path):
 
 
 def write_ipa(folder):
-    """The camera of the test, cut out of 200 x 200 pixels: f = 90 px, axis at 99.5 px."""
+    """Write a camera cut out of 200 x 200 pixels: f = 90 px, axis at 99.5 px."""
     write_json(
         folder / "parameter.json",
         {
@@ -154,7 +154,7 @@ def write_ipa(folder):
     return folder
 
 
-def test_a_scene_of_ipa_is_turned_into_opencvs_frame(tmp_path):
+def test_a_scene_of_ipa_is_converted_to_opencv_s_frame(tmp_path):
     source = pickle.loads(pickle.dumps(open_source(write_ipa(tmp_path / "gear"))))
     assert source.images == ((7, 0), (7, 1))
     image = source.read(7, 1)
@@ -169,9 +169,9 @@ def test_a_scene_of_ipa_is_turned_into_opencvs_frame(tmp_path):
     assert source.read(7, 0).obj_id.tolist() == []
 
 
-def test_points_of_ipa_are_where_its_own_loop_over_pixels_has_them(tmp_path):
-    """Oracle: the published loop, written anew: the square picture is turned by a half turn, and a
-    pixel's centre lies half a pixel from its corner; x and y change sign into OpenCV's frame.
+def test_points_of_ipa_agree_with_its_own_loop_over_pixels(tmp_path):
+    """Oracle: the published loop, written again: the square picture is rotated by half a turn, and
+    a pixel's centre is half a pixel from its corner; x and y change sign into OpenCV's frame.
     """
     image = open_source(write_ipa(tmp_path / "gear")).read(7, 1)
     row, column = 30, 10
@@ -184,7 +184,7 @@ def test_points_of_ipa_are_where_its_own_loop_over_pixels_has_them(tmp_path):
     assert -y == pytest.approx((row - camera.cy_px) / camera.fy_px * z)
 
 
-def test_what_contradicts_the_description_of_ipa_is_refused(tmp_path):
+def test_files_that_contradict_the_description_of_ipa_are_refused(tmp_path):
     folder = write_ipa(tmp_path / "gear")
     path, table = folder / "parameter.json", folder / "gt/cycle_0007/001.csv"
     content = json.loads(path.read_text())

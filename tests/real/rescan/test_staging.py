@@ -19,7 +19,7 @@ from .scene_files import FACES, corners
 CAMERA = Optics(width_px=160, height_px=120, fx_px=200.0, fy_px=201.0, cx_px=80.5, cy_px=58.0)
 BENT = replace(CAMERA, distortion=(-0.1, 0.02, 1e-3, 0.0, 0.0))
 T_CAM_CUBE = rigid(axis_rotation("x", 0.5) @ axis_rotation("z", 0.7), np.array([0.03, -0.02, 0.6]))
-# The floor is oblique to the camera; a step of 60 mm, which no model has, stands on it.
+# The floor is oblique to the camera, with a step of 60 mm that no model has.
 FLOOR = np.array([0.05, -0.25, -1.0, 0.75])  # a x + b y + c z + d = 0
 STEP_M = 1e-4
 
@@ -37,7 +37,7 @@ def rays():
 
 
 def plane_m(raised_m=0.0):
-    """Depth of the floor, or of a plane above it."""
+    """Return the depth of the floor, or of a plane above it."""
     return -(FLOOR[3] - raised_m) / (rays() @ FLOOR[:3])
 
 
@@ -70,7 +70,7 @@ def staged(source=None, parts=None, **words):
 
 
 def depth_of(result, camera=CAMERA, T_cam_world=None, kinds=("cube", BACKGROUND)):
-    """z of what is staged, by another camera."""
+    """Return z of the staged scene in another camera."""
     T_cam_world = np.eye(4) if T_cam_world is None else T_cam_world
     z_m = np.full((camera.height_px, camera.width_px), np.nan)
     for T, k in zip(result.layout.T_world_part, result.layout.part_index, strict=True):
@@ -81,7 +81,7 @@ def depth_of(result, camera=CAMERA, T_cam_world=None, kinds=("cube", BACKGROUND)
     return z_m
 
 
-def test_every_pixel_has_the_depth_that_it_had():
+def test_every_pixel_keeps_its_depth():
     result = staged()
     assert [p.name for p in result.scene.parts] == ["cube", BACKGROUND]
     assert [p.labelled for p in result.scene.parts] == [True, False]
@@ -93,15 +93,15 @@ def test_every_pixel_has_the_depth_that_it_had():
     np.testing.assert_allclose(depth_of(result, kinds=("cube",))[own], cube_m()[own], atol=1e-9)
 
 
-def test_a_stated_background_replaces_what_the_picture_shows():
+def test_a_stated_background_replaces_that_of_the_picture():
     source = image(rgb=np.full((*plane_m().shape, 3), 90, np.uint8))
     assert staged(source).scene.parts[-1].material.texture is not None
     stated = Material(base_color=(0.2, 0.3, 0.4), roughness=0.7)
     assert staged(source, background=stated).scene.parts[-1].material == stated
 
 
-def test_behind_an_object_the_floor_goes_on():
-    """A membrane that hangs at a plane is that plane, behind the cube as well."""
+def test_the_floor_continues_behind_an_object():
+    """A membrane whose border is in a plane is this plane, behind the cube as well."""
     behind_m = depth_of(staged(), kinds=(BACKGROUND,))
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
     assert own.sum() > 300
@@ -121,10 +121,10 @@ def test_the_membrane_obeys_the_maximum_principle():
 
 
 def test_shadows_are_those_of_the_whole_scene():
-    """Oracle: what a projector aside sees of the true cube, floor and step, and of the staged one.
+    """Oracle: a projector at the side sees the true cube, floor and step, and the staged ones.
 
-    The step hides its far side from the camera, which is taken to be filled: it lies on the other
-    side than the projector.
+    The far side of the step is hidden from the camera and assumed to be filled: it is on the side
+    away from the projector.
     """
     projector = replace(CAMERA, width_px=320, height_px=240, cx_px=160.0, cy_px=120.0)
     T_proj_cam = inverse(rigid(axis_rotation("y", -0.35), np.array([0.25, 0.0, 0.0])))
@@ -148,8 +148,8 @@ def test_shadows_are_those_of_the_whole_scene():
     assert (true & of_stage).sum() / (true | of_stage).sum() > 0.93
 
 
-def test_what_stands_before_an_object_hides_it():
-    """A rod that no model has lies before the cube in the depth."""
+def test_an_unknown_object_in_front_of_a_known_one_hides_it():
+    """A rod without a model is in front of the cube in the depth."""
     depth_m = np.fmin(without_cube(), cube_m())
     rod = np.zeros(depth_m.shape, dtype=bool)
     rod[:, 85:93] = True
@@ -161,7 +161,7 @@ def test_what_stands_before_an_object_hides_it():
 @pytest.mark.parametrize(
     ("part_side_m", "moved_m", "words"), [(0.3, 0.0, "farther"), (0.06, 0.12, "unit of the models")]
 )
-def test_objects_that_the_depth_contradicts_are_refused(part_side_m, moved_m, words):
+def test_objects_that_contradict_the_depth_are_refused(part_side_m, moved_m, words):
     T = rigid(np.eye(3), np.array([0.0, 0.0, -moved_m])) @ T_CAM_CUBE
     with pytest.raises(DatasetError, match=words):
         staged(image(T=T), {7: part(part_side_m)})
@@ -174,7 +174,7 @@ def test_depth_without_models_is_one_solid():
     assert np.quantile(off_m, 0.95) < 2 * STEP_M
 
 
-def test_an_object_that_fills_the_picture_has_something_behind_it():
+def test_an_object_that_fills_the_picture_has_a_background():
     T = rigid(np.eye(3), np.array([0.0, 0.0, 0.6]))
     result = staged(image(cube_m(T, side_m=0.9), T=T), {7: part(0.9)})
     assert np.isfinite(depth_of(result, kinds=(BACKGROUND,))).all()
@@ -182,7 +182,7 @@ def test_an_object_that_fills_the_picture_has_something_behind_it():
         staged(image(np.full(without_cube().shape, np.nan)))
 
 
-def test_looks_come_from_the_picture_where_nobody_gave_them():
+def test_looks_come_from_the_picture_if_none_are_stated():
     rgb = np.full((*without_cube().shape, 3), 188, dtype=np.uint8)  # half of the light of 255
     rgb[:4] = 255
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
@@ -199,8 +199,8 @@ def test_looks_come_from_the_picture_where_nobody_gave_them():
     assert texture is not None and (texture[own] == texture[-1, 0]).all()  # no cube on the floor
 
 
-def test_another_camera_keeps_the_lens():
-    """The focal length in metres and the f-number are those of the scanner, else it is refused."""
+def test_another_camera_keeps_the_lens_of_the_scanner():
+    """Focal length in metres and f-number are the scanner's; otherwise it is refused."""
     scanner = preset("like-phoxi-m")
     own = with_camera(scanner, BENT)
     assert own.rig.camera.K == pytest.approx(CAMERA.K)

@@ -1,4 +1,4 @@
-"""A fitted configuration: a key replaced by a word, and sections that the new rig says instead."""
+"""A fitted configuration: a key is replaced, and sections that the new rig has are dropped."""
 
 from pathlib import Path
 

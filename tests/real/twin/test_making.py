@@ -1,4 +1,4 @@
-"""The whole command on scans of a simulated scanner: its files, its words, and the same twice."""
+"""The whole command on scans of a simulated scanner: its files, its output, and the same twice."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ SCANS = 5
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory, mitsuba_renderer):
-    """A cell, and five scans of its heaps with their colour pictures."""
+    """Return a cell, and five scans of its heaps with their colour pictures."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, count=8)
-    # Gray code alone is off by more than things are higher than the bin.
+    # The error of Gray code alone exceeds the height of objects above the bin.
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
     save_scanner(replace(load_scanner(folder / "rig.yaml"), code=code), folder / "rig.yaml")
     cell = resolve_cell(load_config(path), folder)
@@ -65,7 +65,7 @@ def twin(folder, path, out, *options):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_twin_and_the_same_one_twice(scanned, monkeypatch, capsys):
+def test_the_command_writes_a_twin_and_repeats_it_exactly(scanned, monkeypatch, capsys):
     few = [p for p in PARAMETERS if p.key in (*OF_BIN, "sensor.read_noise_e")]
     monkeypatch.setattr(making, "PARAMETERS", few)
     monkeypatch.setattr(searching, "_STARTS", 0)
@@ -85,7 +85,7 @@ def test_the_command_writes_a_twin_and_the_same_one_twice(scanned, monkeypatch, 
 
 
 @pytest.mark.slow
-def test_too_few_scans_to_fit_or_to_keep_are_refused(scanned, capsys):
+def test_too_few_scans_to_fit_or_to_test_are_refused(scanned, capsys):
     folder, path = scanned
     assert twin(folder, path, "few.yaml", "--kept-aside", "3") == 1
     assert "5 scans are given, 3 of them to keep aside: give at least 3 to fit" in errors(capsys)

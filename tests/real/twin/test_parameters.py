@@ -1,4 +1,4 @@
-"""Parameters by the rig file's keys: values go in where the file has them, and come out again."""
+"""Parameters by the rig file's keys: values are set where the file has them, and read back."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ SCANNER = preset("like-phoxi-m", "small")
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
-def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
+def test_a_value_is_read_back_from_the_scanner_and_its_file(parameter, tmp_path):
     if parameter.key in OF_BIN:
         assert value_of(SCANNER, parameter) == (0.0 if parameter.key == BIN_ROUGHNESS else 1.0)
         return
@@ -33,13 +33,13 @@ def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
-def test_shares_span_the_bounds_and_come_back(parameter):
+def test_shares_span_the_bounds_and_can_be_inverted(parameter):
     assert (parameter.value(0.0), parameter.value(1.0)) == (parameter.low, parameter.high)
     for share in (0.0, 0.3, 0.8, 1.0):
         assert parameter.share(parameter.value(share)) == pytest.approx(share, abs=1e-3)
 
 
-def test_nothing_else_changes():
+def test_setting_a_parameter_changes_no_other_value():
     values = values_at(shares_of(SCANNER, PARAMETERS), PARAMETERS)
     fitted = with_values(SCANNER, PARAMETERS, values)
     assert fitted.rig.camera == SCANNER.rig.camera
@@ -51,7 +51,7 @@ def test_nothing_else_changes():
     assert fitted.sensor == SCANNER.sensor
 
 
-def test_a_filter_and_a_fault_go_off_below_their_least_value():
+def test_a_filter_and_a_fault_are_off_below_their_smallest_value():
     low = with_values(SCANNER, PARAMETERS, values_at(np.zeros(len(PARAMETERS)), PARAMETERS))
     assert low.filters.smoothing_px is None and low.faults.raster_px is None
     assert low.rig.projector.falloff is None
@@ -60,7 +60,7 @@ def test_a_filter_and_a_fault_go_off_below_their_least_value():
     assert some.rig.projector.falloff == 0.45
 
 
-def test_a_deeper_well_is_as_bright_when_it_is_full():
+def test_a_deeper_well_has_the_same_brightness_when_it_is_full():
     well = next(p for p in PARAMETERS if p.key == "sensor.full_well_e")
     deep = with_values(SCANNER, [well], {well.key: 8e4}).sensor
     assert deep.full_well_e == 8e4
@@ -68,16 +68,16 @@ def test_a_deeper_well_is_as_bright_when_it_is_full():
     assert deep.full_well_e * deep.gain_dn_per_e == pytest.approx(full_dn, rel=1e-3)
 
 
-def test_finer_codes_are_tried_and_a_plain_one_is_left():
+def test_finer_codes_are_tried_for_phases_and_none_for_a_plain_code():
     codes = candidate_codes(SCANNER.code)
     assert [code.period_px for code in codes] == [48.0, 24.0, 12.0]
     projector = SCANNER.rig.projector
-    for code in codes:  # each is one that a projector can show
+    for code in codes:  # the projector can show each of them
         assert code.code(projector.width_px, projector.height_px).frames
     plain = CodeSpec(codec="gray")
     assert candidate_codes(plain) == (plain,)
 
 
-def test_the_place_of_one_laser_scanner_has_a_value_within_the_range_of_each_parameter():
+def test_the_parameters_of_one_laser_scanner_are_within_their_ranges():
     for parameter in PARAMETERS:
         assert parameter.low <= parameter.laser <= parameter.high

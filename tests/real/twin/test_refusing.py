@@ -1,4 +1,4 @@
-"""Depth without a shadow side is no structured light's."""
+"""Depth without a shadow side is not from structured light."""
 
 import numpy as np
 import pytest
@@ -19,13 +19,13 @@ def test_a_projector_beside_the_camera_is_accepted(projector_m):
     refuse_without_shadow(maps(projector_m))
 
 
-def test_a_light_at_the_camera_is_refused_and_the_reason_told():
+def test_a_light_at_the_camera_is_refused_with_the_reason():
     with pytest.raises(GraycastError, match="no shadow side"):
         refuse_without_shadow(maps((0.0, 0.0, 0.0)))
 
 
-def test_stereo_that_fills_shadows_is_refused():
-    """Two matched cameras with a filled disparity: the far surface goes on behind the near one."""
+def test_stereo_with_filled_shadows_is_refused():
+    """Two matched cameras, a filled disparity: the far surface continues behind the near one."""
     rng = np.random.default_rng(2)
     filled = []
     for _ in range(3):
@@ -37,7 +37,7 @@ def test_stereo_that_fills_shadows_is_refused():
         refuse_without_shadow(filled)
 
 
-def test_scans_without_steps_say_nothing():
+def test_scans_without_steps_are_not_judged():
     with pytest.raises(
         GraycastError, match="depth steps per map, which are too few to identify the kind of"
     ):

@@ -1,4 +1,4 @@
-"""A scene that is staged from its scan has the surfaces, the edges and the shadows of the first."""
+"""A scene staged from its scan has the surfaces, edges and shadows of the original."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ PROJECTOR_M = np.array([-0.2, 0.0, 0.0])  # in the camera frame
 
 
 def camera(finer=1):
-    """The same view with so many pixels for each one."""
+    """Return the same view with several pixels for each one."""
     return Optics(
         width_px=finer * WIDTH_PX,
         height_px=finer * HEIGHT_PX,
@@ -50,7 +50,7 @@ def bin_scene():
 
 
 def things():
-    """A leaning box, a ball and a narrow tower, in the world."""
+    """Return an inclined box, a ball and a narrow tower, in the world."""
     block = trimesh.creation.box((0.12, 0.08, 0.04))
     block.apply_transform(rigid(axis_rotation("y", 0.4), np.array([-0.1, 0.05, 0.06])))
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.035)
@@ -61,7 +61,7 @@ def things():
 
 
 def depth_of(vertices_m, faces, optics, T_cam_world):
-    """z-depth, NaN where nothing is."""
+    """Return z-depth; NaN for no surface."""
     return rasterize(transform_points(T_cam_world, vertices_m), faces, optics).over(optics)[1]
 
 
@@ -87,7 +87,7 @@ def scan_of(depth_m, name="scan"):
 
 
 def noisy_scan(seed=0, thing=None):
-    """Bin and things with noise and single holes; a pixel that sees two surfaces has no depth."""
+    """Return bin and objects with noise and single holes; a pixel of two surfaces has no depth."""
     rng = np.random.default_rng(seed)
     depth_m = np.fmin(of_thing(camera(), thing), of_bin(camera()))
     fine = np.isfinite(of_thing(camera(4), thing)).reshape(HEIGHT_PX, 4, WIDTH_PX, 4)
@@ -104,8 +104,8 @@ def staged():
     return scene
 
 
-def test_the_surface_is_there_at_every_pixel_without_the_noise(staged):
-    """Paraboloids leave a fifth of the noise; edges are not rounded by more than a pixel's step."""
+def test_the_surface_exists_at_every_pixel_without_the_noise(staged):
+    """Paraboloids leave a fifth of the noise; edges are rounded by at most a pixel's step."""
     truth_m, part_m = of_thing(camera()), of_part(staged, camera())
     inner = np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
     assert np.isfinite(part_m[inner]).all()  # neither a gap nor a crack
@@ -117,30 +117,30 @@ def test_the_surface_is_there_at_every_pixel_without_the_noise(staged):
     assert elsewhere.sum() < 0.003 * inner.sum()
 
 
-def test_edges_lie_where_pixels_see_two_surfaces(staged):
-    """At four times as many pixels, the things cover the same area up to a tenth of a pixel."""
+def test_edges_are_in_the_pixels_that_see_two_surfaces(staged):
+    """At four times as many pixels, the objects cover the same area up to a tenth of a pixel."""
     truth, part = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
     assert part.sum() / truth.sum() == pytest.approx(1, abs=0.02)
     assert (part != truth).sum() < 0.06 * truth.sum()
 
 
-def test_a_lost_pixel_saw_as_much_light_of_both_surfaces():
-    """Of a pixel between white and dark, white covers the share of the dark's light in both."""
+def test_a_lost_pixel_keeps_its_share_of_both_surfaces():
+    """In a pixel between white and dark, white covers its share of the light in both."""
     known = np.array([[True, True, False, True, True, False, False, False, True]])
     light = np.array([[0.8, 0.8, 0.5, 0.05, 0.05, 0.5, 0.5, 0.5, 0.8]])
     left, right, up, down = np.moveaxis(_covered(known, light), -1, 0)
     assert right[0, 1] == pytest.approx(0.05 / 0.85)
     assert left[0, 3] == pytest.approx(0.8 / 0.85)
-    assert right[0, 1] + left[0, 3] == pytest.approx(1)  # the edge is at one place for both
-    assert right[0, 4] == left[0, 8] == 0.5  # beside a shadow
+    assert right[0, 1] + left[0, 3] == pytest.approx(1)  # both have the edge at one position
+    assert right[0, 4] == left[0, 8] == 0.5  # next to a shadow
     assert not right[0, 0] and not left[0, 1] and not up[known].any() and not down[known].any()
 
 
 def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
-    """Squares of pixels meet smaller ones, whose corners lie on their sides in the picture."""
+    """Squares of pixels meet smaller ones, whose corners are on their sides in the picture."""
     mesh = staged.parts[0].mesh
     covered = np.isfinite(of_part(staged, camera())).sum()
-    assert len(mesh.faces) < 0.8 * 2 * covered  # small things: most pixels lie beside a rim
+    assert len(mesh.faces) < 0.8 * 2 * covered  # small objects: most pixels are next to a rim
     board = trimesh.creation.box((0.3, 0.2, 0.03))
     board.apply_translation((0, 0, 0.015))
     (scene,) = restage([scan_of(np.fmin(of_thing(camera(), board), of_bin(camera())))], bin_scene())
@@ -151,10 +151,10 @@ def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
         assert np.isfinite(of_part(one, camera(5))[inside]).mean() > 0.9999
 
 
-def test_shadows_are_those_of_the_things(staged):
-    """Oracle: what the projector's pinhole sees of the true things, and of the solid.
+def test_shadows_are_those_of_the_true_objects(staged):
+    """Oracle: the view of the projector's pinhole of the true objects, and of the solid.
 
-    A sheet without sides would let light pass under the tower and under the leaning box.
+    A sheet without sides would let light pass below the tower and the inclined box.
     """
     T_proj_world = rigid(np.eye(3), -PROJECTOR_M) @ inverse(T_WORLD_CAM)
     true, solid = things(), staged.parts[0].mesh
@@ -191,7 +191,7 @@ def test_shadows_are_those_of_the_things(staged):
     flat = trimesh.Trimesh(solid.vertices_m, solid.faces, process=False)
     to_camera = flat.triangles_center - T_WORLD_CAM[:3, 3]
     along = np.abs((flat.face_normals * to_camera).sum(axis=1)) / np.linalg.norm(to_camera, axis=1)
-    top = solid.faces[along > 0.02]  # Sides run along the camera's rays.
+    top = solid.faces[along > 0.02]  # Sides are along the camera's rays.
     sheet = lit(solid.vertices_m, top)
     assert (sheet & ~truly).sum() > 2 * (by_solid & ~truly).sum()
 
@@ -212,7 +212,7 @@ def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
     assert np.isnan(part_m[large][1:-1, 1:-1]).all()
 
 
-def test_the_bin_s_own_noise_is_no_thing():
+def test_the_bin_s_own_noise_is_not_an_object():
     scan = scan_of(noisy_scan().depth_m)
     solid = standing_before(scan.depth_m, of_bin(camera()))
     assert not (solid & ~np.isfinite(of_thing(camera()))).sum() > 0.002 * solid.sum()
@@ -238,13 +238,13 @@ def painted(height_px, width_px, color=(200, 100, 50)):
     return np.full((height_px, width_px, 3), color, dtype=np.uint8)
 
 
-def test_pictures_become_reflectances_whose_brightest_is_white():
-    """One factor for all: the second picture is half as bright, in linear light."""
+def test_pictures_become_reflectances_with_white_as_the_brightest():
+    """All have one factor: the second picture is half as bright, in linear light."""
     first, second = (
         painted(2 * HEIGHT_PX, 2 * WIDTH_PX),
         painted(HEIGHT_PX, WIDTH_PX, (146, 71, 33)),
     )
-    first[: HEIGHT_PX // 2] = 0  # mapped onto the depth, with nothing there
+    first[: HEIGHT_PX // 2] = 0  # mapped onto the depth, with an empty pixel
     staged = restage([noisy_scan(0), noisy_scan(1)], bin_scene(), [first, second])
     a, b = (one.parts[0].material.texture for one in staged)
     assert a.shape == first.shape
@@ -257,11 +257,11 @@ def test_pictures_become_reflectances_whose_brightest_is_white():
     assert light(a[0, 0])[0] == pytest.approx(0.8, abs=0.01)
     assert light(a[0, 0])[1] / light(a[0, 0])[0] == pytest.approx(light(100) / light(200), rel=0.03)
     assert light(b[0, 0])[0] == pytest.approx(0.4, abs=0.01)
-    assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # nothing is blacker than print
+    assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # print is not blacker
 
 
-def test_a_texture_lies_where_its_picture_shows_the_surface(staged):
-    """uv of the top's vertices are their places in the picture."""
+def test_a_texture_is_at_the_surface_that_its_picture_shows(staged):
+    """uv of the top's vertices are their positions in the picture."""
     part = staged.parts[0]
     mesh: Mesh = part.mesh
     corner = transform_points(inverse(T_WORLD_CAM), mesh.vertices_m[mesh.faces].reshape(-1, 3))
@@ -271,15 +271,15 @@ def test_a_texture_lies_where_its_picture_shows_the_surface(staged):
     np.testing.assert_allclose(uv[:, 1], 1 - (pixel[:, 1] + 0.5) / HEIGHT_PX, atol=1e-9)
 
 
-def test_a_bin_that_is_elsewhere_is_refused():
-    """It is 10 mm too deep and aside: all that the scan shows would be one thing."""
+def test_a_bin_at_another_place_is_refused():
+    """It is 10 mm too deep and aside: the whole scan would be one object."""
     scene, off_m = bin_scene(), np.array([0.02, 0.02, 0.01])
     lower = replace(scene, T_world_cam=rigid(np.eye(3), off_m) @ T_WORLD_CAM)
     with pytest.raises(GraycastError, match=r"within 1\.5 mm of the bin: check the bin"):
         restage([noisy_scan()], lower)
 
 
-def test_pictures_that_do_not_belong_to_the_scans_are_refused():
+def test_pictures_that_do_not_fit_the_scans_are_refused():
     scans = [noisy_scan()]
     with pytest.raises(GraycastError, match="2 colour pictures are given for 1 scans"):
         restage(scans, bin_scene(), [painted(HEIGHT_PX, WIDTH_PX)] * 2)

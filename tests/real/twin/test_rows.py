@@ -1,4 +1,4 @@
-"""Statistics by closed forms: noise that rows have in common, and holes that are counted."""
+"""Statistics in closed form: noise that rows have in common, and counted holes."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ def row(depth_m, name):
 
 
 def noisy(spread, seed=0):
-    """A plane with normal noise whose standard deviation varies from square to square, or not."""
+    """Return a plane with normal noise, whose standard deviation may vary from square to square."""
     z_m = plane()
     return z_m + SIGMA_M * spread * np.random.default_rng(seed).standard_normal(z_m.shape)
 
 
 @pytest.mark.parametrize("missing", [0.5, 0.99, 1.0])
 def test_a_scan_without_smooth_squares_has_no_texture(missing):
-    """A search tries scanners that see next to nothing: their scans are no error."""
+    """A search also tries scanners that see almost nothing: their scans are no error."""
     z_m = noisy(1.0)
     z_m[np.random.default_rng(1).random(z_m.shape) < missing] = np.nan
     for name in ("noise along x above fine noise", "noise common to rows"):
@@ -31,8 +31,8 @@ def test_a_scan_without_smooth_squares_has_no_texture(missing):
 
 
 def test_noise_common_to_rows_is_that_of_the_squares():
-    """Rows that are a sum of their own noise and of what neighbours have: the correlation of
-    `a_y + k a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
+    """Rows are a sum of their own noise and of that of neighbours: the correlation of `a_y + k
+    a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
     """
     k, white = (
         0.3,
@@ -43,21 +43,21 @@ def test_noise_common_to_rows_is_that_of_the_squares():
     assert row(z_m, "noise common to columns") == pytest.approx(0, abs=0.03)
 
 
-def test_holes_amid_present_neighbours_are_counted_and_wide_ones_are_not():
+def test_isolated_holes_are_counted_and_wide_ones_are_not():
     z_m = plane().copy()
-    z_m[40:200:20, 40:200:20] = np.nan  # each alone
+    z_m[40:200:20, 40:200:20] = np.nan  # each is isolated
     z_m[220:224, 100:140] = np.nan  # a wide one
     single = 8 * 8
-    # Of the inner pixels, those that lack a neighbour are beside a hole, and in the wide one and
-    # about it, whose rows touch it above and below.
+    # Inner pixels that lack a neighbour are next to a hole, and those in the wide hole and around
+    # it, whose rows touch it above and below.
     places = 238 * 318 - 4 * single - 4 * 40 - 2 * 40 - 2 * 4
     percent = row(z_m, "missing among present neighbours")
     assert percent == pytest.approx(100 * single / places, rel=1e-9)
     assert row(z_m, "holes of 1 px") == single and row(z_m, "holes of 2 to 4 px") == 0
 
 
-def test_holes_of_the_floor_are_those_of_its_plane():
-    """The plane lies at 0.6 m; a box on it, half of the picture, has holes of its own."""
+def test_holes_of_the_floor_are_those_in_its_plane():
+    """The plane is at 0.6 m; a box on it, half of the picture, has other holes."""
     z_m = plane().copy()
     z_m[:, 160:] -= 0.02
     z_m[40:200:20, 40:140:20] = np.nan
@@ -68,7 +68,7 @@ def test_holes_of_the_floor_are_those_of_its_plane():
     assert figures["holes in the floor"][0] == pytest.approx(100 * 40 / on_floor, rel=0.01)
 
 
-def test_depth_that_is_missing_on_a_side_of_the_bin_is_counted_there():
+def test_missing_depth_on_a_side_of_the_bin_is_counted_for_it():
     z_m = plane().copy()
     side, visible = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
     side[:, :50], visible[:120] = True, False
@@ -79,8 +79,8 @@ def test_depth_that_is_missing_on_a_side_of_the_bin_is_counted_there():
     assert np.isnan(figures["missing on the bin's upper side"][0])
 
 
-def test_three_equal_scans_are_believed_to_a_twentieth_or_to_the_declared_spread():
-    """Scans that happen to be equal would else meet no row at all."""
+def test_the_spread_of_three_equal_scans_is_a_twentieth_or_the_declared_one():
+    """Otherwise, scans that are equal by chance would match no statistics."""
     real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
     spread = {one.name: one.spread for one in compare(real, real)}
     assert spread["fine noise, median"] == 0.05

@@ -1,4 +1,4 @@
-"""The search takes the same way twice, touches nothing else, and its figures are their own."""
+"""The search is reproducible, has no side effects, and its figures are its own."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ FITTED = [p for p in PARAMETERS if p.key in ("sensor.read_noise_e", "filters.smo
 
 @pytest.fixture(scope="module")
 def stage():
-    """A scanner of 160 x 120 px, and two scenes of a ball before a wall as it sees them."""
+    """Return a scanner of 160 x 120 px, and its view of two scenes of a ball in front of a wall."""
     rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 256, 192)
     rig = replace(rig, name="small", camera=camera, projector=projector)
@@ -75,15 +75,15 @@ def result_of(stage, real, trials=40):
 
 
 @pytest.mark.slow
-def test_the_same_seed_takes_the_same_way(stage):
+def test_the_same_seed_gives_the_same_search(stage):
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
     first, second = (result_of(stage, real, trials=40) for _ in range(2))
     assert first == second
-    assert 18 < first.trials <= 42  # the first look, steps, and the slopes at their end
+    assert 18 < first.trials <= 42  # the first trial, steps, and the slopes at their end
 
 
 @pytest.mark.slow
-def test_two_hidden_numbers_are_found(stage):
+def test_two_unknown_parameters_are_found(stage):
     """The first steps end in another valley, at a misfit of 0.57 and a read noise of 3."""
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
     result = result_of(stage, real, trials=300)
@@ -95,8 +95,8 @@ def test_two_hidden_numbers_are_found(stage):
         assert one.parameter.share(one.high) - one.parameter.share(one.low) < 0.2
 
 
-def test_light_that_falls_off_is_what_the_renderer_shows(stage, monkeypatch):
-    """Oracle: the renderer's own picture with the falloff, where all light comes straight."""
+def test_the_model_of_falloff_agrees_with_the_renderer(stage, monkeypatch):
+    """Oracle: the renderer's own picture with the falloff, for direct light."""
     scanner, (lit, _) = stage
     rig = scanner.rig
     lit = replace(lit, corner_share=in_projector_corner(rig, lit.truth.depth_m))
@@ -114,12 +114,12 @@ def test_light_that_falls_off_is_what_the_renderer_shows(stage, monkeypatch):
     own, twin = rendering.radiance.white, taken[0].white
     bright = own > 0
     assert (twin[bright] / lit.radiance[scanner.code].white[bright]).min() < 0.75
-    # Where a pixel shows an edge, its light comes from other places than its depth.
+    # If a pixel shows an edge, its light comes from other points than its depth.
     assert np.quantile(np.abs(twin[bright] / own[bright] - 1), 0.97) < 2e-3
 
 
-def test_scans_are_met_by_their_own_scanner_and_by_no_other(stage):
-    """With other noise of the same strength; a misfit of 1 is what chance alone makes."""
+def test_scans_are_matched_by_their_own_scanner_and_by_no_other(stage):
+    """The noise is another sample of the same strength; chance alone gives a misfit of 1."""
 
     def figures(seed, read_noise_e=20.0, smoothing_px=0.0):
         values = {"sensor.read_noise_e": read_noise_e, "filters.smoothing_px": smoothing_px}
@@ -134,9 +134,9 @@ def test_scans_are_met_by_their_own_scanner_and_by_no_other(stage):
         assert loss_of(rows) > 5 and not all(row.is_met for row in rows)
 
 
-def test_a_bin_that_reflects_more_is_as_one_that_is_exposed_longer(stage):
-    """Four times the light is four times the exposure, to the bit but beside the ball, which keeps
-    its own light and so its depth."""
+def test_a_brighter_bin_equals_a_longer_exposure(stage):
+    """Four times the light is four times the exposure, to the bit except next to the ball, which
+    keeps its own light and therefore its depth."""
     scanner, (lit, _) = stage
 
     def depth(color, exposure_s):
@@ -152,7 +152,7 @@ def test_a_bin_that_reflects_more_is_as_one_that_is_exposed_longer(stage):
 
 
 def formula(stage, monkeypatch, off):
-    """A search whose rows are a formula of the code and the shares, and the places it judged."""
+    """Return a search whose rows are a formula of the code and the shares, and its trials."""
     places = []
 
     class Formula(searching._Trials):
@@ -174,8 +174,8 @@ def formula(stage, monkeypatch, off):
     return run, places
 
 
-def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage, monkeypatch):
-    """A bound that is flat there would say of no parameter which way is better."""
+def test_steps_converge_from_where_a_row_is_sixty_spreads_off(stage, monkeypatch):
+    """A limit that is flat there would not show which direction is better."""
     monkeypatch.setattr(searching, "_STARTS", 0)
 
     def off(code, x):
@@ -188,8 +188,8 @@ def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage, monkeypatc
     assert shares_of(result.scanner, FITTED) == pytest.approx([0.8, 0.6], abs=0.01)
 
 
-def test_a_code_that_fits_in_a_valley_far_from_the_configured_scanner_is_found(stage, monkeypatch):
-    """From the known places that code is nowhere better than the configured one."""
+def test_a_code_with_a_good_fit_far_from_the_configured_scanner_is_found(stage, monkeypatch):
+    """At the first trials, that code is nowhere better than the configured one."""
     coarse = stage[0].code
     fine = replace(coarse, period_px=12.0)
     start = shares_of(stage[0], FITTED)
@@ -208,8 +208,8 @@ def test_a_code_that_fits_in_a_valley_far_from_the_configured_scanner_is_found(s
     assert result.by_code[coarse.period_px] > 1
 
 
-def test_slopes_are_those_of_the_rows(stage):
-    """Of rows that are small and linear; at the upper bound the lever goes downwards."""
+def test_slopes_agree_with_those_of_the_rows(stage):
+    """The rows are small and linear; at the upper bound, the step goes downwards."""
 
     class Linear(searching._Trials):
         def rows(self, code, x):
@@ -223,8 +223,8 @@ def test_slopes_are_those_of_the_rows(stage):
     )
 
 
-def test_a_place_that_is_asked_for_again_costs_no_trial(stage, monkeypatch):
-    """The best code's steps go on from where they ended before."""
+def test_a_repeated_trial_costs_nothing(stage, monkeypatch):
+    """The best code's steps continue from where they ended before."""
     run, places = formula(
         stage, monkeypatch, lambda code, x: [3 + np.sin(9 * x[0]) * np.cos(7 * x[1]), x[0]]
     )
@@ -234,12 +234,12 @@ def test_a_place_that_is_asked_for_again_costs_no_trial(stage, monkeypatch):
     assert result.trials <= 150 + len(FITTED)
 
 
-def test_steps_turn_back_from_where_nothing_is_lit(stage, monkeypatch):
-    """The first step goes too far, as errors count by their logarithm, and finds no rows there."""
+def test_steps_return_from_where_nothing_is_lit(stage, monkeypatch):
+    """The first step goes too far, as errors count by their logarithm, and finds no rows."""
     monkeypatch.setattr(searching, "_STARTS", 0)
     run, places = formula(
         stage, monkeypatch, lambda code, x: [40 * (x[1] - 0.8)] if x[1] < 0.85 else []
     )
     result = run([stage[0].code], 60)
     assert any(np.frombuffer(place)[1] >= 0.85 for _, place in places)
-    assert result.loss < 0.5  # slopes are taken over a tenth, which ends in the dark, too
+    assert result.loss < 0.5  # slopes are taken over a tenth, which is also dark

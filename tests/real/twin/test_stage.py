@@ -1,4 +1,4 @@
-"""A bin of another colour and gloss is a sum of two renderings; its sides are where it is steep."""
+"""A bin of another colour and gloss is a sum of two renderings; its sides are its steep faces."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ DARK = {"base_color": [0.05, 0.05, 0.05], "roughness": 0.5, "specular": 0.5}
 
 
 def lit_bin(folder, renderer, **material):
-    """A box in a bin of that material, and in the same bin without colour."""
+    """Return a box in a bin of that material, and in the same bin without colour."""
     folder.mkdir()
     path = write_cell(
         folder,
@@ -42,7 +42,7 @@ def lit_bin(folder, renderer, **material):
 
 
 @pytest.mark.slow
-def test_another_bin_is_a_sum_of_two_renderings(tmp_path, mitsuba_renderer, monkeypatch):
+def test_another_bin_material_is_a_sum_of_two_renderings(tmp_path, mitsuba_renderer, monkeypatch):
     """Oracle: the renderer's own picture of a bin with a third of the colour or half of the coat.
 
     Half of the coat is not exact: 6 % of the light are missing, because a weaker coat also lets
@@ -77,12 +77,12 @@ def test_another_bin_is_a_sum_of_two_renderings(tmp_path, mitsuba_renderer, monk
 
 
 def funnel():
-    """Depth of a square floor with four sides, each of which leans outwards by 45 degrees."""
+    """Return the depth of a square floor with four sides, inclined outwards by 45 degrees."""
     y, x = np.mgrid[-119.5:120, -159.5:160]
     return 0.6 - np.clip(np.maximum(np.abs(x), np.abs(y)) - 60, 0, None) * 0.6 / 300
 
 
-def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out():
+def test_sides_are_named_by_position_and_unseen_ones_are_left_out():
     depth_m = funnel()
     truth = DepthScan(name="t", depth_m=depth_m, K=K)
     is_bin = np.ones(depth_m.shape, dtype=bool)

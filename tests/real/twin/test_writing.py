@@ -1,4 +1,4 @@
-"""The fitted bin is written with all that the measuring camera sees of it."""
+"""The fitted bin is written with all properties that the measuring camera sees."""
 
 import pytest
 from small_cell import write_cell
@@ -33,12 +33,12 @@ def written(folder, material, values):
 def test_colour_and_coat_are_the_fitted_ones(tmp_path):
     values = {BIN_COLOR: 2.0, BIN_GLOSS: 0.5, BIN_ROUGHNESS: -0.1}
     material = written(tmp_path, PLAIN, values)["bin"]["material"]
-    assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # no surface reflects more
+    assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # the largest value
     assert (material["specular"], material["roughness"]) == (0.2, 0.4)
     assert "projector_reflectance" not in material
 
 
-def test_the_reflectance_at_the_projector_s_wavelength_is_scaled_as_the_colour_is(tmp_path):
+def test_the_reflectance_at_the_projector_s_wavelength_is_scaled_like_the_colour(tmp_path):
     settings = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
     assert settings["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
     assert settings["bin"]["material"]["specular"] == 0.4

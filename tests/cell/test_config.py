@@ -14,10 +14,11 @@ from small_cell import write_cell
 
 from graycast.base.errors import ConfigError
 from graycast.base.progress import Stages
-from graycast.camera.rig_file import load_scanner, rig_schema
+from graycast.camera.rig_file import load_scanner
+from graycast.camera.rig_file.own import RigModel
 from graycast.camera.scanner import preset
 from graycast.cell import config as words
-from graycast.cell.config import Config, config_schema, load_config
+from graycast.cell.config import Config, load_config
 from graycast.cell.domain.domain_sections import KINDS
 from graycast.cell.resolve import file_digests, resolve_cell
 from graycast.learn.study_file import read_study
@@ -36,7 +37,7 @@ DESIGNS = [path for path in FILES if "sweeps" in KEYS[path]]
 CONFIGS = [path for path in FILES if "parts" in KEYS[path] and path not in CELLS]
 STUDIES = [path for path in FILES if "models" in KEYS[path]]
 RIGS = [path for path in FILES if "R_cam_proj" in KEYS[path]]
-SCHEMA = json.loads(json.dumps(config_schema()))  # as an editor reads it
+SCHEMA = json.loads(json.dumps(Config.model_json_schema()))  # as an editor reads it
 
 
 @pytest.fixture(autouse=True)
@@ -428,7 +429,7 @@ def test_the_schema_refuses_what_the_program_refuses(changes, fault):
         Config.model_validate(content)
 
 
-@pytest.mark.parametrize("schema", [SCHEMA, rig_schema()], ids=["config", "rig"])
+@pytest.mark.parametrize("schema", [SCHEMA, RigModel.model_json_schema()], ids=["config", "rig"])
 def test_a_schema_is_closed_and_consistent(schema):
     """Every object refuses unknown keys, requires only keys that it has, and keeps its limits."""
     objects = [schema, *schema.get("$defs", {}).values()]
@@ -444,7 +445,7 @@ def test_a_schema_is_closed_and_consistent(schema):
 
 def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
     """Two letters of each key of each section are swapped; the right key is suggested."""
-    sections = config_schema()
+    sections = Config.model_json_schema()
     for name, section in {"": sections, **sections["$defs"]}.items():
         for key in section["properties"]:
             wrong = key[:-2] + key[-1] + key[-2] if key[-1] != key[-2] else key + "x"

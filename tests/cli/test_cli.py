@@ -21,19 +21,22 @@ from small_cell import GRAYCAST, content, write_cell
 
 from graycast import __version__
 from graycast.base.errors import ConfigError
-from graycast.camera.rig_file import load_scanner, rig_schema
+from graycast.camera.rig_file import load_scanner
+from graycast.camera.rig_file.own import RigModel
 from graycast.camera.scanner import preset
-from graycast.camera.stack import stack_schema
-from graycast.cell.config import config_schema
+from graycast.camera.stack import StackDescription
+from graycast.cell.config import Config
 from graycast.cell.engine import TaskResult
 from graycast.cell.framing import framing_line
 from graycast.cell.resolve import load_cell
 from graycast.cli import arguments, command, doctor, main, scene_commands, start_commands
+from graycast.learn.study_file import StudySpec
 from graycast.real.depth_file import DEPTH_FILES
 from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
-from graycast.robot.grasp_labels.label_options import tool_schema
-from graycast.robot.pick.pick_sections import robot_schema
+from graycast.robot.grasp_labels.label_options import ToolFile
+from graycast.robot.pick.pick_sections import PickConfig
+from graycast.score.design.study import DesignSpec
 from graycast.show.report import rig_picture as drawing
 from graycast.show.report.page import WIDTH_PX
 from graycast.world.drop import Decomposition
@@ -616,17 +619,20 @@ def test_patterns_count_columns_and_rows_in_gray_code(capsys, cell_and_dataset, 
 
 
 @pytest.mark.parametrize(
-    ("kind", "schema"),
+    ("kind", "model"),
     [
-        ("config", config_schema),
-        ("rig", rig_schema),
-        ("stack", stack_schema),
-        ("robot", robot_schema),
-        ("tool", tool_schema),
+        ("config", Config),
+        ("rig", RigModel),
+        ("stack", StackDescription),
+        ("study", StudySpec),
+        ("design", DesignSpec),
+        ("robot", PickConfig),
+        ("tool", ToolFile),
     ],
 )
-def test_schema_prints_json(capsys, kind, schema):
-    assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema()))
+def test_schema_prints_json(capsys, kind, model):
+    schema = model.model_json_schema()
+    assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema))
 
 
 def test_doctor_ends_with_its_verdict(capsys, monkeypatch):

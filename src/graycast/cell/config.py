@@ -268,11 +268,6 @@ class Config(ScannerSections):
         return (self.count, self.count) if isinstance(self.count, int) else self.count
 
 
-def config_schema() -> dict[str, Any]:
-    """The JSON Schema of a configuration, for editors."""
-    return Config.model_json_schema()
-
-
 def load_config(path: Path | str) -> Config:
     """Read and check a configuration.
 

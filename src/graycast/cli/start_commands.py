@@ -153,16 +153,14 @@ def _doctor(options: argparse.Namespace) -> None:
 
 
 def _schema(options: argparse.Namespace) -> None:
-    from ..camera.rig_file import rig_schema
-    from ..camera.stack import stack_schema
-    from ..cell.config import config_schema
-    from ..learn.study_file import study_schema
-    from ..robot.grasp_labels.label_options import tool_schema
-    from ..robot.pick.pick_sections import robot_schema
-    from ..score.design import design_schema
+    from ..camera.rig_file.own import RigModel
+    from ..camera.stack import StackDescription
+    from ..cell.config import Config
+    from ..learn.study_file import StudySpec
+    from ..robot.grasp_labels.label_options import ToolFile
+    from ..robot.pick.pick_sections import PickConfig
+    from ..score.design.study import DesignSpec
 
-    every = (
-        config_schema, rig_schema, stack_schema, study_schema, design_schema, robot_schema,
-        tool_schema,
-    )  # fmt: skip
-    print(json.dumps(every[KINDS.index(options.kind)](), indent=2))
+    models = (Config, RigModel, StackDescription, StudySpec, DesignSpec, PickConfig, ToolFile)
+    model = dict(zip(KINDS, models, strict=True))[options.kind]
+    print(json.dumps(model.model_json_schema(), indent=2))

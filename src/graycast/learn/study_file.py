@@ -151,8 +151,3 @@ def read_study(path: Path) -> StudySpec:
         },
     }
     return spec.model_copy(update=changes)
-
-
-def study_schema() -> dict[str, Any]:
-    """JSON Schema of a study's file, from which editors complete."""
-    return StudySpec.model_json_schema()

@@ -1,7 +1,7 @@
 """Files of scanners: reads and writes Graycast's YAML, and reads OpenCV stereo calibrations."""
 
 from .opencv import import_opencv, missing_distortions
-from .own import load_scanner, named_scanner, rig_schema, save_scanner, scanner_text
+from .own import load_scanner, named_scanner, save_scanner, scanner_text
 from .scanner_sections import ScannerSections, own_device, with_sections
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "missing_distortions",
     "named_scanner",
     "own_device",
-    "rig_schema",
     "save_scanner",
     "scanner_text",
     "with_sections",

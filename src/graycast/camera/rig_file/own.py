@@ -54,11 +54,6 @@ RigModel = section_of(
 )
 
 
-def rig_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a rig file, which editors use for completion."""
-    return RigModel.model_json_schema()
-
-
 def save_scanner(scanner: Scanner, path: Path | str) -> None:
     """Write a rig file; `load_scanner` returns exactly the same numbers.
 

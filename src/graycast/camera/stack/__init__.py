@@ -9,7 +9,6 @@ from .description import (
     describe_frames,
     describe_stack,
     read_description,
-    stack_schema,
 )
 from .diagnosis import mirror_symptom
 from .idle_settings import unread_settings
@@ -34,7 +33,6 @@ __all__ = [
     "meet_rays",
     "mirror_symptom",
     "read_description",
-    "stack_schema",
     "unread_settings",
     "write_ply",
     "write_result",

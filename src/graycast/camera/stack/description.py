@@ -187,11 +187,6 @@ class StackDescription(Settings):
         return self
 
 
-def stack_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a stack file, which editors use for completion."""
-    return StackDescription.model_json_schema()
-
-
 def read_description(path: Path) -> StackDescription:
     """Read and check a stack file, but not its pictures.
 

@@ -9,15 +9,10 @@ from ...base.settings import Settings, check_settings, parse_yaml, read_text
 from ..pick.tools import AnyTool
 
 
-class _ToolFile(Settings):
+class ToolFile(Settings):
     """A file with the key `tool` alone."""
 
     tool: AnyTool
-
-
-def tool_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a file of a tool, for editors."""
-    return _ToolFile.model_json_schema()
 
 
 class Labelling(Settings):
@@ -61,4 +56,4 @@ def read_tool(path: Path) -> AnyTool:
     section: Any = content.get("tool", content)
     if isinstance(section, dict):
         section = {"kind": "suction"} | section  # as in a cell
-    return check_settings({"tool": section}, _ToolFile, path).tool
+    return check_settings({"tool": section}, ToolFile, path).tool

@@ -1,7 +1,7 @@
 """Settings of a robot's cell: those of a dataset's cell, and robot, tool and picking."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -149,16 +149,10 @@ class PickConfig(Config):
         return self
 
 
-def robot_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a robot's cell, for editors."""
-    return PickConfig.model_json_schema()
-
-
 def load_pick_config(path: Path | str) -> PickConfig:
     """Read and check a robot's cell.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
     """
-    path = Path(path)
-    return read_settings(path, PickConfig)
+    return read_settings(Path(path), PickConfig)

@@ -3,11 +3,10 @@
 from .design_run import run_design
 from .design_tables import describe_design, rows_of, write_design
 from .setting import settings_of
-from .study import design_schema, read_design
+from .study import read_design
 
 __all__ = [
     "describe_design",
-    "design_schema",
     "read_design",
     "rows_of",
     "run_design",

@@ -184,8 +184,3 @@ def _bin_from(base: Path, section: BinSection) -> BinSection:
             files = {key: _from(base, path) for key, path in material.files.items()}
             changes[name] = material.model_copy(update=files)
     return section.model_copy(update=changes)
-
-
-def design_schema() -> dict[str, Any]:
-    """JSON Schema of a design study's file, from which editors complete."""
-    return DesignSpec.model_json_schema()

@@ -579,7 +579,7 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
         "K1: [[900, 0, 320], [0, 901, 240], [0, 0, 1]]\n"
         "K2: [[800, 0, 400], [0, 801, 300], [0, 0, 1]]\n"
         "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-8, 0, 0]\n"
-        "dc: [0.1, 0, 0, 0]\ndp: [0, 0, 0, 0]\n"
+        "D1: [0.1, 0, 0, 0]\nD2: [0, 0, 0, 0]\n"
     )
     size = ("--camera-size", "640x480", "--projector-size", "800x600")
     run(capsys, "rig", "import", calibration, "--out", path, "--unit", "mm", *size,

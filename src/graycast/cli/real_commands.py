@@ -63,8 +63,8 @@ def add_commands(commands) -> None:
         compare,
         "--classifier",
         None,
-        "Train a classifier to distinguish the two sets, and report its accuracy and the features "
-        "that it uses. It needs scikit-learn.",
+        "Train a classifier to distinguish the two sets, and report how well it can (AUC). It "
+        "needs scikit-learn.",
     )
     most = "The number of depth maps of each set that --classifier uses, evenly spaced in the set."
     add_option(compare, "--max-maps", positive, most, 20)
@@ -226,16 +226,13 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _two_sample(options: argparse.Namespace) -> tuple:
     """Run the classifier test; return its result and both sets of maps."""
-    from ..real.realism import read_perfect, two_sample_test
+    from ..real.realism import two_sample_test
 
     a, b, most = options.first, options.second, options.max_maps
     first, second = (_spread(list(_scans(path, options)), most) for path in (a, b))
-    perfect = _spread(list(read_perfect(b)), most)
     names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
     with open_stages() as progress:
-        test = two_sample_test(
-            first, second, perfect=perfect, names=names, seed=options.seed, progress=progress
-        )
+        test = two_sample_test(first, second, names=names, seed=options.seed, progress=progress)
     return test, first, second
 
 

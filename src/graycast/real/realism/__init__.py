@@ -1,13 +1,13 @@
 """Statistics of real depth maps that perfect ones lack: gaps, noise, steps, islands."""
 
 from .depth_curves import draw_realism
-from .depth_maps import read_perfect, read_scans
+from .depth_maps import read_scans
 from .measure import measure_all, pool
 from .realism_record import RECORD_FILE, read_record, write_record
 from .record_table import table
 from .scan import DepthScan
 from .two_sample import TwoSample, two_sample_test
-from .two_sample_page import two_sample_table, write_two_sample
+from .two_sample_files import two_sample_table, write_two_sample
 
 __all__ = [
     "RECORD_FILE",
@@ -16,7 +16,6 @@ __all__ = [
     "draw_realism",
     "measure_all",
     "pool",
-    "read_perfect",
     "read_record",
     "read_scans",
     "table",

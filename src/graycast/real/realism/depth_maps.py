@@ -91,28 +91,6 @@ def _pictures(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def read_perfect(path: Path) -> Iterator[DepthScan]:
-    """Yield the perfect depth of the scenes of a dataset that stores it with the scanner's.
-
-    Pictures of another camera than the scanner's are left out, and a dataset of real scans has
-    none at all.
-
-    Raises:
-        DatasetError: a file is missing or damaged.
-    """
-    for scene in _scenes(path):
-        files = SceneFolder(scene)
-        if all((scene / f"scene_camera{suffix}.json").is_file() for suffix in ("", SCANNER)):
-            perfect = _record(files, "scene_camera", AnyView)
-            scanner = _record(files, f"scene_camera{SCANNER}", AnyView)
-            for number in sorted(perfect.keys() & scanner.keys()):
-                file, view = files.png_path("depth", number), perfect[number]
-                if view.cam_K == scanner[number].cam_K and file.is_file():
-                    depth_m = in_metres(read_image(file), view.depth_scale * _M_PER_MM, str(file))
-                    K = np.reshape(view.cam_K, (3, 3))
-                    yield _scan(name=str(file), depth_m=depth_m, K=K)
-
-
 def _scenes(path: Path) -> list[Path]:
     """Scene folders at, in, or two levels below a folder."""
     for pattern in (".", "*", "*/*"):

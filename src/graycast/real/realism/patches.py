@@ -20,7 +20,6 @@ from .scan import DepthScan
 
 SQUARE_PX = 32
 STRIDE_PX = 16
-STEP_M = 0.015  # Neighbours that are farther apart in depth are a step.
 _LEAST_VALID = {"smooth": 0.7, "floor": 0.5}
 _SMOOTH_M = 2e-3  # All but `_STRAY` of a smooth square lie so near to a paraboloid.
 _FLOOR_M = 4e-3  # All but `_STRAY` of a square on the floor lie so near to its plane.
@@ -36,40 +35,17 @@ _LEAST_TRIANGLE_PX2 = 4000.0  # It is twice the area: a smaller triangle determi
 _TINY_M = 1e-6
 _LEAST_PAIRS = 30  # A correlation needs this many pairs of values.
 
-FEATURES: dict[str, tuple[str, ...]] = {
-    "noise": (
-        "noise_log_mm",
-        "tails",
-        "outlying_share",
-        "along_x",
-        "along_y",
-        "common_along_y",
-        "common_along_x",
-    ),
-    "holes": (
-        "missing_share",
-        "holes_1",
-        "holes_2_4",
-        "holes_5_16",
-        "holes_over_16",
-        "specks",
-        "ragged",
-    ),
-    "steps": ("falls_right", "falls_left", "falls_y"),
-    "shape": ("depth_mm", "slope_x", "slope_y", "bend_mm"),
-}
-"""Names of what is measured, by group; the first two groups are the sensor's."""
+FEATURES = (
+    *("noise_log_mm", "tails", "outlying_share", "along_x", "along_y", "common_along_y"),
+    *("common_along_x", "missing_share", "holes_1", "holes_2_4", "holes_5_16", "holes_over_16"),
+    *("specks", "ragged"),
+)
+"""Names of what is measured in a square: seven of its noise, and seven of its holes."""
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "sensor": FEATURES["noise"] + FEATURES["holes"],
-    **FEATURES,
-    "all": tuple(name for names in FEATURES.values() for name in names),
-}
 _SIDE = np.linspace(-1, 1, SQUARE_PX)
 _X, _Y = np.meshgrid(_SIDE, _SIDE)
 # The terms of a paraboloid at each pixel of a square.
 PARABOLOID = np.stack([_X**0, _X, _Y, _X * _X, _X * _Y, _Y * _Y], axis=-1)
-_COLUMN = {name: i for i, name in enumerate(GROUPS["all"])}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,10 +67,6 @@ class Squares:
 
     def only(self, keep: Bool[np.ndarray, " n"]) -> "Squares":
         return Squares(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
-
-    def group(self, name: str) -> Float[np.ndarray, "n some"]:
-        """Return the columns of one group of features."""
-        return self.feature[:, [_COLUMN[feature] for feature in GROUPS[name]]]
 
 
 def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
@@ -218,18 +190,19 @@ def _squares_of(
             share = valid.mean()
             if share < min(_LEAST_VALID.values()):
                 continue
-            fit = _paraboloid(z_m, valid)
-            is_smooth = share >= _LEAST_VALID["smooth"] and _holds(fit, z_m, valid, _SMOOTH_M)
+            is_smooth = share >= _LEAST_VALID["smooth"] and _holds(
+                _paraboloid(z_m, valid), z_m, valid, _SMOOTH_M
+            )
             is_floor = floor is not None and _holds(
                 depth_of_floor(floor, *place), z_m, valid, _FLOOR_M
             )
             if is_smooth or is_floor:
-                rows.append([*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)])
+                rows.append([*_noise(z_m), *_holes(valid)])
                 smooth.append(is_smooth)
                 on_floor.append(is_floor)
                 corners.append((y, x))
     return Squares(
-        feature=np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMN)),
+        feature=np.array(rows, dtype=np.float64).reshape(-1, len(FEATURES)),
         scan=np.full(len(rows), number),
         corner_px=np.array(corners, dtype=np.int64).reshape(-1, 2),
         is_smooth=np.array(smooth, dtype=bool),
@@ -268,7 +241,7 @@ def _noise(z_m: Float[np.ndarray, "s s"]) -> list[float]:
     along_y = third_difference(z_m.T).T
     known = mixed[~np.isnan(mixed)]
     if len(known) < 30:
-        return [np.nan] * len(FEATURES["noise"])
+        return [np.nan] * 7
     sigma_m = robust_sigma(known) + _TINY_M
     core = known[np.abs(known) < 4 * sigma_m]
     return [
@@ -303,22 +276,3 @@ def _holes(valid: Bool[np.ndarray, "s s"]) -> list[float]:
         float(specks),
         float(edges / np.sqrt(missing)) if missing else 0.0,
     ]
-
-
-def _falls(z_m: Float[np.ndarray, "s s"]) -> list[float]:
-    """Steps between neighbours along a row, by the side that is farther, and along the columns."""
-    along, down = np.diff(z_m, axis=1), np.diff(z_m, axis=0)
-    return [
-        float((along > STEP_M).sum()),
-        float((along < -STEP_M).sum()),
-        float((np.abs(down) > STEP_M).sum()),
-    ]
-
-
-def _shape(z_m: Float[np.ndarray, "s s"], fit: Float[np.ndarray, "s s"]) -> list[float]:
-    last = SQUARE_PX - 1
-    slope_x = (fit[:, last] - fit[:, 0]).mean()
-    slope_y = (fit[last] - fit[0]).mean()
-    middle = fit[SQUARE_PX // 2, SQUARE_PX // 2]
-    corners = (fit[0, 0] + fit[0, last] + fit[last, 0] + fit[last, last]) / 4
-    return [float(1e3 * v) for v in (np.nanmedian(z_m), slope_x, slope_y, corners - middle)]

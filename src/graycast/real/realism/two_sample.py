@@ -1,16 +1,15 @@
-"""Can a classifier tell two sets of depth maps apart? By which of their features, and where?
+"""Measure how well a classifier distinguishes two sets of depth maps.
 
-Squares of both sets are cut from smooth places and from the floor; a forest of randomised trees
-learns to tell whose they are, and is judged by squares of maps that it has not seen. Its area under
-the receiver's curve (AUC) is 0.5 where nothing tells, 1 where everything does. In the same table
-stand the first set's maps against each other, which is the best that a twin can reach, and what
-simulations without a sensor reach: perfect depth, bare and with Gaussian noise and drop-outs.
+Squares of both sets are cut from smooth places and from the floor. A forest of randomised trees
+learns which set a square is from, and is tested by squares of maps that it has not seen. The area
+under its ROC curve (AUC) is 0.5 if it cannot distinguish the sets, and 1 if it always can. The AUC
+of the first set's maps against each other is the best that a twin can reach.
 
 Source: Lopez-Paz & Oquab, "Revisiting classifier two-sample tests", ICLR 2017.
 """
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,9 +18,7 @@ from jaxtyping import Float
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.robust import robust_sigma
-from .missing import missing_among
-from .patches import GROUPS, Squares, cut_squares, second_difference
+from .patches import Squares, cut_squares
 from .scan import DepthScan
 
 PLACES = ("smooth", "floor")
@@ -42,41 +39,31 @@ class Auc:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Telling:
-    """Separation of the two sets by one feature alone, and the feature's difference."""
-
-    feature: str
-    auc: float
-    median: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSample:
-    """The test's table: by row, such as 'a against b', by place and by group of features.
+    """The AUC of two sets and of the first set's maps against each other, by place.
 
-    `telling` has, by place, the sensor's features, the most telling first; `score` is, by place,
-    how much each square of both sets looks like one of the second, by maps that were left out.
+    `score` is, by place, how much each square of both sets looks like one of the second, by a
+    forest that has not seen its map.
     """
 
-    row: dict[str, dict[str, dict[str, Auc]]]
-    telling: dict[str, tuple[Telling, ...]]
+    names: tuple[str, str]
+    auc: Mapping[str, Auc]
+    itself: Mapping[str, Auc]
     squares: tuple[Squares, Squares]
-    score: dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]
+    score: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]
 
 
 def two_sample_test(
     first: Sequence[DepthScan],
     second: Sequence[DepthScan],
     *,
-    perfect: Sequence[DepthScan] = (),
     names: tuple[str, str],
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> TwoSample:
-    """Judge the second set by the first, by squares of maps that were left out of the learning.
+    """Compare two sets by squares of maps that were left out of the learning.
 
     Args:
-        perfect: depth of the second set's scenes without a sensor, for the rows beside.
         names: of the sets, in the table.
 
     Raises:
@@ -94,30 +81,18 @@ def two_sample_test(
     a = cut_squares(first, step_m=step_m)
     progress.stage(f"cutting squares of {names[1]}")
     b = cut_squares(second, step_m=step_m)
-    others: dict[str, Squares] = {}
-    for name, scans in _naive(first, perfect, seed).items():
-        progress.stage(f"cutting squares of {name}")
-        others[name] = cut_squares(scans, step_m=step_m)
-    row = {}
-    for name, squares in {names[1]: b, "itself": None, **others}.items():
-        progress.stage(f"learning {names[0]} against {name}")
-        row[f"{names[0]} against {name}"] = {
-            place: _against_itself(a.at(place), seed)
-            if squares is None
-            else {group: _auc(a.at(place), squares.at(place), group, seed) for group in GROUPS}
-            for place in PLACES
-        }
-    return TwoSample(
-        row=row,
-        telling={place: _telling(a.at(place), b.at(place)) for place in PLACES},
-        squares=(a, b),
-        score={place: _scores(a.at(place), b.at(place), "sensor", seed)[1] for place in PLACES},
-    )
+    progress.stage(f"learning {names[0]} against {names[1]}")
+    auc, score = {}, {}
+    for place in PLACES:
+        auc[place], score[place] = _auc(a.at(place), b.at(place), seed)
+    progress.stage(f"learning {names[0]} against itself")
+    itself = {place: _against_itself(a.at(place), seed) for place in PLACES}
+    return TwoSample(names=names, auc=auc, itself=itself, squares=(a, b), score=score)
 
 
 def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
-    """Return the AUC by the sensor's features alone, of squares at one place."""
-    return _auc(first.at(place), second.at(place), "sensor", seed).mean
+    """Return the AUC of squares at one place."""
+    return _auc(first.at(place), second.at(place), seed)[0].mean
 
 
 def depth_step_m(scans: Sequence[DepthScan]) -> float:
@@ -143,50 +118,45 @@ def require_sklearn() -> None:
         )
 
 
-# --- what is compared ----------------------------------------------------------------------------
-
-
-def _naive(
-    real: Sequence[DepthScan], perfect: Sequence[DepthScan], seed: int
-) -> dict[str, tuple[DepthScan, ...]]:
-    """Perfect depth, and perfect depth with the first set's share of noise and drop-outs."""
-    if len(perfect) < 2:
-        return {}
-    sigma_m = float(np.median([_sigma_m(scan.depth_m) for scan in real]))
-    missing = float(np.mean([missing_among(scan.valid, scan.valid) for scan in real]))
-    rng = np.random.default_rng(seed)
-    return {
-        "perfect depth": tuple(perfect),
-        "perfect depth with noise and drop-outs": tuple(
-            _noisy(scan, sigma_m, missing, rng) for scan in perfect
-        ),
-    }
-
-
-def _sigma_m(depth_m: Float[np.ndarray, "h w"]) -> float:
-    mixed = second_difference(depth_m)
-    return robust_sigma(mixed[~np.isnan(mixed)])
-
-
-def _noisy(scan: DepthScan, sigma_m: float, missing: float, rng: np.random.Generator) -> DepthScan:
-    depth_m = scan.depth_m + rng.normal(0.0, sigma_m, scan.depth_m.shape)
-    depth_m[rng.random(depth_m.shape) < missing] = np.nan
-    return DepthScan(name=f"{scan.name} (noisy)", depth_m=depth_m, K=scan.K.copy())
-
-
 # --- learning ------------------------------------------------------------------------------------
 
 
-def _auc(a: Squares, b: Squares, group: str, seed: int) -> Auc:
+def _auc(
+    a: Squares, b: Squares, seed: int
+) -> tuple[Auc, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
+    """Return the AUC, and each square's score; NaN where nothing could be learnt."""
+    from sklearn.ensemble import ExtraTreesClassifier
+    from sklearn.metrics import roc_auc_score
+
     counts = (len(a.scan), len(b.scan))
-    if min(counts) < _LEAST_SQUARES or min(len(set(s.scan)) for s in (a, b)) < 2:
-        return Auc(mean=None, spread=None, squares=counts)
-    values, _ = _scores(a, b, group, seed)
-    return Auc(mean=float(np.mean(values)), spread=float(np.std(values)), squares=counts)
+    y = np.repeat([0, 1], counts)
+    score, values = np.full(len(y), np.nan), []
+    if min(counts) >= _LEAST_SQUARES and min(len(set(s.scan)) for s in (a, b)) >= 2:
+        x = np.nan_to_num(np.concatenate([a.feature, b.feature]), nan=-99.0)
+        fold = np.concatenate([_folds(a), _folds(b)])
+        for k in range(fold.max() + 1):
+            rest, left = fold != k, fold == k
+            if min(len(set(y[rest])), len(set(y[left]))) < 2:
+                continue
+            forest = ExtraTreesClassifier(
+                n_estimators=_TREES,
+                min_samples_leaf=_LEAST_IN_LEAF,
+                class_weight="balanced",
+                random_state=seed,
+            )
+            score[left] = forest.fit(x[rest], y[rest]).predict_proba(x[left])[:, 1]
+            values.append(float(roc_auc_score(y[left], score[left])))
+    return _mean(values, counts), (score[: counts[0]], score[counts[0] :])
 
 
-def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
-    """Judge one half of the maps by the other, over several ways to divide them."""
+def _mean(values: Sequence[float], squares: tuple[int, int]) -> Auc:
+    if not values:
+        return Auc(mean=None, spread=None, squares=squares)
+    return Auc(mean=float(np.mean(values)), spread=float(np.std(values)), squares=squares)
+
+
+def _against_itself(squares: Squares, seed: int) -> Auc:
+    """Compare one half of the maps with the other, over several ways to divide them."""
     scans = sorted(set(squares.scan.tolist()))
     ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
@@ -196,42 +166,8 @@ def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
         (squares.of_scans(ways[k]), squares.of_scans([s for s in scans if s not in ways[k]]))
         for k in order
     ]
-    result = {}
-    for group in GROUPS:
-        aucs = [_auc(half, rest, group, seed).mean for half, rest in halves]
-        means = [mean for mean in aucs if mean is not None]
-        result[group] = Auc(
-            mean=float(np.mean(means)) if means else None,
-            spread=float(np.std(means)) if means else None,
-            squares=(len(squares.scan), len(squares.scan)),
-        )
-    return result
-
-
-def _scores(
-    a: Squares, b: Squares, group: str, seed: int
-) -> tuple[list[float], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
-    """Return the AUC of each fold, and each square's score; NaN where nothing could be learnt."""
-    from sklearn.ensemble import ExtraTreesClassifier
-    from sklearn.metrics import roc_auc_score
-
-    x = np.nan_to_num(np.concatenate([a.group(group), b.group(group)]), nan=-99.0)
-    y = np.repeat([0, 1], [len(a.scan), len(b.scan)])
-    fold = np.concatenate([_folds(a), _folds(b)])
-    score, values = np.full(len(y), np.nan), []
-    for k in range(int(fold.max(initial=-1)) + 1):
-        rest, left = fold != k, fold == k
-        if min(len(set(y[rest])), len(set(y[left]))) < 2:
-            continue
-        forest = ExtraTreesClassifier(
-            n_estimators=_TREES,
-            min_samples_leaf=_LEAST_IN_LEAF,
-            class_weight="balanced",
-            random_state=seed,
-        )
-        score[left] = forest.fit(x[rest], y[rest]).predict_proba(x[left])[:, 1]
-        values.append(float(roc_auc_score(y[left], score[left])))
-    return values, (score[: len(a.scan)], score[len(a.scan) :])
+    means = [_auc(half, rest, seed)[0].mean for half, rest in halves]
+    return _mean([mean for mean in means if mean is not None], (len(squares.scan),) * 2)
 
 
 def _folds(squares: Squares) -> np.ndarray:
@@ -239,21 +175,3 @@ def _folds(squares: Squares) -> np.ndarray:
     order = {scan: k for k, scan in enumerate(sorted(set(squares.scan.tolist())))}
     folds = max(2, min(_FOLDS, len(order)))
     return np.array([order[scan] % folds for scan in squares.scan.tolist()], dtype=int)
-
-
-def _telling(a: Squares, b: Squares) -> tuple[Telling, ...]:
-    """Return each sensor feature's AUC: the share of pairs that it orders right, ties half."""
-    from scipy.stats import rankdata
-
-    telling = []
-    for k, name in enumerate(GROUPS["sensor"]):
-        first, second = (s.group("sensor")[:, k] for s in (a, b))
-        first, second = first[~np.isnan(first)], second[~np.isnan(second)]
-        if min(len(first), len(second)) < _LEAST_SQUARES:
-            continue
-        rank = rankdata(np.concatenate([first, second]))[len(first) :].sum()
-        wins = rank - len(second) * (len(second) + 1) / 2
-        auc = float(wins / (len(first) * len(second)))
-        median = float(np.median(first)), float(np.median(second))
-        telling.append(Telling(feature=name, auc=max(auc, 1 - auc), median=median))
-    return tuple(sorted(telling, key=lambda one: -one.auc))

@@ -1,8 +1,6 @@
-"""The two-sample test as a table, as JSON, and as pictures of the squares that gave a set away."""
+"""The two-sample test as a table, and a picture of the squares that distinguish the sets."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +9,9 @@ from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
 from ...base.tables import markdown_table
-from .patches import GROUPS, PARABOLOID, SQUARE_PX, Squares
+from .patches import PARABOLOID, SQUARE_PX, Squares
 from .scan import DepthScan
-from .two_sample import PLACES, TwoSample
+from .two_sample import PLACES, Auc, TwoSample
 
 CLASSIFIER = "classifier.md"
 _COLUMNS = 8  # A row of the picture has this many squares of one set.
@@ -23,71 +21,55 @@ _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 def two_sample_table(test: TwoSample) -> str:
     """Return the table in Markdown, which reads as plain text, too."""
-    lines = []
-    for place in PLACES:
-        rows = []
-        for name, places in test.row.items():
-            aucs = [places[place][group] for group in GROUPS]
-            cells = ["-" if a.mean is None else f"{a.mean:.2f} ± {a.spread:.2f}" for a in aucs]
-            first, second = places[place]["sensor"].squares
-            rows.append([name, *cells, f"{first}, {second}"])
-        lines += [
-            f"AUC on {_PLACE[place]} (0.5: the sets cannot be distinguished; 1: they are always "
-            "distinguished)",
-            "",
-            markdown_table(["sets", *GROUPS, "squares"], rows),
-            "",
-        ]
-        if telling := test.telling[place][:5]:
-            lines += [f"What tells them apart on {_PLACE[place]}, each feature alone:", ""]
-            lines += [
-                f"- {one.feature}: AUC {one.auc:.2f}, median {one.median[0]:.3g} of the first "
-                f"set, {one.median[1]:.3g} of the second"
-                for one in telling
-            ]
-            lines.append("")
-    return "\n".join(lines)
+    first, second = test.names
+    rows = [
+        [f"{first} against {name}", _PLACE[place], *_cells(auc[place])]
+        for place in PLACES
+        for name, auc in ((second, test.auc), ("itself", test.itself))
+    ]
+    table = markdown_table(["sets", "place", "AUC", "squares"], rows)
+    return (
+        f"AUC is 0.5 if a classifier cannot distinguish the sets, 1 if it always can.\n\n{table}\n"
+    )
+
+
+def _cells(auc: Auc) -> tuple[str, str]:
+    mean = "-" if auc.mean is None else f"{auc.mean:.2f} ± {auc.spread:.2f}"
+    return mean, f"{auc.squares[0]}, {auc.squares[1]}"
 
 
 def write_two_sample(
     test: TwoSample, first: Sequence[DepthScan], second: Sequence[DepthScan], folder: Path
 ) -> None:
-    """Write `classifier.md`, `classifier.json` and a picture of each place that has squares.
+    """Write the table to `classifier.md`, and a picture of squares to `classifier.png`.
+
+    The picture shows squares as relief over their own paraboloid, with holes in red: those of
+    each set that the classifier is most certain of, and those of the second set that it takes for
+    the first.
 
     Raises:
         GraycastError: a file cannot be written.
     """
     (folder / CLASSIFIER).write_text(two_sample_table(test), encoding="utf-8")
-    content = {"auc": test.row, "telling": test.telling}
-    text = json.dumps(content, indent=1, default=asdict) + "\n"
-    (folder / "classifier.json").write_text(text, encoding="utf-8")
+    rows = []
     for place in PLACES:
-        if not np.isnan(test.score[place][0]).all() and not np.isnan(test.score[place][1]).all():
-            _draw(test, place, first, second, folder / f"gave-away-{place}.png")
-
-
-def _draw(
-    test: TwoSample, place: str, first: Sequence[DepthScan], second: Sequence[DepthScan], path: Path
-) -> None:
-    """Squares as relief over their own paraboloid, holes in red: the surest of each set, and the
-    second set's that pass best."""
-    a, b = (squares.at(place) for squares in test.squares)
-    of_first, of_second = test.score[place]
-    rows = (
-        ("first set, most certain", a, first, _best(-of_first)),
-        ("second set, most certain", b, second, _best(of_second)),
-        ("second set, classified as the first", b, second, _best(-of_second)),
-    )
-    figure = Figure(figsize=(1.6 * _COLUMNS, 5.6), layout="constrained")
+        a, b = (squares.at(place) for squares in test.squares)
+        of_first, of_second = test.score[place]
+        rows += [
+            (f"{_PLACE[place]}: first set, most certain", a, first, _best(-of_first)),
+            (f"{_PLACE[place]}: second set, most certain", b, second, _best(of_second)),
+            (f"{_PLACE[place]}: second set, taken for the first", b, second, _best(-of_second)),
+        ]
+    figure = Figure(figsize=(1.6 * _COLUMNS, 1.9 * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), _COLUMNS, squeeze=False)
     for line, (name, squares, scans, order) in zip(axes, rows, strict=True):
         for ax in line:
             ax.set_axis_off()
         for ax, k in zip(line, order, strict=False):
-            ax.imshow(_relief(squares, int(k), scans))
+            ax.imshow(_relief(squares, k, scans))
         line[0].set_title(name, loc="left", fontsize=9)
-    figure.suptitle(f"{_PLACE[place]}: ±{_RELIEF_MM / 2:g} mm from dark to bright, holes red")
-    save_png(figure, path, dpi=90)
+    figure.suptitle(f"±{_RELIEF_MM / 2:g} mm from dark to bright, holes red")
+    save_png(figure, folder / "classifier.png", dpi=90)
 
 
 def _best(score: Float[np.ndarray, " n"]) -> list[int]:

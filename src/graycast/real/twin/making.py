@@ -112,17 +112,15 @@ def make_twin(
     if aside:
         lit += light(rest, (fit.scanner.named_code(),))
     after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
-    perfect = [one.truth for one in lit]
-    sets = {"before": (own, before, ()), "after": (own, after, perfect[own])}
+    sets = {"before": (own, before), "after": (own, after)}
     if aside:
-        sets["kept aside"] = (rest, after, perfect[rest])
+        sets["kept aside"] = (rest, after)
     classified = {}
-    for name, (some, simulated, truth) in sets.items():
+    for name, (some, simulated) in sets.items():
         progress.stage(f"classifying the scans, {name}")
         classified[name] = two_sample_test(
             real[some],
             simulated[some],
-            perfect=truth,
             names=("real", "as configured" if name == "before" else "twin"),
             seed=seed,
         )

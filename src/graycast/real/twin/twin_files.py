@@ -1,6 +1,6 @@
 """The twin's files: a configuration, its rig, and a report with a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,8 @@ from ...camera.rig_file import ScannerSections, save_scanner
 from ...cell.resolve import Cell
 from ...world.scene import bin_of
 from ..fitted_config import fitted_text, refuse_there
-from ..realism import TwoSample, two_sample_table
-from ..realism.two_sample import PLACES
+from ..realism import two_sample_table
+from ..realism.two_sample import PLACES, Auc
 from .making import Twin
 from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from .rows import Row
@@ -105,10 +105,10 @@ def summary(twin: Twin) -> list[str]:
         f"{_met(fit.after)} of {len(fit.after)} by the twin",
     ]
     for place in PLACES:
-        before, after = (_sensor_auc(twin.classified[k], place) for k in ("before", "after"))
-        own = _sensor_auc(twin.classified["after"], place, row="real against itself")
+        before, after = (_mean(twin.classified[k].auc, place) for k in ("before", "after"))
+        own = _mean(twin.classified["after"].itself, place)
         lines.append(
-            f"AUC by the sensor's features, {place}: {before} as configured, {after} by the twin; "
+            f"AUC of the classifier, {place}: {before} as configured, {after} by the twin; "
             f"real against itself {own}"
         )
     return lines
@@ -158,9 +158,9 @@ def _statistics(before: Sequence[Row], after: Sequence[Row]) -> str:
     return markdown_table(["statistic", "real", "spread", "as configured", "twin", "met"], rows)
 
 
-def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
-    auc = test.row[row or next(iter(test.row))][place]["sensor"]
-    return "-" if auc.mean is None else f"{auc.mean:.2f}"
+def _mean(auc: Mapping[str, Auc], place: str) -> str:
+    mean = auc[place].mean
+    return "-" if mean is None else f"{mean:.2f}"
 
 
 def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Points with normals from a depth map, within a window of the picture."""
+"""A window of a depth map with smoothed depth and surface normals."""
 
 import math
 from dataclasses import dataclass

@@ -54,7 +54,7 @@ def veiled(image: Float[np.ndarray, "h w"], share: float) -> Float[np.ndarray, "
         fft.dctn(low, norm="ortho") * _halo_spectrum(low_h, low_w, h / w), norm="ortho"
     )
     halo = cv2.resize(halo, (w, h), interpolation=cv2.INTER_LINEAR)
-    # Interpolation between pixel grids that do not match moves the mean by about 1e-4.
+    # Restore the mean, which interpolation between the two pixel grids changes by about 1e-4.
     halo += image.mean() - halo.mean()
     halo -= image
     halo *= np.float32(share)

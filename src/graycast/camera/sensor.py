@@ -227,7 +227,7 @@ def expose(
     """
     if not 0 < exposure_s < math.inf:
         raise ValueError(f"exposure_s is {exposure_s}; it must be positive")
-    if not 0 <= radiance.min() <= radiance.max() < math.inf:  # NaN must fail too
+    if not 0 <= radiance.min() <= radiance.max() < math.inf:  # Also False for NaN
         span = f"{radiance.min()} to {radiance.max()}"
         raise ValueError(f"radiance spans {span} W/(sr m^2); it must be finite and not negative")
     n, h, w = radiance.shape

@@ -146,7 +146,7 @@ def draw_speckle(
     rng = stream(seed, CaptureStream.SPECKLE)
     fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)
     contrast = contrast.astype(np.float32)
-    ninth = contrast**2 / 9  # 1 / (9 K) of a gamma law of K = 1 / C^2 speckles
+    ninth = contrast**2 / 9  # 1 / (9 K) in the gamma law for K = 1 / C^2 speckles
     root = np.maximum(1 - ninth + np.sqrt(ninth) * fields[0], 0)
     middle = 1 - ninth
     brightness = root**3 / (middle**3 + 3 * middle * ninth)

@@ -30,7 +30,7 @@ from . import ggx
 
 @final
 class CoatedDiffuse(ggx.GlossyBSDF):
-    """Properties: `reflectance` (texture), `eta` (index of the coat), `alpha` or `roughness`."""
+    """A BSDF with the properties `reflectance` (texture), `eta` (coat), `alpha` or `roughness`."""
 
     def __init__(self, props: mi.Properties):
         lobes = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.DiffuseReflection

@@ -36,7 +36,7 @@ from .coated_diffuse import coat_albedo
 
 @final
 class FilmedConductor(ggx.GlossyBSDF):
-    """Properties: `reflectance` (texture) and `alpha` of the metal; `film_alpha` and `eta`."""
+    """A BSDF with `reflectance` (texture) and `alpha` of the metal, `film_alpha` and `eta`."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props, mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyReflection)

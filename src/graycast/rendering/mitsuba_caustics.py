@@ -81,7 +81,7 @@ class CausticTracer:
         self.sums = dr.zeros(mi.UInt64, stage.pixels * self.stride)
 
     def trace(self, seed: int) -> Caustics:
-        """Follow all paths, block by block, and return what they add."""
+        """Trace all paths, block by block, and return the light that they add."""
         starts = mi.PCG32(size=2, initstate=dr.opaque(mi.UInt64, seed)).next_uint32().numpy()
         start = mi.Point2u(*(dr.opaque(mi.UInt32, int(one)) for one in starts))
         for first, lanes in blocks(self.total):
@@ -136,7 +136,7 @@ class CausticTracer:
         return pixel_index(optics, on_pixel(optics, place)), shines(optics, place)
 
     def _vertex(self, p: _LightPaths) -> _LightPaths:
-        """Find the next vertex, add its light to the pixel that sees it, and go on."""
+        """Find the next vertex, add its light to the pixel that sees it, and sample a direction."""
         stage, camera = self.stage, self.camera
         ray = mi.Ray3f(p.origin, p.direction)
         si, p.throughput, p.rng = self.sight.first(ray, p.throughput, p.rng)

@@ -1,6 +1,6 @@
 """Light paths through a scene in Dr.Jit, and the contribution of each vertex to every pattern.
 
-The docstring of `mitsuba.py` says what is computed; this file says how.
+The docstring of `mitsuba.py` explains the method; this file has the implementation.
 """
 
 import math
@@ -27,13 +27,13 @@ from .mitsuba_sight import DELTA_PDF, counted
 from .mitsuba_stage import ROULETTE_FROM, Stage, survival
 from .radiance import OnPass
 
-PASS_SAMPLES = 2_500_000  # All pixels together get so many between two calls of `on_pass`.
-PATCH_LOOKUPS = 3  # So many lookups stand for a patch of interreflected light.
-DISC_LOOKUPS = 6  # On a defocused projector's disc they are pairs, so that stripes stay in place.
+PASS_SAMPLES = 2_500_000  # Samples of all pixels together between two calls of `on_pass`.
+PATCH_LOOKUPS = 3  # Lookups of the patterns over a patch of indirect light.
+DISC_LOOKUPS = 6  # Lookups over the blur disc of the projector; opposite pairs keep its centre.
 
-# These are steps of additive recurrences, for a pair of dimensions each: M. Roberts' R2 for places
-# in the pixel; roots of primes (Richtmyer) for the pupil and blur of the camera, pupil and disc of
-# the projector, lamps, and the direction from the first vertex.
+# Steps of additive recurrences, each for a pair of dimensions: M. Roberts' R2 for positions in the
+# pixel; roots of primes (Richtmyer) for the pupil and blur of the camera, the pupil and disc of the
+# projector, lamps, and the direction from the first vertex.
 STEPS = (
     (0.7548776662466927, 0.5698402909980532),
     *(
@@ -46,34 +46,34 @@ PIXEL, CAMERA_PUPIL, CAMERA_BLUR, PROJECTOR_PUPIL, PROJECTOR_DISC, LAMP, ONWARD 
 
 @dataclass
 class Paths:
-    """One path and its pixel's sums per lane: the state of the loop."""
+    """The state of the loop, with one path and its pixel's sums per lane."""
 
     rng: mi.PCG32
-    offset: list[mi.Point2f]  # of the pixel's sample sequences
+    offset: list[mi.Point2f]  # Start of each sample sequence of the pixel
     sample: mi.UInt32
-    vertex: mi.UInt32  # of the path
-    alive: mi.Bool  # the path has a next vertex
+    vertex: mi.UInt32  # Number of the vertex in the path
+    alive: mi.Bool  # The path has a next vertex.
     throughput: mi.Color3f
     origin: mi.Point3f
     direction: mi.Vector3f
-    last_pdf: mi.Float  # of the direction that led here
+    last_pdf: mi.Float  # Density of the direction that led here
     last_p: mi.Point3f
     last_n: mi.Normal3f
-    spread: mi.Float  # radius of what the vertex stands for [m]
+    spread: mi.Float  # Radius of the patch that the vertex represents [m]
     pattern: list[mi.Float]
     white: mi.Color3f
     ambient: mi.Color3f
     albedo: mi.Color3f
-    straight: mi.Float  # light straight from the projector
-    placed: mi.Point2f  # that light times its places in the projector's picture
-    # By axis: what interreflected light adds to the finest pattern beyond its mean; its squares.
+    straight: mi.Float  # Direct light of the projector
+    placed: mi.Point2f  # Direct light times its positions in the projector's picture
+    # Per axis: difference of indirect light under the finest pattern from its mean, and squares.
     stray: dict[Axis, mi.Float]
     stray2: dict[Axis, mi.Float]
-    odds: mi.Float  # that a path from the projector finds this one, over those of this kind
-    passed: mi.UInt32 | None = None  # how often solid glass has sent it on, where there is glass
+    odds: mi.Float  # Odds that a path from the projector, and not this kind, finds the path
+    passed: mi.UInt32 | None = None  # Number of passages through solid glass; None without glass
 
     def add(self, caustics: Caustics) -> None:
-        """The light of the paths from the projector."""
+        """Add the light of the paths from the projector."""
         self.white += caustics.white
         for k, light in enumerate(caustics.pattern):
             self.pattern[k] += light
@@ -85,48 +85,48 @@ class Paths:
 class _Beam:
     """The direct light from the projector at a vertex."""
 
-    wo: mi.Vector3f  # to the lens, local frame
-    odds: mi.Float  # of a path from the projector, without the choice at the vertex
-    lit: mi.Bool  # in the field, on the right side, and not in shadow
-    strength: mi.Color3f  # irradiance on a surface that faces it, of one lookup [W m^-2]
-    count: mi.Float  # lookups that fall on projector pixels
-    places: list[mi.Point2f]  # of the lookups, on the projector's grid of pixels
-    shining: list[mi.Bool]
+    wo: mi.Vector3f  # Direction to the lens, local frame
+    odds: mi.Float  # Odds of a path from the projector, without the density at the vertex
+    lit: mi.Bool  # In the field, on the right side, and not in shadow
+    strength: mi.Color3f  # Irradiance of one lookup on a facing surface [W m^-2]
+    count: mi.Float  # Number of lookups that are on projector pixels
+    places: list[mi.Point2f]  # Projector pixel of each lookup
+    shining: list[mi.Bool]  # Whether each lookup is on a projector pixel
 
 
 @dataclass
 class _Lamp:
     """One sample of the light from a lamp or the environment at a vertex."""
 
-    wo: mi.Vector3f  # local frame
+    wo: mi.Vector3f  # Local frame
     lit: mi.Bool
-    is_point: mi.Bool  # no other technique can find it
+    is_point: mi.Bool  # No other technique can find this light.
     pdf: mi.Float
-    radiance: mi.Color3f  # over `pdf`; 0 in shadow
+    radiance: mi.Color3f  # Radiance divided by `pdf`; 0 in shadow
 
 
 class Tracer:
-    """The scene's constants, and what happens at one vertex of every path.
+    """The constants of a scene, and the processing of one vertex of every path.
 
-    A lane is a pixel, and all lanes take their next sample together. A lane whose path has ended
-    waits for its neighbours', which costs less than first vertices side by side gain: most paths
-    have two vertices, and the first ones share material and memory.
+    A lane is a pixel, and all lanes start their next sample together. A lane whose path has ended
+    waits for its neighbours. This costs less than it gains: most paths have only two vertices, and
+    first vertices in parallel have the same material and nearby memory.
     """
 
     def __init__(self, stage: Stage, field: ShinyField | None):
-        """The field is None where no light comes by a shiny surface, or where that is not asked."""
+        """Prepare tracing; `field` is None if no paths start from the projector."""
         self.stage, self.field, self.sight = stage, field, stage.sight
         self.quality, self.camera, self.projector = stage.quality, stage.camera, stage.light.optics
         self.ambient = len(stage.world.emitters()) > 0
         self.footprint = self.quality.footprint and self.quality.depth > 1
         self.sharp = self.projector.is_pinhole
-        # Where a lookup can miss all pixels, white is no longer 1 at each.
+        # If a lookup can miss all pixels, white is not 1 at each lookup.
         self.gaps = not self.sharp or self.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
 
     def trace(self, seed: int, on_pass: OnPass | None = None) -> Paths:
         pixels = self.stage.pixels
-        # A literal seed would be compiled into the kernel, anew for every scene.
+        # A literal seed would force a new compilation of the kernel for every scene.
         rng = mi.PCG32(size=pixels, initstate=dr.opaque(mi.UInt64, seed))
         paths = Paths(
             offset=[mi.Point2f(rng.next_float32(), rng.next_float32()) for _ in STEPS],
@@ -155,7 +155,7 @@ class Tracer:
         samples = self.quality.samples
         if on_pass is None:
             return self._until(paths, samples)
-        dr.make_opaque(paths)  # as after a pass, so that all passes share a kernel
+        dr.make_opaque(paths)  # The same state as after a pass, so all passes use one kernel.
         each = max(1, PASS_SAMPLES // pixels)
         for done in [*range(each, samples, each), samples]:
             paths = self._until(paths, dr.opaque(mi.UInt32, done))
@@ -165,14 +165,14 @@ class Tracer:
         return paths
 
     def _until(self, paths: Paths, sample: int | mi.UInt32) -> Paths:
-        """More samples of every pixel."""
+        """Take samples of every pixel up to the number `sample`."""
         (paths,) = dr.while_loop(
             state=(paths,), cond=lambda p: p.sample < sample, body=lambda p: (self._path(p),)
         )
         return paths
 
     def _path(self, p: Paths) -> Paths:
-        """One sample of every pixel."""
+        """Take one sample of every pixel."""
         p.origin, p.direction = self._camera_ray(p)
         p.throughput, p.vertex, p.alive = mi.Color3f(1), mi.UInt32(0), mi.Bool(True)
         p.passed = mi.UInt32(0) if self.sight.glass else None
@@ -194,7 +194,7 @@ class Tracer:
         pick = p.rng.next_float32()
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(fresh, _in_sequence(p, ONWARD, paired=False), uv)
-        # One call for all that the material is asked, so that it looks up its textures once.
+        # One call for all evaluations of the material, so that it looks up its textures once.
         to_lamp = beam.wo if lamp is None else lamp.wo
         albedo, value, lamp_value, lamp_pdf, bs, gain, lens_back, onward_back = dr.dispatch(
             si.bsdf(ray), self._ask, si, beam.wo, to_lamp, pick, uv
@@ -218,11 +218,11 @@ class Tracer:
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
-        """Albedo; value towards the projector; value and density towards the lamp; a way on; how
-        often a path from the projector would come here by each of the two.
+        """Return albedo; value to the projector; value and density to the lamp; a direction to go
+        on; and the densities of a path from the projector for both ways.
         """
         none, no_pdf = mi.Color3f(0), mi.Float(0)
-        if bsdf is None:  # a world without any surface
+        if bsdf is None:  # The world has no surface.
             return none, none, none, no_pdf, dr.zeros(mi.BSDFSample3f), none, no_pdf, no_pdf
         value = bsdf.eval(self.stage.context, si, to_lens, True)
         lamp_value, lamp_pdf = bsdf.eval_pdf(self.stage.context, si, to_lamp, True)
@@ -253,7 +253,7 @@ class Tracer:
         return mi.Point3f(start), mi.Vector3f(self.stage.R_world_cam @ direction)
 
     def _beam(self, p: Paths, si, hit: mi.Bool) -> _Beam:
-        """Light straight from the projector: I / d^2 in the field."""
+        """Return the direct light of the projector, which is I / d^2 in its field."""
         q = self.stage.light.in_own_frame(si.p)
         place, inverse_z, ahead = picture_place(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
@@ -298,7 +298,7 @@ class Tracer:
             p.stray2[axis] += dr.square(off)
 
     def _projector_pupil(self, p: Paths) -> mi.Point3f:
-        """Where the shadow ray ends: a place of the projector's lens."""
+        """Return the end of the shadow ray, which is a random point of the projector's lens."""
         if self.projector.aperture_m == 0:
             return self.stage.light.lens
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
@@ -308,10 +308,10 @@ class Tracer:
         )
 
     def _spread(self, p: Paths, si, place: mi.Point2f, inverse_z: mi.Float) -> list[mi.Point2f]:
-        """Places all over the disc of the projector's picture for which this vertex stands.
+        """Return positions spread over the disc of the projector's picture that lights this vertex.
 
-        At the first vertex the disc is the projector's blur, and opposite pairs of places keep its
-        middle exactly. Later ones stand for a patch of surface too, added in quadrature.
+        At the first vertex the disc is the projector's blur; opposite pairs keep its exact centre.
+        A later vertex represents a patch of surface, whose radius is added in quadrature.
         """
         random = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         radius2 = mi.Float(0)
@@ -327,8 +327,8 @@ class Tracer:
         rings = PATCH_LOOKUPS
         places = []
         for j in range(self.lookups):
-            # Equal areas of the disc in turn, from a random start; a pair of samples takes each
-            # area and what it lacks of the whole, and has the second moments of the disc.
+            # Positions cycle through rings of equal area, from a random start. The two samples of a
+            # pair use complementary areas, so together they have the second moments of the disc.
             area = random.x + (j % rings) / rings
             area -= dr.floor(area)
             area = dr.select(mirrored, 1 - area, area)
@@ -341,7 +341,7 @@ class Tracer:
         return places
 
     def _add_emission(self, p: Paths, si, fresh: mi.Bool) -> None:
-        """Lamps and environment that a sampled direction happened to meet."""
+        """Add light of lamps and environment that a sampled direction happened to meet."""
         previous = dr.zeros(mi.Interaction3f)
         previous.p, previous.n = p.last_p, p.last_n
         ds = mi.DirectionSample3f(self.stage.world, si, previous)
@@ -350,10 +350,10 @@ class Tracer:
         p.ambient += p.throughput * si.emitter(self.stage.world).eval(si) * weight
 
     def _lamp(self, p: Paths, si, hit: mi.Bool) -> _Lamp:
-        """Lamps and environment by a shadow ray; the last vertex has no other way to them.
+        """Sample lamps and environment by a shadow ray, which is the only way at the last vertex.
 
-        The first sample of a pair does it for both. First vertices follow a sequence, which takes
-        off as much noise as that adds.
+        The first sample of a pair does this for both. A low-discrepancy sequence at first vertices
+        removes as much noise as this adds.
         """
         samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
@@ -363,7 +363,7 @@ class Tracer:
         return _Lamp(si.to_local(ds.d), asking & (ds.pdf > 0), ds.delta, ds.pdf, radiance)
 
     def _go_on(self, p: Paths, si, bs, gain, back: mi.Float, hit: mi.Bool) -> None:
-        """Take the sampled direction, or end the path."""
+        """Follow the sampled direction, or end the path."""
         p.throughput = dr.select(hit, p.throughput * gain, 0)
         playing = (p.vertex + 1 >= ROULETTE_FROM) & ~self.sight.is_delta(bs)
         share_left = survival(p.throughput, playing | (dr.max(p.throughput) == 0))
@@ -379,12 +379,12 @@ class Tracer:
 
 
 def _side(p: Paths) -> mi.Float:
-    """1 for the first sample of a pair, -1 for the second, which mirrors it."""
+    """Return 1 for the first sample of a pair and -1 for the second, which mirrors it."""
     return dr.select((p.sample & 1) == 0, mi.Float(1), -1)
 
 
 def _in_sequence(p: Paths, pair: int, *, paired: bool = True) -> mi.Point2f:
-    """Where the pixel's low-discrepancy sequence is: one step for each pair of samples, or each."""
+    """Return a point of the pixel's low-discrepancy sequence, one per pair of samples or sample."""
     n = mi.Float(p.sample >> 1 if paired else p.sample)
     step, offset = STEPS[pair], p.offset[pair]
     point = mi.Point2f(dr.fma(n, step[0], offset.x), dr.fma(n, step[1], offset.y))
@@ -392,5 +392,5 @@ def _in_sequence(p: Paths, pair: int, *, paired: bool = True) -> mi.Point2f:
 
 
 def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:
-    """Weight of technique a against b (E. Veach, 1997, power 2); 0 where a cannot occur."""
+    """Return the weight of technique a against b (E. Veach, 1997, power 2); 0 if a cannot occur."""
     return dr.select(a > 0, dr.square(a) / dr.fma(a, a, dr.square(b)), 0)

@@ -1,4 +1,4 @@
-"""Patterns in as few bits as they need, and sums over them in as few steps."""
+"""Patterns in as few bits as possible, and fast sums over them."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,15 @@ from ..rig.pattern import AXES, Axis
 
 
 class PackedPatterns:
-    """What the patterns emit, as 32-bit words for each projector pixel.
+    """The light of all patterns, as 32-bit words for each projector pixel.
 
-    A pattern takes one bit if all are binary, eight under a linear response, else sixteen: a
-    rounding of 1e-5.
+    A pattern takes one bit if all patterns are binary, eight bits with a linear response, and else
+    sixteen, which is a rounding of 1e-5.
     """
 
     def __init__(self, pattern: np.ndarray, rig: Rig):
         share = emission(rig, np.arange(256, dtype=np.uint8))
-        if (pattern + np.uint8(1) <= 1).all():  # 255 wraps around to 0
+        if (pattern + np.uint8(1) <= 1).all():  # All are 0 or 255, as 255 wraps around to 0.
             bits = 1
         else:
             bits = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
@@ -36,7 +36,7 @@ class PackedPatterns:
         dr.eval(self._words)
 
     def levels(self, pixel: mi.UInt32, lit: mi.Bool) -> list[mi.Float]:
-        """What each pattern emits at a pixel, from 0 to 1; 0 where it is not lit."""
+        """Return the light of each pattern at a pixel, from 0 to 1; 0 if not `lit`."""
         words = [dr.gather(mi.UInt32, word, pixel, lit) for word in self._words]
         shifted = (
             words[k // self._per_word] >> k % self._per_word * self._bits for k in range(self.count)
@@ -46,7 +46,7 @@ class PackedPatterns:
     def add(
         self, sums: list[mi.Float], light: mi.Float, pixels: list[mi.UInt32], lit: list[mi.Bool]
     ) -> None:
-        """To the sum of each pattern its levels at the pixels, each times `light`."""
+        """Add to the sum of each pattern `light` times its levels at the pixels."""
         for first in range(0, self.count, self._per_word):
             word = self._words[first // self._per_word]
             levels = [
@@ -70,7 +70,7 @@ class PackedPatterns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FinePattern:
-    """A pattern's number, and the mean and the standard deviation of what it emits."""
+    """A pattern's number, and the mean and standard deviation of its light."""
 
     number: int
     mean: float
@@ -78,7 +78,7 @@ class FinePattern:
 
 
 def finest_patterns(pattern: np.ndarray, rig: Rig) -> dict[Axis, FinePattern]:
-    """The pattern that changes most along an axis of the projector's picture, where one does."""
+    """Return for each axis the pattern that changes most along it; no entry without a change."""
     finest: dict[Axis, FinePattern] = {}
     middle = pattern[:, pattern.shape[1] // 2, :], pattern[:, :, pattern.shape[2] // 2]
     for axis, line in zip(AXES, middle, strict=True):
@@ -92,9 +92,9 @@ def finest_patterns(pattern: np.ndarray, rig: Rig) -> dict[Axis, FinePattern]:
 
 
 def aligned(values: np.ndarray) -> np.ndarray:
-    """A flat copy that begins at a multiple of 64 bytes.
+    """Return a flat copy that is aligned to 64 bytes.
 
-    Dr.Jit computes on NumPy's own memory, and compiles another kernel where that begins elsewhere.
+    Dr.Jit uses NumPy's memory directly, and compiles another kernel for another alignment.
     """
     room = np.empty(values.nbytes + 64, dtype=np.uint8)
     first = -room.ctypes.data % 64
@@ -104,10 +104,10 @@ def aligned(values: np.ndarray) -> np.ndarray:
 
 
 def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
-    """How many of one, three or six words have each bit set, as the bits of that count.
+    """Count for each bit position the words, one, three or six, in which that bit is set.
 
-    Full adders count all 32 bits at once, so that a pattern costs as many additions as the count
-    has bits.
+    The counts are returned as words for their bits. Full adders count all 32 positions at once, so
+    a pattern costs as many additions as its count has bits.
     """
     if len(words) == 1:
         return words

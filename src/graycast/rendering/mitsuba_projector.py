@@ -1,4 +1,4 @@
-"""The projector as a light in Dr.Jit: what it shines on a point, and its rays to shiny surfaces."""
+"""The projector as a light in Dr.Jit: its light at a point, and its rays to shiny surfaces."""
 
 from collections.abc import Sequence
 
@@ -13,14 +13,14 @@ from .mitsuba_lens import camera_ray, corner_share, picture_place, pixels_per_sr
 from .mitsuba_patterns import aligned
 
 CELL_PX = 8  # The projector's picture is divided into square cells of this side.
-PATHS_EACH = 0.2  # So many paths start from the projector for each from the camera.
-PROBES = 3  # Rows and columns of rays through a cell that look for a shiny surface.
+PATHS_EACH = 0.2  # The number of paths from the projector per path from the camera.
+PROBES = 3  # Rows and columns of rays through a cell that search for a shiny surface.
 TWO32 = 4294967296.0
-R2_STEPS = 3242174889, 2447445414  # M. Roberts' R2 sequence in units of 2^-32
+R2_STEPS = 3242174889, 2447445414  # Steps of M. Roberts' R2 sequence, in units of 2^-32
 
 
 class ProjectorLight:
-    """Place and strength of a scene's projector."""
+    """Position and intensity of a scene's projector."""
 
     def __init__(self, scene: Scene):
         T_world_proj = scene.T_world_cam @ scene.rig.T_cam_proj
@@ -36,12 +36,12 @@ class ProjectorLight:
         return mi.Point3f(q.x, q.y, q.z)
 
     def on_lens(self, place: mi.Point2f) -> mi.Point3f:
-        """A place of the lens, which is the unit disc, in the world."""
+        """Return a point of the lens in world coordinates; `place` is on the unit disc."""
         place = 0.5 * self.optics.aperture_m * place
         return mi.Point3f(self.lens + self.R_world_proj @ mi.Vector3f(place.x, place.y, 0))
 
     def intensity(self, q: mi.Point3f, place: mi.Point2f) -> mi.Float:
-        """Of white light towards a point of its own frame, seen at `place` [W sr^-1]."""
+        """Return the intensity of white towards a point in its own frame at `place` [W sr^-1]."""
         intensity = mi.Float(self.intensity_w_sr)
         if self.optics.natural_vignetting:
             intensity *= q.z * dr.rsqrt(dr.squared_norm(q))
@@ -51,23 +51,23 @@ class ProjectorLight:
 
 
 class ShinyField:
-    """The cells of the projector's picture that show a shiny surface, and rays through them.
+    """The cells of the projector's picture that light a shiny surface, and rays through them.
 
-    Rays miss no cell that one of its probes, or of its neighbours', finds; what they miss is left
-    to the paths from the camera.
+    A cell is used if one of its probes, or of its neighbours' probes, finds a shiny surface. Light
+    through other cells is left to the paths from the camera.
     """
 
     def __init__(
         self, world: mi.Scene, light: ProjectorLight, shapes: Sequence[mi.Shape], pixels: int
     ):
         self.light = light
-        self.paths = max(1, round(PATHS_EACH * pixels))  # for one sample of all pixels
+        self.paths = max(1, round(PATHS_EACH * pixels))  # Paths per sample of all pixels
         number = [_number(mi.ShapePtr(shape)).numpy()[0] for shape in shapes]
         shiny = np.zeros(max(number) + 1, dtype=np.uint32)
         shiny[number] = 1
-        # Opaque: literals would be compiled into the kernel, anew for every scene.
+        # Opaque, because literals would force a new compilation of the kernel for every scene.
         self._shiny, self._most = mi.UInt32(aligned(shiny)), dr.opaque(mi.UInt32, len(shiny) - 1)
-        # A border of one cell, because the picture of a lens out of focus is larger.
+        # A border of one cell, because the picture is larger if the lens is out of focus.
         self.columns = -(-light.optics.width_px // CELL_PX) + 2
         self.rows = -(-light.optics.height_px // CELL_PX) + 2
         cells = self._find_cells(world)
@@ -77,32 +77,32 @@ class ShinyField:
         self._cells, self._density = mi.UInt32(aligned(cells)), mi.Float(aligned(density))
 
     def has(self, si: mi.SurfaceInteraction3f) -> mi.Bool:
-        """Whether a surface is shiny."""
+        """Return whether a surface is shiny."""
         number = _number(si.shape)
         known = si.is_valid() & (number <= self._most)
         return known & (dr.gather(mi.UInt32, self._shiny, number, known) == 1)
 
     def places(self, index: mi.UInt64, total: int, start: mi.Point2u) -> mi.Point2f:
-        """Some of `total` places [px], the same number in each cell and evenly spread in it.
+        """Return positions [px] by their indices among `total`, spread evenly over all cells.
 
-        The positions inside of a cell repeat after 2^32 indices.
+        The positions inside a cell repeat after 2^32 indices.
         """
         of_all = index * dr.opaque(mi.UInt64, self.count)
         cell = mi.UInt32(of_all // dr.opaque(mi.UInt64, total))
         cell = dr.gather(mi.UInt32, self._cells, cell)
-        number = mi.UInt32(index)  # The lower half of the bits.
+        number = mi.UInt32(index)  # The lower half of the bits
         x = mi.Float(number * R2_STEPS[0] + start.x) / TWO32
         y = mi.Float(number * R2_STEPS[1] + start.y) / TWO32
         column, row = mi.Float(cell % self.columns), mi.Float(cell // self.columns)
         return mi.Point2f(column - 1 + x, row - 1 + y) * CELL_PX - 0.5
 
     def direction(self, place: mi.Point2f) -> mi.Vector3f:
-        """Of rays for a place [px], from wherever on the lens, in the world."""
+        """Return the world direction of rays for a position [px], from any point of the lens."""
         ray = camera_ray(self.light.optics, place.x, place.y)
         return mi.Vector3f(self.light.R_world_proj @ ray)
 
     def density(self, direction: mi.Vector3f) -> mi.Float:
-        """Of directions [sr^-1]; 0 where no ray goes."""
+        """Return the density of rays per direction [sr^-1]; 0 for directions without rays."""
         ray = mi.Vector3f(self.light.R_proj_world @ direction)
         place, _, ahead = picture_place(self.light.optics, ray)
         column = dr.floor((place.x + 0.5) / CELL_PX) + 1
@@ -113,7 +113,7 @@ class ShinyField:
         return dr.select(density > 0, density * pixels_per_sr(self.light.optics, ray, ray), 0)
 
     def _find_cells(self, world: mi.Scene) -> np.ndarray:
-        """Numbers of the cells with a shiny surface in them or beside them."""
+        """Return the numbers of the cells with a shiny surface in them or in a neighbour."""
         at = (np.arange(PROBES) + 0.5) / PROBES
         x = ((np.arange(self.columns) - 1)[:, None] + at).ravel() * CELL_PX - 0.5
         y = ((np.arange(self.rows) - 1)[:, None] + at).ravel() * CELL_PX - 0.5
@@ -126,15 +126,15 @@ class ShinyField:
 
 
 def share(odds: mi.Float) -> mi.Float:
-    """What a path counts that the other kind of path finds `odds` times as often (power 2)."""
-    finite = odds < 1e18  # and a number: mirrors multiply large densities by none
+    """Return the weight of a path that the other kind finds `odds` times as often (power 2)."""
+    finite = odds < 1e18  # Also rejects NaN: a mirror multiplies a huge density by zero.
     return dr.select(finite, dr.rcp(dr.fma(odds, odds, 1)), 0)
 
 
 def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) -> mi.Float:
-    """At a vertex: densities per area have its cosine, and that of the first the squared distance.
+    """Update the odds at a new vertex, where densities per area have the cosine as a factor.
 
-    The two kinds of path have the same squared distances between vertices.
+    Only at the first vertex the squared distance matters; elsewhere it is equal for both kinds.
     """
     cosine = dr.abs(dr.dot(si.n, direction))
     return odds * dr.select(first, dr.square(si.t), 1) / cosine
@@ -143,17 +143,17 @@ def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) 
 def odds_onward(
     odds: mi.Float, back_pdf: mi.Float, pdf: mi.Float, si, direction: mi.Vector3f, first: mi.Bool
 ) -> mi.Float:
-    """Behind a vertex: the density of the other kind's choice there, over that of this kind's."""
+    """Update the odds after a vertex by the ratio of both kinds' densities of direction there."""
     return odds * dr.select(first, 1, back_pdf) * dr.abs(dr.dot(si.n, direction)) / pdf
 
 
 def back_pdf(bsdf, context, si, wo: mi.Vector3f) -> mi.Float:
-    """The density with which a path that comes from `wo` is sent to where this one came from."""
+    """Return the density of the reverse path: it comes from `wo` and goes back along this one."""
     other = mi.SurfaceInteraction3f(si)
     other.wi = wo
     return bsdf.pdf(context, other, si.wi, True)
 
 
 def _number(shape: mi.ShapePtr) -> mi.UInt32:
-    """By which Dr.Jit knows a shape; 0 is none."""
+    """Return the number by which Dr.Jit identifies a shape; 0 is no shape."""
     return dr.reinterpret_array(mi.UInt32, shape)

@@ -26,27 +26,27 @@ mi.register_bsdf("thin_glass", ThinDielectric)
 
 @dataclass(frozen=True, slots=True)
 class PartShape:
-    """One kind of part: all its instances in one Mitsuba mesh, `faces_each` faces after another."""
+    """One kind of part, with all instances in one Mitsuba mesh, each with `faces_each` faces."""
 
     shape: mi.Mesh
     faces_each: int
-    instances: np.ndarray  # layout indices in the order in which they lie in the mesh
+    instances: np.ndarray  # Layout indices in the order of the mesh
 
 
 @dataclass(frozen=True, slots=True)
 class MitsubaWorld:
-    """A scene in Mitsuba, which of its meshes hold which instances, and what of it is shiny."""
+    """A scene in Mitsuba, with the meshes of its parts and its shiny shapes."""
 
     scene: mi.Scene
     part_shapes: tuple[PartShape, ...]
     shiny: tuple[mi.Shape, ...]
-    glass: bool  # whether anything is transparent
-    thin: bool  # and whether some of that is without depth
+    glass: bool  # Whether anything is transparent
+    thin: bool  # Whether there are thin walls of glass
 
 
 def build(scene: Scene, layout: Layout) -> MitsubaWorld:
     world: dict[str, object] = {"type": "scene"}
-    part_shapes, materials = [], {}  # the material of each shape by its name
+    part_shapes, materials = [], {}  # `materials` has the material of each shape by its name.
     for index, part in enumerate(scene.parts):
         materials[f"part{index}"] = part.material
         instances = np.flatnonzero(layout.part_index == index)
@@ -78,8 +78,8 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
         world["environment"] = environment
     for index, lamp in enumerate(scene.lamps):
         world[f"lamp{index}"] = _lamp(lamp)
-    # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
-    # environment's shadow rays, as long as the scene is large, then end before what blocks them.
+    # When it optimises, Mitsuba 3.9 merges rectangles of one material to a shape without bounds.
+    # Shadow rays to the environment, which are as long as the scene, then end too early.
     loaded = mi.load_dict(world, optimize=False)
     shiny = {name for name, material in materials.items() if _is_shiny(material)}
     kinds = {material.transparent for material in materials.values()}
@@ -93,7 +93,7 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
 
 
 def _is_shiny(material: Material) -> bool:
-    """Whether its mirror image of a lamp is brighter than white paper: `F0 D / 4 > 1 / pi`."""
+    """Return whether it mirrors a lamp brighter than white paper would be: `F0 D / 4 > 1 / pi`."""
     if material.transparent is not None:
         return True
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
@@ -104,7 +104,7 @@ def _is_shiny(material: Material) -> bool:
 
 
 def _bsdf(material: Material) -> dict[str, object]:
-    """A material as Mitsuba BSDFs; docs/explanation/light.md, "Materials"."""
+    """Return a material as Mitsuba BSDFs; see docs/explanation/light.md, "Materials"."""
     if material.transparent is not None:
         return _glass(material)
     if material.metallic == 0:
@@ -161,7 +161,7 @@ def _reflectance(material: Material) -> dict[str, object]:
 
 
 def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -> mi.Mesh:
-    """All copies of a mesh, in world coordinates, as one flat shape that Embree traces fastest."""
+    """Return all copies of a mesh, in world coordinates, as one shape: the fastest for Embree."""
     n, corners = len(T_world_part), 3 * len(mesh.faces)
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_bsdf(material))
@@ -183,7 +183,7 @@ def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -
         normal = mesh.corner_normals.reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
         parameters["vertex_normals"] = _flat(normal)
     if mesh.corner_uv is not None:
-        uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # Mitsuba's v runs down
+        uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # In Mitsuba, v is down.
         parameters["vertex_texcoords"] = _flat(np.broadcast_to(uv, (n, *uv.shape)))
     parameters.update()
     if (grain := material.grooves) is not None:
@@ -197,7 +197,7 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
-    """A rectangle; a mesh where there is a grain, or a picture, which would stand on its head."""
+    """Return a rectangle; with grain or a picture a mesh, as the picture would be upside down."""
     material = quad.material
     if material.texture is material.roughness_map is None and material.grooves is None:
         return _quad(quad)
@@ -221,7 +221,7 @@ def _lamp(lamp: Lamp) -> mi.Shape:
     shape = mi.load_dict(
         _quad(lamp_quad(lamp)) | {"emitter": {"type": "area", "radiance": radiance}}
     )
-    # Literal places would be compiled into the kernel, anew for every scene.
+    # Literal positions would force a new compilation of the kernel for every scene.
     parameters = mi.traverse(shape)
     to_world = mi.Transform4f(parameters["to_world"].matrix)
     dr.make_opaque(to_world)
@@ -244,13 +244,13 @@ def _environment(scene: Scene) -> dict[str, object] | None:
         pixels = pixels / _mean_radiance(pixels, environment.map_file)
     pixels = pixels * np.array(environment.radiance, dtype=np.float32)
     turned = mi.ScalarTransform4f().rotate([0, 0, 1], np.degrees(environment.rotation_rad))
-    z_up = turned.rotate([1, 0, 0], 90.0)  # Mitsuba's maps have y up
+    z_up = turned.rotate([1, 0, 0], 90.0)  # In Mitsuba's maps, y is up.
     return {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": z_up}
 
 
 def _map_pixels(file: Path) -> np.ndarray:
     threads = dr.thread_count()
-    # Mitsuba 3.9 gives the rows of an EXR to Dr.Jit's threads and waits: of one alone, for ever.
+    # Mitsuba 3.9 reads the rows of an EXR on Dr.Jit's threads; with only one it waits forever.
     dr.set_thread_count(max(threads, 2))
     try:
         bitmap = mi.Bitmap(str(file))
@@ -266,7 +266,7 @@ def _map_pixels(file: Path) -> np.ndarray:
 
 
 def _mean_radiance(pixels: np.ndarray, file: Path) -> np.float32:
-    """Mean of a latitude-longitude map over all directions and bands: rows by solid angle."""
+    """Return the mean of a latitude-longitude map over solid angle and bands."""
     border = np.cos(np.linspace(0, np.pi, len(pixels) + 1))
     mean = float((border[:-1] - border[1:]) / 2 @ pixels.mean(axis=(1, 2), dtype=np.float64))
     if not 0 < mean < np.inf:

@@ -1,18 +1,18 @@
-"""What rays meet where there may be glass: thin walls are passed on the way, solid glass is met.
+"""Intersection of rays with scenes that may have glass: rays pass thin walls and meet solid glass.
 
-A ray passes a thin wall with the probability of the share that goes straight on, or ends at it, to
-be mirrored. So a wall that is passed is no vertex, and what is behind is lit and seen directly.
-Shadow rays take each wall's share as a factor.
+A ray either passes a thin wall, with the transmitted share as the probability, or ends there and is
+mirrored. So a wall that is passed is no vertex, and surfaces behind it are lit and seen directly.
+For shadow rays, the share of each wall is a factor.
 
-Glass has delta distributions, at which no path is connected (E. Veach 1997, section 10.3.5). So
-light whose first surface is glass is found from the projector alone, and what is seen by glass from
-the camera alone: each counts in full, with odds of 0 from there on. Between two other vertices both
-kinds of path take the delta vertex with the same probability, for Fresnel's is that of both sides,
-and its cosines cancel: the odds stay as they were. Both leave out the square of the index that
-refraction adds, and the share of thin walls, so that the weights of a path still add up to 1.
+Glass has delta distributions, at which paths cannot be connected (E. Veach 1997, section 10.3.5).
+So light whose first surface is glass is found only from the projector, and surfaces behind glass
+only from the camera. Such paths have full weight, with odds of 0 from there on. Between two other
+vertices, both kinds of path sample a delta vertex with the same probability, because Fresnel's
+equations hold for both directions, and cosines cancel, so the odds do not change. Both leave out
+the square of the index and the share of thin walls, so the weights of a path still add up to 1.
 
-A delta vertex counts neither for the depth of a path nor as its first vertex: a path from the
-camera goes on as if it had just started.
+A delta vertex counts neither for the depth of a path nor as its first vertex: after it, a path
+from the camera continues as if it had just started.
 """
 
 import drjit as dr
@@ -20,13 +20,13 @@ import mitsuba as mi
 
 from .dielectric import Dielectric, ThinDielectric
 
-OFFSET_M = 2e-5  # Rays start so far from glass; Mitsuba's 2e-4 is a tenth of a bottle's wall.
-DELTA_PDF = 1e15  # It stands for infinity, whose square is no number.
-MOST_GLASS = 32  # A path ends that solid glass has sent on so often.
+OFFSET_M = 2e-5  # Start of rays from glass; Mitsuba's 2e-4 is a tenth of the wall of a bottle.
+DELTA_PDF = 1e15  # A finite substitute for infinity, with which weights would be NaN.
+MOST_GLASS = 32  # A path ends after this many passages through solid glass.
 
 
 class Sight:
-    """Rays through a world; without thin walls they are plain rays."""
+    """Rays through a world; without thin walls they are ordinary rays."""
 
     def __init__(self, world: mi.Scene, *, glass: bool, thin: bool):
         self.world, self.glass, self.thin = world, glass, thin
@@ -34,9 +34,9 @@ class Sight:
     def first(
         self, ray: mi.Ray3f, color: mi.Color3f, rng: mi.PCG32, *, straight: bool = False
     ) -> tuple[mi.SurfaceInteraction3f, mi.Color3f, mi.PCG32]:
-        """The surface at which a ray ends, its `color` behind the walls on the way, and `rng`.
+        """Return the surface at which a ray ends, its `color` after thin walls, and `rng`.
 
-        The length `t` is that from the start of the ray. A `straight` ray ends at no thin wall.
+        The length `t` is from the start of the ray. A `straight` ray passes all thin walls.
         """
         si = self.world.ray_intersect(ray)
         if not self.thin:
@@ -59,7 +59,7 @@ class Sight:
         return si, color, rng
 
     def centre(self, ray: mi.Ray3f) -> tuple[mi.SurfaceInteraction3f, mi.Bool]:
-        """The surface that a ray meets behind thin walls, and whether it is solid glass."""
+        """Return the first surface of a ray behind thin walls, and whether it is solid glass."""
         if not self.glass:
             si = self.world.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
             return si, mi.Bool(False)
@@ -69,7 +69,7 @@ class Sight:
     def reaches(
         self, si: mi.SurfaceInteraction3f, target: mi.Point3f, lit: mi.Bool
     ) -> tuple[mi.Bool, mi.Color3f]:
-        """Whether light comes from a point to a surface, and the share that walls let through."""
+        """Return whether light from a point reaches a surface, and the share after thin walls."""
         ray = si.spawn_ray_to(target)
         if not self.thin:
             return lit & ~self.world.ray_test(ray, lit), mi.Color3f(1)
@@ -90,11 +90,11 @@ class Sight:
         return lit & (dr.max(share) > 0), share
 
     def is_delta(self, bs: mi.BSDFSample3f) -> mi.Bool:
-        """Whether glass has chosen a direction."""
+        """Return whether a sampled direction comes from glass."""
         return mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) if self.glass else mi.Bool(False)
 
     def onward(self, si: mi.SurfaceInteraction3f, bs: mi.BSDFSample3f) -> mi.Ray3f:
-        """The ray of a path that goes on."""
+        """Return the next ray of a path."""
         ray = si.spawn_ray(si.to_world(bs.wo))
         ray.o = dr.select(self.is_delta(bs), _beside(si, ray.d), ray.o)
         return ray
@@ -102,7 +102,7 @@ class Sight:
     def lamp(
         self, si: mi.SurfaceInteraction3f, uv: mi.Point2f, active: mi.Bool
     ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
-        """A direction to a lamp or the environment, and the radiance over its density."""
+        """Sample a direction to a lamp or the environment; return it, and radiance over density."""
         ds, radiance = self.world.sample_emitter_direction(si, uv, not self.thin, active)
         if self.thin:
             lit, share = self.reaches(si, ds.p, active & (ds.pdf > 0))
@@ -111,7 +111,7 @@ class Sight:
 
 
 def counted(passed: mi.UInt32, alive: mi.Bool, delta: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-    """How often glass has sent a path on, and whether it goes on."""
+    """Update the number of a path's passages through glass, and end the path after too many."""
     passed = passed + dr.select(delta, mi.UInt32(1), 0)
     return passed, alive & (passed < MOST_GLASS)
 

@@ -1,4 +1,4 @@
-"""What all light paths through a scene share: its surfaces, camera, projector and patterns."""
+"""Data that all light paths through a scene share: surfaces, camera, projector and patterns."""
 
 import drjit as dr
 import mitsuba as mi
@@ -12,8 +12,8 @@ from .mitsuba_scene import MitsubaWorld
 from .mitsuba_sight import Sight
 from .radiance import Quality
 
-ROULETTE_FROM = 2  # Every path gets so many vertices before Russian roulette.
-MAX_SURVIVAL = 0.95  # It ends paths between perfect whites.
+ROULETTE_FROM = 2  # The number of vertices of a path before Russian roulette begins.
+MAX_SURVIVAL = 0.95  # Below 1, so that paths between perfectly white surfaces end.
 
 
 class Stage:
@@ -36,5 +36,5 @@ class Stage:
 
 
 def survival(throughput: mi.Color3f, playing: mi.Bool) -> mi.Float:
-    """The probability with which a path goes on: 1 where it does not play Russian roulette."""
+    """Return the probability with which a path continues: 1 without Russian roulette."""
     return dr.select(playing, dr.minimum(dr.max(throughput), MAX_SURVIVAL), 1.0)

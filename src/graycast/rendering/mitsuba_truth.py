@@ -1,4 +1,4 @@
-"""Geometry at pixel centres and whole silhouettes, from the scene that Mitsuba holds."""
+"""Ground truth from a Mitsuba scene: geometry at pixel centres, and complete silhouettes."""
 
 import drjit as dr
 import mitsuba as mi
@@ -13,10 +13,10 @@ from .mitsuba_scene import PartShape
 from .mitsuba_stage import Stage
 from .radiance import GroundTruth, Silhouette
 
-STEP_THROUGH_M = 2e-5  # Float32 errs by less past a surface, and parts that touch overlap by less.
-OUTLINE_POINTS = 33  # Each side of a part's box has so many, because distortion bends it.
+STEP_THROUGH_M = 2e-5  # More than the error of float32, and than the overlap of touching parts.
+OUTLINE_POINTS = 33  # The number of points per side of a part's box, which distortion bends.
 Box = tuple[int, int, int, int]
-"""Pixels (left, top, right, bottom), ends excluded."""
+"""Pixels (left, top, right, bottom), where right and bottom are excluded."""
 
 
 def truth(
@@ -45,9 +45,9 @@ def truth(
 
 
 def centre_places(stage: Stage, scene: Scene) -> mi.Point2f:
-    """Where the projector sees the surface at each pixel's centre [px]; NaN where none is.
+    """Return the projector position of the surface at each pixel's centre [px], or NaN.
 
-    Thin walls of glass are looked through; what is on or behind solid glass has NaN.
+    Thin walls of glass are ignored. The result is NaN on and behind solid glass, too.
     """
     camera = scene.rig.camera
     ray = _centre_rays(scene, (0, 0, camera.width_px, camera.height_px))
@@ -58,14 +58,14 @@ def centre_places(stage: Stage, scene: Scene) -> mi.Point2f:
 
 
 def _centre_rays(scene: Scene, canvas: Box) -> mi.Ray3f:
-    """Rays through the pixel centres of a canvas."""
+    """Return rays through the pixel centres of a canvas."""
     x, y = _places(canvas)
     direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ camera_ray(scene.rig.camera, x, y)
     return mi.Ray3f(mi.Point3f(scene.T_world_cam[:3, 3]), direction)
 
 
 def _places(canvas: Box) -> tuple[mi.Float, mi.Float]:
-    """Pixel positions; the corner and width, other in each scene, stay out of the kernel's text."""
+    """Return pixel positions; corner and size are opaque, so that all scenes share a kernel."""
     left, top, right, bottom = canvas
     lane = dr.arange(mi.Int32, (right - left) * (bottom - top))
     columns = dr.opaque(mi.Int32, right - left)
@@ -74,7 +74,7 @@ def _places(canvas: Box) -> tuple[mi.Float, mi.Float]:
 
 
 def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -> mi.Int32:
-    """Layout index of what was hit; -1 for anything but a part."""
+    """Return the layout index of the part that was hit, or -1 for anything else."""
     instance = dr.full(mi.Int32, -1, dr.width(si))
     for part in part_shapes:
         table = mi.Int32(part.instances.astype(np.int32))
@@ -85,23 +85,23 @@ def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -
 
 
 def _silhouette_box(scene: Scene, layout: Layout, index: int) -> Box:
-    """Pixels that can meet an instance, at most one image size beyond each border."""
+    """Return a box of the pixels that can see an instance, up to one image size beyond a border."""
     camera = scene.rig.camera
     part = scene.parts[layout.part_index[index]]
     T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
     pixel = project(camera, _outline(transform_points(T_cam_part, part.mesh.vertices_m)))
     size = np.array([camera.width_px, camera.height_px])
-    if np.isnan(pixel).any():  # reaches behind the lens: it may be anywhere
+    if np.isnan(pixel).any():  # The part extends behind the lens, so it may be anywhere.
         low, high = -size, 2 * size
     else:
-        # A pixel of slack: distortion bends the outline between its points.
+        # Add a margin of one pixel, because distortion bends the outline between its points.
         low = np.clip(np.floor(pixel.min(axis=0)).astype(int) - 1, -size, 2 * size)
         high = np.clip(np.ceil(pixel.max(axis=0)).astype(int) + 2, -size, 2 * size)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def _outline(point: np.ndarray) -> np.ndarray:
-    """Points around the image of others in an ideal lens; a real one maps their curve around it."""
+    """Return points on the bounding box of the ideal image; distortion keeps the image inside."""
     if (point[:, 2] <= 0).any():
         return point
     ideal = point[:, :2] / point[:, 2:]
@@ -116,31 +116,31 @@ def _outline(point: np.ndarray) -> np.ndarray:
 def _amodal_bits(
     part_shapes: tuple[PartShape, ...], scene: Scene, boxes: list[Box]
 ) -> tuple[np.ndarray, int, int]:
-    """One bit per instance and pixel, uint32 (words, rows, columns), and the canvas's first pixel.
+    """Return a bit per instance and pixel, uint32 (words, rows, columns), and the first pixel.
 
-    Follows each centre ray through all parts it meets, so hidden surfaces count as well. The bin
-    is left out: a part that lies flat on it would share its depth.
+    Each centre ray is followed through all parts that it meets, so hidden surfaces count. The bin
+    is left out, because a part that lies flat on it has the same depth.
     """
     if not boxes:
         return np.zeros((0, 0, 0), dtype=np.uint32), 0, 0
     box = np.array(boxes)
     (left, top), (right, bottom) = box[:, :2].min(axis=0).tolist(), box[:, 2:].max(axis=0).tolist()
     canvas, width, height = (left, top, right, bottom), right - left, bottom - top
-    if width <= 0 or height <= 0:  # no part comes near the picture
+    if width <= 0 or height <= 0:  # No part is near the picture.
         return np.zeros(((len(boxes) + 31) // 32, 0, 0), dtype=np.uint32), left, top
     ray = _centre_rays(scene, canvas)
     going = _exists(scene, ray, *_places(canvas))
     parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}
     world = mi.load_dict({"type": "scene"} | parts_alone)
     needed = (len(boxes) + 31) // 32
-    # In eights, so that all heaps of up to 256 parts share a kernel.
+    # Use a multiple of eight words, so that all heaps of up to 256 parts share a kernel.
     words = _follow(world, part_shapes, ray, going, 8 * ((needed + 7) // 8))
     dr.eval(words)
     return np.stack([np.array(word).reshape(height, width) for word in words[:needed]]), left, top
 
 
 def _exists(scene: Scene, ray: mi.Ray3f, x: mi.Float, y: mi.Float) -> mi.Bool:
-    """Whether the ray of a pixel goes back to it: beyond the fold of a lens there is none."""
+    """Return whether the ray of a pixel projects back to it, which fails beyond a lens's fold."""
     camera = scene.rig.camera
     if not camera.has_distortion:
         return dr.full(mi.Bool, True, dr.width(ray.d))
@@ -159,10 +159,10 @@ def _follow(
     going: mi.Bool,
     word_count: int,
 ) -> list[mi.UInt32]:
-    """The instances that each ray meets on its whole way, as a set of bits."""
+    """Return the instances that each ray meets on its whole way, as bits."""
 
     def body(origin, going, words):
-        # Neighbours soon go on from different depths: as incoherent rays they take a quarter less.
+        # Neighbouring rays soon have different depths; as incoherent rays they take 25 % less time.
         si = world.ray_intersect(
             mi.Ray3f(origin, ray.d), mi.RayFlags.Minimal, coherent=False, active=going
         )
@@ -172,7 +172,7 @@ def _follow(
             word | dr.select((instance >= 0) & (instance >> 5 == k), bit, 0)
             for k, word in enumerate(words)
         ]
-        # Not `spawn_ray`: it steps along the normal and would leave the pixel's ray.
+        # Do not use `spawn_ray`, which steps along the normal and would leave the pixel's ray.
         return mi.Point3f(origin + (si.t + STEP_THROUGH_M) * ray.d), si.is_valid(), words
 
     none = [dr.zeros(mi.UInt32, dr.width(ray.d)) for _ in range(word_count)]

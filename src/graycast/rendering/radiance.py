@@ -1,4 +1,4 @@
-"""What a renderer returns, and the protocol that every renderer keeps."""
+"""The results of a renderer, and the protocol that every renderer implements."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from ..base.settings import check_fields
 from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
 
-Patterns = UInt8[np.ndarray, "n ph pw"]  # grey levels, 255 is white
+Patterns = UInt8[np.ndarray, "n ph pw"]  # Grey levels; 255 is white.
 DenoiserName = Literal["none", "oidn", "optix"]
-# It takes radiance, albedo and normals, (h, w, 3) each in float32, and returns clean radiance.
+# It takes radiance, albedo and normals, each (h, w, 3) in float32, and returns clean radiance.
 Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
@@ -27,8 +27,8 @@ PathDepth = Annotated[
         description="The largest number of surfaces on a light path. 1 is direct light only.",
     ),
 ]
-OnFrame = Callable[[int, int], None]  # It gets the numbers of finished and all renders of a scene.
-# It gets the numbers of finished and all samples of a stack; what it raises ends the rendering.
+OnFrame = Callable[[int, int], None]  # Its arguments: finished renders and all renders of a scene.
+# Its arguments: finished samples and all samples of a stack. An exception in it ends the rendering.
 OnPass = Callable[[int, int], None]
 
 
@@ -37,10 +37,10 @@ OnPass = Callable[[int, int], None]
 class Quality:
     """The effort of a renderer: paths per pixel, and vertices per path.
 
-    Depth 1 is only direct light; each further vertex adds one interreflection. `footprint`
-    filters the patterns in interreflected light over the surface that a sample stands for; its
-    bias vanishes as samples grow (Mitsuba alone has it). `denoise` cleans every picture of the
-    stack by itself, with Open Image Denoise or, in Cycles on an NVIDIA GPU, OptiX.
+    Depth 1 is only direct light; each further vertex adds one interreflection. `footprint` (only
+    in Mitsuba) filters the patterns in indirect light over the surface that a sample represents;
+    its bias vanishes with more samples. `denoise` denoises each picture of the stack separately,
+    with Open Image Denoise or, in Cycles on an NVIDIA GPU, OptiX.
     """
 
     samples: Samples = 16
@@ -57,12 +57,11 @@ class Quality:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathNoise:
-    """The error that a finite number of light paths leaves in all patterns of a stack alike.
+    """The error from a finite number of light paths, which is common to all patterns of a stack.
 
-    Both are standard deviations for the projector's columns and rows, in this order, and 0 where no
-    light comes straight: `place_sigma_px` of the mean place in the projector's picture that a
-    pixel's straight light comes from, `stray` of the stripes in the light that other surfaces sent
-    on, as a share of those in the straight light.
+    Both arrays are standard deviations for columns and rows of the projector, in this order; they
+    are 0 without direct light. `place_sigma_px` is for the mean projector position of a pixel's
+    direct light, and `stray` for the stripes in indirect light, relative to those in direct light.
     """
 
     place_sigma_px: Float[np.ndarray, "2 h w"]
@@ -78,19 +77,18 @@ class PathNoise:
 class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
 
-    The measuring camera, behind its filter: `pattern[k]` is what projected pattern k alone adds,
-    `white` what an all-white projector adds, `ambient` all other light. The colour picture:
-    `white_rgb` is what an all-white projector adds in each band; `ambient_rgb` is all other light,
-    per band. Light adds, so any picture is a sum of these.
+    For the measuring camera, behind its filter, `pattern[k]` is the light of projected pattern k,
+    `white` that of an all-white projector, and `ambient` all other light. For the colour picture,
+    `white_rgb` is the light of an all-white projector and `ambient_rgb` all other light, in each
+    band. Light is additive, so any picture is a sum of these.
 
-    `white` is `white_rgb` summed over the bands, and `ambient` is `ambient_rgb` over those that the
-    filter passes, unless a material has a `projector_reflectance`. `path_noise` is None where the
-    renderer does not know it.
+    `white` is the sum of `white_rgb` over all bands, and `ambient` that of `ambient_rgb` over the
+    bands that the filter passes, unless a material has a `projector_reflectance`. `path_noise` is
+    None if the renderer does not estimate it.
 
-    `place_px` is the mean place (column, row) in the projector's picture of the light that comes
-    to a pixel straight from the projector, by the first surface alone [projector px]; NaN where
-    there is no such light. A renderer may count whole projector pixels, which is off by at most
-    half of one. It is None where no pattern was rendered.
+    `place_px` is the mean projector position (column, row) of a pixel's direct light [projector
+    px], or NaN without such light. A renderer may use whole projector pixels, with an error of at
+    most half a pixel. It is None if no pattern was rendered.
     """
 
     pattern: Float[np.ndarray, "n h w"]
@@ -98,7 +96,7 @@ class Radiance:
     ambient: Float[np.ndarray, "h w"]
     white_rgb: Float[np.ndarray, "h w 3"]
     ambient_rgb: Float[np.ndarray, "h w 3"]
-    albedo: Float[np.ndarray, "h w 3"]  # first surface's base reflectance, for denoisers
+    albedo: Float[np.ndarray, "h w 3"]  # Base reflectance of the first surface, for denoisers
     path_noise: PathNoise | None = None
     place_px: Float[np.ndarray, "2 h w"] | None = None
 
@@ -112,10 +110,10 @@ class Radiance:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silhouette:
-    """All pixels whose ray meets one instance, hidden or not, cropped to their box.
+    """A mask of all pixels whose ray meets an instance, hidden or not, cropped to its box.
 
-    `mask[0, 0]` is the pixel (left_px, top_px), which may lie outside the image: silhouettes are
-    complete to at most one image size beyond each border. No pixel at all is a (0, 0) mask.
+    `mask[0, 0]` is the pixel (left_px, top_px), which may be outside the image: silhouettes extend
+    up to one image size beyond each border. An empty silhouette has a (0, 0) mask.
     """
 
     left_px: int
@@ -126,7 +124,7 @@ class Silhouette:
         self.mask.flags.writeable = False
 
     def clipped(self, height_px: int, width_px: int) -> "Silhouette":
-        """The part of the silhouette that lies in an image."""
+        """Return the part of the silhouette that is inside an image."""
         image, own = overlap(self.top_px, self.left_px, self.mask.shape, (height_px, width_px))
         mask = self.mask[own]
         if mask.size == 0:
@@ -134,7 +132,7 @@ class Silhouette:
         return Silhouette(left_px=image[1].start, top_px=image[0].start, mask=mask)
 
     def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
-        """The silhouette as a mask of a whole image."""
+        """Return the silhouette as a mask of the whole image."""
         image = np.zeros((height_px, width_px), dtype=bool)
         inside, own = overlap(self.top_px, self.left_px, self.mask.shape, image.shape)
         image[inside] = self.mask[own]
@@ -144,11 +142,11 @@ class Silhouette:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundTruth:
-    """Geometry at pixel centres, from the scene itself.
+    """Exact geometry at pixel centres, computed from the scene.
 
-    `depth_m` is z of the camera frame, NaN where a ray meets nothing. `normal` is the geometric
-    unit normal in the camera frame, towards the camera; NaN likewise. `instance` indexes the
-    layout; -1 is anything else. `amodal[i]` is the silhouette of instance i.
+    `depth_m` is z in the camera frame, and `normal` the geometric unit normal in the camera frame,
+    towards the camera; both are NaN if a ray meets no surface. `instance` is an index into the
+    layout, or -1 for anything but a part. `amodal[i]` is the silhouette of instance i.
     """
 
     depth_m: Float[np.ndarray, "h w"]
@@ -174,15 +172,15 @@ class Rendering:
 class Renderer(Protocol):
     """Light transport and geometry only: no noise, no exposure, no files.
 
-    An open renderer may hold a process: `close` it, or use it in a `with` statement. Back ends
-    derive from this class, which closes for those that hold nothing. `denoiser` is what cleans a
-    colour picture on its device.
+    An open renderer may own a process, so `close` it, or use it in a `with` statement. Back ends
+    derive from this class, whose `close` serves those without resources. `denoiser` denoises a
+    colour picture on the renderer's device.
     """
 
     name: str
     device: str
     denoiser: Denoiser
-    versions: dict[str, str]  # of the software that renders
+    versions: dict[str, str]  # Versions of the rendering software
 
     def render(
         self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
@@ -190,14 +188,14 @@ class Renderer(Protocol):
         """Render every pattern (grey levels, 255 is white) and the ground truth.
 
         Raises:
-            ValueError: the patterns have another size than the scene's projector, or the rig has
-                optics that this renderer or this quality cannot give.
+            ValueError: the patterns do not have the size of the scene's projector, or this renderer
+                or quality does not support the rig's optics.
         """
         ...
 
     def close(self) -> None:
         """Release all resources; closing again does nothing."""
-        return  # a body of its own, so that type checkers do not take it for abstract
+        return  # With a body, type checkers do not take the method for abstract.
 
     def __enter__(self) -> "Renderer":
         return self

@@ -1,10 +1,10 @@
-"""A small exact renderer: planes and spheres under the projector's direct light, in NumPy.
+"""A small exact renderer in NumPy: planes and spheres in the projector's direct light.
 
-It settles half pixels, signs and radiometry for the others; it is not meant to be fast. Rays go
-through a regular grid of positions in each pixel, so there is no noise, and the seed is not used.
+The tests of other renderers compare half pixels, signs and radiometry with it; it is not fast. Rays
+go through a regular grid of positions in each pixel, so there is no noise, and the seed is unused.
 
 Limits: Lambertian `surfaces` only, without parts, bin, lamps or environment; path depth 1; sharp
-lenses. Closed forms judge the blur of the others.
+lenses. The blur of other renderers is tested against closed forms.
 """
 
 import math
@@ -30,12 +30,12 @@ from .radiance import (
 )
 from .wavelength import at_projector_wavelength, refuse_layers
 
-CLEARANCE_M = 1e-9  # A shadow ray starts this far from its surface; float64 needs no more.
+CLEARANCE_M = 1e-9  # Distance of a shadow ray's start from its surface; enough for float64.
 
 
 @final
 class ReferenceRenderer(Renderer):
-    """See the module. Raises ValueError for whatever is beyond its limits."""
+    """The exact renderer; it raises ValueError for a scene beyond the limits of this module."""
 
     name, device = "reference", "cpu"
 
@@ -108,22 +108,22 @@ def _refuse_beyond_limits(
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
-    """Return the irradiance by an all-white projector, the base colour, and the projector place.
+    """Return irradiance from an all-white projector, base colour, and projector position [px].
 
-    The place [px] is 0 where a ray meets nothing that lies in the projector's picture.
+    The position is 0 if a ray meets no point in the projector's picture.
     """
     rig = scene.rig
     direction, _, index, point = _first(scene, pixel)
     normal = _normals(scene, point, index)
     colors = [surface.material.base_color for surface in scene.surfaces]
-    base = np.array([*colors, (0.0, 0.0, 0.0)])[index]  # the last is of what has no index
+    base = np.array([*colors, (0.0, 0.0, 0.0)])[index]  # The last colour is for index -1.
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     in_projector = transform_points(inverse(T_world_proj), point)
     place_px = project(rig.projector, in_projector)
     size = np.array([rig.projector.width_px, rig.projector.height_px])
     with np.errstate(invalid="ignore"):
         inside = ((place_px >= -0.5) & (place_px < size - 0.5)).all(axis=-1)
-        # The light comes from a pixel's shining square rather than from between them.
+        # A point is lit only by the active square of a pixel, and not by the gaps.
         aside = np.abs(place_px - np.floor(place_px + 0.5))
         inside &= (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
     place_px = np.where(inside[..., None], place_px, 0.0)
@@ -145,7 +145,7 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
 
 
 def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
-    """Direction, ray parameter, surface (-1 for none) and point where a pixel's ray first meets."""
+    """Return direction, ray parameter, surface (or -1) and point of the first hit of each ray."""
     direction = rays(scene.rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
     eye = scene.T_world_cam[:3, 3]
     t, index = _nearest(scene, eye, direction)
@@ -154,7 +154,7 @@ def _first(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
 
 
 def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
-    """Smallest positive ray parameter and the surface it belongs to; -1 for none."""
+    """Return the smallest positive ray parameter and the index of its surface, or -1."""
     best = np.full(direction.shape[:-1], np.inf)
     index = np.full(direction.shape[:-1], -1)
     for i, surface in enumerate(scene.surfaces):
@@ -165,7 +165,7 @@ def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
 
 
 def _meet(surface: Quad | Sphere, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Smallest positive t of `origin + t direction` on a surface; infinity for none."""
+    """Return the smallest positive t with `origin + t direction` on a surface, or infinity."""
     away = origin - np.array(surface.center_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(surface, Sphere):
@@ -175,7 +175,7 @@ def _meet(surface: Quad | Sphere, origin: np.ndarray, direction: np.ndarray) -> 
             root = np.sqrt(b * b - a * c)
             near, far = (-b - root) / a, (-b + root) / a
             t = np.where(near > 0, near, far)
-            return np.where(t > 0, t, np.inf)  # NaN (a miss) compares false
+            return np.where(t > 0, t, np.inf)  # A miss is NaN, which compares as false.
         u, v = np.array(surface.half_u_m), np.array(surface.half_v_m)
         normal = np.cross(u, v)
         t = -(away @ normal) / (direction @ normal)
@@ -201,7 +201,7 @@ def _truth(scene: Scene, grid: np.ndarray) -> GroundTruth:
     normal = _normals(scene, point, index)
     normal *= -np.sign((normal * direction).sum(axis=-1, keepdims=True))
     return GroundTruth(
-        depth_m=np.where(index >= 0, t, np.nan),  # rays have unit z, so t is the depth
+        depth_m=np.where(index >= 0, t, np.nan),  # Rays have unit z, so t is the depth.
         normal=normal @ scene.T_world_cam[:3, :3],
         instance=np.full(index.shape, -1),
         amodal=(),

@@ -1,31 +1,30 @@
 """A rough metal that loses no light among its facets, as a Mitsuba BSDF.
 
-One reflection off GGX facets, `F D G2 / (4 cos cos)`, returns the share `E` of light: of white
-metal and light from everywhere 0.88 at roughness 0.5 and 0.41 at 1. The rest strikes further facets
-and comes out later. It is given back in the first lobe's directions,
+One reflection off GGX facets, `F D G2 / (4 cos cos)`, returns a share `E` of the light. For a white
+metal under uniform light this is 0.88 at roughness 0.5 and 0.41 at 1. The rest meets other facets
+and leaves later. It is added in the directions of the first lobe,
 
     f = f_single (1 + F_ms (1 - E) / E),    F_ms = F_avg E_avg / (1 - F_avg (1 - E_avg)),
 
-with `E` at the direction that light leaves for (in a path from the camera: where it came from),
+with `E` for the direction in which light leaves (from which a path from the camera arrives),
 `E_avg` its cosine-weighted mean, and `F_avg = F0 + (1 - F0) / 21` the mean of Schlick's Fresnel
-term: white metal returns everything, and colours deepen as they do by reflecting twice.
+term. A white metal returns all light, and colours deepen as they do with repeated reflection.
 
-This is also the metal of Blender's Principled BSDF, to 0.3 % wherever we looked
+The metal of Blender's Principled BSDF agrees with this to 0.3 % in all cases tested
 (`tests/rendering/test_materials_in_both.py`).
 
 With grooves, facets have two widths, along x and y of a frame along the grain. The mesh attribute
 `vertex_grain` has the direction of the grooves in world coordinates. At a hit it is projected onto
-the plane of the shading normal. A hit without a direction has its grain along the shading frame's
-x. Left out are the single grooves, and so glints and the rainbow that fine ones make.
+the plane of the shading normal. Without a direction, the grain is along x of the shading frame.
+Single grooves are not modelled, so there are no glints and no rainbow of fine grooves.
 
-Where roughness varies, `E` is linear between the widths `ggx.ALPHAS`: white metal returns all light
-to 0.4 %.
+If roughness varies, `E` is interpolated linearly between the widths `ggx.ALPHAS`: a white metal
+conserves energy to 0.4 %.
 
-Leaves out: that light reflected many times leaves in directions of its own, wider than the first
-lobe. Since `E` is taken at one of the two directions, light may not run backwards: the two ways
-differ by the ratio of `1 + F_ms (1 - E) / E`, which for white metal within 60 degrees of the normal
-is 2 % at roughness 0.3, 7 % at 0.5 and 47 % at 1. No complex index, so no dip of the reflectance
-before grazing incidence.
+Leaves out: the wider lobe of light that is reflected many times; a complex index, and so the dip of
+reflectance before grazing incidence. The BSDF is not reciprocal, because `E` depends on only one of
+the two directions: the two ways differ by the ratio of `1 + F_ms (1 - E) / E`, which for a white
+metal within 60 degrees of the normal is 2 % at roughness 0.3, 7 % at 0.5 and 47 % at 1.
 
 Sources: C. Kulla & A. Conty, "Revisiting Physically Based Shading at Imageworks", SIGGRAPH 2017
 course (F_ms); E. Turquin, "Practical Multiple Scattering Compensation for Microfacet Models",
@@ -46,9 +45,9 @@ GRAIN = "vertex_grain"
 
 @final
 class RoughConductor(ggx.GlossyBSDF):
-    """Properties: `reflectance` (texture) at normal incidence, `alpha` (GGX) or `roughness`.
+    """A BSDF with `reflectance` (texture) at normal incidence, and `alpha` (GGX) or `roughness`.
 
-    With a property `alpha_across`, `alpha` is that along x alone, and this that along y.
+    With a property `alpha_across`, `alpha` applies only along x, and `alpha_across` along y.
     """
 
     def __init__(self, props: mi.Properties):
@@ -92,7 +91,7 @@ class RoughConductor(ggx.GlossyBSDF):
     def _returned(
         self, si, alpha: ggx.Alpha, cos_half: mi.Float, length_i: mi.Float, active
     ) -> mi.Color3f:
-        """Fresnel's share, and what comes back after the first reflection."""
+        """Return the Fresnel reflectance times the factor for light that leaves later."""
         normal = self.reflectance.eval(si, active)
         fresnel, mean = ggx.schlick(normal, cos_half), self.mean
         if self.roughness is not None:
@@ -101,7 +100,7 @@ class RoughConductor(ggx.GlossyBSDF):
         return fresnel * dr.fma(later, self._lost(si.wi, alpha, length_i), 1)
 
     def _lost(self, wi: mi.Vector3f, alpha: ggx.Alpha, length_i: mi.Float) -> mi.Float:
-        """`(1 - E) / E`; by the azimuth, too, where grooves make facets wider along y than x."""
+        """Return `(1 - E) / E`; with grooves, which make facets wider along y, also by azimuth."""
         cosine = mi.Frame3f.cos_theta(wi) / length_i
         if self.roughness is not None:
             energy = ggx.between_rows(alpha, lambda row: ggx.interpolated(self.energy, cosine, row))
@@ -109,14 +108,14 @@ class RoughConductor(ggx.GlossyBSDF):
         if len(self.lost) == 1:
             return ggx.interpolated(self.lost[0], cosine)
         x2, y2 = (dr.square(w) for w in ggx.stretched(wi, alpha)[:2])
-        twice = (x2 - y2) / dr.maximum(x2 + y2, 1e-12)  # the cosine of twice the azimuth
+        twice = (x2 - y2) / dr.maximum(x2 + y2, 1e-12)  # Cosine of twice the azimuth
         middle, slope, bend = (ggx.interpolated(table, cosine) for table in self.lost)
         return dr.fma(dr.fma(bend, twice, slope), twice, middle)
 
 
 @final
 class BrushedConductor(ggx.GlossyBSDF):
-    """A metal with grooves. Properties: as of `RoughConductor`, `alpha` along the grain."""
+    """A metal with grooves. Properties: those of `RoughConductor`, with `alpha` along the grain."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props, mi.BSDFFlags.GlossyReflection)
@@ -133,7 +132,7 @@ class BrushedConductor(ggx.GlossyBSDF):
         return bs, weight
 
     def _along_grain(self, si, active) -> tuple[mi.SurfaceInteraction3f, mi.Float, mi.Float]:
-        """The hit in a frame along the grain; cosine and sine of the turn that leads there."""
+        """Return the hit in a frame along the grain, and cosine and sine of the rotation to it."""
         grain = si.to_local(mi.Vector3f(si.shape.eval_attribute_3(GRAIN, si, active)))
         length = dr.hypot(grain.x, grain.y)
         cosine = dr.select(length > 0, grain.x / length, 1)
@@ -144,21 +143,21 @@ class BrushedConductor(ggx.GlossyBSDF):
 
 
 def _turned(w: mi.Vector3f, cosine: mi.Float, sine: mi.Float) -> mi.Vector3f:
-    """Turned about the normal, from x towards y."""
+    """Return a direction after a rotation about the normal, from x towards y."""
     return mi.Vector3f(dr.fma(cosine, w.x, -sine * w.y), dr.fma(sine, w.x, cosine * w.y), w.z)
 
 
 @lru_cache
 def lost_share(along: float, across: float) -> tuple[np.ndarray, float]:
-    """`(1 - E) / E` of white GGX facets with these widths along x and y, and the mean of `E`.
+    """Return `(1 - E) / E` for white GGX facets with two widths, and the mean of `E`.
 
     Returns:
-        The first at `ggx.TABLE` values from 0 to 1 of the cosine of the STRETCHED direction, in
-        which `E` is smooth however small alpha is, as one row; linear between them, `E (1 + lost)`
-        is 1 to 0.05 %, and 0.3 % beyond 89 degrees. Of two widths there are three rows a, b, c: the
-        share is `a + b t + c t^2` with the cosine t of twice the azimuth of the stretched
-        direction, right at 0, 45 and 90 degrees; then it is 1 to 0.3 % where `across` is at most
-        0.8, 0.7 % at 1.2 and 1.4 % at 3.2.
+        A row for `ggx.TABLE` cosines of the STRETCHED direction from 0 to 1, because `E` is smooth
+        in it even if alpha is small. With linear interpolation `E (1 + lost)` is 1 to 0.05 %, and
+        to 0.3 % beyond 89 degrees. For two widths there are three rows a, b, c: the share is
+        `a + b t + c t^2`, where t is the cosine of twice the azimuth of the stretched direction. It
+        is exact at 0, 45 and 90 degrees. The sum is then 1 to 0.3 % if `across` is at most 0.8, to
+        0.7 % at 1.2 and to 1.4 % at 3.2.
     """
     alphas = along, across
     if along == across:
@@ -166,25 +165,25 @@ def lost_share(along: float, across: float) -> tuple[np.ndarray, float]:
     else:
         x, between, y = (_lost_along(alphas, float(turn)) for turn in np.pi / 4 * np.arange(3))
         tables = np.stack([between, (x - y) / 2, (x + y) / 2 - between])
-    tables.flags.writeable = False  # it is kept for the next scene
+    tables.flags.writeable = False  # The cache returns the same array for the next scene.
     return tables, ggx.mean_albedo(alphas)
 
 
 @lru_cache
 def energy_shares() -> tuple[np.ndarray, np.ndarray]:
-    """`E` of white GGX facets, a row over `lost_share`'s cosine for each of `ggx.ALPHAS`, and its
-    mean for each. The rows follow one another.
+    """Return `E` of white GGX facets and its mean, for each of `ggx.ALPHAS`. `E` is a flat array
+    with a row for each alpha, over the cosine of `lost_share`.
     """
     tables = [lost_share(alpha, alpha) for alpha in ggx.ALPHAS.tolist()]
     energy = 1 / (1 + np.concatenate([lost[0] for lost, _ in tables]))
     shares = energy.astype(np.float32), np.array([mean for _, mean in tables], dtype=np.float32)
     for table in shares:
-        table.flags.writeable = False  # it is kept for the next scene
+        table.flags.writeable = False  # The cache returns the same array for the next scene.
     return shares
 
 
 def _lost_along(alphas: tuple[float, float], azimuth_rad: float) -> np.ndarray:
-    """`(1 - E) / E` over the cosine of the stretched direction, at one azimuth of it."""
+    """Return `(1 - E) / E` over the cosine of the stretched direction, at one azimuth."""
     wi = ggx.leaning(np.linspace(0, 1, ggx.TABLE), azimuth_rad)
     wi[:, :2] /= alphas
     albedo = ggx.directional_albedo(wi / np.linalg.norm(wi, axis=1, keepdims=True), alphas)

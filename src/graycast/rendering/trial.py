@@ -1,7 +1,7 @@
-"""A small picture rendered and denoised on a device, by a process that may die of it.
+"""Trial of a render device: a child process, which may crash, renders and denoises a small picture.
 
-A driver or a library that lacks something can end the process that uses it, without an exception.
-So a device is tried in a child before it is used. A trial that went well is kept in the user's
+A driver or an incomplete library can crash the process that uses it, without an exception. So a
+device is tried in a child process before it is used. A successful trial is stored in the user's
 cache folder, and is valid until a driver, a GPU or a library changes.
 """
 
@@ -22,14 +22,14 @@ from ..base.file_limits import parse_json
 from ..base.folder import cache_folder, write_whole
 from ..base.version import __version__
 
-_LIMIT_S = 300.0  # A first picture on a GPU compiles for some 10 s.
+_LIMIT_S = 300.0  # The first picture on a GPU takes about 10 s to compile.
 _CHILD = f"{__package__}.trial_picture"
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What came of a trial: `problem` says why there is no picture; `denoiser` is its device."""
+    """Result of a trial: the reason for a failure is `problem`; `denoiser` is a device."""
 
     device: str
     seconds: float
@@ -41,7 +41,7 @@ def try_device(device: str, *, program: Sequence[str] = ("-m", _CHILD)) -> Trial
     """Render and denoise a small picture on 'llvm' or 'cuda' in a child process.
 
     Args:
-        program: the child's arguments to Python, before the device.
+        program: arguments of the child's Python before the device.
     """
     start, denoiser, problem = time.perf_counter(), None, None
     command = [sys.executable, *program, device]
@@ -60,10 +60,10 @@ def try_device(device: str, *, program: Sequence[str] = ("-m", _CHILD)) -> Trial
 
 
 def tried_before(device: str, machine: object) -> Trial:
-    """`try_device`, or what came of it before on the same machine if that went well.
+    """Return the stored result of a successful trial on the same machine, or try the device now.
 
     Args:
-        machine: all that the trial depends on beside the installed packages, such as the driver.
+        machine: state, in addition to installed packages, on which the trial depends: the driver.
     """
     versions = [__version__, sys.version, *(version(name) for name in _PACKAGES)]
     stated = repr((device, machine, versions))
@@ -74,10 +74,10 @@ def tried_before(device: str, machine: object) -> Trial:
     file = folder / f"{key}.json"
     try:
         return Trial(**parse_json(file.read_bytes()))
-    except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged
+    except (OSError, ValueError, TypeError):  # There was no trial yet, or the file is damaged.
         trial = try_device(device)
     if trial.problem is None:
-        with suppress(OSError, GraycastError):  # without a file the next process tries again
+        with suppress(OSError, GraycastError):  # Without a file, the next process tries again.
             file.parent.mkdir(parents=True, exist_ok=True)
             write_whole(file, json.dumps(asdict(trial)).encode())
     return trial

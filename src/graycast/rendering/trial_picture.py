@@ -1,4 +1,4 @@
-"""The child of `trial`: it renders and denoises a small picture, and prints which device denoised.
+"""The child process of `trial`: renders and denoises a small picture, and prints the denoiser.
 
 python -m graycast.rendering.trial_picture DEVICE
 """
@@ -28,7 +28,7 @@ def _main(device: str) -> None:
     wall = Quad(
         center_m=(0.0, 0.0, 0.7),
         half_u_m=(1.0, 0.0, 0.0),
-        half_v_m=(0.0, -1.0, 0.0),  # its front is towards the camera
+        half_v_m=(0.0, -1.0, 0.0),  # The front of the wall faces the camera.
         material=Material(base_color=(0.5, 0.5, 0.5)),
     )
     scene = Scene(rig=rig, T_world_cam=np.eye(4), surfaces=(wall,))

@@ -1,4 +1,4 @@
-"""The scene in the light of the projector's wavelength, as the measuring camera sees it."""
+"""The scene in light of the projector's wavelength, as the measuring camera sees it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,9 +10,9 @@ from ..world.scene import Bin, Scene
 
 
 def at_projector_wavelength(scene: Scene) -> Scene:
-    """The scene with every material that has a `projector_reflectance` in that grey.
+    """Return the scene with the grey `projector_reflectance` of each material that has one.
 
-    Without such a material the scene itself is returned, so that it need not be rendered twice.
+    Without such a material the same scene is returned, so that it need not be rendered twice.
     """
     if all(material.projector_reflectance is None for material in _materials(scene)):
         return scene
@@ -20,9 +20,9 @@ def at_projector_wavelength(scene: Scene) -> Scene:
 
 
 def at_one_wavelength(scene: Scene) -> Scene:
-    """The scene in greys: what it is in the one band in which the projector shines.
+    """Return the scene in grey, with the reflectance in the only band of the projector's light.
 
-    A projector of several bands does as well where every material is grey: all bands are alike.
+    Several bands are possible if every material is grey, because all bands are then equal.
 
     Raises:
         ValueError: the projector has several bands and a material has a colour.
@@ -44,7 +44,7 @@ def at_one_wavelength(scene: Scene) -> Scene:
 
 
 def refuse_layers(scene: Scene, renderer: str) -> None:
-    """Glass and films: only Mitsuba has our model of them."""
+    """Refuse glass and films, for which only Mitsuba has our models."""
     for material in _materials(scene):
         if material.transparent is not None or material.film is not None:
             what = "transparent materials" if material.film is None else "a film over metal"

@@ -1,4 +1,4 @@
-"""Camera and projector optics: Brown-Conrady distortion both ways, thin lens, vignetting, pixels.
+"""Camera and projector optics: distortion and its inverse, thin lens, vignetting, pixels.
 
 A projector is an inverse camera, so both have the same description.
 """
@@ -110,7 +110,7 @@ class Optics:
 
     @property
     def K(self) -> Float[np.ndarray, "3 3"]:
-        """The camera matrix."""
+        """Camera matrix."""
         return np.array(
             [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
         )
@@ -262,7 +262,7 @@ def picture_rays(optics: Optics) -> Float[np.ndarray, "h w 3"]:
 
 
 def mask_rays(optics: Optics, mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 3"]:
-    """Return `rays` of the pixels of a mask of the whole picture, row by row."""
+    """Return `rays` of the pixels in a mask of the whole picture, row by row."""
     y, x = np.nonzero(mask)
     return _rays(optics, x, y)
 
@@ -290,7 +290,7 @@ def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarra
 def mask_points(
     optics: Optics, depth_m: Float[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return `points` of the pixels of a mask, row by row."""
+    """Return `points` of the pixels in a mask, row by row."""
     point_m = mask_rays(optics, mask)
     point_m *= depth_m[mask][:, None]
     return point_m

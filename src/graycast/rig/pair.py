@@ -356,7 +356,7 @@ def best_depth_m(rig: Rig) -> float:
     """Return the depth at which the two middle rays are closest, clipped to the working range."""
     camera, projector = _middle_ray(rig.camera), rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
     origin = rig.T_cam_proj[:3, 3]
-    # Closest point of the lines s * camera and origin + t * projector.
+    # s and t are at the closest points of the lines s * camera and origin + t * projector.
     c = camera @ projector
     if 1 - c * c < 1e-12:
         return 0.5 * (rig.near_m + rig.far_m)

@@ -154,7 +154,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
     doubt, fine_error, high, low = code.doubt, code.fine_error, light.high, light.low
     count, w = margin.shape
     zero, half, one, two = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
-    noise = np.empty(w, dtype=np.float32)  # of pattern minus inverse [DN]
+    noise = np.empty(w, dtype=np.float32)  # Noise of pattern minus inverse [DN]
     third = np.empty(w, dtype=np.float32)
     contrast = np.empty(w, dtype=np.float32)
     for x in range(w):

@@ -331,7 +331,7 @@ def fuse(periods, turn, noise2, place, sigma):
         u, error = place[y], sigma[y]
         weight = np.zeros(w, dtype=np.float32)
         summed = np.zeros(w, dtype=np.float32)
-        beyond = np.zeros(w, dtype=np.float32)  # [px^2]
+        beyond = np.zeros(w, dtype=np.float32)  # Squared difference beyond noise [px^2]
         for g in range(len(periods)):
             if periods[g, 2] < 3:
                 continue

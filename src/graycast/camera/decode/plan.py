@@ -110,7 +110,7 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
     bits = _gray_bits(axis, indexed, fine_bits)
     bits, cell_px = _with_complementary(axis, indexed, bits, cell_px)
     reach_px = cell_px * 2 ** len(bits) + code.offset_px[i]
-    # A code that begins inside the picture was meant for a part of it.
+    # A code that begins inside the picture is meant for only a part of it.
     if bits and code.offset_px[i] <= 0 and reach_px < code.size_px(axis) - 0.5:
         raise DecodeError(
             f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the "

@@ -54,7 +54,7 @@ class _Level:
     value: Float[np.ndarray, "h w"]
     x_slope: Float[np.ndarray, "h w"]
     y_slope: Float[np.ndarray, "h w"]
-    valid: Float[np.ndarray, "h w"]  # 1 or 0
+    valid: Float[np.ndarray, "h w"]  # 1 for valid pixels, else 0
 
 
 def prepare(picture: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]) -> Prepared:
@@ -126,7 +126,7 @@ def register(first: Prepared, second: Prepared) -> PictureMotion:
 
 def _by_phase(first: _Level, second: _Level) -> Float[np.ndarray, "2"]:
     window = cv2.createHanningWindow(first.value.shape[::-1], cv2.CV_32F)
-    # OpenCV 5.0.0 multiplies its arguments by the window, in place.
+    # Pass copies, because OpenCV 5.0.0 multiplies its arguments by the window in place.
     start, _ = cv2.phaseCorrelate(first.value.copy(), second.value.copy(), window)
     return np.array(start, dtype=np.float64)
 

@@ -22,7 +22,7 @@ THREADS = 4  # Decoding of JPEG and PNG releases the lock, so threads help.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackPictures:
-    """A stack in memory."""
+    """The pictures of a stack in memory."""
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     files: tuple[Path, ...]

@@ -70,9 +70,9 @@ def white_sums(frames: Stack, code: Code, saturation_dn: float) -> list[WhiteSum
 def displacements(sums: Sequence[WhiteSum]) -> list[Displacement]:
     """Return the motion of the picture from each white sum to the next, over the whole stack.
 
-    A sum is skipped if its motion against none of the three sums before it is known (after fine
-    stripes, a non-linear camera leaves more structure in the sum than the scene has). The motion to
-    the next sum is then returned instead.
+    A sum is skipped if its motion cannot be measured against any of the three sums before it (with
+    fine stripes, a non-linear camera leaves more structure in the sum than the scene has). The
+    motion to the next sum is then returned instead.
 
     Leaves out: codes without inverses and without phases, which have no such sums.
     """

@@ -1,7 +1,7 @@
 """The second back end: Blender Cycles, one render for each projected pattern, as in the paper.
 
-Cycles lives in an environment of its own (`make cycles`) and in a child process; this package is
-Graycast's side of it (`renderer.CyclesRenderer`), `worker/` is Cycles'.
+Cycles has its own Python environment (`make cycles`) and runs in a child process. The modules here
+run in Graycast's process (`renderer.CyclesRenderer`); those of `worker/` run in the child.
 """
 
 from .process import CyclesState, examine_cycles

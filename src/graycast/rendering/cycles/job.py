@@ -1,4 +1,4 @@
-"""A scene as files for Cycles, and Cycles' pictures as radiance and ground truth."""
+"""A scene as files for Cycles, and the list of its renders."""
 
 import json
 import math
@@ -29,33 +29,33 @@ from ...world.scene import (
 from ..radiance import Patterns
 
 Bands = tuple[float, float, float]
-WHITE = -1  # A frame's list of patterns has this number for white.
+WHITE = -1  # The number of white in a frame's list of patterns.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Render:
-    """One render. `levels` are pattern numbers: one for all bands, or three, one for each."""
+    """One render. `levels` has pattern numbers: one for all bands, or one for each band."""
 
     name: str
     kind: str
     levels: tuple[int, ...] = ()
 
     def order(self, bands: Bands, seed: int) -> dict[str, Any]:
-        """The frame of a job; `bands` are the bands' shares of the projector's light."""
-        # Three patterns in one render take a band each, of one wavelength: no shares.
+        """Return the entry of a job; `bands` has the bands' shares of the projector's light."""
+        # Three patterns in one render use one band each, all for the same wavelength.
         shares = [1.0] * 3 if len(self.levels) == 3 else list(bands)
         return asdict(self) | {"bands": shares, "seed": seed}
 
 
 def need_renders(pattern: Patterns) -> list[int]:
-    """Numbers of the patterns that have to be rendered: black has no light, white is `LOOK`'s."""
+    """Return the patterns that need a render: black has no light, and white is part of `LOOK`."""
     low, high = pattern.min(axis=(1, 2)), pattern.max(axis=(1, 2))
     plain = (low == high) & ((low == 0) | (low == 255))
     return np.flatnonzero(~plain).tolist()
 
 
 def pattern_frames(numbers: Sequence[int], per_render: int) -> tuple[Render, ...]:
-    """The renders of these patterns, one or three in each; a last one is filled up with white."""
+    """Return renders with one or three patterns each; the last one is filled up with white."""
     frames = []
     for first in range(0, len(numbers), per_render):
         levels = tuple(numbers[first : first + per_render])
@@ -75,7 +75,7 @@ TRUTH = tuple(Render(name=name, kind=name) for name in ("position", "normal", "i
 
 @dataclass(frozen=True, slots=True)
 class _Placed:
-    """A mesh and where its copies stand; `instances` are layout indices + 1, 0 for all else."""
+    """A mesh and the poses of its copies; `instances` are layout indices + 1, or 0 if no part."""
 
     name: str
     mesh: Mesh
@@ -88,9 +88,9 @@ class _Placed:
 def write_job(
     folder: Path, scene: Scene, layout: Layout, pattern: Patterns, settings: Mapping[str, Any]
 ) -> None:
-    """All that `worker/` needs, as `job.json`, arrays and pictures in a folder.
+    """Write the input of `worker/` to a folder: `job.json`, arrays and pictures.
 
-    `settings` are `samples`, `depth`, `denoise`, `device`, `threads`, and the orders of `frames`.
+    `settings` has `samples`, `depth`, `denoise`, `device`, `threads`, and the entries of `frames`.
     """
     rig = scene.rig
     placed = _placed(scene, layout)
@@ -118,13 +118,13 @@ def write_job(
 
 
 def is_simple(camera: Optics) -> bool:
-    """Whether Blender's own camera can stand for it; others need Open Shading Language."""
+    """Return whether Blender's own camera model suffices; others need Open Shading Language."""
     square = camera.fx_px == camera.fy_px and camera.fill_factor == 1
     return square and camera.is_pinhole and not camera.has_distortion
 
 
 def _optics(optics: Optics) -> dict[str, Any]:
-    """JSON has no infinity: None is a focus, or a fold of the lens, at infinity."""
+    """Return optics for JSON, which has no infinity: an infinite focus or fold radius is None."""
     fold = fold_radius2(optics.distortion)
     return asdict(optics) | {
         "focus_m": None if math.isinf(optics.focus_m) else optics.focus_m,
@@ -133,7 +133,7 @@ def _optics(optics: Optics) -> dict[str, Any]:
 
 
 def _field_tangent(rig: Rig) -> float:
-    """Tangent of the widest angle to the axis at which any light leaves the projector."""
+    """Return the tangent of the largest angle to the axis at which light leaves the projector."""
     projector = rig.projector
     x = np.array([-0.5, projector.width_px - 0.5])
     y = np.array([-0.5, projector.height_px - 0.5])
@@ -144,7 +144,7 @@ def _field_tangent(rig: Rig) -> float:
         ]
     )
     tangent = np.linalg.norm(rays(projector, border)[:, :2], axis=-1).max()
-    # From the border of the lens light leaves at a wider angle than from its middle.
+    # Light leaves the border of the lens at a larger angle than its middle.
     near_m = min(projector.focus_m, rig.near_m)
     return float(tangent + projector.aperture_m / near_m)
 

@@ -1,8 +1,8 @@
 """The child process in which Cycles runs.
 
-The protocol: a line on the child's stdin is the path of a job's folder. Each answer is one line of
+The protocol: each line on the child's stdin is the path of a job's folder. Each answer is a line of
 JSON: `{"ready": true}` at the start, `{"frame": name}` when a frame's file is written, and
-`{"done": true}` or `{"error": text}` at the end of a job. Pictures pass by files.
+`{"done": true}` or `{"error": text}` at the end of a job. Pictures are passed as files.
 """
 
 import json
@@ -27,12 +27,12 @@ _REMEDY = f"run make cycles, or set {PYTHON_VARIABLE} to a Python that has it"
 
 
 class CyclesDied(Exception):
-    """The child process ended during a job; the text states how."""
+    """The child process ended during a job; the message states its exit code or signal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CyclesState:
-    """The result of the search for Cycles; `problem` states why it cannot be used."""
+    """The result of the search for Cycles; `problem` is the reason why it cannot be used."""
 
     python: Path | None = None
     version: str | None = None
@@ -44,11 +44,11 @@ class CyclesState:
 
 
 def find_cycles() -> Path | None:
-    """The Python that has Blender: of GRAYCAST_CYCLES_PYTHON, else where `make cycles` puts it."""
+    """Return the Python with Blender: GRAYCAST_CYCLES_PYTHON, else that of `make cycles` if any."""
     named = os.environ.get(PYTHON_VARIABLE)
     if named:
         return Path(named)
-    # Beside Graycast's own environment, or where the user stands.
+    # Search next to Graycast's own environment, then in the current folder.
     for folder in (Path(sys.prefix).parent, Path.cwd()):
         if (folder / _OWN_PLACE).exists():
             return folder / _OWN_PLACE
@@ -56,7 +56,7 @@ def find_cycles() -> Path | None:
 
 
 def examine_cycles() -> CyclesState:
-    """Ask the Python that has Blender for its release, without loading Blender."""
+    """Ask the Python with Blender for Blender's version, without loading Blender."""
     python = find_cycles()
     if python is None:
         return CyclesState(problem="Blender Cycles is not installed; run: make cycles")
@@ -75,7 +75,7 @@ def examine_cycles() -> CyclesState:
 
 @final
 class CyclesProcess:
-    """One running child. Not for use by several threads."""
+    """A running child process; it must not be used by several threads."""
 
     def __init__(self, python: Path):
         self._log = tempfile.TemporaryFile("w+", prefix="graycast-cycles-")
@@ -85,25 +85,25 @@ class CyclesProcess:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            start_new_session=True,  # Ctrl-C is for the parent, which then ends it
+            start_new_session=True,  # Ctrl-C reaches only the parent, which ends the child.
         )
         if self._child.stdin is None or self._child.stdout is None:
             raise ValueError("a child without pipes takes no jobs")
         self._jobs, self._answers = self._child.stdin, self._child.stdout
         try:
-            self._answer()  # that it is ready
+            self._answer()  # Wait until the child is ready.
         except CyclesDied as error:
             self.close()
             raise GraycastError(f"Blender Cycles does not start: {error}") from error
 
     def run(self, folder: Path) -> Iterator[str]:
-        """Render a job; yields the name of each frame when its file is written.
+        """Render a job; yield the name of each frame when its file is written.
 
         Raises:
-            CyclesDied: the process ended; frames that were written are there.
+            CyclesDied: the process ended; the files of finished frames remain.
             GraycastError: Cycles refused the job.
         """
-        with suppress(OSError):  # it has ended: the answer says how
+        with suppress(OSError):  # If the child has ended, `_answer` raises the error.
             self._jobs.write(f"{folder}\n")
             self._jobs.flush()
         while "done" not in (answer := self._answer()):
@@ -112,11 +112,11 @@ class CyclesProcess:
             yield answer["frame"]
 
     def close(self) -> None:
-        """End the child at once; between jobs it holds no state."""
+        """End the child at once, which is safe because it has no state between jobs."""
         self._child.kill()
         self._child.wait()
         for stream in (self._jobs, self._answers, self._log):
-            with suppress(OSError):  # what was not sent is not wanted any more
+            with suppress(OSError):  # Data that was not sent is not needed any more.
                 stream.close()
 
     def _answer(self) -> dict[str, Any]:

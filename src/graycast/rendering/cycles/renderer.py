@@ -1,11 +1,11 @@
-"""The `Renderer` by Blender Cycles.
+"""The `Renderer` that uses Blender Cycles.
 
-Each pattern, the white and the ambient picture is a render of its own with random numbers of its
-own, so noise differs from pattern to pattern as it does in the paper. A white pattern is the white
-picture, a black one is black; the ambient picture is rendered once and is in every frame.
+Each pattern, the white picture and the ambient picture are separate renders with different random
+numbers, so noise differs between patterns, as in the paper. A white pattern is the white picture,
+and a black one is black. The ambient picture is rendered once and is part of every frame.
 
-Limits: no constant blur (`psf_px`) of the projector; silhouettes are those of the meshes' outlines,
-by `rig.meshdepth`, and with a distorted lens end at the image.
+Limits: no constant blur (`psf_px`) of the projector; silhouettes are rasterised by `rig.meshdepth`
+and, with a distorted lens, end at the image.
 """
 
 import tempfile
@@ -52,7 +52,7 @@ from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
 MAX_DEATHS = 3
-NORMAL_OFFSET = 2.0  # The worker adds it in worker/materials.py.
+NORMAL_OFFSET = 2.0  # worker/materials.py adds this offset.
 
 GREY = (1 / 3, 1 / 3, 1 / 3)
 
@@ -60,11 +60,11 @@ Pictures = dict[str, Float[np.ndarray, "h w 4"]]
 
 
 def choose_cycles_device(name: str, cycles: CyclesState) -> str:
-    """The device that Cycles renders on: 'cpu', 'cuda' or 'optix'.
+    """Return the device on which Cycles renders: 'cpu', 'cuda' or 'optix'.
 
     Raises:
-        DeviceError: the device, or Cycles itself, is not there.
-        ValueError: no such name.
+        DeviceError: the device, or Cycles itself, is not available.
+        ValueError: there is no such name.
     """
     if name not in DEVICES:
         raise ValueError(f"Cycles has no device {name!r}: choose one of {', '.join(DEVICES)}")
@@ -126,7 +126,7 @@ class CyclesRenderer(Renderer):
         settings |= {name: getattr(quality, name) for name in ("samples", "depth", "denoise")}
 
         def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
-            # Cycles' seeds are signed.
+            # Halve the numbers, because Cycles' seeds are signed.
             seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1
             orders = [frame.order(bands, int(n)) for frame, n in zip(frames, seeds, strict=True)]
             with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
@@ -165,10 +165,10 @@ class CyclesRenderer(Renderer):
             )
 
     def _in_grey(self, rig: Rig, quality: Quality) -> bool:
-        """Whether light of one wavelength is rendered in all bands alike.
+        """Return whether light of one wavelength is rendered equally in all bands.
 
-        Patterns share a render by it; and a denoiser that is given a red picture, say, blurs its
-        stripes: it was trained on photographs.
+        This lets several patterns share a render. It also helps a denoiser, which was trained on
+        photographs and would blur the stripes in, for example, a red picture.
         """
         one_line = sum(weight > 0 for weight in rig.band_weights) == 1
         return self.patterns_per_render == 3 or (one_line and quality.denoise != "none")
@@ -192,7 +192,7 @@ class CyclesRenderer(Renderer):
                 why = error
                 self.close()
             except BaseException:
-                self.close()  # it may be in the middle of a job
+                self.close()  # The child may be in the middle of a job.
                 raise
         raise GraycastError(
             f"the process of Blender Cycles ended {MAX_DEATHS} times on one scene: {why}"
@@ -209,7 +209,7 @@ def _radiance(
     camera = rig.camera
     share = relative_illumination(camera).astype(np.float32)[..., None]
     white = (pictures["white"][..., :3] * share).sum(axis=-1)
-    # What has no render of its own is white or black.
+    # A pattern without a render is white or black.
     stack = np.where((pattern.max(axis=(1, 2)) == 255)[:, None, None], white, np.float32(0))
     for frame in frames:
         bands = pictures[frame.name][..., :3] * share
@@ -233,10 +233,10 @@ def _radiance(
 def _centre_places(
     rig: Rig, truth: GroundTruth, lit: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "2 h w"]:
-    """Return the projector place [px] of the surface at each lit pixel's centre; NaN beside it.
+    """Return the projector position [px] of the surface at each lit pixel's centre, or NaN.
 
-    Cycles does not tell where light came from. Where another surface shades the centre, the place
-    is that of a projector without obstacles.
+    Cycles does not report the origin of light. If another surface shades the centre of a pixel, the
+    position is computed as if there were no obstacle.
     """
     point = transform_points(rig.T_proj_cam, points(rig.camera, truth.depth_m))
     place_px = project(rig.projector, point)
@@ -268,11 +268,11 @@ def _truth(scene: Scene, layout: Layout, pictures: Pictures) -> GroundTruth:
 
 
 def _silhouette(scene: Scene, layout: Layout, index: int, visible: np.ndarray) -> Silhouette:
-    """The outline of the mesh, and what is seen of it: at its border the two may round apart."""
+    """Return the outline of the mesh plus its visible pixels; rounding may differ at the border."""
     part = scene.parts[layout.part_index[index]]
     T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
     vertices_cam = transform_points(T_cam_part, part.mesh.vertices_m)
-    # Beyond the fold of a distorted lens nothing has an image.
+    # A vertex beyond the fold of a distorted lens has no image.
     imaged = np.isfinite(project(scene.rig.camera, vertices_cam)).all(axis=-1)
     faces = part.mesh.faces[imaged[part.mesh.faces].all(axis=-1)]
     raster = rasterize(vertices_cam, faces, scene.rig.camera)

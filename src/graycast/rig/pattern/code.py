@@ -69,7 +69,7 @@ class Code:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes that are coded."""
+        """Axes that are coded."""
         return tuple(axis for axis in AXES if any(f.axis == axis for f in self.frames))
 
     @property

@@ -61,7 +61,7 @@ class DeviceSection(Settings):
             half_x, half_y = (math.tan(angle / 2) for angle in np.radians(self.field_deg))
             fx_px, fy_px = width_px / 2 / half_x, height_px / 2 / half_y
         else:
-            assert self.fx_px is not None  # by _one_of_two
+            assert self.fx_px is not None  # `_one_of_two` ensures this.
             fx_px = self.fx_px / binning
             fy_px = fx_px if self.fy_px is None else self.fy_px / binning
         middle_px = (height_px - 1) / 2

@@ -22,7 +22,7 @@ LEGEND = (
     "from a datasheet and not checked, [choice] our choice; the rest is computed or simulated"
 )
 _GEOMETRY = ("camera", "projector", "baseline_m", "toe_in_deg", "near_m", "far_m")
-_WORDS = ("likeness", "laser")  # Keys that hold no number and no choice of light.
+_WORDS = ("likeness", "laser")  # Keys whose values are neither numbers nor a colour of light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +64,7 @@ def _file_text(name: str) -> str:
 
 
 def _leaves(node: yaml.Node, key: str) -> Iterator[tuple[str, yaml.Node]]:
-    """Yield each number, list of numbers and choice of light below a node, with its key."""
+    """Yield each number, list of numbers and colour of light below a YAML node, with its key."""
     items: list[tuple[str, yaml.Node]] = []
     if isinstance(node, yaml.MappingNode):
         items = [(str(name.value), inner) for name, inner in node.value]

@@ -1,7 +1,7 @@
 """The worker process of Blender Cycles: it reads jobs from stdin and writes pictures to files.
 
-Runs in an environment of its own (bpy needs an older NumPy, and is GPL), so nothing of Graycast is
-imported here: files are all that passes between the two. The protocol is in `../process.py`.
+It runs in a separate environment (bpy needs an older NumPy, and is GPL), so nothing of Graycast is
+imported here: the two exchange only files. `../process.py` explains the protocol.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ PR_SET_PDEATHSIG = 1
 def main() -> None:
     answers = _keep_stdout_clean()
     _die_with_parent()
-    import frames  # bpy writes to stdout, so only now
+    import frames  # Import late, because bpy writes to stdout.
 
     print(json.dumps({"ready": True}), file=answers, flush=True)
     for line in sys.stdin:
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def _keep_stdout_clean():
-    """Keep stdout for answers, and redirect what libraries print to stderr."""
+    """Keep stdout for answers, and redirect the output of libraries to stderr."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     return answers

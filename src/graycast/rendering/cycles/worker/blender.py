@@ -8,7 +8,7 @@ from mathutils import Matrix
 
 
 def place(body: bpy.types.Object, T_world: list[list[float]], *, flipped: bool = False) -> None:
-    """Put an object at a pose; `flipped` for what looks along +z with y down, as our devices do."""
+    """Put an object at a pose; `flipped` is for our devices, which look along +z with y down."""
     T = np.array(T_world)
     if flipped:
         T = T @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -16,7 +16,7 @@ def place(body: bpy.types.Object, T_world: list[list[float]], *, flipped: bool =
 
 
 def number_image(name: str, picture: np.ndarray) -> bpy.types.Image:
-    """A picture of numbers, (h, w, 3) from the top, in float and without a colour space."""
+    """Make a float image without a colour space from an array (h, w, 3), rows from the top."""
     height, width = picture.shape[:2]
     image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
     rgba = np.ones((height, width, 4), dtype=np.float32)
@@ -26,14 +26,14 @@ def number_image(name: str, picture: np.ndarray) -> bpy.types.Image:
 
 
 def texture_image(file: Path) -> bpy.types.Image:
-    """A picture of colours, sRGB."""
+    """Load a colour picture in sRGB."""
     image = bpy.data.images.load(str(file))
     image.colorspace_settings.name = "sRGB"
     return image
 
 
 class Nodes:
-    """A node tree that is written as formulas: numbers and sockets in, sockets out."""
+    """A node tree that is built like formulas: functions of numbers and sockets return sockets."""
 
     def __init__(self, tree: bpy.types.NodeTree):
         self.tree = tree
@@ -46,7 +46,7 @@ class Nodes:
         return node
 
     def put(self, socket: bpy.types.NodeSocket, value: object) -> None:
-        """A value or another node's output into a socket."""
+        """Set a socket to a value, or link it to the output of another node."""
         if isinstance(value, bpy.types.NodeSocket):
             self.tree.links.new(value, socket)
         else:

@@ -1,4 +1,4 @@
-"""The camera: Blender's own if its lens model suffices, else an OSL shader with Graycast's rays."""
+"""The camera: Blender's own if its lens model suffices, else an OSL shader with Graycast's lens."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import bpy
 from blender import place
 
 SOURCE = Path(__file__).with_name("camera.osl")
-SENSOR_MM = 36.0  # Any width serves: the lens is given in the same unit.
+SENSOR_MM = 36.0  # An arbitrary width, relative to which the focal length is given.
 
 
 class CyclesCamera:
@@ -25,10 +25,10 @@ class CyclesCamera:
         self.words = _words(job["camera"])
 
     def look(self, *, centre: bool) -> None:
-        """Through the lens, or along the pinhole rays of the pixels' centres."""
+        """Look through the lens, or along the pinhole rays of pixel centres."""
         wanted = "PERSP" if self.simple and not centre else "CUSTOM"
         if self.data.type != wanted:
-            self.data.type = wanted  # forgets the shader
+            self.data.type = wanted  # This removes the shader.
             self.data.custom_bytecode, self.data.custom_bytecode_hash = self.shader, "camera"
         self._frame(centred=wanted == "CUSTOM")
         for name, value in (self.words | {"centre": int(centre)}).items():
@@ -36,7 +36,7 @@ class CyclesCamera:
         self.data.update_tag()
 
     def _frame(self, *, centred: bool) -> None:
-        """Blender's lens and shift; a shift would move the shader's places, too."""
+        """Set Blender's lens and shift; the shader needs a shift of 0, which it would add."""
         optics, width, height = self.optics, self.optics["width_px"], self.optics["height_px"]
         self.data.sensor_fit, self.data.sensor_width = "HORIZONTAL", SENSOR_MM
         self.data.lens = optics["fx_px"] / width * SENSOR_MM
@@ -52,7 +52,7 @@ def _compiled(folder: Path) -> str:
 
 
 def _words(optics: dict[str, Any]) -> dict[str, float]:
-    """The shader's parameters."""
+    """Return the shader's parameters."""
     words = {name: optics[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px", "psf_px")}
     words |= dict(zip(("k1", "k2", "p1", "p2", "k3"), optics["distortion"], strict=True))
     words["sensed"] = optics["fill_factor"] ** 0.5

@@ -1,7 +1,7 @@
 """One job: build its world once, render its frames, and write each as soon as it is complete.
 
-A frame's file appears whole or not at all, and a frame whose file is there is not rendered again:
-so a job that was cut off is simply given to the next process.
+The file of a frame is complete or does not exist, and a frame with a file is not rendered again.
+So the next process can continue a job that was interrupted.
 """
 
 import json
@@ -16,17 +16,17 @@ from camera import CyclesCamera
 from projector import Projector
 from world import World
 
-LIGHT = ("projected", "ambient")  # These kinds of frame gather light; the others show a quantity.
-TRUTH = ("position", "normal", "instance")  # They are taken at pixel centres.
+LIGHT = ("projected", "ambient")  # Kinds of frame with light; the others show a quantity.
+TRUTH = ("position", "normal", "instance")  # Kinds of frame that are sampled at pixel centres.
 
 
 def render_job(folder: Path) -> Iterator[str]:
-    """Yields the name of each frame when its file is written."""
+    """Render a job; yield the name of each frame when its file is written."""
     job = json.loads((folder / "job.json").read_text())
     todo = [frame for frame in job["frames"] if not _file(folder, frame).exists()]
     if not todo:
         return
-    bpy.ops.wm.read_factory_settings(use_empty=True)  # frees all of the job before
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # This frees the data of the last job.
     scene = bpy.context.scene
     _settings(scene, job)
     camera = CyclesCamera(scene, job, folder)
@@ -48,12 +48,12 @@ def _file(folder: Path, frame: dict[str, Any]) -> Path:
 
 
 def _settings(scene: bpy.types.Scene, job: dict[str, Any]) -> None:
-    """Settings of unbiased path tracing: no clamps, cut-offs or filters."""
+    """Set up unbiased path tracing, without clamps, cut-offs or filters."""
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     render.resolution_x, render.resolution_y = job["camera"]["width_px"], job["camera"]["height_px"]
     render.resolution_percentage = 100
-    render.use_persistent_data = True  # scene and BVH stay from frame to frame
+    render.use_persistent_data = True  # Keep scene and BVH from frame to frame.
     render.use_compositing = render.use_sequencer = False
     render.image_settings.file_format = "OPEN_EXR"
     render.image_settings.color_mode = "RGBA"
@@ -91,9 +91,9 @@ def _for_kind(
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
     _set_samples(cycles, None if frame["kind"] in TRUTH else job["samples"])
     cycles.seed = frame["seed"]
-    # Truth goes by the rays of an OSL camera, which CUDA does not have, and is one sample.
+    # Ground truth is one sample by an OSL camera, which CUDA does not support.
     cycles.device = "GPU" if job["device"] != "cpu" and frame["kind"] not in TRUTH else "CPU"
-    scene.render.film_transparent = not lit  # alpha tells where there is nothing
+    scene.render.film_transparent = not lit  # Alpha is 0 where there is no surface.
     cycles.use_denoising = lit and job["denoise"] != "none"
     if cycles.use_denoising:
         cycles.denoiser = {"oidn": "OPENIMAGEDENOISE", "optix": "OPTIX"}[job["denoise"]]
@@ -101,10 +101,10 @@ def _for_kind(
 
 
 def _set_samples(cycles: Any, count: int | None) -> None:
-    """So many of Cycles' sequence, but not its first; None is that one alone.
+    """Use `count` samples of Cycles' sequence without the first one; None is only the first one.
 
-    The first is always the pixel's very middle: one of n, it would bias a pixel that a border cuts
-    by 1 / n. The sequence is well spread over a run of samples that starts at a power of two.
+    The first sample is always the exact centre of the pixel. As one of n samples, it would bias a
+    pixel at an edge by 1 / n. A run of samples that starts at a power of two is well distributed.
     """
     cycles.use_sample_subset = count is not None
     cycles.samples = 1
@@ -114,8 +114,8 @@ def _set_samples(cycles: Any, count: int | None) -> None:
 
 
 def _render(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
-    """The picture, rows from the top, (h, w, 4) float32, linear."""
-    file = folder / "frame.exr"  # Blender gives the pixels of a render to files alone
+    """Render and return the linear picture (h, w, 4) in float32, rows from the top."""
+    file = folder / "frame.exr"  # Blender writes the pixels of a render only to files.
     scene.render.filepath = str(file)
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(str(file))

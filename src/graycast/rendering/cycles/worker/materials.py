@@ -1,4 +1,4 @@
-"""A surface's few physical words as Cycles' nodes; docs/explanation/light.md, "Materials"."""
+"""The parameters of a material as Cycles' nodes; see docs/explanation/light.md, "Materials"."""
 
 from pathlib import Path
 from typing import Any
@@ -7,15 +7,15 @@ import bpy
 import numpy as np
 from blender import Nodes, number_image, texture_image
 
-GRAIN = "grain"  # the attribute of a mesh with the direction of its grooves
-NORMAL_OFFSET = 2.0  # It keeps what is shown above 0.
+GRAIN = "grain"  # The attribute of a mesh with the direction of its grooves
+NORMAL_OFFSET = 2.0  # This keeps emitted normals above 0.
 
 
 class Surface:
-    """One material in all its ways to be shown.
+    """One material with all quantities that it can show.
 
     'light' is the material itself; 'albedo', 'position', 'normal' (true normal + NORMAL_OFFSET) and
-    'instance' are emitted, as they are, by both sides.
+    'instance' are emitted as numbers by both sides.
     """
 
     def __init__(self, words: dict[str, Any], folder: Path):
@@ -28,7 +28,7 @@ class Surface:
         base = self._base(words)
         self.glow = self._glow(words["radiance"])
         self.ways = {"light": self._light(words, base)} | self._quantities(base)
-        # Once and for all: Cycles does not hear of a change between the frames of a job.
+        # Set this only once, because Cycles ignores a change between the frames of a job.
         self.material.cycles.emission_sampling = "NONE" if self.glow is None else "FRONT"
         self.shown: tuple[str, bool] | None = None
 
@@ -55,15 +55,15 @@ class Surface:
         return node
 
     def _light(self, words: dict[str, Any], base: object) -> bpy.types.NodeSocket:
-        """Front: emission of a lamp, or the material. Back: nothing."""
-        node = self.nodes.new("ShaderNodeMixShader")  # its second shader stays open: black
+        """Return a shader with the lamp's emission or the material in front, and a black back."""
+        node = self.nodes.new("ShaderNodeMixShader")  # Without a link, the second shader is black.
         self.nodes.put(node.inputs[0], self.geometry.outputs["Backfacing"])
         front = self.glow.outputs[0] if self.glow else self._reflection(words, base)
         self.nodes.put(node.inputs[1], front)
         return node.outputs[0]
 
     def _reflection(self, words: dict[str, Any], base: object) -> bpy.types.NodeSocket:
-        """Principled alone: an index of 1 leaves no coat, and is exactly Lambertian."""
+        """Return a Principled shader; with an index of 1 it has no coat and is Lambertian."""
         node = self.nodes.new("ShaderNodeBsdfPrincipled", distribution="MULTI_GGX")
         for name, word in (("Metallic", "metallic"), ("Roughness", "roughness"), ("IOR", "ior")):
             node.inputs[name].default_value = words[word]
@@ -78,7 +78,7 @@ class Surface:
         return node.outputs[0]
 
     def _across_grain(self) -> bpy.types.NodeSocket:
-        """The direction in which Cycles' facets are widest, in world coordinates."""
+        """Return the direction in which Cycles' facets are widest, in world coordinates."""
         own = self.nodes.new("ShaderNodeAttribute", attribute_name=GRAIN).outputs["Vector"]
         words = {"vector_type": "VECTOR", "convert_from": "OBJECT", "convert_to": "WORLD"}
         grain = self.nodes.new("ShaderNodeVectorTransform", **words)

@@ -1,9 +1,9 @@
 """The projector: a spot light whose emission looks up its picture by Graycast's lens model.
 
-Cycles draws a place on the lens and asks what leaves it towards the lit point. That ray crosses the
-plane in focus in one point, and the pixel whose image lies there has sent it: a thin lens without
-any approximation of blur, and where the lens is half hidden the right half of the stripes is. A
-pinhole is the same with one place.
+Cycles samples a point of the lens and evaluates the light from it towards the lit point. That ray
+crosses the plane in focus at one point, and comes from the pixel whose image is there. This is a
+thin lens with exact blur, also where half of the lens, and so half of the stripes, is hidden. A
+pinhole is a lens with a single point.
 """
 
 import math
@@ -14,22 +14,22 @@ import bpy
 import numpy as np
 from blender import Nodes, number_image, place
 
-SPREAD = 1.001  # The light cone reaches this far beyond the field's corner.
+SPREAD = 1.001  # The light cone is larger than the field's corner by this factor.
 
 
 class Projector:
     def __init__(self, scene: bpy.types.Scene, job: dict[str, Any], folder: Path):
         self.optics = job["projector"]
         self.pattern = np.load(folder / "pattern.npy", mmap_mode="r")
-        self.emission = np.array(job["emission"], dtype=np.float32)  # per grey level
+        self.emission = np.array(job["emission"], dtype=np.float32)  # Light per grey level
         self.texture: bpy.types.Node | None = None
         light = bpy.data.lights.new("projector", "SPOT")
-        light.energy = 4 * math.pi * job["intensity_w_sr"]  # of all directions, as Blender means it
+        light.energy = 4 * math.pi * job["intensity_w_sr"]  # In Blender, power for all directions
         light.spot_size = 2 * math.atan(SPREAD * job["field_tangent"])
         light.spot_blend = 0
-        light.use_soft_falloff = True  # the lens is a disc, not a ball
+        light.use_soft_falloff = True  # The lens is a disc and not a ball.
         light.shadow_soft_size = self.optics["aperture_m"] / 2
-        light.cycles.use_multiple_importance_sampling = False  # no ray meets it by chance
+        light.cycles.use_multiple_importance_sampling = False  # No ray meets it by chance.
         self.body = bpy.data.objects.new("projector", light)
         self.body.visible_camera = False
         scene.collection.objects.link(self.body)
@@ -37,15 +37,15 @@ class Projector:
         self._emit(light, np.array(job["T_world_proj"]))
 
     def show(self, levels: list[int], bands: list[float]) -> None:
-        """Patterns by number, one for all bands or one for each; -1 is white.
+        """Show patterns by number, one for all bands or one for each; -1 is white.
 
-        No pattern is no light. `bands` are the bands' shares of it.
+        An empty list switches the light off. `bands` has the bands' shares of the light.
         """
         self.body.hide_render = not levels
         if not levels:
             return
         shares = [self._shares(number) for number in levels]
-        # Cycles keeps a picture that it has read, so each frame has one of its own.
+        # Cycles caches an image that it has read, so each frame needs a new one.
         before = self.texture.image
         picture = np.stack(shares * (3 // len(levels)), axis=-1) * np.float32(bands)
         self.texture.image = number_image("pattern", picture)
@@ -81,7 +81,7 @@ class Projector:
         nodes.put(out.inputs["Surface"], emission.outputs[0])
 
     def _fallen_off(self, nodes: Nodes, column: object, row: object) -> object:
-        """What `falloff` leaves of the light, as `optics.corner_share` has it."""
+        """Return the share of light that `falloff` leaves, by the law of `optics.corner_share`."""
         missing = 0.0
         for pixel, size_px in ((column, "width_px"), (row, "height_px")):
             size = self.optics[size_px]
@@ -90,7 +90,7 @@ class Projector:
         return nodes.math("SUBTRACT", 1.0, missing)
 
     def _position(self, nodes: Nodes, ray: bpy.types.Node, way: list, T: np.ndarray) -> tuple:
-        """Normalised coordinates of the point in focus that the ray goes through."""
+        """Return the normalised coordinates of the ray's point in the plane in focus."""
         focus_m = self.optics["focus_m"]
         slope = [nodes.math("DIVIDE", way[i], way[2]) for i in range(2)]
         if self.optics["aperture_m"] == 0 or focus_m is None:
@@ -101,7 +101,7 @@ class Projector:
         return tuple(nodes.mul(nodes.fma(slope[i], ahead, start[i]), 1 / focus_m) for i in range(2))
 
     def _distorted(self, nodes: Nodes, x: object, y: object) -> tuple:
-        """Brown-Conrady, and whether the point lies where the model holds."""
+        """Apply Brown-Conrady distortion; also return whether the model holds at the point."""
         k1, k2, p1, p2, k3 = self.optics["distortion"]
         if not any((k1, k2, p1, p2, k3)):
             return x, y, 1.0
@@ -119,7 +119,7 @@ class Projector:
         return nodes.math("LESS_THAN", nodes.math("ABSOLUTE", off), half)
 
     def _lookup(self, nodes: Nodes, column: object, row: object) -> bpy.types.NodeSocket:
-        """The level of the pixel whose square holds the place; nothing beyond the picture."""
+        """Return the level of the pixel at a position; 0 outside the picture."""
         width, height = self.optics["width_px"], self.optics["height_px"]
         uv = nodes.new("ShaderNodeCombineXYZ")
         nodes.put(uv.inputs["X"], nodes.fma(column, 1 / width, 0.5 / width))

@@ -21,13 +21,13 @@ class World:
         self.sky = self._sky(job["environment"])
 
     def show(self, what: str, *, ambient: bool) -> None:
-        """'light', or a quantity in place of all materials: see `Surface.show`."""
+        """Show light, or a quantity instead of all materials; see `Surface`."""
         for surface in self.surfaces:
             surface.show(what, glowing=ambient)
         self.scene.world = self.sky if ambient else None
 
     def _meshes(self, words: dict[str, Any]) -> None:
-        """A mesh and all its copies, which share its data."""
+        """Add a mesh and all its copies, which share its data."""
         arrays = np.load(self.folder / words["file"])
         mesh = bpy.data.meshes.new(words["name"])
         corner, faces = arrays["vertices_m"], arrays["faces"]
@@ -51,14 +51,14 @@ class World:
             self.scene.collection.objects.link(body)
 
     def _sphere(self, index: int, words: dict[str, Any]) -> None:
-        """A point of a cloud, which Cycles traces as a true sphere."""
+        """Add a sphere as a point of a point cloud, which Cycles traces as an exact sphere."""
         dot = bpy.data.meshes.new(f"sphere{index}")
         dot.from_pydata([(0.0, 0.0, 0.0)], [], [])
         body = bpy.data.objects.new(dot.name, dot)
         self.scene.collection.objects.link(body)
         bpy.context.view_layer.objects.active = body
         body.select_set(True)
-        bpy.ops.object.convert(target="POINTCLOUD")  # an empty cloud cannot be given points
+        bpy.ops.object.convert(target="POINTCLOUD")  # Points cannot be added to an empty cloud.
         body.select_set(False)
         body.data.points[0].radius = words["radius_m"]
         body.data.materials.append(self.surfaces[words["material"]].material)
@@ -94,12 +94,12 @@ def _map(file: str) -> bpy.types.Image:
 
 
 def _mean_radiance(image: bpy.types.Image, file: str) -> float:
-    """Mean of a latitude-longitude map over all directions and bands: rows by solid angle."""
+    """Return the mean of a latitude-longitude map over solid angle and bands."""
     width, height = image.size
     pixels = np.empty(width * height * image.channels, dtype=np.float32)
     image.pixels.foreach_get(pixels)
     rows = pixels.reshape(height, width, image.channels)[..., :3].mean(axis=(1, 2), dtype=float)
-    border = np.cos(np.linspace(0, np.pi, height + 1))  # the same from either pole
+    border = np.cos(np.linspace(0, np.pi, height + 1))  # Equal from both poles
     mean = float((border[:-1] - border[1:]) / 2 @ rows)
     if not 0 < mean < math.inf:
         raise ValueError(
@@ -110,9 +110,9 @@ def _mean_radiance(image: bpy.types.Image, file: str) -> float:
 
 
 def _mapped(nodes: Nodes, image: bpy.types.Image, rotation_rad: float) -> bpy.types.NodeSocket:
-    """The map's colour in a direction; its left border lies towards the world's +y, turned."""
+    """Return the map's colour in a direction; its left border is at world +y before rotation."""
     way = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-    # Beyond the middles of the first and last row Cycles would mix them with each other.
+    # Near the poles, Cycles would interpolate between the first and the last row.
     slope = math.tan(math.pi / 2 / image.size[1])
     aside = nodes.vector("LENGTH", nodes.vector("MULTIPLY", way, (1.0, 1.0, 0.0)).outputs[0])
     widened = nodes.math("DIVIDE", slope, aside.outputs["Value"])
@@ -123,7 +123,7 @@ def _mapped(nodes: Nodes, image: bpy.types.Image, rotation_rad: float) -> bpy.ty
     x, y = split.outputs["X"], split.outputs["Y"]
     map_x = nodes.add(nodes.mul(x, cosine), nodes.mul(y, sine))
     map_y = nodes.add(nodes.mul(y, cosine), nodes.mul(x, -sine))
-    turned = nodes.new("ShaderNodeCombineXYZ")  # Cycles' left border lies towards -x
+    turned = nodes.new("ShaderNodeCombineXYZ")  # In Cycles, the left border is at -x.
     nodes.put(turned.inputs["X"], nodes.mul(nodes.mul(map_y, -1.0), widened))
     nodes.put(turned.inputs["Y"], nodes.mul(map_x, widened))
     nodes.put(turned.inputs["Z"], split.outputs["Z"])

@@ -280,9 +280,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     """Return a preset scanner.
 
     `paper` is the scanner of the paper, with a plain Gray code and no filter. The others project a
-    phase code, then filter and smooth the depth. They reject most indirect light, because its two
-    periods disagree, its point is off the epipolar line (if both axes are coded), or its stripes
-    have little contrast. Pixels next to edges, which may see two surfaces, have no depth.
+    phase code, then filter and smooth the depth. They reject most indirect light: its two periods
+    disagree, its points are off the epipolar line (if both axes are coded), or its stripes have
+    little contrast. Pixels next to edges, which may see two surfaces, have no depth.
     docs/measurements/materials.md has the shares of wrong depth on eight materials. Scanners with a
     laser have a slight blur of the line, speckle, and the faults of a real device.
 

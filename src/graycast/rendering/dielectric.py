@@ -14,7 +14,7 @@ BLACK = 1e-12  # Lower limit of the colour, because 0 times infinity would be Na
 
 
 class _DeltaBSDF(mi.BSDF):
-    """The base of both. Properties: `reflectance` (texture), the colour; `eta`, the index."""
+    """The base class of all glass, with the properties `reflectance` (colour) and `eta` (index)."""
 
     def __init__(self, props: mi.Properties, flags: int):
         super().__init__(props)

@@ -61,9 +61,9 @@ from .wavelength import at_projector_wavelength
 
 @final
 class MitsubaRenderer(Renderer):
-    """The one-pass renderer. It keeps the last world; the process keeps the device.
+    """The one-pass renderer. It keeps the last Mitsuba scene; the process keeps the device.
 
-    Other images of the same scene, by other rigs or from other poses, use the same world.
+    Other images of the same scene, by other rigs or from other poses, use it again.
     """
 
     name = "mitsuba"

@@ -104,10 +104,10 @@ def aligned(values: np.ndarray) -> np.ndarray:
 
 
 def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
-    """Count for each bit position the words, one, three or six, in which that bit is set.
+    """Count the words in which each of the 32 bits is set; `words` are one, three or six.
 
-    The counts are returned as words for their bits. Full adders count all 32 positions at once, so
-    a pattern costs as many additions as its count has bits.
+    Word k of the result has bit k of each count, from the lowest bit on. Full adders count all 32
+    bits at once, so a pattern costs as many additions as its count has bits.
     """
     if len(words) == 1:
         return words

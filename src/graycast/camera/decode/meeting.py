@@ -126,7 +126,7 @@ def _meet_ray(ray, n, across, along, T, lens):
 
 @kernel(error_model="numpy")
 def _faces(ray, n, ideal, T):
-    """Return the change of the plane's equation and of the projector's z along a ray."""
+    """Return the rates along a ray at which the plane's equation and the projector's z change."""
     x, y, z = ray[n, 0], ray[n, 1], ray[n, 2]
     ahead = x * T[2, 0] + y * T[2, 1] + z * T[2, 2]
     return x * T[0, 0] + y * T[0, 1] + z * T[0, 2] - ideal * ahead, ahead

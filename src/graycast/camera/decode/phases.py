@@ -318,10 +318,10 @@ def _add_cosine_cost(cosine, c, s, expected, costs):
 def fuse(periods, turn, noise2, place, sigma):
     """Average the positions of all full periods, weighted by inverse variance.
 
-    Each phase takes its position nearest to that of the first. A non-linear projector and indirect
-    light move a position by a share of its period. A difference between two periods that exceeds
-    their noise widens `sigma`, under the assumption that their errors are proportional to their
-    lengths. A period that differs too much is left out.
+    For each phase, the position nearest to that of the first phase counts. A non-linear projector
+    and indirect light move a position by a share of the period. If two periods differ by more than
+    their noise, `sigma` becomes wider, under the assumption that errors are proportional to the
+    periods' lengths. A period that differs too much is left out.
     """
     w = place.shape[1]
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)

@@ -260,7 +260,7 @@ def _unique_px(full_px: Float[np.ndarray, " n"], size_px: float) -> float:
 
 
 def _model_rad(full_px: Float[np.ndarray, " n"], span_px: float) -> float:
-    """Return the error of phases for which positions in the span stay distinct, or `MODEL_RAD`."""
+    """Return the largest phase error, at least `MODEL_RAD`, that keeps positions distinct."""
     _, turns = _same_first_phase(full_px, span_px)
     nearest = float(np.linalg.norm(turns, axis=1).min(initial=0.5))
     return max(MODEL_RAD, MODEL_SHARE * 2 * math.pi * nearest)

@@ -104,7 +104,7 @@ class _Cues:
     votes: int  # Votes that settle the period of a contradictory pixel; 0 switches this off.
     saturation_dn: np.float32
     light: Light
-    top: Bool[np.ndarray, "h w"]  # A frame that determines the position is saturated.
+    top: Bool[np.ndarray, "h w"]  # Pixels with saturation in a frame that determines the position
     strength: Float32[np.ndarray, "h w"]
     why: UInt8[np.ndarray, "h w"]
     mark: UInt8[np.ndarray, "h w"]

@@ -82,7 +82,7 @@ def diagnose(
         return Diagnosis(warnings=(*moved, *facts), explained=True)
     unequal = _brightness(pictures, code, well_lit(codes), levels, faults.exchanged)
     facts = [*unequal, *moved, *facts]
-    if computed and not faults.explained:  # Levels of computed frames cause wrong symptoms.
+    if computed and not faults.explained:  # Levels measured in computed frames are wrong.
         return Diagnosis(warnings=(*computed, *facts), explained=False)
     return Diagnosis(warnings=(*computed, *faults.warnings, *facts), explained=faults.explained)
 

@@ -210,7 +210,7 @@ def from_steps(
             valid = values.max(axis=0) < saturation_dn
             spectrum = np.fft.rfft(values, axis=0).astype(np.complex64)
             for k in range(first, count // 2 + 1):
-                alone = 2 * k == count  # The highest frequency of an even number is real.
+                alone = 2 * k == count  # With an even count, the highest frequency is real.
                 scale = np.sqrt((1 if alone else 2) / count).astype(np.float32)
                 for part in (spectrum[k].real, spectrum[k].imag)[: 1 if alone else 2]:
                     rest = _less_harmonics(

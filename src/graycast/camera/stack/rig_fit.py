@@ -4,10 +4,10 @@ The check uses data that depth does not use. If both axes are coded, this is the
 each pixel. With one axis, it is the edge of the projector's picture across the stripes, if the
 camera sees it: the rig must put the last lit pixels on the projector's first and last row.
 
-If the camera sees no such edge, the check uses the share of points in the working range and in the
-projector's picture for each reading. If the shares do not differ, one axis does not determine the
-reading, and `doubts` yields a note. The sides of shadows do not help: inverting R and T exchanges
-near and far as well as the side of the projector, so shadows still are where they should be.
+If the camera sees no such edge, the check compares the shares of points in the working range and in
+the projector's picture, for the stated R and T and for inverted ones. If the shares do not differ,
+`doubts` yields a note. The sides of shadows do not help: inverting R and T exchanges near and far
+as well as the side of the projector, so shadows still are where they should be.
 """
 
 from collections.abc import Iterator
@@ -26,9 +26,9 @@ LEAST = 30  # The fewest samples that suffice to check the rig.
 # A sample fits if its error is below NEAR_PX or below the share NEAR of the projector's size.
 NEAR_PX, NEAR = 3.0, 0.01
 FITS = 0.3  # The rig fits if this share of the samples fits.
-TIMES = 4.0  # Another reading must fit this many times better.
-# The other reading is certain if this share of its points is in range and lit, and the stated one
-# has less than half of that; it is possible with the second share.
+TIMES = 4.0  # With a change of pictures or rig, this many times as many samples must fit.
+# Inverted R and T are certain if this share of the points is then in range and lit, and less than
+# half of that with the stated R and T; they are possible with the second share.
 SURELY_LIT, POSSIBLE = 0.9, 0.5
 RIM_PX = 5  # The outermost decoded pixel may be this far inside the outermost lit one.
 

@@ -48,7 +48,7 @@ class Render:
 
 
 def need_renders(pattern: Patterns) -> list[int]:
-    """Return the patterns that need a render: black has no light, and white is part of `LOOK`."""
+    """Return the numbers of patterns to render, without black (no light) and white (see `LOOK`)."""
     low, high = pattern.min(axis=(1, 2)), pattern.max(axis=(1, 2))
     plain = (low == high) & ((low == 0) | (low == 255))
     return np.flatnonzero(~plain).tolist()

@@ -54,7 +54,7 @@ class DeviceSection(Settings):
     def optics(self, binning: int = 1) -> Optics:
         """Return a pinhole in which `binning` x `binning` pixels are summed.
 
-        Positions count from pixel centres, so `c + 0.5` becomes `(c + 0.5) / binning`.
+        Positions are relative to pixel centres, so `c + 0.5` becomes `(c + 0.5) / binning`.
         """
         width_px, height_px = (side // binning for side in self.size_px)
         if self.field_deg is not None:

@@ -61,7 +61,7 @@ def with_line_noise(
         gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
         return stack[k] * np.where(known, gain, np.float32(1))
 
-    with ThreadPoolExecutor() as pool:  # NumPy and SciPy release the lock, so threads help.
+    with ThreadPoolExecutor() as pool:  # NumPy and SciPy release Python's lock.
         return np.stack(list(pool.map(with_error, range(len(stack)))))
 
 

@@ -384,7 +384,7 @@ def _side(p: Paths) -> mi.Float:
 
 
 def _in_sequence(p: Paths, pair: int, *, paired: bool = True) -> mi.Point2f:
-    """Return a point of the pixel's low-discrepancy sequence, one per pair of samples or sample."""
+    """Return a point of the pixel's low-discrepancy sequence, one for each sample or pair."""
     n = mi.Float(p.sample >> 1 if paired else p.sample)
     step, offset = STEPS[pair], p.offset[pair]
     point = mi.Point2f(dr.fma(n, step[0], offset.x), dr.fma(n, step[1], offset.y))

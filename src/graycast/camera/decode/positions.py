@@ -148,7 +148,7 @@ def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> t
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
     places = Places(place=place, sigma=np.zeros(shape, dtype=np.float32), rival=rival)
     clipped = bool(cues.top.any())
-    free = cues.why == Reason.DECODED if cues.votes else None  # No other axis has a reason.
+    free = cues.why == Reason.DECODED if cues.votes else None  # Not refused by an axis before
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         numbers = (plan.first_px, plan.cell_px, plan.reach, spec.doubt, fine_error)

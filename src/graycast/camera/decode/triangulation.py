@@ -163,5 +163,5 @@ def _meet(
 
 
 def _doubles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return a copy as the only kind of array for which the kernels are compiled."""
+    """Return a copy in the only array type for which the kernels are compiled."""
     return np.array(values, dtype=np.float64, order="C")

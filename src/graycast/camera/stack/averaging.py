@@ -64,7 +64,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
         cells = int(np.ceil(plan.size_px / cell_px)) + 1
         value = np.floor((position[decoded] - plan.first_px) / cell_px).astype(np.int64)
         number = number * cells + np.clip(value, 0, cells - 1)
-        # A variance above 1/12 comes from doubt, and is the probability to be one value off.
+        # The variance in excess of 1/12 is the probability of being one Gray value off.
         wrong = np.maximum(wrong, (sigma[decoded] / cell_px) ** 2 - 1 / 12)
     y, x = np.nonzero(decoded)
     values = np.stack([x, y, codes.column[decoded], codes.row[decoded]], axis=-1).astype(np.float64)

@@ -31,8 +31,8 @@ MAX_PERIODS = 4  # More periods do not improve the result.
 SURELY_HARMONIC = 3  # A non-linear response affects the harmonics up to this order.
 BAND_PX, MAX_BANDS = 32, 12  # A few bands of rows are enough to measure the noise.
 WINDOW_PX = 15  # Light is smooth over this window, but noise is not, even after a camera's filters.
-# The mean of squares below their 90 % quantile is robust against outliers, and this share of the
-# variance of a normal distribution. A median would be coarse, as the values are whole numbers.
+# The mean of squares below their 90 % quantile is robust against outliers. For a normal law it is
+# this share of the variance. A median would be coarse, because the values are whole numbers.
 TRIM, TRIMMED_SHARE = 0.9, 0.6235
 BINS = 12  # The number of bins of brightness.
 MIN_IN_BIN = 200

@@ -17,7 +17,7 @@ from ...base.errors import DecodeError
 from ...base.file_limits import refuse_large_picture
 
 Picture = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
-THREADS = 4  # Decoding of JPEG and PNG releases the lock, so threads help.
+THREADS = 4  # Decoding of JPEG and PNG releases Python's lock, so threads run in parallel.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

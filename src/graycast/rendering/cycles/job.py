@@ -1,4 +1,4 @@
-"""A scene as files for Cycles, and the list of its renders."""
+"""The files that describe a scene for Cycles, and the list of its renders."""
 
 import json
 import math

@@ -134,6 +134,7 @@ def test_each_page_that_says_that_the_program_writes_it_is_one_of_them(reference
     assert own == set(reference.pages())
 
 
+@pytest.mark.slow
 def test_main_writes_what_is_out_of_date_and_names_it(reference, tmp_path, monkeypatch, capsys):
     (tmp_path / "reference").mkdir()
     monkeypatch.setattr(reference, "__file__", str(tmp_path / "reference_pages.py"))

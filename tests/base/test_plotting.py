@@ -62,6 +62,7 @@ def test_a_legend_below_is_outside_the_axes_and_under_their_label():
     assert box.y0 >= 0 and box.x1 <= figure.bbox.x1
 
 
+@pytest.mark.slow
 def test_labels_of_close_points_do_not_overlap_and_the_first_points_are_labelled():
     """Thirty points lie close together; the boxes of the labels are compared as they are drawn."""
     figure, (ax,) = plain_figure(5.0, 4.0, (1,))

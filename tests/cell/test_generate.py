@@ -210,6 +210,7 @@ def test_a_mix_drops_all_kinds_and_otherwise_each_scene_has_one(tmp_path):
 # --- accidents ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_configuration_that_cannot_be_dropped_does_not_claim_the_folder(tmp_path):
     """A folder once kept the claim of a configuration that never made a scene."""
     out = tmp_path / "out"
@@ -223,6 +224,7 @@ def test_a_configuration_that_cannot_be_dropped_does_not_claim_the_folder(tmp_pa
     assert validate(out) == ()
 
 
+@pytest.mark.slow
 def test_a_stopped_run_keeps_the_finished_scenes(cell, undisturbed, tmp_path):
     def stop(result):
         if result.scene_id == 1:
@@ -258,6 +260,7 @@ def failing(monkeypatch, wrong):
     monkeypatch.setattr(SceneMaker, "make", make)
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
     cell, undisturbed, tmp_path, monkeypatch
 ):
@@ -287,6 +290,7 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
     assert content(out) == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_an_unforeseen_error_is_tried_three_times_and_reported_with_its_place(
     cell, undisturbed, tmp_path, monkeypatch
 ):

@@ -57,6 +57,7 @@ def test_a_new_cell_is_read_with_the_values_that_were_written(tmp_path, monkeypa
     assert most == round(round(full) / 3) and least == most // 2
 
 
+@pytest.mark.slow
 def test_the_line_about_a_new_cell_agrees_with_the_configuration(tmp_path, monkeypatch, capsys):
     """Oracle: the share and the width that the configuration itself gives, at two resolutions."""
     monkeypatch.chdir(tmp_path)

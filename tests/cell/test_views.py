@@ -42,6 +42,7 @@ def test_each_view_of_a_list_gives_the_pose_of_the_same_single_view(tmp_path):
     np.testing.assert_array_equal(cell.scene.T_world_cam, resolved(tmp_path).scene.T_world_cam)
 
 
+@pytest.mark.slow
 def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path):
     """Oracle: equal heights of a sphere have equal areas (Archimedes), so cos(tilt) is uniform."""
     views = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
@@ -81,6 +82,7 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_constant_speed(tmp_p
     np.testing.assert_allclose(np.diff(T[:, :3, 3], axis=0), [[0.6 / 9, 0, 0]] * 9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three_sigma(tmp_path):
     """A normal distribution cut at 3 sigma keeps 0.9866 of its standard deviation."""
     views = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}

@@ -108,6 +108,7 @@ def test_the_preview_shows_picture_positions_reasons_and_depth(decoded):
     assert (np.isfinite(shares) == np.isfinite(depth_m)).all()
 
 
+@pytest.mark.slow
 def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_have_units(decoded):
     """Six tiles form two rows of three; every bar has a unit, and all lengths are in mm."""
     figure = decoded[3]
@@ -159,6 +160,7 @@ def test_a_folder_of_other_files_is_refused_before_any_work(capsys, tmp_path, co
     assert [path.name for path in (tmp_path / "letters").iterdir()] == ["dear.txt"]
 
 
+@pytest.mark.slow
 def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
     _, folder, out, _ = decoded
     with no_pixels():
@@ -195,6 +197,7 @@ def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
     assert np.nanquantile(smooth / rough, 0.1) < 0.6
 
 
+@pytest.mark.slow
 def test_measure_reads_results_of_decode_and_compare_shows_them_next_to_others(
     decoded, capsys, tmp_path
 ):
@@ -357,6 +360,7 @@ def test_patterns_of_the_rig_s_own_codec_keep_its_period(capsys, tmp_path):
     assert list(tmp_path.glob("*_phase_48px_step00.png"))
 
 
+@pytest.mark.slow
 def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
     run(capsys, "rig", "patterns", "like-phoxi-s", "--out", tmp_path)
     before = sorted(tmp_path.iterdir())

@@ -111,6 +111,7 @@ def test_another_format_is_refused_with_its_remedy(copy, capsys, read):
     assert "or make it again" in error and error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_times_may_differ_and_files_of_a_browser_may_lie_there(copy):
     manifest(lambda m: m["timings"].update(render=1e3))(copy)
     (copy / "train/000000/.DS_Store").write_bytes(b"seen")

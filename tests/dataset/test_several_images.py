@@ -226,6 +226,7 @@ def test_validate_names_the_image_that_is_wrong(copy, fault):
     assert not any(what.startswith("scene 000003") for what in problems)
 
 
+@pytest.mark.slow
 def test_the_rig_is_that_of_the_first_scanner(copy):
     path = copy / "graycast.json"
     claim = json.loads(path.read_text())

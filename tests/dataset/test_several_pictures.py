@@ -18,6 +18,7 @@ FORMATS = ("coco", "yolo", "bop-webdataset", "parquet")
 IMAGE_IDS = [scene_id * len(NAMES) + place for scene_id in SCENES for place in range(len(NAMES))]
 
 
+@pytest.mark.slow
 def test_every_picture_is_read_as_it_was_taken(several):  # noqa: F811
     out, samples = several
     stored = open_dataset(out)
@@ -107,6 +108,7 @@ def test_figures_are_of_all_pictures_and_scenes_are_counted_once(several):  # no
         assert figures.decoded == pytest.approx((reason == 0).mean())
 
 
+@pytest.mark.slow
 def test_the_card_counts_scenes_and_instances_once(several, tmp_path, monkeypatch):  # noqa: F811
     monkeypatch.setattr(stats_plots, "save_png", lambda figure, path, dpi: path.touch())
     import shutil

@@ -325,6 +325,7 @@ def test_plain_metal_has_no_grain_on_its_mesh(cpu_device):
     assert "RoughConductor" in str(shape.bsdf())
 
 
+@pytest.mark.slow
 def test_a_half_metallic_surface_has_half_of_the_grooves_and_half_of_the_plastic(cpu_device):
     grain = Grain(axis=(0.6, 0.8, 0.0))
     looks = [

@@ -70,6 +70,7 @@ def test_a_scene_that_cannot_be_made_raises_its_own_error(tmp_path):
         next(graycast.scenes(cell, 1, device="cpu"))
 
 
+@pytest.mark.slow
 def test_a_sheet_needs_a_viewer_only_to_be_shown(scenes, monkeypatch):
     monkeypatch.setattr(ImageShow, "_viewers", [])
     sheet = scenes[0].sheet()

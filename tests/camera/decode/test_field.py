@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import slow
 from stage import askew_rig, centre_rays, centred, make_rig, optics
 
 from graycast.base.frames import transform_points
@@ -36,7 +37,7 @@ def test_pixels_outside_the_projector_s_picture_follow_a_closed_form_for_paralle
     assert (never & ~beside).mean() < 0.02  # rays through a corner
 
 
-@pytest.mark.parametrize("lens", [(0.0,) * 5, LENS])
+@pytest.mark.parametrize("lens", [slow((0.0,) * 5), LENS])
 def test_no_pixel_that_can_be_lit_is_outside_the_projector_s_picture(lens):
     """Oracle: 200 points on each ray, projected one by one."""
     rig = ranged(askew_rig(camera=optics(150, 110, 90), projector=optics(31, 26, 44)))

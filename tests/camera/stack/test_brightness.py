@@ -41,20 +41,21 @@ def brighter(stack, k, factor):
     return np.clip(np.rint(stack), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("factor", [0.85, 1.1, 1.2])
+@pytest.mark.parametrize("factor", [slow(0.85), 1.1, slow(1.2)])
 @pytest.mark.parametrize("name", CODES)
 def test_a_brighter_phase_step_is_named_with_its_factor(name, factor):
     """Oracle: the factor by which one frame of the first period was multiplied."""
     code = CODES[name]
     stack = shoot_cluttered(code, LOOK)
-    for k in full_periods(code)[0][::2]:
+    period = full_periods(code)[0]
+    for k in period[:: max(2, len(period) // 3)]:
         ((frame, gain),) = faults(code, brighter(stack, k, factor))
         assert frame == code.frames[k].name
         assert gain == pytest.approx(factor, abs=0.03)
 
 
 @pytest.mark.parametrize("name", CODES)
-@pytest.mark.parametrize("power", [1.0, 0.7, 1.5])
+@pytest.mark.parametrize("power", [slow(1.0), 0.7, slow(1.5)])
 def test_equally_bright_steps_are_not_warned_of(name, power):
     """A nonlinear response causes harmonics, which a brighter step cannot."""
     code = CODES[name]

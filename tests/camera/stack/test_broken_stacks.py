@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from backends import slow
 from PIL import Image
 
 from graycast.base.errors import GraycastError
@@ -209,6 +210,7 @@ def test_pictures_that_are_all_dark_or_all_white_are_refused(level, says, make, 
         decode_stack(make(lambda *_: None, stack=flat))
 
 
+@pytest.mark.slow
 def test_overexposed_pictures_are_refused_or_cause_a_warning(make):
     """With 40 times the light, even the dark frames, 3 % of white, are saturated."""
     with pytest.raises(GraycastError, match=r"almost no pixel is decoded: .* are saturated"):
@@ -294,13 +296,13 @@ def brighter_pair(content, folder):
 
 WARNINGS = [
     (inverse_swapped, GRAY, r"columns apart, 0\.\d % if column_bit04 were its inverse"),
-    (coarsest_inverse_swapped, GRAY, r"mirror image in \d+ %"),
-    (inverses_mixed_up, GRAY, r"column_bit05 and its inverse are alike in \d+ %.*correlation"),
-    (bits_exchanged, GRAY, r"if column_bit05 and column_bit02 were exchanged"),
-    (axes_exchanged, GRAY, r"mirror image in \d+ %"),
-    (ends_swapped, GRAY, r"white is darker than black by \d+ DN"),
+    slow(coarsest_inverse_swapped, GRAY, r"mirror image in \d+ %"),
+    slow(inverses_mixed_up, GRAY, r"column_bit05 and its inverse are alike in \d+ %.*correlation"),
+    slow(bits_exchanged, GRAY, r"if column_bit05 and column_bit02 were exchanged"),
+    slow(axes_exchanged, GRAY, r"mirror image in \d+ %"),
+    slow(ends_swapped, GRAY, r"white is darker than black by \d+ DN"),
     (same_picture, GRAY, r"row_bit03.png and row_bit03_inverse.png are the same picture"),
-    (smaller_projector, GRAY, r"\d+ % of the codes lie outside the projector of 80 x 96 px"),
+    slow(smaller_projector, GRAY, r"\d+ % of the codes lie outside the projector of 80 x 96 px"),
     (
         wrong_period,
         PHASE,
@@ -379,8 +381,8 @@ def other_projector(rig):
     ("wrong", "says"),
     [
         (moved, "epipolar residual's median is"),
-        (other_range, "100 % of the decoded pixels lie outside the rig's working range"),
-        (other_projector, "projector is 128 x 96 px, that of rig small 128 x 100"),
+        slow(other_range, "100 % of the decoded pixels lie outside the rig's working range"),
+        slow(other_projector, "projector is 128 x 96 px, that of rig small 128 x 100"),
     ],
 )
 def test_the_rig_of_another_stack_causes_a_warning(wrong, says, make):

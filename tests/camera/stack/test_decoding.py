@@ -184,6 +184,7 @@ def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, men
     assert not mentioned or figures.epipolar_sure_px <= figures.epipolar_median_px
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])
 def test_filters_of_a_preset_add_no_noise_to_the_depth_of_a_stack(filters, tmp_path):
     """The slopes of the ball showed that a preset's raster scattered the depth of real pictures."""
@@ -265,6 +266,7 @@ def read_ply(path):
     return table
 
 
+@pytest.mark.slow
 def test_the_files_contain_the_decoded_result(tmp_path):
     rig, code = small_rig(), CODES["gray with inverses"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)

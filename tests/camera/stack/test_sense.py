@@ -75,6 +75,7 @@ def test_phases_in_the_right_direction_cause_no_warning(code, tmp_path):
         assert not decoded(folder, code, shoot_cluttered(code, look)).warnings
 
 
+@pytest.mark.slow
 def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_path):
     """Oracle: the projection of the wall and the ball. A sine in reverse, in 3 steps."""
     stack = shoot_cluttered(THREE, Look())
@@ -92,6 +93,7 @@ def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_p
     assert miss_px["proposed"] < 0.5 < 2 < miss_px["stated"]
 
 
+@pytest.mark.slow
 def test_a_wrong_period_is_reported_to_agree_in_no_direction(tmp_path):
     content = describe(FOUR)
     for e in content["frames"]:

@@ -56,6 +56,7 @@ def decoded(tmp_path, content):
     return decode_stack(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("complementary", [slow(False), True])
 def test_the_author_s_positions_are_reproduced(kamino, complementary, tmp_path):
     """He gives positions modulo 256, columns in blue and rows in green, where red is 128. The

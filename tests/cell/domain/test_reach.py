@@ -19,7 +19,7 @@ ADAPTED = {
 }
 
 
-@pytest.mark.parametrize("domain", [None, slow("randomized"), ADAPTED])
+@pytest.mark.parametrize("domain", [slow(None), slow("randomized"), ADAPTED])
 def test_no_drawn_view_has_a_larger_depth_of_the_bin_than_the_reach(domain):
     settings = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
     cell = resolve_cell(Config.model_validate(settings | {"domain": domain}), Path("."))

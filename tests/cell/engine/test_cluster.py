@@ -53,6 +53,7 @@ def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_o
     assert share * 1e4 == pytest.approx(round(share * 1e4))  # the smallest share in Ray
 
 
+@pytest.mark.slow
 def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
     command = ["generate", str(config_file), "--out", str(tmp_path / "out"), "--engine", "ray"]
     assert main([*command, "--address", "127.0.0.1:9"]) == 1

@@ -91,6 +91,7 @@ def test_grey_in_any_number_of_channels_is_answered_as_grey_in_three(name, chann
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
+@pytest.mark.slow
 def test_weights_of_another_backbone_are_refused_and_change_nothing():
     body = open_backbone("resnet18", channels=3)
     before = {key: value.clone() for key, value in body.state_dict().items()}

@@ -25,7 +25,6 @@ BACKBONES = {
 LIBRARIES = {"yolov7": "libreyolo"}
 SIZE_PX = (64, 96)
 EVERY = pytest.mark.parametrize("model", MODELS)
-MASKS_ONCE = pytest.mark.parametrize("model", [slow(m) if m == "mask-rcnn" else m for m in MODELS])
 FIRST = pytest.mark.parametrize("model", [m if m == "yolov3" else slow(m) for m in MODELS])
 
 
@@ -72,7 +71,7 @@ def total(network, images, targets, *, seed=0):
     return sum(losses.values()), losses
 
 
-@MASKS_ONCE
+@FIRST
 def test_what_is_found_has_the_form_that_is_promised(model, ready):
     network = ready(model)
     assert isinstance(network, Network)
@@ -107,7 +106,7 @@ def test_fewer_or_better_are_the_first_of_all(model, ready):
         torch.testing.assert_close(few.box, all_of_it.box[: len(few.box)])
 
 
-@MASKS_ONCE
+@FIRST
 def test_nothing_found_has_the_form_too(model, ready):
     network = ready(model)
     for output in network.find(pictures()[0], most=5, least_score=1.0):
@@ -162,7 +161,7 @@ def test_saved_weights_find_the_same(model, ready, tmp_path):
         assert ours.mask is None or torch.equal(ours.mask, theirs.mask)
 
 
-@MASKS_ONCE
+@FIRST
 def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
     """Laws: its class does not matter; nothing is asked of the network where it is, so that the
     loss is smaller than were it not labelled at all, and the terms of positives are the same."""

@@ -195,6 +195,7 @@ def true_detections(detector, dataset, world, folder):
     return detections
 
 
+@pytest.mark.slow
 def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
     masked = write_shapes(tmp_path / "own", 4)
     tests = {
@@ -218,6 +219,7 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
     assert "| mask | - | 1.00 [1.00, 1.00] | - |" in (tmp_path / "out" / "table.md").read_text()
 
 
+@pytest.mark.slow
 def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatch):
     masked, theirs = str(write_shapes(tmp_path / "own", 6)), boxes_alone(tmp_path, "theirs")
     monkeypatch.setattr(study_runs, "train", lambda *_, **__: pytest.fail("a training has begun"))

@@ -107,6 +107,7 @@ def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
     assert _shape(1.0) == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["yolov3", pytest.param("mask-rcnn", marks=pytest.mark.slow)])
 def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model):
     """What lies in the files is what the detector found, in the pixels of the pictures."""
@@ -518,6 +519,7 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
     assert not (tmp_path / "found").exists()
 
 
+@pytest.mark.slow
 def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
     dataset, run, tmp_path, capsys
 ):
@@ -564,6 +566,7 @@ def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
     assert "has nut, bolt, and the detector was trained on disc, box" in message
 
 
+@pytest.mark.slow
 def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
     broken = write_shapes(tmp_path, 6, seed=9)
     picture = next((broken / "train").glob("000003/depth_sl/*.png"))

@@ -7,6 +7,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 from .test_networks import opened, pictures, settled, total
 
 
+@pytest.mark.slow
 def test_yolov7_has_the_loss_of_libreyolo():
     network = opened("yolov7").eval()
     images, targets = pictures()
@@ -30,6 +31,7 @@ def test_yolov7_has_the_loss_of_libreyolo():
     torch.testing.assert_close(sum(ours.values()), theirs["total_loss"])
 
 
+@pytest.mark.slow
 def test_yolov7_finds_the_boxes_of_libreyolo():
     network = settled(opened("yolov7"))
     torch.manual_seed(4)

@@ -7,6 +7,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from backends import slow
 from PIL import Image
 from simulated_dataset import SCALE_MM, visible, write_dataset
 
@@ -198,7 +199,7 @@ DAMAGE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", DAMAGE)
+@pytest.mark.parametrize("name", [n if k % 4 == 0 else slow(n) for k, n in enumerate(DAMAGE)])
 def test_validate_detects_damage_of_the_import(real, samples, name):
     out, _ = imported(real, samples)
     damage, what = DAMAGE[name]
@@ -207,6 +208,7 @@ def test_validate_detects_damage_of_the_import(real, samples, name):
     assert any(re.search(what, problem) for problem in problems), problems
 
 
+@pytest.mark.slow
 def test_other_readers_accept_the_import_like_any_dataset(real, samples):
     """These are the measures of realism, and every export that needs no more data."""
     out, _ = imported(real, samples)

@@ -68,6 +68,7 @@ def test_fine_noise_is_assigned_to_the_brightness_of_its_pixels():
         assert of.interval[1] - of.interval[0] < 0.06 * sigma_m
 
 
+@pytest.mark.slow
 def test_steep_planes_are_compared_with_facing_ones():
     rng = np.random.default_rng(7)
     facing = scan(plane() + 1e-4 * rng.standard_normal((240, 320)))

@@ -79,6 +79,7 @@ def test_two_sets_are_side_by_side_with_a_dash_for_a_missing_figure(record):
     assert sum("sigma of z, median" in name for name in names) == 2  # about planes, and fine
 
 
+@pytest.mark.slow
 def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
     """Oracle: the record itself, in the units of the axes."""
     other = record.model_copy(update={"name": "other", "jumps": Jumps(**dict.fromkeys(SIDES, 7.0))})

@@ -111,7 +111,7 @@ def test_the_estimated_floor_is_the_true_plane():
     assert g == pytest.approx(np.linalg.solve(K.T, normal), rel=1e-3, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *map(slow, range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *map(slow, range(1, 6))])
 def test_a_floor_is_found_if_it_is_an_eighth_of_the_depth(seed):
     """The rest are randomly tilted boxes, each smaller than the visible floor.
 

@@ -116,6 +116,7 @@ def test_shares_of_the_parts_pixels_agree_with_the_masks(dataset):
     assert summary.part_reasons["decoded"] == pytest.approx(pooled.mean())
 
 
+@pytest.mark.slow
 def test_pixels_that_the_projector_cannot_light_have_their_own_reason(tmp_path):
     """Oracle: pinholes. The whole ray is beyond one side of the projector's picture."""
     own = RIG.rig.projector
@@ -215,6 +216,7 @@ def test_a_rescan_is_reproducible_and_continues_after_a_stop(dataset, tmp_path):
         rescan(open_source(split), RIG, tmp_path / "out", spec(seed=4))
 
 
+@pytest.mark.slow
 def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
     """In the second image, the cube is in front of the depth; the third is too far."""
     split = write_dataset(tmp_path / "lm", images=(0, 1, 2))
@@ -266,6 +268,7 @@ def test_a_rig_of_another_range_is_refused_before_any_work(tmp_path):
     assert not list((tmp_path / "out").rglob("*_sl"))
 
 
+@pytest.mark.slow
 def test_an_odd_first_image_does_not_end_the_run(tmp_path):
     split = write_dataset(tmp_path / "lm", images=(0, 1))
     file = split / "000000/scene_camera.json"
@@ -279,6 +282,7 @@ def test_an_odd_first_image_does_not_end_the_run(tmp_path):
     assert (again.written, again.there, again.set_aside) == (1, 1, {})
 
 
+@pytest.mark.slow
 def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(dataset, tmp_path, monkeypatch):
     _, split, _ = dataset
     copy = shutil.copy2
@@ -310,6 +314,7 @@ def test_the_original_is_not_written_to(tmp_path):
         rescan(open_source(split), RIG, tmp_path / "lm", spec())
 
 
+@pytest.mark.slow
 def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     """By the rig's own camera, and with copies: nothing of the result lies elsewhere."""
     (tmp_path / "in/depth").mkdir(parents=True)

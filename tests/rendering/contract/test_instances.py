@@ -56,6 +56,7 @@ def heap(count, seed, *, spread_m=(0.35, 0.25, 0.1)):
     return rng.integers(0, 2, count), poses
 
 
+@pytest.mark.slow
 def test_ids_depth_and_silhouettes_of_a_heap_agree_with_those_of_single_boxes(path_tracer):
     """Oracle: the slab method, box by box. 70 instances need more than two words of bits;
     silhouettes extend beyond the border by up to one image size. Edges may differ by rounding.

@@ -30,6 +30,7 @@ def corner_form_factor(a, b, h):
     return (x / p * np.arctan(y / p) + y / q * np.arctan(x / q)) / (2 * np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("depth", "sky"), [slow(1, 0.0), slow(1, 0.7), slow(3, 0.0), (3, 0.7)])
 def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(path_tracer, sky, depth):
     """albedo * (L_lamp F + L_sky (1 - F)): the black lamp hides the sky behind it. A floor alone

@@ -143,6 +143,7 @@ def deviation(images, truth, scene, model, depth):
     return np.array(ratios), np.concatenate(scores)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [slow(1), slow(2), 3, slow(16)])
 def test_two_walls_light_each_other_as_radiosity_predicts(groove, depth):
     """Every further vertex of a path adds one term of the Neumann series. The solution on 20 x 20
@@ -154,6 +155,7 @@ def test_two_walls_light_each_other_as_radiosity_predicts(groove, depth):
     assert np.abs(score).max() < 5
 
 
+@pytest.mark.slow
 def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groove):
     scene, fine, images = groove
     coarse = Groove(10, fine.lens_m)
@@ -164,7 +166,7 @@ def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groov
     assert np.abs(score).max() > 20
 
 
-@pytest.mark.parametrize("shape", ["sphere", "groove"])
+@pytest.mark.parametrize("shape", [slow("sphere"), "groove"])
 def test_a_white_object_in_white_light_is_invisible(path_tracer, shape):
     """White furnace: with albedo 1 and a constant radiance of 1, every pixel is 1."""
     if shape == "groove":

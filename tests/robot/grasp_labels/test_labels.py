@@ -119,6 +119,7 @@ def tilt_limit_m(load_n):
     return (CUP.pull_n - load_n) * CUP.radius_m / 2 / load_n
 
 
+@pytest.mark.slow
 def test_a_plate_is_lifted_at_its_centre_and_lost_beyond_the_tilt_limit(suction):
     """At rest it pulls with its weight, at the start with 1.5 times as much."""
     weight_n = MASS_KG * GRAVITY_M_S2

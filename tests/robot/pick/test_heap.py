@@ -121,6 +121,7 @@ def test_a_part_is_left_out_for_the_fingers_that_close_round_it(heap, depth):
     assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)
 
 
+@pytest.mark.slow
 def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
     """What the camera sees of walls is the bin's; where the part was is as high as the floor."""
     above = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))

@@ -83,6 +83,7 @@ def test_the_ways_join_and_end_where_they_should(arm, here):
     np.testing.assert_allclose(raised[:3, 2], [0, 0, 1], atol=1e-3)  # upright
 
 
+@pytest.mark.slow
 def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(arm, here):
     """Leaning, no turn of the tool has joint angles at the end of the way up; upright it has."""
     grip = rigid(axis_rotation("y", np.radians(-45)), np.array([-0.5, 0.1, 0.1]))
@@ -100,6 +101,7 @@ def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(
     np.testing.assert_allclose(poses[-1][:3, 2], [0, 0, 1], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
     """By the engine's own steps of 2 ms, smoothed over 20: a coarser law would hide spikes."""
     way = ways_of(arm, here)
@@ -145,6 +147,7 @@ def test_a_thing_beside_the_grip_is_a_collision_that_was_seen(arm, here):
     assert blocked.outcome is Outcome.COLLISION_SEEN and "the heap" in blocked.detail
 
 
+@pytest.mark.slow
 def test_a_shelf_above_stops_the_way_up_with_a_part(arm, here):
     """The free arm would pass under it, as the tip alone would; the part would not."""
     T = inverse(here.T_base_world) @ rigid(np.eye(3), GRIP[:3, 3] + [0, 0, 0.45])

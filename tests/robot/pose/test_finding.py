@@ -77,6 +77,7 @@ def off(estimate, true, symmetry):
     return np.degrees(angle), 1000 * shift
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 12), marks=pytest.mark.slow)])
 def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
     for seed in seeds:
@@ -87,6 +88,7 @@ def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
         assert estimate.score > 0.6
 
 
+@pytest.mark.slow
 def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
     """Depth lost at a known pose turns visible pixels into unknown ones, and none into others."""
     T = pose(1)
@@ -100,6 +102,7 @@ def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
     assert abs(again.visible / estimate.visible - 2 / 3) < 0.05
 
 
+@pytest.mark.slow
 def test_what_something_hides_is_no_contradiction(bracket, model):
     """A plate 60 mm before a third of the part: those pixels are hidden, and the pose stands."""
     T = pose(2)
@@ -150,6 +153,7 @@ def test_a_part_is_found_among_others_like_it(bracket, model, seeds):
                 assert angle < 2 and shift < 1, (seed, k, angle, shift)
 
 
+@pytest.mark.slow
 def test_a_turned_part_is_found_and_does_not_spin(bracket, monkeypatch):
     """A cone without its tip, about an axis beside its origin: the turn is that of `near`."""
     monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 30)  # to prepare it takes an eighth
@@ -173,6 +177,7 @@ def test_too_little_depth_finds_nothing(bracket, model):
     assert find_pose_in_box(model, depth, CAMERA, column).T_cam_part is not None
 
 
+@pytest.mark.slow
 def test_a_symmetric_part_does_not_flip_from_noise_to_noise(bracket, model):
     """The bracket looks the same after a half turn; the member nearest to `near` comes back."""
     T = pose(6)

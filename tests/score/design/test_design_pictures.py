@@ -4,13 +4,14 @@ import itertools
 
 import numpy as np
 import pytest
+from backends import slow
 from drawn import axes_of, figures_of, no_pixels
 from test_choosing import row, spec
 
 from graycast.score.design import design_tables
 
 
-@pytest.mark.parametrize("count", [2, 25])
+@pytest.mark.parametrize("count", [2, slow(25)])
 def test_a_picture_of_a_study_names_settings_without_overlap_and_shows_intervals(tmp_path, count):
     """Two settings are both named and neither is on an axis; the names of many stay apart."""
     rng = np.random.default_rng(2)

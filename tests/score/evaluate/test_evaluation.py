@@ -161,6 +161,7 @@ def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_
     assert record["kinds"]["mask"]["figures"][0]["ap"]["value"] == 1.0
 
 
+@pytest.mark.slow
 def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master, results, tmp_path):
     swapped = json.loads(results.read_bytes())
     for entry in swapped:

@@ -25,6 +25,7 @@ def notes_of(places, scores):
     return list(notes([judgement]))
 
 
+@pytest.mark.slow
 def test_the_range_of_ap_is_that_of_all_orders_of_the_file():
     """Oracle: every order of six equal scores, scored one by one."""
     detections = detected_squares(0, [*PLACES, *WRONG], np.ones(6))

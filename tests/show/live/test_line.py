@@ -80,17 +80,19 @@ def watched(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mitsuba_paths, "PASS_SAMPLES", 2 * 160 * 120)
+        # Denoising takes half of the time of all tests below, and has nothing to do with them.
+        watched.show(render={"samples": 6, "denoise": False})
         yield watched
 
 
+@pytest.mark.slow
 def test_the_first_pictures_are_rough_and_the_last_is_that_of_preview(watched):
-    kinds = watched.show()
+    kinds = watched.show(render={"samples": 6})
     pictures = [one for one in watched.answers if one.kind == "picture"]
     assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes later
     assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
     assert set(kinds) == {"physics"} and [one.kind for one in watched.answers].count("world") == 1
     watched.assert_finished()
-    # The denoiser takes half of the time of the tests below, which do not concern it.
     watched.show(render={"samples": 6, "denoise": False})
 
 
@@ -171,6 +173,7 @@ def test_a_change_of_the_sensor_is_evaluated_again_without_rendering(watched, se
     watched.assert_finished()
 
 
+@pytest.mark.slow
 def test_more_light_is_scaled_at_once_and_then_rendered(watched):
     """Oracle: light is linear. Scaled and rendered pictures differ by rounding only."""
     watched.show()
@@ -196,6 +199,7 @@ def test_more_light_is_scaled_at_once_and_then_rendered(watched):
     watched.assert_finished()
 
 
+@pytest.mark.slow
 def test_a_moved_rig_is_rendered_without_a_new_drop(watched):
     layout = watched.line.content.layout
     kinds = watched.show(view={"tilt_deg": 8.0, "azimuth_deg": 20.0})
@@ -259,6 +263,7 @@ def test_the_light_depends_on_the_content_of_the_pictures_of_a_cell(tmp_path, wo
     assert keys[0] == keys[1] != keys[2]
 
 
+@pytest.mark.slow
 def test_a_new_request_interrupts_the_rendering_of_the_old_one(watched):
     """Rough pictures are finished, so that a moving hand sees some."""
     passes, line = [], watched.line

@@ -140,6 +140,7 @@ def test_every_outcome_has_its_own_colour_and_meaning():
         assert len({one[key] for one in words}) == len(words)
 
 
+@pytest.mark.slow
 def test_the_page_has_all_bins_and_only_changed_ones_are_built_again(copied, tmp_path):
     folder = {"cell_folder": copied.parent, "width_px": 100}
     done = write_pick_report(copied, tmp_path / "page", **folder)

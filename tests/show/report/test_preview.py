@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from backends import slow
 from drawn import no_pixels
 from matplotlib.colors import to_rgb
 from PIL import Image
@@ -148,6 +149,7 @@ def image(ax):
 # --- the file ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pictures_are_upright_and_not_mirrored_on_the_sheet(tmp_path):
     """Oracle: the order of four pure colours, located on the sheet by colour only."""
     preview.draw_preview(make_shot(), CODE, tmp_path / "sheet.png")
@@ -175,6 +177,7 @@ def test_the_same_scene_gives_the_same_bytes_and_no_other_file(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
+@pytest.mark.slow
 def test_a_sheet_that_cannot_be_written_is_named_and_leaves_no_file(tmp_path):
     (tmp_path / "taken.png").mkdir()
     for path in (tmp_path / "missing" / "sheet.png", tmp_path / "taken.png"):
@@ -189,6 +192,7 @@ def test_another_code_than_that_of_the_capture_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_head_of_a_scan_lists_all_its_exposures(tiles):
     shot = make_shot()
     exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
@@ -381,7 +385,7 @@ def test_colour_maps_have_the_published_colours():
     assert color.tolist() == [[68, 1, 84]] * 2 + [[253, 231, 37]] * 2 + [[255, 0, 0]]
 
 
-@pytest.mark.parametrize("sigma_mm", [0.08, 0.3, 2.0])
+@pytest.mark.parametrize("sigma_mm", [slow(0.08), 0.3, slow(2.0)])
 @pytest.mark.parametrize("spikes", [0, 0.05])
 def test_the_scale_of_errors_covers_the_noise_and_not_outliers(tiles, sigma_mm, spikes):
     """Oracle: 99 % of a normal law are within 2.576 sigmas; no picture of noise may be white."""

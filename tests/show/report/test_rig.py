@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
@@ -118,7 +119,9 @@ def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
     assert "none" in describe_rig(aside)
 
 
-@pytest.mark.parametrize("name", ["like-phoxi-m", "like-zivid-2-m70", "office-projector"])
+@pytest.mark.parametrize(
+    "name", [slow("like-phoxi-m"), slow("like-zivid-2-m70"), "office-projector"]
+)
 def test_both_views_have_one_scale_and_fill_their_areas(name, monkeypatch, tmp_path):
     """A millimetre is as long in one view as in the other, and little space is empty."""
     figures = []

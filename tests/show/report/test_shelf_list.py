@@ -37,6 +37,7 @@ def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
     assert covers(parallel_rig(), field_m, 1.0) is fits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.6, slow(1.0), slow(2.0)])
 def test_a_rectangle_fits_into_a_slanted_field_as_a_search_finds(ratio):
     """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.

@@ -62,6 +62,7 @@ def lifted(body, hold, path, starts=None, number=0):
     return lift(BIN, (body,), starts, index, number, hold, path)
 
 
+@pytest.mark.slow
 def test_the_tool_carries_the_part_s_weight():
     """At rest, the force is the part's weight; with 3 m/s2 upwards, it is larger by this much."""
     body = plate(0.2)
@@ -115,6 +116,7 @@ def test_jaws_hold_a_part_below_their_friction_and_lose_it_above(share, holds):
     assert (end.lost_s is None) == holds
 
 
+@pytest.mark.slow
 def test_a_part_under_another_lifts_both_and_the_tool_carries_both():
     """The upper plate is on the lower one, beside the cup's position."""
     body = plate(0.1)
@@ -152,6 +154,7 @@ def test_rotation_vectors_agree_with_scipy_up_to_half_a_turn():
     np.testing.assert_allclose(np.abs(half), [0, np.pi, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_same_lift_gives_the_same_result_to_the_last_bit():
     body = plate(0.1)
     path = upwards(lying() @ on_top())

@@ -235,12 +235,12 @@ def test_a_stopped_run_leaves_no_process_or_file_behind(config_file, tmp_path, m
     assert list(temporary.iterdir()) == []
 
 
-SCENES, WORKER_KILLS, RUN_KILLS = 100, 20, 5
+SCENES, WORKER_KILLS, RUN_KILLS = 40, 8, 3
 
 
 @pytest.mark.slow
 def test_killed_workers_and_killed_runs_give_the_same_dataset(config_file, undisturbed, tmp_path):
-    """`kill -9` hits a random worker 20 times and the whole run 5 times during its work."""
+    """`kill -9` hits a random worker 8 times and the whole run 3 times during its work."""
     rng, out = np.random.default_rng(5), tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
     kills = ["run"] * RUN_KILLS + ["worker"] * WORKER_KILLS

@@ -225,7 +225,7 @@ def test_the_judge_knows_what_is_right_and_what_is_not():
         assert ap50(targets, wrong, kind) < 0.1
 
 
-# Steps over four pictures, 7 to 130 CPU seconds each.
+# Largest numbers of steps over four pictures; training ends sooner once they are learnt.
 STEPS = {"mask-rcnn": 120, "yolov3": 100, "solov2": 80, "yolov7": 120}
 
 
@@ -238,13 +238,17 @@ def test_four_pictures_are_learnt_by_heart(model):
     images, targets = shape_pictures(4, size_px=size_px, channels=3, seed=0)
     rate = network.recipe.learning_rate
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0)
+    kinds = ("bbox", "segm") if network.finds_masks else ("bbox",)
     for step in range(STEPS[model]):
         for group in optimizer.param_groups:
             group["lr"] = rate * min(1.0, (step + 1) / 20)
         optimizer.zero_grad()
         sum(network.losses(images, targets).values()).backward()
         optimizer.step()
-    outputs = network.eval().find(images, most=50, least_score=0.05)
-    assert ap50(targets, outputs, "bbox") >= 0.95
-    if network.finds_masks:
-        assert ap50(targets, outputs, "segm") >= 0.95
+        if step % 10 == 9:
+            outputs = network.eval().find(images, most=50, least_score=0.05)
+            precision = [ap50(targets, outputs, kind) for kind in kinds]
+            if min(precision) >= 0.95:
+                return
+            network.train()
+    pytest.fail(f"the average precision is {precision} after {STEPS[model]} steps")

@@ -143,3 +143,26 @@ def test_the_help_of_a_value_describes_arrays_in_words():
     assert type_text(hints["K"]) == "array of floats [3, 3] or None"
     assert type_text(hints["mask"]) == "array of bools [n, h, w] or None"
     assert type_text(hints["distortion"]) == "tuple of float, ... or None"
+
+
+SECTIONS = sorted(name for name in gc.__all__ if hasattr(getattr(gc, name), "model_fields"))
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_the_help_of_a_section_has_its_keys_and_nothing_of_pydantic(name):
+    section = getattr(gc, name)
+    text = pydoc.plain(pydoc.render_doc(section))
+    assert len(text.splitlines()) < 60
+    assert not re.search(r"model_validate|FieldInfo|Annotated|__pydantic", text)
+    lines = text.splitlines()
+    for key, info in section.model_fields.items():
+        (line,) = (line for line in lines if re.match(rf" \|      {key} (\[\S+\] )?\(", line))
+        assert line.rstrip().endswith(info.description or ".")
+
+
+def test_the_help_of_a_section_states_unit_and_default():
+    text = pydoc.plain(pydoc.render_doc(gc.BinSection))
+    assert "wall_m [m] (float = 0.012): The thickness of the walls in metres." in text
+    config = pydoc.plain(pydoc.render_doc(gc.Config))
+    assert "code (CodeSection = CodeSection()): " in config
+    assert "BinSection(*, inner_m=(0.4, 0.3, 0.15), wall_m=0.012, mesh=None" in text

@@ -113,6 +113,16 @@ def test_the_options_of_an_export_are_in_its_record(copied, capsys, tmp_path, fo
     assert record["format"] == form and record["options"].items() >= options.items()
 
 
+@pytest.mark.parametrize("former", ["bop-imagewise", "webdataset"])
+def test_a_former_format_of_exports_names_the_one_to_take(capsys, former):
+    with pytest.raises(SystemExit) as ended:
+        main(["dataset", "export", "out", "--format", former, "--out", "export"])
+    assert ended.value.code == 2
+    assert f"the format {former} is no longer written or read: export as bop-webdataset" in (
+        capsys.readouterr().err
+    )
+
+
 def test_maps_of_reasons_are_read_with_depth(capsys, tmp_path):
     """Two thirds of the depth are missing, half of them for each of two reasons."""
     depth_m = np.full((60, 90), np.nan)

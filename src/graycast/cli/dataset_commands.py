@@ -20,7 +20,7 @@ from .arguments import (
     resolve_config,
 )
 from .bars import open_bars
-from .readers import above_zero, positive, whole
+from .readers import above_zero, export_format, positive, whole
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -108,7 +108,7 @@ def _add_export(group) -> None:
     _add_dataset(export)
     page = "The page docs/reference/exports.md describes each format."
     form = f"The format to write. {page}"
-    add_option(export, "--format", _FORMATS, form, required=True, type=_format)
+    add_option(export, "--format", _FORMATS, form, required=True, type=export_format)
     add_out(export, NEW_FOLDER)
     add_option(
         export,
@@ -166,14 +166,6 @@ def _add_export(group) -> None:
     link = "Make hard links to the dataset's pictures instead of copies."
     add_option(export, "--link", None, link)
     add_shared(export, "--min-visibility", usual="0")
-
-
-def _format(name: str) -> str:
-    from ..dataset.export.options import no_format
-
-    if name not in _FORMATS:
-        raise argparse.ArgumentTypeError(no_format(name))
-    return name
 
 
 def _add_import(group) -> None:

@@ -92,3 +92,12 @@ png_path = reader(
 distortion = reader(
     numbers, lambda k: len(k) == 5, "five numbers k1,k2,p1,p2,k3, separated by commas"
 )
+
+
+def export_format(name: str) -> str:
+    """Return the name of a format of exports; refuse any other, and name the one to take."""
+    from ..dataset.export.options import FORMATS, no_format
+
+    if name not in FORMATS:
+        raise argparse.ArgumentTypeError(no_format(name))
+    return name

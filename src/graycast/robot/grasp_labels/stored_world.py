@@ -22,7 +22,7 @@ from ...world.scene import Bin, Scene
 from ..grasp import Grip
 from ..pick.obstacles import standing
 from ..pick.robot import Obstacle
-from ..pick.tools import Tool
+from ..pick.tools import Tool, grips_on
 from ..pick.touch import ContactPart
 from .label_options import Labelling
 
@@ -116,7 +116,7 @@ def make_world(
     places = []
     for part, body in zip(stock.parts, bodies, strict=True):
         progress.stage(f"{part.name}: searching for grasps")
-        places.append(tuple(labelling.tool.places(part, body, count=labelling.places)))
+        places.append(tuple(grips_on(labelling.tool, part, body, count=labelling.places)))
     if not any(places):
         names = ", ".join(part.name for part in stock.parts)
         raise ConfigError(f"tool: its jaws fit around none of {names}: increase opening_m")

@@ -1,15 +1,15 @@
 """Contact of a tool with the true parts: the part that it holds, or why it holds none."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...base.frames import inverse, transform_points
 from ...base.public_value import public_value
 from ...world.drop import Hold
-from ...world.parts import Part
+from ...world.parts import Mesh, Part
 from .outcome import Outcome
 
 LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # `grasp.load_factor` of one tool
@@ -61,14 +61,18 @@ class NoGrip:
     part: int | None = None
 
 
-def is_near(
+def near_parts(
     T_world_tool: Float[np.ndarray, "4 4"],
-    T_world_part: Float[np.ndarray, "4 4"],
-    part: Part,
+    parts: Sequence[Part],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, " n"],
     radius_m: float,
-) -> bool:
-    """Return whether a part's bounding sphere meets the cylinder about the tool's axis."""
-    low, high = part.mesh.bounds_m
-    middle = transform_points(T_world_part, (low + high) / 2)
-    aside = (inverse(T_world_tool) @ np.append(middle, 1.0))[:2]
-    return bool(np.linalg.norm(aside) <= np.linalg.norm(high - low) / 2 + radius_m)
+) -> Iterator[tuple[int, Mesh, Float[np.ndarray, "4 4"]]]:
+    """Yield number, mesh and `T_part_tool` of parts near the axis of the tool."""
+    for number, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
+        mesh = parts[kind].mesh
+        low, high = mesh.bounds_m
+        middle = transform_points(T, (low + high) / 2)
+        aside = (inverse(T_world_tool) @ np.append(middle, 1.0))[:2]
+        if np.linalg.norm(aside) <= np.linalg.norm(high - low) / 2 + radius_m:
+            yield number, mesh, inverse(T) @ T_world_tool

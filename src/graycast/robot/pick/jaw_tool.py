@@ -1,6 +1,6 @@
 """Parallel jaws below a palm: settings, and the answers to the questions of `tools.Tool`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import ClassVar, Literal
 
@@ -8,13 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ...base.frames import inverse, rigid
+from ...base.frames import rigid
 from ...base.settings import Positive, Settings
-from ...world.drop import Body
-from ...world.drop.rapier import GRAVITY_M_S2
 from ...world.parts import Mesh, Part
-from ..grasp import CLEARANCE_M, Doubt, Grip, Jaws, closing, jaw_load_factor, jaw_places
-from .contact import NoGrip, PartGrip, is_near
+from ..grasp import CLEARANCE_M, Grip, Jaws, closing, jaw_load_factor, jaw_places
+from .contact import NoGrip, PartGrip, near_parts
 from .outcome import Outcome
 from .robot import Mounted
 
@@ -66,15 +64,9 @@ class JawTool(Settings):
             Mounted.at("other finger", finger, (-aside_m, 0.0, middle_m)),
         )
 
-    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
-        return jaw_places(
-            part.mesh,
-            self.jaws,
-            weight_n=body.mass_kg * GRAVITY_M_S2,
-            center_m=body.center_m,
-            doubt=Doubt(),
-            count=count,
-        )
+    @property
+    def on_mesh(self) -> Callable[..., list[Grip]]:
+        return partial(jaw_places, jaws=self.jaws)
 
     def meet(
         self,
@@ -87,12 +79,11 @@ class JawTool(Settings):
         """Close the jaws until both pads touch."""
         jaws, open_m = self.jaws, self._open_m(opening_m)
         met = []
-        for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
-            if is_near(T_world_tool, T, parts[kind], jaws.opening_m):
-                T_part_tool = inverse(T) @ T_world_tool
-                contact = closing(parts[kind].mesh, jaws, T_part_tool, opening_m=open_m)
-                if contact is not None:
-                    met.append((i, contact))
+        near = near_parts(T_world_tool, parts, T_world_part, part_index, jaws.opening_m)
+        for i, mesh, T_part_tool in near:
+            contact = closing(mesh, jaws, T_part_tool, opening_m=open_m)
+            if contact is not None:
+                met.append((i, contact))
         if not met:
             return NoGrip(outcome=Outcome.MISSED, detail="nothing is between the pads")
         if len(met) > 1:

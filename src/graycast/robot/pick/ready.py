@@ -19,7 +19,7 @@ from .aim import KnownPart
 from .obstacles import standing
 from .robot import Robot, open_robot
 from .robot_cell import PickCell
-from .tools import T_flange_tip, Tool
+from .tools import T_flange_tip, Tool, grips_on
 from .touch import ContactPart
 from .ways import Load, Surroundings
 
@@ -132,7 +132,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
     """Raise ConfigError if the tool cannot hold the part anywhere."""
-    grips = best_first(tool.places(part, body, count=_PLACES))
+    grips = best_first(grips_on(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
             f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: give "

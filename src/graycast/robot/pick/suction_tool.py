@@ -8,14 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ...base.frames import inverse, rigid
+from ...base.frames import rigid
 from ...base.settings import Positive, Settings
-from ...world.drop import Body
-from ...world.drop.rapier import GRAVITY_M_S2
 from ...world.parts import Mesh, Part
 from ..grasp import (
     Cup,
-    Doubt,
     Grip,
     Patch,
     SuctionSearch,
@@ -25,7 +22,7 @@ from ..grasp import (
     suction_places,
 )
 from ..grasp.patch import STEP_M
-from .contact import NoGrip, PartGrip, is_near
+from .contact import NoGrip, PartGrip, near_parts
 from .outcome import Outcome
 from .robot import Mounted
 from .solids import ROUND
@@ -85,15 +82,9 @@ class SuctionTool(Settings):
         tube = coal.Cylinder(self.tube_m, long_m)
         return (Mounted.at("tube", tube, (0.0, 0.0, long_m / 2)),)
 
-    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
-        return suction_places(
-            part.mesh,
-            self.cup,
-            weight_n=body.mass_kg * GRAVITY_M_S2,
-            center_m=body.center_m,
-            doubt=Doubt(),
-            count=count,
-        )
+    @property
+    def on_mesh(self) -> Callable[..., list[Grip]]:
+        return partial(suction_places, cup=self.cup)
 
     def meet(
         self,
@@ -144,12 +135,8 @@ class SuctionTool(Settings):
         radius_m = self.cup.radius_m
         size = 2 * (int(np.ceil(radius_m / STEP_M)) + 1) + 1
         height, number = np.full((size, size), np.nan), np.full((size, size), -1)
-        for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
-            if not is_near(T_world_tool, T, parts[kind], radius_m):
-                continue
-            own = patch_of_mesh(
-                parts[kind].mesh, inverse(T) @ T_world_tool, radius_m=radius_m, step_m=STEP_M
-            ).height_m
+        for i, mesh, T in near_parts(T_world_tool, parts, T_world_part, part_index, radius_m):
+            own = patch_of_mesh(mesh, T, radius_m=radius_m, step_m=STEP_M).height_m
             higher = np.isfinite(own) & ~(own <= height)
             height[higher], number[higher] = own[higher], i
         return height, number

@@ -13,8 +13,9 @@ from pydantic import Field
 
 from ...base.frames import rigid
 from ...world.drop import Body
+from ...world.drop.rapier import GRAVITY_M_S2
 from ...world.parts import Mesh, Part
-from ..grasp import Grip, SuctionSearch
+from ..grasp import Doubt, Grip, SuctionSearch
 from .contact import NoGrip, PartGrip
 from .jaw_tool import JawTool
 from .outcome import Outcome
@@ -80,8 +81,9 @@ class Tool(Protocol):
         """
         ...
 
-    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
-        """Try `count` places on a part; return also those where the tool does not hold."""
+    @property
+    def on_mesh(self) -> Callable[..., list[Grip]]:
+        """The search for grips on a mesh, such as `suction_places` without its cup."""
         ...
 
     def meet(
@@ -105,3 +107,11 @@ class Tool(Protocol):
 def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
     """Return the pose of the tip, which is straight below the flange; their z axes are opposed."""
     return rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, tool.length_m]))
+
+
+def grips_on(tool: Tool, part: Part, body: Body, *, count: int) -> list[Grip]:
+    """Try `count` places on a part; return also those where the tool does not hold."""
+    weight_n = body.mass_kg * GRAVITY_M_S2
+    return tool.on_mesh(
+        part.mesh, weight_n=weight_n, center_m=body.center_m, doubt=Doubt(), count=count
+    )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from graycast.base.errors import ConfigError
 from graycast.base.frames import inverse, transform_points
 from graycast.rig.optics import in_picture, project, rays
 from graycast.rig.pair import PRESETS, RESOLUTIONS, best_depth_m, preset_rig
@@ -15,6 +16,7 @@ from graycast.rig.shelf import (
     NAMES,
     SHELF,
     class_of,
+    entry,
     measured,
     no_rig,
     shelf_entry,
@@ -36,7 +38,14 @@ SOURCE = re.compile(r"  # (source: \S|quoted: \S|our choice|from memory of \S)")
 
 
 def lines_of(name):
-    return files("graycast.rig.shelf").joinpath(f"{name}.yaml").read_text().splitlines()
+    """Return the lines of a scanner's file, with those of its base whose keys it has not."""
+    lines = files("graycast.rig.shelf").joinpath(f"{name}.yaml").read_text().splitlines()
+    for base in [line.split()[1] for line in lines if line.startswith("base: ")]:
+        own, keep = {line.split(":")[0] for line in lines if line[0].isalpha()}, False
+        for line in lines_of(base):
+            keep = line.split(":")[0] not in own if line[0].isalpha() else keep and line[0] == " "
+            lines += [line] if keep else []
+    return lines
 
 
 def test_there_is_a_file_for_each_name_and_no_other():
@@ -80,6 +89,23 @@ def test_a_number_without_a_class_is_refused(monkeypatch, tmp_path):
     monkeypatch.setattr(sources, "files", lambda package: tmp_path)
     with pytest.raises(ValueError, match="fx_px has no class: state where 1785 is from"):
         stated_numbers.__wrapped__("like-phoxi-m")
+
+
+@pytest.mark.parametrize("base", ["like-phoxi-n", "like-phoxi-m", "like-zivid-2plus-mr60"])
+def test_a_base_that_is_unknown_or_has_a_base_itself_is_refused(monkeypatch, tmp_path, base):
+    for name in ("like-phoxi-m", "like-zivid-2plus-mr60"):  # both have a base: a cycle, a chain
+        (tmp_path / f"{name}.yaml").write_text(f"base: {base}\n")
+    monkeypatch.setattr(entry, "files", lambda package: tmp_path)
+    with pytest.raises(ConfigError, match=rf"like-phoxi-m\.yaml: base is '{base}': name a"):
+        shelf_entry.__wrapped__("like-phoxi-m")
+
+
+def test_a_section_of_the_file_replaces_that_of_its_base_whole():
+    """The maker states the noise of the M60, and none of the MR60."""
+    own, base = (shelf_entry(f"like-zivid-2plus-{name}") for name in ("mr60", "m60"))
+    assert (own.camera, own.t_cam_proj_m, own.far_m) == (base.camera, base.t_cam_proj_m, base.far_m)
+    assert base.claims.noise is not None and own.claims.noise is None
+    assert not {key for key in stated_numbers("like-zivid-2plus-mr60") if "noise" in key}
 
 
 def test_the_page_says_how_many_numbers_are_from_memory():

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
+from ...base.errors import ConfigError
 from ...base.frames import axis_rotation, inverse, rigid
 from ...base.settings import Finite, Positive, PositiveSpan, Settings, check_settings, parse_yaml
 from ..optics import Optics
@@ -168,24 +169,39 @@ class _Table(Settings):
     scanners: dict[str, ShelfFigures]
 
 
-Model = TypeVar("Model", bound=Settings)
-
-
 @cache
 def shelf_entry(name: str) -> ShelfEntry:
-    """Load the file of a scanner whose name is in `SHELF`."""
-    return _of_shelf(f"{name}.yaml", ShelfEntry)
+    """Load the file of a scanner whose name is in `SHELF`, with the keys of its base."""
+    content = dict(_content(f"{name}.yaml"))
+    base = base_of(name, content.pop("base", None))
+    return check_settings(
+        content if base is None else {**_content(f"{base}.yaml"), **content},
+        ShelfEntry,
+        Path(f"{name}.yaml"),
+    )
+
+
+def base_of(name: str, base: str | None) -> str | None:
+    """Return the scanner that completes the file of `name`; None for a file without a base.
+
+    Raises:
+        ConfigError: the base is no scanner of the shelf, or has a base of its own.
+    """
+    if base is None or (base in SHELF and "base" not in _content(f"{base}.yaml")):
+        return base
+    raise ConfigError(
+        f"{name}.yaml: base is {base!r}: name a scanner of the shelf whose file has no base"
+    )
 
 
 @cache
 def measured() -> _Table:
-    """Load the stored table: the command that made it, the resolution, and the figures."""
-    return _of_shelf(MEASURED, _Table)
+    """Load the stored table: the command that made it, its resolution, and the figures."""
+    return check_settings(_content(MEASURED), _Table, Path(MEASURED))
 
 
-def _of_shelf(file: str, model: type[Model]) -> Model:
-    text = files(__package__).joinpath(file).read_text(encoding="utf-8")
-    return check_settings(parse_yaml(text, Path(file)), model, Path(file))
+def _content(file: str) -> Mapping[str, Any]:
+    return parse_yaml(files(__package__).joinpath(file).read_text(encoding="utf-8"), Path(file))
 
 
 def no_rig(name: str, folder: Path | None = None) -> str:

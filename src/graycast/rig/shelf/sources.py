@@ -9,6 +9,7 @@ from itertools import takewhile
 import yaml
 
 from ..former_names import current_name
+from .entry import base_of
 
 # The comment behind a number begins with the words of its class; the best class comes first.
 CLASSES: Mapping[str, str] = {
@@ -22,7 +23,7 @@ LEGEND = (
     "from a datasheet and not checked, [choice] our choice; the rest is computed or simulated"
 )
 _GEOMETRY = ("camera", "projector", "baseline_m", "toe_in_deg", "near_m", "far_m")
-_WORDS = ("likeness", "laser")  # Keys whose values are neither numbers nor a colour of light
+_WORDS = ("likeness", "laser", "base")  # Keys whose values are neither numbers nor a light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +40,8 @@ class StatedNumber:
 def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
     """Return the numbers of a scanner's file by their keys, such as `claims.fields.0.at_m`.
 
-    The rig `paper` has the geometry of `like-phoxi-m`, so its numbers come from that file.
+    The rig `paper` has the geometry of `like-phoxi-m`, so its numbers come from that file. A
+    section, such as `claims`, comes from the scanner's file or else from its base.
 
     Raises:
         ValueError: the comment behind a number names no class.
@@ -54,7 +56,15 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
         if not kinds:
             raise ValueError(f"{name}.yaml: {key} has no class: state where {value} is from")
         stated[key] = StatedNumber(key=key, text=value, kind=kinds[0], comment=comment)
-    return stated
+    content = yaml.safe_load(text)
+    if (base := base_of(name, content.get("base"))) is None:
+        return stated
+    theirs = {
+        key: stated.get(key, number)
+        for key, number in stated_numbers(base).items()
+        if key in stated or key.split(".")[0] not in content
+    }
+    return theirs | stated
 
 
 def _file_text(name: str) -> str:

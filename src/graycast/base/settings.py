@@ -17,8 +17,8 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    GetPydanticSchema,
     TypeAdapter,
     ValidationError,
     create_model,
@@ -192,16 +192,9 @@ def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[S
     return create_model(name, __base__=Settings, __doc__=about, __module__=module, **own)
 
 
-class ReadAs:
-    """Annotation by which pydantic reads a field as a section that was made at run time."""
-
-    def __init__(self, section: type[Any]) -> None:
-        self.section = section
-
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> Any:  # This is the schema of the section.
-        return handler(self.section)
+def read_as(section: type[Any]) -> GetPydanticSchema:
+    """Return an annotation by which pydantic reads a field as a section made at run time."""
+    return GetPydanticSchema(lambda source, handler: handler(section))
 
 
 def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...base.errors import ConfigError
-from ...base.settings import ReadAs, Settings, changes_of
+from ...base.settings import Settings, changes_of, read_as
 from ...base.streams import device_seed
 from ...rig.pair import Rig
 from ...rig.pattern import Code, CodeSpec
@@ -41,12 +41,12 @@ else:
 class ScannerSections(Settings):
     """The sections that a rig file and a configuration share."""
 
-    code: Annotated[Any, ReadAs(CodeSection)] = CodeSection()
-    exposure: Annotated[Any, ReadAs(ExposureSection)] = ExposureSection()
-    sensor: Annotated[Any, ReadAs(SensorSection)] = SensorSection()
-    decode: Annotated[Any, ReadAs(DecodeSection)] = DecodeSection()
-    filters: Annotated[Any, ReadAs(FilterSection)] = FilterSection()
-    faults: Annotated[Any, ReadAs(FaultSection)] = FaultSection()
+    code: Annotated[Any, read_as(CodeSection)] = CodeSection()
+    exposure: Annotated[Any, read_as(ExposureSection)] = ExposureSection()
+    sensor: Annotated[Any, read_as(SensorSection)] = SensorSection()
+    decode: Annotated[Any, read_as(DecodeSection)] = DecodeSection()
+    filters: Annotated[Any, read_as(FilterSection)] = FilterSection()
+    faults: Annotated[Any, read_as(FaultSection)] = FaultSection()
 
 
 def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:

@@ -8,7 +8,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from ...base.errors import ConfigError
-from ...base.settings import Level, Positive, ReadAs, Settings, read_settings, section_of
+from ...base.settings import Level, Positive, Settings, read_as, read_settings, section_of
 from ...rig.pattern import AXES, Axis, Code, Frame
 from ..decode import DecodeSpec, levels_of
 from ..scanner import Scanner
@@ -159,7 +159,7 @@ class StackDescription(Settings):
     offset_px: OffsetSection = OffsetSection()
     stride_px: StrideSection = StrideSection()
     levels: LevelsSection = LevelsSection()
-    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
+    decode: Annotated[Settings, read_as(DecodeSection)] = DecodeSection()
     rig: Path | None = Field(
         default=None, description="The rig file of the scanner, relative to this file."
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints, model_validator
 
 from ...base.errors import ConfigError
-from ...base.settings import Level, Positive, ReadAs, Settings, read_settings
+from ...base.settings import Level, Positive, Settings, read_as, read_settings
 from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
 from ...cell.config import BinSection
 from ...rig.former_names import RigName
@@ -17,8 +17,8 @@ from ...rig.shelf import no_rig
 from ...world.parts.part_sections import MaterialSection
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
-Code = Annotated[Settings, ReadAs(CodeSection)]
-Exposure = Annotated[Settings, ReadAs(ExposureSection)]
+Code = Annotated[Settings, read_as(CodeSection)]
+Exposure = Annotated[Settings, read_as(ExposureSection)]
 Tilt = Annotated[float, Field(ge=0, le=80)]
 
 

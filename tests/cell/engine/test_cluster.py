@@ -106,7 +106,7 @@ def giving_up(process, seconds):
         timer.cancel()
 
 
-SCENES = 200
+SCENES = 60
 
 
 @pytest.mark.slow

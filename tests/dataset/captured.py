@@ -1,4 +1,4 @@
-"""A sample's scene before a whole scanner: each pixel is lit by what the projector shows there."""
+"""A sample's scene in front of a complete scanner: each pixel has the light that it receives."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ PROJECTOR = (256, 192)
 
 
 def toed_in(rig):
-    """A rig's camera with a projector 0.2 m beside it that looks where it looks."""
+    """Return a rig with a projector 0.2 m beside the camera, aimed at the same point."""
     width_px, height_px = PROJECTOR
     projector = Optics(
         width_px=width_px,
@@ -32,13 +32,13 @@ def toed_in(rig):
 
 
 def rolled(rig, angle_rad):
-    """The projector turned about its axis: rows come out wrong towards its left and right."""
+    """Return the rig with its projector rolled about its axis: rows are wrong at left and right."""
     turn = rigid(axis_rotation("z", angle_rad), np.zeros(3))
     return replace(rig, T_cam_proj=rig.T_cam_proj @ turn)
 
 
 def light(code, rig, depth_m):
-    """(frames, h, w) radiance; nothing shadows anything, and a veil lies over all."""
+    """Return (frames, h, w) radiance without shadows, and with a veil over all."""
     point = rays(rig.camera, pixel_grid(*depth_m.shape)) * depth_m[..., None]
     place = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
     inside = ((place > -0.5) & (place < np.array(PROJECTOR) - 0.5)).all(axis=-1)
@@ -54,7 +54,7 @@ def light(code, rig, depth_m):
 
 
 def picture_of(capture):
-    """Light per second, as a share of what fills the sensor in the reference exposure."""
+    """Return light per second, as a share of saturation in the reference exposure."""
     sensor = capture.sensor
     per_s = (capture.frames[0] - sensor.offset_dn) / capture.exposure_s
     full_per_s = (sensor.saturation_dn - sensor.offset_dn) / capture.reference_s
@@ -62,9 +62,9 @@ def picture_of(capture):
 
 
 def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
-    """The sample as this scanner measures it, with all that lies between.
+    """Return the sample as this scanner measures it, through all steps.
 
-    `roll_rad` is how far its projector is turned from where its rig says.
+    `roll_rad` is the roll of its projector that its rig does not have.
     """
     stack = light(scanner.light_code(), rolled(scanner.rig, roll_rad), sample.truth.depth_m)
     exposure = scanner.exposure

@@ -1,4 +1,4 @@
-"""A small finished dataset of scenes in closed form, and what it is made of."""
+"""A small finished dataset of scenes in closed form, and its samples."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def samples(parts, rig):
 
 @pytest.fixture(scope="session")
 def another_time():
-    """The same sample, made by a run that took longer."""
+    """Return the same sample, made by a run that took longer."""
     return lambda sample: replace(
         sample, manifest={**sample.manifest, "timings": {"render_s": 99.0}}
     )
@@ -33,7 +33,7 @@ def another_time():
 
 @pytest.fixture(scope="session")
 def opened(parts, rig):
-    """Opens a store on a folder; keywords replace what it is opened with."""
+    """Open a store in a folder; keywords replace its arguments."""
 
     def open_folder(out, **changed):
         settings = {

@@ -1,6 +1,6 @@
-"""Faults that leave every file whole and of the right form: what each does to a dataset's folder.
+"""Faults that leave every file complete and of the right form, as changes of a dataset.
 
-A dataset of two scenes, 0 and 1; what is damaged is scene 0 or what belongs to all.
+The dataset has two scenes, 0 and 1; scene 0 or files of the whole dataset are damaged.
 """
 
 import json
@@ -17,7 +17,7 @@ SCENE, OTHER = "train/000000", "train/000001"
 
 
 def edit(name, change):
-    """Of JSON files: those of scene 0, or those of the dataset if the name says so."""
+    """Edit JSON files of scene 0, or of the dataset if the name says so."""
 
     def do(out):
         for path in sorted(out.glob(name)):
@@ -37,7 +37,7 @@ def manifest(change):
 
 
 def picture(name, change, *also):
-    """Repaints a picture of scene 0 in its own depth of bits; `also` is done after."""
+    """Repaint a picture of scene 0 in its own bit depth; `also` is called afterwards."""
 
     def do(out):
         path = out / SCENE / name / "000000.png"
@@ -52,14 +52,14 @@ def picture(name, change, *also):
 
 
 def taken(name):
-    """A picture of the other scene."""
+    """Take a picture from the other scene."""
     return lambda out: shutil.copy(
         out / OTHER / name / "000000.png", out / SCENE / name / "000000.png"
     )
 
 
 def further(by_mm):
-    """A depth picture that lies deeper, in steps of 0.02 mm."""
+    """Write a larger depth, in steps of 0.02 mm."""
     return lambda d: np.where(d > 0, d.astype(int) + round(by_mm / 0.02), 0)
 
 
@@ -90,7 +90,7 @@ def rewritten(old, new):
 
 
 def shares(out):
-    """The manifest's shares follow the map of reasons."""
+    """Update the manifest's shares to the map of reasons."""
     reason = cv2.imread(str(out / SCENE / "reason_sl/000000.png"), -1)
     entries = {r.name.lower(): float((reason == r).mean()) for r in Reason}
     manifest(lambda m: m["reasons"].update(entries))(out)
@@ -116,7 +116,7 @@ def packed_otherwise(out):
 
 
 def world(turn_deg=(0.0, 0.0, 0.0), shift_mm=(0.0, 0.0, 0.0)):
-    """Poses of the world that are rigid, and others than those of the scene."""
+    """Write rigid poses of the world that differ from those of the scene."""
     R, _ = cv2.Rodrigues(np.radians(np.array(turn_deg, dtype=float)))
 
     def change(view):
@@ -128,7 +128,7 @@ def world(turn_deg=(0.0, 0.0, 0.0), shift_mm=(0.0, 0.0, 0.0)):
 
 
 def cameras(change, in_claim=None):
-    """Of all files that tell of the camera: the scenes', the dataset's and perhaps the claim's."""
+    """Change all files that describe the camera: the scenes', the dataset's, perhaps the claim."""
 
     def do(out):
         edit("train/*/scene_camera*.json", lambda v: change(v["0"]["cam_K"]))(out)
@@ -184,7 +184,7 @@ def scene_again(out):
 
 
 def hidden_part(out):
-    """The last instance is taken out of every list, and its masks with it."""
+    """Remove the last instance from every list, with its masks."""
     number = len(list((out / SCENE / "mask").iterdir())) - 1
     for kind in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
         (out / SCENE / kind / f"000000_{number:06d}.png").unlink()
@@ -218,7 +218,7 @@ def model_line(old, new):
 
 
 def recolored(out):
-    """Every vertex of the first model in another colour."""
+    """Give every vertex of the first model another colour."""
     path = out / "models/obj_000001.ply"
     head, body = path.read_text().split("end_header\n")
     columns = [line.split()[-1] for line in head.splitlines() if line.startswith("property")]
@@ -233,7 +233,7 @@ def recolored(out):
 
 
 def reseal(out):
-    """What who knows the format does after his change: all sums anew."""
+    """Compute all checksums again, as somebody who knows the format would do after a change."""
     for scene in (out / "train").iterdir():
         path = scene / "manifest.json"
         record = json.loads(path.read_text())
@@ -405,7 +405,7 @@ SUMS_ALONE = {
     ),
 }
 
-# What sums are about: who computes them anew has done nothing wrong.
+# Intended changes: whoever computes the checksums again has done nothing wrong.
 OF_SUMS = {
     "a file more": (stray, "notes.txt was not written with the scene"),
     "a manifest without sums": (

@@ -1,4 +1,4 @@
-"""Small scenes in closed form: convex prisms before a tilted wall, ray-traced by half-spaces."""
+"""Small scenes in closed form: convex prisms in front of a tilted wall, traced by half-spaces."""
 
 from collections import Counter
 
@@ -22,7 +22,7 @@ WALL = (np.array([0.1, -0.2, 1.0]), 0.62)  # n . p = d, camera frame
 
 
 def prism(section_m, height_m):
-    """A mesh over a convex section (counter-clockwise), with uv per corner for its sides."""
+    """Return a mesh over a convex section (counter-clockwise), with uv per corner for its sides."""
     k = len(section_m)
     low = np.column_stack([section_m, np.full(k, -0.3 * height_m)])
     vertices = np.vstack([low, low + np.array([0, 0, height_m])])
@@ -35,7 +35,7 @@ def prism(section_m, height_m):
 
 
 def box_part():
-    """Textured, with hard edges: every face has its own normals and a seam in uv."""
+    """Return a textured box with hard edges: each face has its own normals and a seam in uv."""
     section = np.array([[-0.015, -0.02], [0.015, -0.02], [0.015, 0.02], [-0.015, 0.02]])
     vertices, faces = prism(section, 0.06)
     corner = vertices[faces]
@@ -60,7 +60,7 @@ def box_part():
 
 
 def wedge_part():
-    """Plain: neither normals nor uv."""
+    """Return a plain wedge without normals and uv."""
     vertices, faces = prism(np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.03]]), 0.04)
     return Part(
         name="wedge",
@@ -81,10 +81,10 @@ def make_rig():
 
 
 def hit_depth(mesh, T_cam_part, x, y):
-    """z where the rays (x, y, 1) enter a convex mesh; NaN where they miss. The mesh is closed."""
+    """Return z where the rays (x, y, 1) enter a closed convex mesh; NaN if they miss it."""
     z_m = np.full(x.shape, np.nan)
     corner = mesh.vertices_m[mesh.faces] @ T_cam_part[:3, :3].T + T_cam_part[:3, 3]
-    assert corner[..., 2].min() > 0  # so that it lies between the rays to its corners
+    assert corner[..., 2].min() > 0  # inside the rays to its corners
     corner_xy = (corner[..., :2] / corner[..., 2:]).reshape(-1, 2)
     (left, top), (right, bottom) = corner_xy.min(axis=0), corner_xy.max(axis=0)
     near = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
@@ -101,22 +101,22 @@ def hit_depth(mesh, T_cam_part, x, y):
 
 
 def cam_poses(seed):
-    """Poses before the camera: random ones, one across a border, one hidden, one off the image."""
+    """Return random poses, and poses across a border, hidden, and outside the image."""
     rng = np.random.default_rng(seed)
     rotation = rotation_from_quaternion(random_quaternions(8, rng))
     place = np.column_stack(
         [rng.uniform(-0.1, 0.1, 8), rng.uniform(-0.07, 0.07, 8), rng.uniform(0.33, 0.5, 8)]
     )
     place[4] = [-0.17, 0.02, 0.44]  # leaves the image on the left
-    place[5] = place[0] * 0.55 + [0.0, 0.0, 0.0]  # hides number 0, which lies along its rays
+    place[5] = place[0] * 0.55 + [0.0, 0.0, 0.0]  # hides number 0, which is along its rays
     place[6] = [0.45, 0.0, 0.5]  # beyond the right border
     return np.stack([rigid(R, t) for R, t in zip(rotation, place, strict=True)])
 
 
 def build_sample(seed, *, parts, rig, sensor="", image=0, station=0, T_first_cam=None):
-    """A sample whose truth is closed form; the scanner's depth has noise and two kinds of gap.
+    """Return a sample in closed form; the scanner's depth has noise and two kinds of gaps.
 
-    Further images of the scene are by a camera at `T_first_cam`. The wall goes with the camera.
+    Further images of the scene are from a camera at `T_first_cam`. The wall moves with the camera.
     """
     rng = np.random.default_rng(1000 + seed)
     T_world_cam = rigid(
@@ -177,7 +177,7 @@ def build_sample(seed, *, parts, rig, sensor="", image=0, station=0, T_first_cam
 
 
 def pictures(instance, shadow, rng):
-    """Colour, white frame and modulation of parts that differ in what they reflect."""
+    """Return colour, white frame and modulation of parts with different reflectances."""
     albedo = 0.25 + 0.08 * (np.arange(-1, 8) * 5 % 9)
     light = np.where(shadow, 0.04, albedo[instance + 1]) * rng.uniform(0.97, 1, instance.shape)
     tint = rng.uniform(0.6, 1, (9, 3))[instance + 1]
@@ -186,7 +186,7 @@ def pictures(instance, shadow, rng):
 
 
 def crop(wide):
-    """A silhouette over three by three images."""
+    """Return a silhouette over three by three images."""
     if not wide.any():
         return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
     rows, columns = np.flatnonzero(wide.any(axis=1)), np.flatnonzero(wide.any(axis=0))

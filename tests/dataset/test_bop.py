@@ -1,4 +1,4 @@
-"""Scene folders, read back as bop_toolkit's `inout` reads them, against closed forms."""
+"""Scene folders, read as bop_toolkit's `inout` does, compared with closed forms."""
 
 import io
 import json
@@ -21,7 +21,7 @@ from graycast.rig.optics import project, rays
 
 
 def load_json(path: Path):
-    """bop_toolkit's `load_json(..., keys_to_int=True)`."""
+    """Do the same as bop_toolkit's `load_json(..., keys_to_int=True)`."""
     return json.loads(
         path.read_text(),
         object_hook=lambda x: {int(k) if k.lstrip("-").isdigit() else k: v for k, v in x.items()},
@@ -34,7 +34,7 @@ def load_image(path: Path):
 
 
 def load_ply(path: Path):
-    """The ASCII branch of bop_toolkit's `load_ply`, by its rules for names and order."""
+    """Read an ASCII file by the rules of bop_toolkit's `load_ply` for names and order."""
     lines = path.read_text().splitlines()
     end = lines.index("end_header")
     section, props, count, texture = "", [], {}, None
@@ -60,7 +60,7 @@ def scene(dataset):
     return dataset / "train" / "000000"
 
 
-def test_model_points_land_where_the_world_puts_them(scene, dataset, samples):
+def test_model_points_are_projected_as_the_world_places_them(scene, dataset, samples):
     """Oracle: BOP's s p = K [R|t] p_m with the files' numbers; ours goes through the world."""
     sample = samples[0]
     view = load_json(scene / "scene_camera.json")[0]
@@ -75,7 +75,7 @@ def test_model_points_land_where_the_world_puts_them(scene, dataset, samples):
         t = np.linalg.solve(sample.scene.T_world_cam[:3, :3], (world_m - origin(sample)).T)
         expected = project(sample.scene.rig.camera, t.T)
         assert np.abs((s[:2] / s[2]).T - expected).max() < 1e-5
-        # The same through cam_R_w2c.
+        # The same with cam_R_w2c.
         R_w2c = np.array(view["cam_R_w2c"]).reshape(3, 3)
         w2c = R_w2c @ (1000 * world_m.T) + np.array(view["cam_t_w2c"]).reshape(3, 1)
         assert np.abs(w2c - 1000 * t).max() < 1e-5
@@ -108,14 +108,14 @@ def test_pictures_and_masks_have_the_modes_that_readers_expect(scene, samples):
         assert set(np.unique(mask)) <= {0, 255}
 
 
-def test_modulation_comes_back_by_its_scale(scene, samples):
+def test_modulation_is_read_back_by_its_scale(scene, samples):
     scale = load_json(scene / "scene_sl.json")[0]["modulation_scale"]
     _, steps = load_image(scene / "modulation_sl" / "000000.png")
     assert np.abs(steps * scale - samples[0].modulation).max() <= scale / 2
     assert scale < 2 * samples[0].modulation.max() / 65535
 
 
-def test_info_counts_as_calc_gt_info_counts(scene, samples):
+def test_info_has_the_counts_of_calc_gt_info(scene, samples):
     """Oracle: bop_toolkit's definitions on the ray-traced layers, on a canvas of three images."""
     sample = samples[0]
     h, w = sample.truth.instance.shape
@@ -156,8 +156,8 @@ def test_masks_are_the_silhouettes_inside_the_image(scene, samples):
             assert np.array_equal(visible > 0, truth.instance == i)
 
 
-def test_boxes_in_space_are_tight_around_the_posed_parts(scene, samples):
-    """Oracle: in the box's own frame the posed vertices span exactly its size about its centre."""
+def test_boxes_in_space_are_tight_around_the_placed_parts(scene, samples):
+    """Oracle: in the box's own frame, the placed vertices span its size about its centre."""
     sample = samples[0]
     for i, box in enumerate(load_json(scene / "scene_gt_box3d.json")[0]):
         part = sample.scene.parts[sample.layout.part_index[i]]
@@ -169,7 +169,7 @@ def test_boxes_in_space_are_tight_around_the_posed_parts(scene, samples):
 
 
 def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
-    """Some files of meshes have such vertices; nothing of the part is there."""
+    """Some mesh files have such vertices, but the part has no surface there."""
     parts = box_part(), wedge_part()
     loose = []
     for part in parts:
@@ -197,7 +197,7 @@ def test_models_are_the_parts_in_millimetres_for_an_independent_reader(dataset, 
         assert np.allclose(mesh.bounds, 1000 * own.bounds, atol=1e-5)
 
 
-def test_texture_and_normals_stay_with_their_corners(dataset, parts):
+def test_texture_and_normals_are_kept_at_their_corners(dataset, parts):
     """Oracle: each face of the file, looked up by corner, has the mesh's own uv and normals."""
     column, faces, texture = load_ply(dataset / "models" / "obj_000001.ply")
     mesh = parts[0].mesh
@@ -213,7 +213,7 @@ def test_texture_and_normals_stay_with_their_corners(dataset, parts):
     assert np.allclose(loaded.visual.uv[loaded.faces], mesh.corner_uv, atol=1e-6)
 
 
-def test_normals_of_a_plain_mesh_weigh_faces_by_their_angle(dataset, parts):
+def test_normals_of_a_plain_mesh_are_weighted_by_the_angles_of_faces(dataset, parts):
     """Oracle: trimesh's own angle-weighted vertex normals."""
     column, faces, texture = load_ply(dataset / "models" / "obj_000002.ply")
     mesh = parts[1].mesh
@@ -248,7 +248,7 @@ def test_diameter_is_the_largest_of_all_distances(flat):
     assert diameter(points) == pytest.approx(brute, rel=1e-12)
 
 
-def test_camera_file_says_what_the_camera_is(dataset, rig):
+def test_the_camera_file_describes_the_camera(dataset, rig):
     c = json.loads((dataset / "camera.json").read_text())
     K = [[c["fx"], 0, c["cx"]], [0, c["fy"], c["cy"]], [0, 0, 1]]
     assert np.array_equal(K, rig.camera.K)
@@ -277,7 +277,7 @@ def test_depth_scale_wastes_at_most_a_factor_of_two_and_a_half():
         assert 65534 / 2.5 - 1 < steps <= 65534
 
 
-def test_depth_scale_refuses_what_no_scale_holds():
+def test_an_impossible_range_of_depth_is_refused():
     with pytest.raises(ValueError, match="65"):
         depth_scale_mm(70.0)
     with pytest.raises(ValueError, match="above 0"):
@@ -292,7 +292,7 @@ def test_equal_samples_give_equal_bytes(samples, parts, rig):
     assert not any(name.startswith("/") or ".." in name for name in first)
 
 
-def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samples):
+def test_a_part_beyond_the_scale_is_refused_and_a_wall_beyond_it_is_unknown(samples):
     truth = samples[0].truth
     part = truth.instance >= 0
     far_wall = replace(truth, depth_m=np.where(part, truth.depth_m, 1e3))
@@ -304,7 +304,7 @@ def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samp
         dict(scene_files([replace(samples[0], truth=far_part)], 0.1))
 
 
-def test_a_measured_depth_too_deep_for_the_scale_is_refused(samples):
+def test_a_measured_depth_beyond_the_scale_is_refused(samples):
     depth_m = samples[0].scanner_depth.depth_m.copy()
     depth_m[samples[0].scanner_depth.reason == Reason.DECODED] = 6.6
     scanner = replace(samples[0].scanner_depth, depth_m=depth_m)
@@ -327,7 +327,7 @@ def test_a_manifest_without_json_form_is_refused_and_nan_is_null(samples):
         dict(scene_files([replace(samples[0], manifest={"rig": object()})], 0.1))
 
 
-def test_depth_pixels_back_projected_lie_on_the_wall(scene, samples):
+def test_back_projected_depth_pixels_are_on_the_wall(scene, samples):
     """Oracle: the wall's plane; half a pixel of shift would move these points by 0.5 mm."""
     _, steps = load_image(scene / "depth" / "000000.png")
     wall = samples[0].truth.instance == -1

@@ -1,4 +1,4 @@
-"""The dataset's card: says what the files say, and the same wherever the dataset lies."""
+"""The dataset's card agrees with the files, and does not depend on the dataset's path."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ def files_of(out):
     return {str(file.relative_to(out)): file.read_bytes() for file in card_files}
 
 
-def test_a_card_has_its_head_its_figures_and_its_pictures(dataset):
+def test_a_card_has_its_header_its_figures_and_its_pictures(dataset):
     text = write_card(dataset, dataset_statistics(dataset), licence="CC-BY-4.0").read_text()
     head = yaml.safe_load(text.split("---\n")[1])
     assert head["pretty_name"] == "Simulated scans of box, wedge"
@@ -49,7 +49,7 @@ def test_a_card_has_its_head_its_figures_and_its_pictures(dataset):
         assert f"card/{scene.key}.jpg" in text and picture.shape == (360, 4 * 480, 3)
 
 
-def test_a_card_that_is_written_again_keeps_its_licence(dataset, tmp_path):
+def test_a_rewritten_card_keeps_its_licence(dataset, tmp_path):
     """The next `generate` writes the card again after `dataset stats --card --licence`."""
     copied = shutil.copytree(dataset, tmp_path / "copied")
     first = write_card(copied, licence="MIT").read_text()
@@ -58,9 +58,9 @@ def test_a_card_that_is_written_again_keeps_its_licence(dataset, tmp_path):
     assert "Licence: CC0-1.0." in write_card(copied, licence="CC0-1.0").read_text()
 
 
-def test_the_same_dataset_has_the_same_card_elsewhere_and_stays_valid(dataset, tmp_path):
-    """With and without statistics given, as it has fewer scenes than are drawn."""
-    (dataset / "README.md").unlink(missing_ok=True)  # Another test stated a licence.
+def test_the_card_does_not_depend_on_the_dataset_s_path(dataset, tmp_path):
+    """With and without given statistics, as the dataset has fewer scenes than are drawn."""
+    (dataset / "README.md").unlink(missing_ok=True)  # another test stated a licence
     write_card(dataset)
     first = files_of(dataset)
     assert "Licence: not stated." in first["README.md"].decode()
@@ -71,8 +71,8 @@ def test_the_same_dataset_has_the_same_card_elsewhere_and_stays_valid(dataset, t
         assert not validate(written)
 
 
-def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_path, monkeypatch):
-    """Three scenes may not even be looked at: their pictures are gone."""
+def test_for_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_path, monkeypatch):
+    """Three scenes must not be read: their pictures are deleted."""
     monkeypatch.setattr(card, "SAMPLED", 2)
     out = shutil.copytree(five, tmp_path / "bins")
     places = open_dataset(out).scenes
@@ -92,7 +92,7 @@ def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_pa
     assert (numbers["scenes_in_dataset"], numbers["scenes"]) == (5, {"train": 2})
 
 
-def test_a_dataset_that_has_grown_has_the_card_of_its_size(five, tmp_path):
+def test_the_card_of_a_dataset_that_grew_has_its_new_size(five, tmp_path):
     out = shutil.copytree(five, tmp_path / "bins")
     last = [out / f"train/{k:06d}" for k in (0, 1)]
     aside = [folder.rename(tmp_path / folder.name) for folder in last]
@@ -105,7 +105,7 @@ def test_a_dataset_that_has_grown_has_the_card_of_its_size(five, tmp_path):
 
 
 def test_pictures_show_different_parts_first(five, tmp_path):
-    """Scenes 0 to 3 lose their wedges; of 4, which has both kinds, there is a picture still."""
+    """Scenes 0 to 3 lose their wedges; scene 4 has both kinds and is among the pictures."""
     out = shutil.copytree(five, tmp_path / "bins")
     for k in range(4):
         path = out / f"train/{k:06d}/scene_gt.json"
@@ -123,7 +123,7 @@ def test_a_card_of_real_pictures_claims_no_perfect_depth(dataset, tmp_path):
     assert "perfect depth (1 to 99 %)" not in text and "sigma" not in text
 
 
-def test_a_folder_that_refuses_leaves_the_card_that_was_there(dataset, tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_written_keeps_its_old_card(dataset, tmp_path, monkeypatch):
     out = shutil.copytree(dataset, tmp_path / "bins")
     write_card(out)
     first = files_of(out)
@@ -144,7 +144,7 @@ def test_damaged_labels_are_named(dataset, tmp_path):
         write_card(out)
 
 
-def test_hostile_names_leave_the_card_s_table_whole(dataset, tmp_path):
+def test_special_characters_in_names_do_not_break_the_card_s_table(dataset, tmp_path):
     copy = tmp_path / "d"
     shutil.copytree(dataset, copy)
     text = write_card(copy, title="x\n# y | z").read_text()

@@ -1,4 +1,4 @@
-"""What a dataset is claimed for: nothing of a part may change behind a fingerprint's back."""
+"""The claim of a dataset: no change of a part may leave its fingerprint unchanged."""
 
 from dataclasses import fields, replace
 
@@ -72,7 +72,7 @@ def claimed(part):
 
 
 def test_every_field_of_a_part_is_changed_once():
-    """A new one is added above, and to what the claim covers."""
+    """A new field must be added above, and to the claim."""
     known = {field.name for kind in (Part, Mesh, Material, Symmetry) for field in fields(kind)}
     assert set(CHANGES) == known - {"mesh", "material", "symmetry", "source"}
 
@@ -86,19 +86,19 @@ def test_a_map_and_each_of_its_texels_are_claimed():
 
 
 @pytest.mark.parametrize("field", CHANGES)
-def test_a_part_that_changes_is_another_dataset(field):
+def test_a_changed_part_makes_another_dataset(field):
     old, new = claimed(before(field)), claimed(changed(field))
     assert old["fingerprint"] != new["fingerprint"]
     assert old["fingerprint"] == fingerprint(old)
 
 
-def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
+def test_the_origin_of_a_part_is_recorded_and_makes_no_other_dataset():
     moved = claimed(replace(BOX, source="elsewhere/box.stl"))
     assert moved["sources"] == ["elsewhere/box.stl"]
     assert moved["fingerprint"] == claimed(BOX)["fingerprint"]
 
 
-def test_a_rig_is_told_with_all_its_fields_and_read_back():
+def test_a_rig_is_stored_with_all_its_fields_and_read_back():
     rig = replace(make_rig(), speckle_volume=2.0)
     values = described_values(rig)
     assert set(values) == {field.name for field in fields(rig)}

@@ -12,7 +12,7 @@ from pycocotools.coco import COCO
 from graycast.dataset.coco import run_lengths
 from graycast.rendering.radiance import Silhouette
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -36,7 +36,7 @@ def test_run_lengths_are_those_of_pycocotools(window, density):
     assert compressed["counts"] == encoded["counts"]
 
 
-def test_the_split_holds_every_visible_instance_of_every_scene(dataset, samples):
+def test_the_split_has_every_visible_instance_of_every_scene(dataset, samples):
     coco = load(dataset / "train_coco.json")
     assert coco.getImgIds() == [0, 3]
     assert [c["name"] for c in coco.loadCats(coco.getCatIds())] == ["box", "wedge"]
@@ -60,7 +60,7 @@ def test_the_split_holds_every_visible_instance_of_every_scene(dataset, samples)
 
 
 @pytest.mark.parametrize(("suffix", "picture"), [("", "rgb"), ("_sl", "gray_sl")])
-def test_a_scene_file_has_visible_masks_and_amodal_boxes_as_bop_toolkit_writes(
+def test_a_scene_file_has_visible_masks_and_amodal_boxes_like_bop_toolkit_s(
     dataset, samples, suffix, picture
 ):
     scene = dataset / "train" / "000003"

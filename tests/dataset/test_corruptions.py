@@ -26,7 +26,7 @@ from graycast.rig.pair import preset_rig
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """Two scenes of six boxes, 320 x 240 pixels; a projector column is 4 mm of depth there."""
+    """Two scenes of six boxes, 320 x 240 pixels; a projector column is 4 mm of depth."""
     work = tmp_path_factory.mktemp("cell")
     path = write_cell(work, count=6)
     rig = preset_rig("paper")
@@ -44,7 +44,7 @@ def copy(sound, tmp_path):
 
 
 def some(names, every):
-    """All of them slowly, some in each run."""
+    """All of them in the slow tests, and some in each run."""
     return [name if k % every == 0 else slow(name) for k, name in enumerate(names)]
 
 
@@ -86,8 +86,8 @@ def test_a_whole_scene_of_another_dataset_is_named_without_reading_pictures(copy
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", SUMS_ALONE)
-def test_only_the_sums_show_what_neither_form_nor_models_contradict(copy, fault):
-    """The list in `docs/reference/validate.md` stays true."""
+def test_faults_that_no_content_shows_are_detected_by_checksums_only(copy, fault):
+    """So the list of these faults stays true."""
     SUMS_ALONE[fault](copy)
     assert validate(copy) != ()
     reseal(copy)
@@ -95,7 +95,7 @@ def test_only_the_sums_show_what_neither_form_nor_models_contradict(copy, fault)
 
 
 @pytest.mark.parametrize("fault", OF_SUMS)
-def test_sums_must_be_there_and_of_all_files(copy, fault):
+def test_checksums_must_exist_for_all_files(copy, fault):
     do, words = OF_SUMS[fault]
     do(copy)
     problems = [problem.what for problem in validate(copy, fast=True)]
@@ -112,7 +112,7 @@ def test_another_format_is_refused_with_its_remedy(copy, capsys, read):
 
 
 @pytest.mark.slow
-def test_times_may_differ_and_files_of_a_browser_may_lie_there(copy):
+def test_times_may_differ_and_files_of_a_browser_may_exist(copy):
     manifest(lambda m: m["timings"].update(render=1e3))(copy)
     (copy / "train/000000/.DS_Store").write_bytes(b"seen")
     assert validate(copy) == ()
@@ -150,7 +150,7 @@ CELLS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CELLS)
-def test_no_sound_dataset_raises_an_alarm(tmp_path, case):
+def test_valid_datasets_cause_no_false_alarm(tmp_path, case):
     path = write_cell(tmp_path, **CELLS[case])
     cell = resolve_cell(load_config(path), tmp_path)
     generate(cell, tmp_path / "out", scenes=3, seed=0, device="cpu")

@@ -20,7 +20,7 @@ FOREIGN = replace(WEDGE, labelled=False)
 
 
 def sample(parts):
-    """Eight instances, box and wedge in turn."""
+    """Return eight instances, alternately boxes and wedges."""
     return build_sample(3, parts=parts, rig=make_rig())
 
 
@@ -31,15 +31,15 @@ def store(out, parts):
 
 @pytest.fixture
 def dataset(tmp_path):
-    """One scene whose wedges are distractors."""
+    """Return one scene whose wedges are distractors."""
     with store(tmp_path / "out", (BOX, FOREIGN)) as opened:
         opened.write(3, [sample((BOX, FOREIGN))])
         opened.finish([3])
     return tmp_path / "out"
 
 
-def test_labels_are_those_of_the_boxes_alone_and_pictures_those_of_all():
-    """Every file but the annotations is that of a scene in which the wedges have labels, too."""
+def test_labels_are_of_boxes_only_and_pictures_show_all_parts():
+    """All files except annotations equal those of a scene in which the wedges have labels."""
     all_of_them = dict(scene_files([sample((BOX, WEDGE))], 0.02))
     boxes = dict(scene_files([sample((BOX, FOREIGN))], 0.02))
     for name in ("rgb", "depth", "depth_sl", "gray_sl", "reason_sl"):
@@ -58,8 +58,8 @@ def test_labels_are_those_of_the_boxes_alone_and_pictures_those_of_all():
     assert [category["id"] for category in coco["categories"]] == [1]
 
 
-def test_a_distractor_in_front_takes_pixels_from_a_label():
-    """The visible mask is what remains of the whole one; nothing of it goes to another label."""
+def test_a_distractor_in_front_removes_pixels_from_a_label():
+    """The visible mask is the rest of the whole one; no part of it moves to another label."""
     whole = sample((BOX, FOREIGN))
     own = labelled(whole)
     hidden = 0
@@ -75,7 +75,7 @@ def test_a_distractor_in_front_takes_pixels_from_a_label():
     assert labelled(own) is own
 
 
-def test_a_dataset_with_distractors_is_sound_and_has_no_model_of_them(dataset):
+def test_a_dataset_with_distractors_is_valid_and_has_no_models_of_them(dataset):
     assert validate(dataset) == ()
     assert [path.name for path in sorted((dataset / "models").glob("*.ply"))] == ["obj_000001.ply"]
     claim = json.loads((dataset / "graycast.json").read_text())
@@ -85,8 +85,8 @@ def test_a_dataset_with_distractors_is_sound_and_has_no_model_of_them(dataset):
     assert [category["name"] for category in split["categories"]] == ["box"]
 
 
-def test_a_label_that_lies_is_found_among_distractors(dataset):
-    """What a distractor hides, said to be seen; and a box moved by a millimetre."""
+def test_a_wrong_label_next_to_distractors_is_detected(dataset):
+    """A hidden pixel is labelled as visible; and a box is moved by a millimetre."""
     scene = dataset / "train" / "000003"
     for suffix in ("", "_sl"):
         path = scene / f"scene_gt{suffix}.json"
@@ -98,7 +98,7 @@ def test_a_label_that_lies_is_found_among_distractors(dataset):
     assert not any("instance 0" in what or "instance 2" in what for what in problems)
 
 
-def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
+def test_a_visible_mask_that_covers_a_distractor_is_detected(dataset):
     scene = dataset / "train" / "000003"
     amodal = cv2.imread(str(scene / "mask" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
     visible = cv2.imread(str(scene / "mask_visib" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
@@ -109,7 +109,7 @@ def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
     assert any("instance 0: depth is off the model at its pose" in what for what in problems)
 
 
-def test_another_distractor_is_another_dataset(dataset):
+def test_another_distractor_makes_another_dataset(dataset):
     store(dataset, (BOX, FOREIGN)).close()
     heavier = replace(FOREIGN, density_kg_m3=1.0)
     with pytest.raises(DatasetError, match="distractors"):
@@ -118,11 +118,11 @@ def test_another_distractor_is_another_dataset(dataset):
         store(dataset, (BOX,))
 
 
-def test_a_claim_without_distractors_is_as_before_there_were_any(tmp_path):
+def test_a_claim_without_distractors_is_unchanged(tmp_path):
     with store(tmp_path / "out", (BOX, WEDGE)):
         assert "distractors" not in json.loads((tmp_path / "out" / "graycast.json").read_text())
 
 
-def test_labelled_parts_go_first():
+def test_labelled_parts_come_first():
     with pytest.raises(ValueError, match="parts without a label must come last"):
         Scene(rig=make_rig(), T_world_cam=np.eye(4), parts=(FOREIGN, BOX))

@@ -1,4 +1,4 @@
-"""Grasp labels beside a dataset: what `validate` says of them, and that the dataset stays as is."""
+"""Grasp labels next to a dataset: their checks by `validate`, and an unchanged dataset."""
 
 import json
 import shutil
@@ -19,9 +19,9 @@ def copy(dataset, tmp_path_factory):
 
 @pytest.fixture
 def labelled(copy):
-    """A copy with one label on every instance of scene 3, in the middle of its model's top.
+    """Copy the dataset with one label on every instance of scene 3, in the middle of its top.
 
-    The tests change nothing but the labels.
+    The tests change the labels only.
     """
     out = copy
     shutil.rmtree(out / "grasps", ignore_errors=True)
@@ -65,7 +65,7 @@ def write(out, name, content):
     path.write_text(json.dumps(content))
 
 
-def test_labels_make_a_sound_dataset_no_less_sound(labelled):
+def test_labels_leave_a_valid_dataset_valid(labelled):
     assert validate(labelled) == ()
     assert validate(labelled, fast=True) == ()
 

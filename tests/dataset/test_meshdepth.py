@@ -1,4 +1,4 @@
-"""The validator's rasteriser against closed-form ray tracing."""
+"""The validator's rasteriser, compared with ray tracing in closed form."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def on_image(raster, shape):
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.25, 0.08, 0.002, -0.003, 0.0)])
 def test_raster_depth_is_the_depth_of_half_spaces(parts, rig, distortion):
-    """Through a distorted lens too: rays are bent, the part is not."""
+    """A distorted lens is included: rays are bent, the part is not."""
     camera = replace(rig.camera, distortion=distortion)
     ray = rays(camera, pixel_grid(HEIGHT, WIDTH))
     sample = build_sample(11, parts=parts, rig=rig)
@@ -41,7 +41,7 @@ def test_raster_depth_is_the_depth_of_half_spaces(parts, rig, distortion):
 
 
 def test_edges_that_the_lens_bends_outwards_lose_no_pixel(parts, rig):
-    """A part that fills the image: its straight edges bulge beyond their end points."""
+    """The part fills the image: its straight edges extend beyond their end points."""
     camera = replace(rig.camera, distortion=(-0.25, 0.08, 0.002, -0.003, 0.0))
     ray = rays(camera, pixel_grid(HEIGHT, WIDTH))
     mesh = parts[0].mesh
@@ -52,7 +52,7 @@ def test_edges_that_the_lens_bends_outwards_lose_no_pixel(parts, rig):
         assert np.array_equal(np.isnan(on_image(raster, (HEIGHT, WIDTH))), np.isnan(exact))
 
 
-def test_silhouettes_go_on_beyond_the_borders_by_one_image(parts, rig):
+def test_silhouettes_extend_beyond_the_borders_by_one_image(parts, rig):
     """Oracle: the ray-traced canvas of three by three images."""
     sample = build_sample(12, parts=parts, rig=rig)
     T_cam_part = inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part
@@ -62,7 +62,7 @@ def test_silhouettes_go_on_beyond_the_borders_by_one_image(parts, rig):
         assert int((~np.isnan(raster.z)).sum()) == int(crop.mask.sum())
 
 
-def test_what_lies_behind_the_camera_is_not_drawn(parts, rig):
+def test_surfaces_behind_the_camera_are_not_drawn(parts, rig):
     mesh = parts[0].mesh
     behind = mesh.vertices_m - np.array([0.0, 0.0, 0.5])
     assert rasterize(behind, mesh.faces, rig.camera).z.size == 0

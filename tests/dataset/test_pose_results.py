@@ -1,4 +1,4 @@
-"""BOP's results files: read back as written, and one clear line for what is none."""
+"""BOP's result files: read back as written, and one clear line for any other file."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def estimate(seed):
     return PoseEstimate(scene_id=seed, im_id=0, obj_id=2, score=0.1 * seed, T_cam_part=T)
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_written_results_are_read_back(tmp_path):
     estimates = [estimate(seed) for seed in range(5)]
     path = tmp_path / "poses.csv"
     path.write_text(pose_results_text(estimates))
@@ -28,7 +28,7 @@ def test_what_is_written_is_read_back(tmp_path):
 
 
 def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
-    """By hand: a quarter turn about z takes x to y."""
+    """By hand: a quarter turn about z moves x to y."""
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n3,0,1,0.5,0 -1 0 1 0 0 0 0 1,10 20 900,-1\n")
     (result,) = read_pose_results(path)
@@ -51,7 +51,7 @@ def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
         (f"{ONE}\n{ONE.replace('0.25', '0.5')}", "scene 3, image 0 has the times 0.25 and 0.5"),
     ],
 )
-def test_what_is_no_result_is_one_line(tmp_path, text, message):
+def test_a_file_of_no_results_gives_an_error_of_one_line(tmp_path, text, message):
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n{text}\n")
     with pytest.raises(GraycastError) as caught:
@@ -67,6 +67,6 @@ def test_a_file_without_the_header_is_refused(tmp_path, text):
         read_pose_results(path)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(GraycastError, match=r"none\.csv: cannot be read"):
         read_pose_results(tmp_path / "none.csv")

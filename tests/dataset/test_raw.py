@@ -1,4 +1,4 @@
-"""Captured frames and code maps on disk: they decode again to the stored depth, to the last bit."""
+"""Stored frames and code maps are decoded to the stored depth, to the last bit."""
 
 import json
 import shutil
@@ -74,7 +74,7 @@ CASES = (
 
 @pytest.fixture(scope="session")
 def dataset_of(tmp_path_factory, opened, parts, rig):
-    """A dataset of one scene per case, made when first asked for."""
+    """Return a dataset of one scene per case, made at the first call."""
     datasets = {}
 
     def make(case):
@@ -96,8 +96,8 @@ def dataset_of(tmp_path_factory, opened, parts, rig):
     "case",
     [c if k == 0 else pytest.param(c, marks=pytest.mark.slow) for k, c in enumerate(CASES)],
 )
-def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(dataset_of, case):
-    """Oracle: what the simulation measured, in memory and in its PNGs, from the files alone."""
+def test_stored_frames_are_decoded_to_the_stored_depth_to_the_last_bit(dataset_of, case):
+    """Oracle: the simulated measurement, in memory and in its PNGs, from the files alone."""
     out, sample = dataset_of(case)
     scene = out / "train/000000"
     scanner = load_scanner(scene / "frames/rig.yaml")
@@ -116,7 +116,7 @@ def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(dataset_of, ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["as the paper's", "exposures merged", "8 bits"])
-def test_a_capture_comes_back_as_it_was(dataset_of, case):
+def test_a_capture_is_read_back_unchanged(dataset_of, case):
     out, sample = dataset_of(case)
     stored = read_capture(out / "train/000000")
     capture = sample.raw.capture
@@ -129,7 +129,7 @@ def test_a_capture_comes_back_as_it_was(dataset_of, case):
 
 
 def test_code_maps_are_read_by_opencv_and_give_the_depth_again(dataset_of):
-    """Oracles: a reader that is not Pillow; the triangulation of what was decoded."""
+    """Oracles: a reader other than Pillow; the triangulation of the decoded positions."""
     out, sample = dataset_of("as the paper's")
     maps = {
         name: cv2.imread(str(out / f"train/000000/{folder}/000000.tiff"), cv2.IMREAD_UNCHANGED)
@@ -157,7 +157,7 @@ def test_a_code_of_one_axis_has_maps_of_that_axis(dataset_of):
 
 
 @pytest.mark.slow
-def test_a_scene_that_keeps_nothing_has_the_bytes_it_had(parts, rig):
+def test_a_scene_without_stored_frames_has_the_bytes_it_had(parts, rig):
     sample = build_sample(0, parts=parts, rig=rig)
     scanner = Scanner(rig=toed_in(rig))
     before = dict(scene_files([sample], 0.1))
@@ -311,14 +311,14 @@ def test_a_sound_dataset_with_frames_is_valid(dataset_of):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [c for c in CASES if "bent" not in c])  # its truth is straight
+@pytest.mark.parametrize("case", [c for c in CASES if "bent" not in c])  # its true pose is straight
 def test_every_kind_of_stack_is_valid(dataset_of, case):
     assert validate(dataset_of(case)[0]) == ()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_to_frames_and_maps_is_found(dataset_of, tmp_path, damage):
+def test_damage_of_frames_and_maps_is_detected(dataset_of, tmp_path, damage):
     do, reason = DAMAGE[damage]
     out = shutil.copytree(dataset_of("as the paper's")[0], tmp_path / "out")
     do(out / "train/000000")
@@ -326,7 +326,7 @@ def test_damage_to_frames_and_maps_is_found(dataset_of, tmp_path, damage):
     assert any(reason in text for text in texts), texts
 
 
-# --- the whole way -----------------------------------------------------------------------------
+# --- all steps -----------------------------------------------------------------------------------
 
 
 def decoded(capsys, *arguments):
@@ -342,7 +342,7 @@ def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(dataset_of, ca
 
 
 @pytest.mark.slow
-def test_a_rig_file_that_is_gone_is_named(dataset_of, tmp_path, capsys):
+def test_a_missing_rig_file_is_named(dataset_of, tmp_path, capsys):
     folder = shutil.copytree(
         dataset_of("as the paper's")[0] / "train/000000/frames", tmp_path / "frames"
     )
@@ -352,8 +352,8 @@ def test_a_rig_file_that_is_gone_is_named(dataset_of, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_generated_dataset_decodes_again_and_is_otherwise_the_same(capsys, tmp_path):
-    """The renderer's light, all the way: graycast generate, validate, decode."""
+def test_frames_of_a_generated_dataset_are_decoded_again(capsys, tmp_path):
+    """With the renderer's light and all steps: graycast generate, validate, decode."""
     for name, store in (("plain", {}), ("kept", {"frames": True, "columns": True})):
         folder = tmp_path / name
         folder.mkdir()

@@ -1,4 +1,4 @@
-"""Scenes in BOP's form: several images, pictures of several formats, and what is said of damage."""
+"""Scenes in BOP's form: several images, pictures of several formats, and errors of damage."""
 
 import json
 
@@ -18,7 +18,7 @@ POSE = {"obj_id": 7, "cam_R_m2c": [1, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_m2c": [0, 
 
 @pytest.fixture
 def scene(tmp_path):
-    """Images 10 and 9, in this order, as others write them: unlike ours in every freedom of BOP."""
+    """Write images 10 and 9, in this order, with every freedom of BOP that ours do not use."""
     folder = tmp_path / "000048"
     for kind, number, ending in (("depth", 9, "png"), ("rgb", 9, "jpg"), ("rgb", 10, "tif")):
         (folder / kind).mkdir(parents=True, exist_ok=True)
@@ -30,14 +30,14 @@ def scene(tmp_path):
     return SceneFolder(folder)
 
 
-def test_images_are_found_by_their_numbers(scene):
+def test_images_are_located_by_their_numbers(scene):
     assert sorted(scene.record("scene_camera", Images[AnyView])) == [9, 10]
     assert scene.of_image("scene_camera", 10, AnyView).cam_K == K
     assert [pose.obj_id for pose in scene.of_instances("scene_gt", 9, AnyPose)] == [7, 2]
     assert scene.of_instances("scene_gt", 10, AnyPose) == []
 
 
-def test_a_picture_may_have_any_format_and_may_be_absent(scene):
+def test_a_picture_may_have_any_format_and_may_be_missing(scene):
     assert scene.picture("rgb", 10).max() == 10
     assert abs(int(scene.picture("rgb", 9).mean()) - 9) <= 1  # JPEG
     assert scene.picture("depth", 10) is None
@@ -55,12 +55,12 @@ def test_a_picture_may_have_any_format_and_may_be_absent(scene):
         (lambda s: s.mask("mask_visib", 3, 9), r"mask_visib/000009_000003\.png is missing"),
     ],
 )
-def test_what_is_not_there_is_named(scene, read, message):
+def test_missing_files_are_named(scene, read, message):
     with pytest.raises(Unreadable, match=message):
         read(scene)
 
 
-def test_a_picture_that_ends_early_is_told(scene):
+def test_a_truncated_picture_is_reported(scene):
     path = scene.png_path("depth", 9)
     path.write_bytes(path.read_bytes()[:-12])  # the last chunk
     with pytest.raises(Unreadable, match="cut off or damaged"):
@@ -76,7 +76,7 @@ def test_a_picture_that_ends_early_is_told(scene):
         ({"9": None}, "9: Input should be an object"),
     ],
 )
-def test_a_scene_without_its_cameras_is_no_traceback_of_realism(scene, content, message):
+def test_a_scene_without_its_cameras_gives_a_clear_error_in_realism(scene, content, message):
     path = scene.path / "scene_camera.json"
     path.write_text(json.dumps(content))
     with pytest.raises(DatasetError, match=f"^{path}: {message}.*needs cam_K"):

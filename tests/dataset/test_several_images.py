@@ -1,4 +1,4 @@
-"""Scenes of several images by several scanners, on disk and read back as others read BOP."""
+"""Scenes of several images by several scanners, written and read by rules of BOP."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ from graycast.dataset.stored import open_dataset
 from graycast.dataset.training import open_examples
 from graycast.score.evaluate import Protocol, evaluate_poses
 
-# Where each image is taken from, in the first one's camera.
+# Pose of each image in the frame of the first one.
 PLACES = {
     ("left", 0): None,
     ("left", 1): rigid(axis_rotation("y", 0.12), np.array([-0.05, 0.0, 0.01])),
@@ -32,7 +32,7 @@ PLACES = {
 
 @pytest.fixture(scope="module")
 def dataset_and_samples(tmp_path_factory):
-    """A dataset of two scenes: two images of one scanner, one of another; and their samples."""
+    """Return a dataset of two scenes with two images of one scanner and one of another."""
     parts, rig = (box_part(), wedge_part()), make_rig()
     out = tmp_path_factory.mktemp("several") / "out"
     samples = {
@@ -77,12 +77,12 @@ def record_of(out, name):
     return json.loads((out / "train/000000" / f"{name}.json").read_text())
 
 
-def test_it_is_sound(dataset_and_samples):
+def test_a_dataset_of_several_images_is_valid(dataset_and_samples):
     assert validate(dataset_and_samples[0]) == ()
 
 
-def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(dataset_and_samples):
-    """By BOP's convention for several sensors; no file of a sensor without a name is there."""
+def test_each_file_of_a_scanner_has_its_name_and_its_own_numbers(dataset_and_samples):
+    """BOP's convention for several sensors; files of a sensor without a name do not exist."""
     out, _ = dataset_and_samples
     scene = out / "train/000000"
     for kind in ("rgb", "depth", "gray_%s_sl", "depth_%s_sl", "reason_%s_sl", "modulation_%s_sl"):
@@ -98,8 +98,8 @@ def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(dataset_an
     assert set(record_of(out, "scene_gt_right_sl")) == {"0"}
 
 
-def test_all_images_place_an_instance_at_one_pose_in_the_world(dataset_and_samples):
-    """From the files alone: world to camera inverted, times model to camera."""
+def test_all_images_give_an_instance_the_same_pose_in_the_world(dataset_and_samples):
+    """From the files alone: the inverse of world to camera, times model to camera."""
     poses = []
     for sensor, image in PLACES:
         view = record_of(dataset_and_samples[0], f"scene_camera_{sensor}")[str(image)]
@@ -112,7 +112,7 @@ def test_all_images_place_an_instance_at_one_pose_in_the_world(dataset_and_sampl
     assert np.abs(np.diff(of_image[..., 3], axis=0)).max() < 1e-9  # mm
     assert np.abs(np.diff(of_image[..., :3], axis=0)).max() < 1e-12
     gaps = [np.abs(view[0] - of_image[0, 1]).max() for view in of_image]
-    assert min(gaps) > 0.1  # two instances are not one
+    assert min(gaps) > 0.1  # two instances differ
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
@@ -135,7 +135,7 @@ def test_pycocotools_reads_masks_of_every_image(dataset_and_samples):
             np.testing.assert_array_equal(mask, must)
 
 
-def test_what_is_stored_of_each_image_comes_back(dataset_and_samples):
+def test_data_of_each_image_are_read_back(dataset_and_samples):
     out, samples = dataset_and_samples
     stored = open_dataset(out)
     assert stored.images == (("left", 0), ("left", 1), ("right", 0))
@@ -150,7 +150,7 @@ def test_what_is_stored_of_each_image_comes_back(dataset_and_samples):
 
 
 def test_the_first_image_is_as_it_would_be_alone(dataset_and_samples, samples, opened, tmp_path):
-    """The names differ and the records tell of more images; what is told of the first does not."""
+    """Names differ and the records have more images; the entries of the first do not differ."""
     with opened(tmp_path / "one") as store:
         store.write(0, [samples[0]])
     one, several = tmp_path / "one/train/000000", dataset_and_samples[0] / "train/000000"
@@ -218,7 +218,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", [*list(FAULTS)[::2], *map(slow, list(FAULTS)[1::2])])
-def test_validate_names_the_image_that_is_wrong(copy, fault):
+def test_validate_names_the_wrong_image(copy, fault):
     change, says = FAULTS[fault]
     change(copy / "train/000000")
     problems = [str(problem) for problem in validate(copy)]
@@ -235,9 +235,9 @@ def test_the_rig_is_that_of_the_first_scanner(copy):
     assert any("rig is not that of the first" in problem.what for problem in validate(copy))
 
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-def test_poses_are_judged_by_the_image_that_they_are_of(dataset_and_samples, tmp_path):
+def test_poses_are_scored_in_their_own_image(dataset_and_samples, tmp_path):
     """True poses of both images of the first scanner score 1; those of exchanged images do not."""
     examples = open_examples(dataset_and_samples[0])
     (true,) = {sensor for _, sensor, _ in examples.place_of.values()} - {"right"}
@@ -254,7 +254,7 @@ def test_poses_are_judged_by_the_image_that_they_are_of(dataset_and_samples, tmp
             example.hidden(Protocol().min_visibility),
             strict=True,
         )
-        if not hidden  # as many poses count as instances are to be found
+        if not hidden  # as many poses count as there are instances to detect
     ]
     assert {one.im_id for one in estimates} == {0, 1}
     exchanged = [replace(one, im_id=1 - one.im_id) for one in estimates]

@@ -1,4 +1,4 @@
-"""Scenes of two scanners with two views each, read back and by all that comes after."""
+"""Scenes of two scanners with two views each, read back and used in all later steps."""
 
 import json
 
@@ -37,8 +37,8 @@ def test_every_picture_is_read_as_it_was_taken(several):  # noqa: F811
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_an_export_gives_every_picture_back_once(several, tmp_path, form):  # noqa: F811
-    """Numbers are unique, pictures are their own, and sizes those of their scanners."""
+def test_an_export_contains_every_picture_once(several, tmp_path, form):  # noqa: F811
+    """Numbers are unique, pictures differ, and sizes are those of their scanners."""
     out, samples = several
     export(out, tmp_path / "out", Options(format=form, split=Split()))
     examples = open_examples(tmp_path / "out")
@@ -50,7 +50,7 @@ def test_an_export_gives_every_picture_back_once(several, tmp_path, form):  # no
         assert np.array_equal(example.rgb, sample.rgb)
         instances = np.unique(sample.truth.instance[sample.truth.instance >= 0])
         assert len(example.obj_id) == len(instances)
-        if form != "yolo":  # whose polygons round, and which knows no instance
+        if form != "yolo":  # with rounded polygons and without instances
             for i, mask in zip(example.instance, example.mask, strict=True):
                 assert np.array_equal(mask, sample.truth.instance == i)
 
@@ -69,7 +69,7 @@ def test_the_pictures_of_a_scene_stay_in_one_set(several, tmp_path):  # noqa: F8
 
 
 def test_the_dataset_and_its_export_number_pictures_alike(several, tmp_path):  # noqa: F811
-    """`train_coco.json`, which the store writes, against COCO from the export."""
+    """`train_coco.json` of the store is compared with COCO from the export."""
     export(several[0], tmp_path / "out", Options(format="coco", split=Split()))
     own = json.loads((several[0] / "train_coco.json").read_text())
     exported = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
@@ -93,7 +93,7 @@ def test_clouds_and_cameras_of_each_scanner_are_exported(several, tmp_path):  # 
         assert camera["width"] == width
 
 
-def test_figures_are_of_all_pictures_and_scenes_are_counted_once(several):  # noqa: F811
+def test_statistics_use_all_pictures_and_count_scenes_once(several):  # noqa: F811
     out, samples = several
     statistics = dataset_statistics(out)
     assert statistics.scenes == {"train": len(SCENES)}

@@ -1,4 +1,4 @@
-"""The dataset folder under crashes, full disks, other runs and other configurations."""
+"""The dataset folder after crashes, full disks, and other runs and configurations."""
 
 import errno
 import json
@@ -30,7 +30,7 @@ def content(out: Path, *, timings: bool = True):
 
 
 def fail_after(monkeypatch, writes, error):
-    """Let some files be written, then the next write fails half way through its content."""
+    """Let some files be written; the next write then fails in the middle."""
     real, count = store_module._write, iter(range(10**6))
 
     def write(path, pieces, *, to_disk):
@@ -56,7 +56,7 @@ def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkey
         assert store.finished() == {0}
 
 
-def test_all_but_masks_is_on_the_disk_before_it_has_its_name(
+def test_all_files_but_masks_are_on_the_disk_before_the_scene_has_its_name(
     opened, samples, tmp_path, monkeypatch
 ):
     """A power cut after the rename would otherwise leave whole names with empty files."""
@@ -83,7 +83,7 @@ def test_all_but_masks_is_on_the_disk_before_it_has_its_name(
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_says_where_how_full_and_what_to_do(
+def test_the_error_for_a_full_disk_says_where_how_full_and_what_to_do(
     opened, samples, tmp_path, monkeypatch, number
 ):
     with opened(tmp_path / "out") as store:
@@ -103,7 +103,7 @@ def test_a_full_disk_says_where_how_full_and_what_to_do(
 
 
 @pytest.mark.slow
-def test_a_small_disk_fills_up_without_a_half_scene(opened, samples, tmp_path):
+def test_a_small_disk_becomes_full_without_a_partial_scene(opened, samples, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(disk)]
@@ -123,7 +123,7 @@ def test_a_small_disk_fills_up_without_a_half_scene(opened, samples, tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_two_runs_with_and_without_a_restart_give_the_same_files(
+def test_runs_with_and_without_a_restart_give_the_same_files(
     opened, samples, another_time, tmp_path, dataset
 ):
     out = tmp_path / "out"
@@ -139,7 +139,7 @@ def test_two_runs_with_and_without_a_restart_give_the_same_files(
     assert content(out, timings=False) == content(dataset, timings=False)
 
 
-def test_another_configuration_is_refused_by_the_key_that_differs(
+def test_another_configuration_is_refused_with_the_key_that_differs(
     opened, dataset, tmp_path, parts, rig
 ):
     out = shutil.copytree(dataset, tmp_path / "out")
@@ -161,7 +161,7 @@ def test_another_configuration_is_refused_by_the_key_that_differs(
     opened(out).close()
 
 
-def test_a_folder_with_other_things_in_it_is_left_alone(opened, tmp_path):
+def test_a_folder_of_other_files_is_unchanged(opened, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(DatasetError, match=r"not empty .* thesis\.txt.* another folder"):
         opened(tmp_path)
@@ -186,7 +186,7 @@ def test_a_second_run_is_refused_until_the_first_ends(opened, tmp_path):
 
 
 @pytest.mark.parametrize("lost", ["models", "camera.json", "train"])
-def test_a_run_killed_while_opening_is_taken_up(opened, samples, tmp_path, lost):
+def test_a_run_killed_while_opening_is_continued(opened, samples, tmp_path, lost):
     """`graycast.json` comes first, so everything else may be missing."""
     out = tmp_path / "out"
     opened(out).close()
@@ -198,7 +198,7 @@ def test_a_run_killed_while_opening_is_taken_up(opened, samples, tmp_path, lost)
     assert (out / "train").is_dir()
 
 
-def test_a_scene_that_is_there_is_not_written_over(opened, samples, tmp_path):
+def test_an_existing_scene_is_not_overwritten(opened, samples, tmp_path):
     with opened(tmp_path / "out") as store:
         store.write(0, [samples[0]])
         before = content(store.out)
@@ -252,7 +252,7 @@ with open_store(
 
 
 @pytest.mark.slow
-def test_runs_killed_at_random_moments_end_in_the_same_dataset(dataset, tmp_path):
+def test_runs_killed_at_random_moments_give_the_same_dataset(dataset, tmp_path):
     out, delay_s = tmp_path / "out", np.random.default_rng(2).uniform(0.0, 0.12, 10)
     command = [sys.executable, "-c", _KILLED_RUN, str(out), str(Path(__file__).parent)]
     for wait_s in delay_s:

@@ -1,4 +1,4 @@
-"""The one reader of stored datasets: all that it gives of a scene agrees."""
+"""The one reader of stored datasets: all data of a scene agree."""
 
 import json
 import pickle
@@ -12,7 +12,7 @@ from graycast.base.errors import DatasetError
 from graycast.dataset.scene_content import scene_content
 from graycast.dataset.stored import StoredScene, open_dataset
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -37,7 +37,7 @@ def test_instances_labels_and_label_map_are_those_of_the_sample(dataset_and_samp
         assert [label.area_px for label in scene.labels()] == [a for a in area_px if a]
 
 
-def test_scenes_of_other_splits_are_told_apart(dataset_and_samples, tmp_path):
+def test_scenes_of_other_splits_are_distinguished(dataset_and_samples, tmp_path):
     out = shutil.copytree(dataset_and_samples[0], tmp_path / "out")
     (out / "val").mkdir()
     shutil.copytree(out / "train/000003", out / "val/000003")
@@ -48,7 +48,7 @@ def test_scenes_of_other_splits_are_told_apart(dataset_and_samples, tmp_path):
     assert pickle.loads(pickle.dumps(stored)) == stored
 
 
-def test_an_object_that_the_dataset_does_not_know_is_told(dataset_and_samples, tmp_path):
+def test_an_object_unknown_to_the_dataset_is_reported(dataset_and_samples, tmp_path):
     out = shutil.copytree(dataset_and_samples[0], tmp_path / "out")
     path = out / "train/000003/scene_gt.json"
     poses = json.loads(path.read_bytes())

@@ -1,4 +1,4 @@
-"""A sound dataset has no problems; each kind of damage is one, with its scene and its reason."""
+"""A valid dataset has no problems; each kind of damage is one, with its scene and its reason."""
 
 import json
 import re
@@ -25,7 +25,7 @@ def edit(path, change):
 
 
 def edit_both(scene, name, change):
-    """Consistently in the colour camera's file and in the scanner's."""
+    """Edit the colour camera's file and the scanner's consistently."""
     for suffix in ("", "_sl"):
         edit(scene / f"{name}{suffix}.json", change)
 
@@ -48,7 +48,7 @@ def shift(scene, axis, by_mm):
 
 
 def turn(scene):
-    """Half a degree about the camera's z: a rigid pose, but not that of the picture."""
+    """Rotate by half a degree about the camera's z: a rigid pose, but not that of the picture."""
     c, s = np.cos(np.radians(2.0)), np.sin(np.radians(2.0))
 
     def change(gt):
@@ -101,7 +101,7 @@ def flip_bit(path):
 
 
 def grow_mask(scene):
-    """One more row of pixels below the visible mask of instance 5, in the file alone."""
+    """Add a row of pixels below the visible mask of instance 5, in the file alone."""
     for kind in ("mask_visib", "mask_visib_sl"):
         repaint(scene / kind / "000000_000005.png", lambda m: np.maximum(m, np.roll(m, 1, axis=0)))
 
@@ -111,7 +111,7 @@ def gt_entry(change):
 
 
 def coco_first(kind, **changes):
-    """The first of a scene's own COCO images or annotations."""
+    """Return the first of a scene's own COCO images or annotations."""
     return lambda scene: edit(
         scene / "scene_gt_coco.json", lambda coco: coco[kind][0].update(**changes)
     )
@@ -351,16 +351,16 @@ DATASET_DAMAGE = {
 }
 
 
-def test_a_sound_dataset_has_no_problems(dataset):
+def test_a_valid_dataset_has_no_problems(dataset):
     assert validate(dataset) == ()
 
 
-# One in three quickly; all of them take eight seconds.
+# One in three in the quick tests; all of them take eight seconds.
 @pytest.mark.parametrize(
     "damage", [slow(name) if k % 5 else name for k, name in enumerate(SCENE_DAMAGE)]
 )
-def test_damage_in_a_scene_is_found_and_its_scene_named(damaged, damage):
-    """Scene 0 is damaged and 3 is not; the split file may complain too, as it must."""
+def test_damage_of_a_scene_is_detected_with_its_scene(damaged, damage):
+    """Scene 0 is damaged and 3 is not; the split file must not agree, either."""
     do, reason = SCENE_DAMAGE[damage]
     scene = damaged / "train" / "000000"
     do(scene)
@@ -372,7 +372,7 @@ def test_damage_in_a_scene_is_found_and_its_scene_named(damaged, damage):
 
 
 @pytest.mark.parametrize("damage", DATASET_DAMAGE)
-def test_damage_to_the_dataset_is_found(damaged, damage):
+def test_damage_of_the_dataset_is_detected(damaged, damage):
     do, reason = DATASET_DAMAGE[damage]
     do(damaged)
     texts = [problem.what for problem in validate(damaged) if problem.scene is None]
@@ -386,7 +386,7 @@ def test_a_folder_that_is_no_dataset_is_an_error(tmp_path):
         validate(tmp_path / "nowhere")
 
 
-def test_an_empty_dataset_says_so(opened, tmp_path):
+def test_an_empty_dataset_is_reported(opened, tmp_path):
     opened(tmp_path / "out").close()
     assert "train/ holds no scene" in [p.what for p in validate(tmp_path / "out")]
 

@@ -1,4 +1,4 @@
-"""An export appears whole or not at all, and says in one line why not."""
+"""An export appears completely or not at all, and its error has one line."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from simulated_dataset import visible
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.dataset.export import FORMATS, Options, Split, export, read_record
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SEED = next(
@@ -22,7 +22,7 @@ SEED = next(
 )
 
 
-def test_every_format_says_what_it_holds_and_reports_each_scene(master, samples, tmp_path):
+def test_every_format_lists_its_content_and_reports_each_scene(master, samples, tmp_path):
     for form in FORMATS:
         if form == "parquet":
             pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
@@ -52,7 +52,7 @@ def truncated(master, tmp_path_factory):
 
 
 @pytest.mark.parametrize("form", list(FORMATS))
-def test_a_truncated_picture_is_named_and_nothing_is_left(truncated, tmp_path, form):
+def test_a_truncated_picture_is_named_and_no_export_is_left(truncated, tmp_path, form):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
     with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
@@ -60,7 +60,7 @@ def test_a_truncated_picture_is_named_and_nothing_is_left(truncated, tmp_path, f
     assert list(tmp_path.iterdir()) == []
 
 
-def test_missing_or_contradicting_labels_are_told(master, tmp_path):
+def test_missing_or_contradictory_labels_are_reported(master, tmp_path):
     copy = shutil.copytree(master, tmp_path / "copy")
     scene = copy / "train" / "000003"
     coco = json.loads((scene / "scene_gt_coco.json").read_text())
@@ -73,7 +73,7 @@ def test_missing_or_contradicting_labels_are_told(master, tmp_path):
         export(copy, tmp_path / "out", Options(format="coco"))
 
 
-def test_a_folder_in_use_is_left_alone(master, tmp_path):
+def test_a_folder_in_use_is_unchanged(master, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(GraycastError, match="is not empty: choose another folder"):
         export(master, tmp_path, Options(format="coco"))
@@ -98,7 +98,7 @@ def test_an_option_of_another_format_is_refused():
             Options(format=former)
 
 
-def test_links_are_the_same_files_and_copies_are_not(master, tmp_path):
+def test_links_share_the_file_and_copies_do_not(master, tmp_path):
     for name, link in (("linked", True), ("copied", False)):
         export(master, tmp_path / name, Options(format="yolo", link=link))
         picture = tmp_path / name / "images" / "train" / "000003.png"
@@ -117,7 +117,7 @@ def test_a_link_to_another_disk_says_so(master, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_hidden_instances_are_left_out_where_that_is_wanted(master, samples, tmp_path):
+def test_hidden_instances_are_left_out_if_requested(master, samples, tmp_path):
     export(master, tmp_path / "out", Options(format="coco", min_visibility=0.5))
     coco = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
     for scene_id, sample in samples.items():

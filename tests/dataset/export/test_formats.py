@@ -1,4 +1,4 @@
-"""Every format read by a program that is not ours, and compared with what was simulated."""
+"""Every format is read by another program, and compared with the simulation."""
 
 import contextlib
 import gc
@@ -23,7 +23,7 @@ from graycast.base.frames import inverse, pixel_grid
 from graycast.dataset.export import Options, Split, export
 from graycast.rig.optics import rays
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -32,7 +32,7 @@ def poses_of(sample):
 
 
 def decoded(data):
-    """Pixels by Pillow."""
+    """Return pixels read by Pillow."""
     with Image.open(io.BytesIO(data)) as image:
         return np.array(image)
 
@@ -72,7 +72,7 @@ def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, sample
 
 
 @pytest.mark.parametrize("labels", ["boxes", "segments"])
-def test_yolo_rows_are_the_boxes_or_masks_as_shares(exported, samples, labels):
+def test_yolo_rows_are_the_boxes_or_masks_in_relative_coordinates(exported, samples, labels):
     out = exported("yolo", labels=labels, split=Split(shares=(0.5, 0.5, 0.0)))
     data = yaml.safe_load((out / "data.yaml").read_text())
     assert data["names"] == {0: "box", 1: "wedge"}
@@ -117,7 +117,7 @@ def test_yolo_boxes_are_read_by_globox(exported, samples):
 
 
 def bop_toolkit_mask(runs):
-    """Uncompressed run lengths down the columns, by pycocotools, as bop_toolkit's own are."""
+    """Return a mask of bop_toolkit's uncompressed run lengths by column, read by pycocotools."""
     return coco_mask.decode(coco_mask.frPyObjects(runs, *runs["size"])) == 1
 
 
@@ -216,7 +216,7 @@ def test_ply_clouds_are_read_by_trimesh(exported, samples, organised):
 
 
 @pytest.mark.parametrize("organised", [False, True])
-def test_pcd_clouds_say_what_the_format_demands(exported, samples, organised):
+def test_pcd_clouds_follow_the_format(exported, samples, organised):
     out = exported("clouds", cloud="pcd", organised=organised, depth="scanner", image="gray")
     sample = samples[3]
     data = (out / "train" / "000003_scanner.pcd").read_bytes()
@@ -251,8 +251,8 @@ def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
             assert np.array_equal(color.reshape(-1, 3), sample.rgb[known])
 
 
-def test_a_cloud_through_a_lens_with_distortion_lies_on_the_true_rays(tmp_path):
-    """Oracle: OpenCV's undistortion of the pixels, in whose terms a rig's lens is."""
+def test_a_cloud_through_a_distorted_lens_is_on_the_true_rays(tmp_path):
+    """Oracle: OpenCV's undistortion of the pixels, with the rig's coefficients."""
     samples = pictured.write_dataset(tmp_path / "out", (0,), pictured.lensed_rig())
     options = Options(format="clouds", split=Split(), organised=True, depth="perfect")
     export(tmp_path / "out", tmp_path / "clouds", options)
@@ -268,8 +268,8 @@ def test_a_cloud_through_a_lens_with_distortion_lies_on_the_true_rays(tmp_path):
     assert known.mean() > 0.9 and error_m.max() < 1e-5  # a pixel is 2.4e-3
 
 
-def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
-    """By the reader of real clouds, which fits the camera to the points."""
+def test_an_organised_cloud_gives_depth_and_camera_back(exported, samples):
+    """Oracle: the reader of real clouds, which fits the camera to the points."""
     from graycast.real.realism import read_scans
 
     out = exported("clouds", organised=True, depth="scanner")
@@ -281,8 +281,8 @@ def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
     )
 
 
-def test_parquet_says_which_columns_are_pictures(exported):
-    """Hugging Face reads a struct of bytes and path as an Image where the metadata calls it one."""
+def test_parquet_declares_which_columns_are_pictures(exported):
+    """Hugging Face reads a struct of bytes and path as an Image if the metadata says so."""
     pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
     schema = pq.read_schema(exported("parquet") / "train" / "part-000000.parquet")
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
@@ -307,7 +307,7 @@ def test_parquet_is_loaded_by_hugging_face_as_pictures(exported, samples, tmp_pa
 
 
 def toolkit_mask(vertices_mm, faces, K, width_px, height_px):
-    """What bop_toolkit's OpenGL renderers cover of a mesh in the camera frame.
+    """Return the pixels that bop_toolkit's OpenGL renderers cover for a mesh in the camera frame.
 
     Their matrix has the rows (2 fx/w, 0, (w - 2 cx)/w, 0), (0, 2 fy/h, (2 cy - h)/h, 0) and
     (0, 0, -1, 0) for x, y and the divisor, of points whose y and z are turned round; OpenGL takes
@@ -350,7 +350,7 @@ def test_the_toolkits_renderers_draw_our_masks_where_the_origin_is_a_corner(expo
     assert overlap["centre"] < 0.97
 
 
-def test_a_reader_of_ours_counts_from_centres_whatever_an_export_says(exported, samples):
+def test_our_own_reader_counts_from_pixel_centres_for_every_export(exported, samples):
     from graycast.dataset.training import open_examples
 
     example = open_examples(exported("bop-webdataset", pixel_origin="corner"))[0]

@@ -8,18 +8,18 @@ from pycocotools import mask as coco_mask
 
 from graycast.dataset.export.outline import INSET_PX, path, polygons, rings
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
 def area(corner):
-    """Shoelace formula; positive clockwise on the screen."""
+    """Return the area by the shoelace formula; positive for clockwise on the screen."""
     x, y = corner.T
     return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 def crossings(polygon, shape):
-    """Even-odd at pixel centres, by the definition."""
+    """Return the even-odd rule at pixel centres, by its definition."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     inside = np.zeros(shape, dtype=bool)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -31,7 +31,7 @@ def crossings(polygon, shape):
 
 @pytest.mark.parametrize("density", [0.1, 0.5, 0.9, 1.0])
 @pytest.mark.parametrize("seed", range(5))
-def test_random_masks_with_holes_and_pieces_come_back_from_their_polygons(density, seed):
+def test_random_masks_with_holes_and_pieces_are_restored_from_their_polygons(density, seed):
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(2, 30, 2).tolist())
     mask = rng.random(shape) < density
@@ -53,12 +53,12 @@ def test_a_single_pixel_is_a_square_from_its_corner():
     assert sorted(map(tuple, path(mask).tolist())) == corner
 
 
-def test_pixels_that_touch_at_a_corner_are_two_rings():
+def test_pixels_that_touch_at_a_corner_are_two_polygons():
     assert [len(ring) for ring in rings(np.eye(2, dtype=bool))] == [4, 4]
 
 
 def painted(shapes, shape):
-    """As Ultralytics paints: coordinates cut to whole numbers, then `fillPoly`."""
+    """Paint as Ultralytics does: coordinates are truncated, then `fillPoly`."""
     image = np.zeros(shape, dtype=np.uint8)
     for polygon in shapes:
         cv2.fillPoly(image, [polygon.astype(np.int32)], 1)
@@ -66,7 +66,7 @@ def painted(shapes, shape):
 
 
 def blob(rng):
-    """A small part as it is seen: a turned box, some with a hole."""
+    """Return a small visible part: a rotated box, sometimes with a hole."""
     mask = np.zeros((40, 44), dtype=np.uint8)
     size = rng.uniform(1, 14, 2)
     box = cv2.boxPoints((rng.uniform(16, 24, 2), size, rng.uniform(0, 90)))
@@ -76,8 +76,8 @@ def blob(rng):
     return mask == 1
 
 
-def test_painted_outlines_of_small_parts_are_their_masks():
-    """Outlines on the borders of pixels made a median IoU of 0.73 of these, at worst 0.42."""
+def test_painted_outlines_of_small_parts_equal_their_masks():
+    """Outlines along borders of pixels gave a median IoU of 0.73, and 0.42 at worst."""
     rng, overlap = np.random.default_rng(1), []
     for _ in range(300):
         mask = blob(rng)
@@ -87,8 +87,8 @@ def test_painted_outlines_of_small_parts_are_their_masks():
 
 
 @pytest.mark.parametrize("density", [slow(0.3), 0.7])
-def test_painted_outlines_of_masks_full_of_holes_are_hardly_more(density):
-    """What cuts between a hole and the border cross is all that is painted beside the mask."""
+def test_painted_outlines_of_masks_with_many_holes_add_few_pixels(density):
+    """Only the cuts between a hole and the border are painted in addition to the mask."""
     rng = np.random.default_rng(2)
     for _ in range(20):
         mask = rng.random((30, 30)) < density

@@ -1,4 +1,4 @@
-"""Exports of chosen scenes: those of the file and no others, each in the set it always is in."""
+"""Exports of selected scenes: only those in the file, each in its usual set."""
 
 import json
 
@@ -8,7 +8,7 @@ from graycast.base.errors import DatasetError, GraycastError
 from graycast.cli import main
 from graycast.dataset.export import Options, Split, export, read_record
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -57,7 +57,7 @@ def _place(seed, scene_id):
         ({"train-000003": []}, {"kind": "coco"}, "is not a selection of scenes"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_and_nothing_is_left(
+def test_a_selection_that_does_not_fit_is_refused_without_an_export(
     master, tmp_path, scenes, changed, says
 ):
     selection = write_selection(tmp_path / "s.json", master, scenes, **changed)
@@ -66,7 +66,7 @@ def test_a_file_that_does_not_fit_is_refused_and_nothing_is_left(
     assert [path.name for path in tmp_path.iterdir()] == ["s.json"]
 
 
-def test_a_missing_file_is_told(master, tmp_path):
+def test_a_missing_file_is_reported(master, tmp_path):
     with pytest.raises(GraycastError, match=r"none\.json is missing"):
         export(
             master,

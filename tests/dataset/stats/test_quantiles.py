@@ -14,15 +14,15 @@ def test_quantiles_of_a_histogram_are_numpy_s():
     np.testing.assert_array_equal(_quantiles(counts, shares), expected)
 
 
-def test_an_error_of_one_value_has_that_median_and_no_rms_beyond_it():
+def test_the_statistics_of_one_value_are_this_value():
     error = error_figures({30: 10}, 0.1)
     assert error.median_mm == pytest.approx(3.0)
     assert error.rms_mm == pytest.approx(3.0)
     assert (error.beyond_1mm, error.beyond_5mm) == (1.0, 0.0)
 
 
-def test_errors_in_steps_have_the_median_and_deviation_of_what_was_rounded():
-    """Normal of 2 steps about 0.3; rounding adds a step's variance, 1/12, as Sheppard says."""
+def test_rounded_errors_have_the_median_and_deviation_before_rounding():
+    """A normal law of 2 steps about 0.3; rounding adds a step's variance, 1/12 (Sheppard)."""
     value = np.random.default_rng(4).normal(0.3, 2.0, 200_000)
     step, count = np.unique(np.rint(value).astype(int), return_counts=True)
     error = error_figures(dict(zip(step.tolist(), count.tolist(), strict=True)), 1.0)

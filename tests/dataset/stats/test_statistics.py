@@ -1,4 +1,4 @@
-"""Figures of a dataset, against counting the same files and arrays another way."""
+"""Statistics of a dataset, compared with another count of the same files and arrays."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ def statistics(dataset_and_samples):
 
 
 def test_labels_from_run_lengths_are_the_mask_pictures(dataset_and_samples):
-    """Oracle: the PNGs of mask_visib, which are written by other code."""
+    """Oracle: the PNGs of mask_visib, which other code writes."""
     for scene in open_dataset(dataset_and_samples[0]).scenes:
         label = scene_content(scene).label
         painted = np.full(label.shape, -1)
@@ -78,7 +78,7 @@ def test_shares_of_reasons_are_those_of_the_maps(dataset_and_samples, statistics
         )
 
 
-def test_the_scanner_s_noise_comes_out_as_it_went_in(statistics):
+def test_the_noise_of_the_scanner_is_estimated_correctly(statistics):
     """0.2 mm Gaussian and twice the rounding to steps: sqrt(0.2^2 + 2 * 0.1^2 / 12) mm."""
     error = statistics.error
     sigma_mm = np.sqrt(0.2**2 + 2 * SCALE_MM**2 / 12)
@@ -89,7 +89,7 @@ def test_the_scanner_s_noise_comes_out_as_it_went_in(statistics):
     assert error.beyond_1mm < 1e-4
 
 
-def test_depth_range_holds_the_wall(dataset_and_samples, statistics):
+def test_the_range_of_depth_includes_the_wall(dataset_and_samples, statistics):
     depth_mm = 1e3 * np.concatenate(
         [s.truth.depth_m.ravel() for s in dataset_and_samples[1].values()]
     )
@@ -97,7 +97,7 @@ def test_depth_range_holds_the_wall(dataset_and_samples, statistics):
         assert abs(statistics.depth_quantiles_mm[name] - np.quantile(depth_mm, share)) <= 5.0 + 1e-6
 
 
-def test_figures_survive_json(dataset_and_samples):
+def test_statistics_are_read_back_from_json(dataset_and_samples):
     figures = scene_figures(scene_content(open_dataset(dataset_and_samples[0]).scene(3)))
     assert type(figures).model_validate_json(figures.model_dump_json()) == figures
 
@@ -126,7 +126,7 @@ def test_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
     assert statistics_table(statistics).row_count > 8
 
 
-def test_real_pictures_are_counted_without_what_nobody_knows(dataset_and_samples, tmp_path):
+def test_statistics_of_real_pictures_omit_what_is_unknown(dataset_and_samples, tmp_path):
     out = tmp_path / "real"
     shutil.copytree(dataset_and_samples[0], out)
     whole = dataset_statistics(out)
@@ -139,7 +139,7 @@ def test_real_pictures_are_counted_without_what_nobody_knows(dataset_and_samples
     assert sum(c.visib_fract.sum() for c in bare.classes) == 0
 
 
-def test_splits_are_counted_apart(dataset_and_samples, tmp_path):
+def test_splits_are_counted_separately(dataset_and_samples, tmp_path):
     out = tmp_path / "split"
     shutil.copytree(dataset_and_samples[0], out)
     (out / "val").mkdir()
@@ -168,6 +168,6 @@ def test_a_damaged_picture_is_named(dataset_and_samples, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_number_of_processes_changes_nothing(dataset_and_samples, statistics):
+def test_the_number_of_processes_does_not_change_the_statistics(dataset_and_samples, statistics):
     again = dataset_statistics(dataset_and_samples[0], workers=2)
     assert statistics_json(again) == statistics_json(statistics)

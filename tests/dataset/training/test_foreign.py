@@ -1,4 +1,4 @@
-"""Datasets of others: ours in the common forms, read as if nobody knew who made them."""
+"""Foreign datasets: ours in the common formats, read as if their origin were unknown."""
 
 import json
 import shutil
@@ -14,7 +14,7 @@ from graycast.dataset.export import Options, export
 from graycast.dataset.export.split import Split
 from graycast.dataset.training import open_examples
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -26,12 +26,12 @@ def datasets(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     write_dataset(folder / "ours", (0, 3, 4))
     export(folder / "ours", folder / "coco", Options(format="coco"))
-    (folder / "coco" / "export.json").rename(folder / "record.json")  # nobody says who made it
+    (folder / "coco" / "export.json").rename(folder / "record.json")  # without its origin
     return folder
 
 
-def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(datasets):
-    """Oracle: a dataset of ours is in BOP's form, and its own reader takes other files of it."""
+def test_a_folder_of_bop_scenes_is_read_like_our_own_dataset(datasets):
+    """Oracle: our dataset is in BOP's form, and its own reader uses other files of it."""
     own, theirs = open_examples(datasets / "ours"), open_examples(datasets / "ours" / "train")
     assert len(theirs) == len(own) == 3
     for mine, other in zip(own, theirs, strict=True):
@@ -45,7 +45,7 @@ def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(datasets):
         np.testing.assert_allclose(other.K, mine.K)
 
 
-def test_coco_annotations_are_read_whoever_wrote_them(datasets):
+def test_coco_annotations_of_any_origin_are_read(datasets):
     path = datasets / "coco" / "annotations" / "instances_train.json"
     theirs = open_examples(path)
     for mine, other in zip(open_examples(datasets / "ours"), theirs, strict=True):
@@ -56,7 +56,7 @@ def test_coco_annotations_are_read_whoever_wrote_them(datasets):
     assert dict(theirs.categories) == dict(open_examples(datasets / "ours").categories)
 
 
-def test_a_crowd_does_not_count(datasets, tmp_path):
+def test_a_crowd_annotation_is_ignored(datasets, tmp_path):
     path = datasets / "coco" / "annotations" / "instances_train.json"
     content = json.loads(path.read_bytes())
     first = content["images"][0]["id"]
@@ -68,7 +68,7 @@ def test_a_crowd_does_not_count(datasets, tmp_path):
     assert example.hidden(0.1).tolist() == [True] + [False] * (len(mine) - 1)
 
 
-def test_pictures_of_a_scene_stay_together_when_they_are_divided(datasets):
+def test_pictures_of_a_scene_stay_in_one_set(datasets):
     whole = Split(shares=(0.5, 0.5, 0.0))
     parts = [
         open_examples(datasets / "ours" / "train", split=name, division=whole)
@@ -85,7 +85,7 @@ def test_pictures_of_a_scene_stay_together_when_they_are_divided(datasets):
         ('{"images": [], "annotations": [], "categories": []}', "has no images"),
     ],
 )
-def test_annotations_that_are_none_are_refused(tmp_path, text, message):
+def test_invalid_annotations_are_refused(tmp_path, text, message):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(DatasetError, match=message):
         open_examples(tmp_path / "a.json")
@@ -97,7 +97,7 @@ LABEL = {"image_id": 1, "category_id": 7, "bbox": [0, 0, 2, 2]}
 
 
 def written(path, **changed):
-    """One picture with one thing in it; `changed` are the file's lists."""
+    """Write one picture with one object; `changed` are the file's lists."""
     content = {"images": [IMAGE], "categories": [PART], "annotations": [LABEL]}
     path.write_text(json.dumps(content | changed))
     return path
@@ -124,15 +124,13 @@ def without(entry, key):
         ({"categories": [without(PART, "name")]}, r"categories\[0\] has no name: add it"),
     ],
 )
-def test_an_entry_without_what_is_read_is_named_before_a_picture_is_read(
-    tmp_path, changed, message
-):
+def test_an_entry_with_a_missing_key_is_named_before_a_picture_is_read(tmp_path, changed, message):
     path = written(tmp_path / "a.json", **changed)
     with pytest.raises(DatasetError, match=f"^{path}: .*{message}"):
         open_examples(path)
 
 
-def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
+def test_brackets_in_a_picture_s_name_are_not_a_pattern(tmp_path):
     (tmp_path / "pictures").mkdir()
     picture = np.full((4, 4, 3), 90, np.uint8)
     cv2.imwrite(str(tmp_path / "pictures" / "a[1].png"), picture)
@@ -143,7 +141,7 @@ def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
 
 
 def test_the_name_of_a_picture_does_not_lead_out_of_the_folder(tmp_path):
-    """A list of strangers would open files of whoever reads it."""
+    """Otherwise a foreign list could open files of its reader."""
     picture = np.full((4, 4, 3), 90, np.uint8)
     (tmp_path / "set").mkdir()
     for place in ("secret.png", "set/a.png"):
@@ -158,7 +156,7 @@ def test_the_name_of_a_picture_does_not_lead_out_of_the_folder(tmp_path):
     np.testing.assert_array_equal(open_examples(path)[0].rgb, picture)
 
 
-def test_a_picture_that_is_stored_turned_is_refused(tmp_path):
+def test_a_picture_that_is_stored_rotated_is_refused(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(np.full((4, 6, 3), 90, np.uint8)).save(tmp_path / "a.jpg", exif=exif)
@@ -198,7 +196,7 @@ def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, message):
     (tmp_path / "000000").mkdir()
     file = tmp_path / "000000" / "scene_gt.json"
     file.write_text(json.dumps(poses))
-    (tmp_path / "0_notes").mkdir()  # no scene: its name is no number
+    (tmp_path / "0_notes").mkdir()  # no scene: its name is not a number
     (tmp_path / "0_notes" / "scene_gt.json").write_text("{}")
     with pytest.raises(DatasetError, match=f"^{file}: .*{message}"):
         open_examples(tmp_path)
@@ -238,8 +236,8 @@ def test_a_picture_or_a_mask_that_is_missing_is_named(datasets, tmp_path):
         (lambda mask: 0 * mask, "mask 0 is empty, and px_count_visib is"),
     ],
 )
-def test_masks_that_validate_refuses_are_not_trained_on(datasets, tmp_path, change, message):
-    """Nonzero values were taken for inside, and an empty mask for a box of no size."""
+def test_masks_that_validate_refuses_are_not_used_for_training(datasets, tmp_path, change, message):
+    """Nonzero values used to be inside, and an empty mask gave a box of no size."""
     shutil.copytree(datasets / "ours" / "train", tmp_path / "train")
     path = tmp_path / "train" / "000000" / "mask_visib" / "000000_000000.png"
     cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
@@ -247,7 +245,7 @@ def test_masks_that_validate_refuses_are_not_trained_on(datasets, tmp_path, chan
         open_examples(tmp_path / "train")[0]
 
 
-def test_the_sum_of_others_data_changes_with_their_annotations(datasets, tmp_path):
+def test_the_checksum_of_a_foreign_dataset_changes_with_its_annotations(datasets, tmp_path):
     coco = datasets / "coco/annotations/instances_train.json"
     for source, file in ((datasets / "ours/train", "000003/scene_gt.json"), (coco, None)):
         copy = tmp_path / source.name

@@ -1,4 +1,4 @@
-"""The same examples from the dataset and from every export of it."""
+"""A dataset and every export of it give the same examples."""
 
 import json
 import pickle
@@ -16,7 +16,7 @@ from graycast.dataset.export import Split
 from graycast.dataset.seal import OWN, SUMS, sealed
 from graycast.dataset.training import open_examples
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 FIELDS = {
@@ -71,7 +71,7 @@ def same(a, b, fields):
             np.testing.assert_array_equal(y, x, err_msg=name)
 
 
-def test_the_datasets_examples_are_what_was_simulated(master, samples):
+def test_the_dataset_s_examples_agree_with_the_simulation(master, samples):
     examples = open_examples(master)
     assert examples.categories == {1: "box", 2: "wedge"}
     assert len(examples) == len(samples)
@@ -120,7 +120,7 @@ def test_sets_are_the_same_from_the_dataset_and_from_an_export(master, exported)
 
 
 @pytest.mark.parametrize("form", ["coco", "bop-webdataset", "parquet"])
-def test_examples_go_to_other_processes(exported, form):
+def test_examples_can_be_pickled(exported, form):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
     examples = open_examples(exported(form))
@@ -142,7 +142,7 @@ def test_examples_go_to_other_processes(exported, form):
         ("yolo", "export.json"),
     ],
 )
-def test_a_file_that_was_cut_off_is_told(exported, form, path):
+def test_a_truncated_file_is_reported(exported, form, path):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
     out = exported(form)
@@ -153,7 +153,7 @@ def test_a_file_that_was_cut_off_is_told(exported, form, path):
     assert "\n" not in str(caught.value)
 
 
-def test_clouds_and_other_folders_are_no_examples(exported, tmp_path, master):
+def test_clouds_and_other_folders_are_refused_as_examples(exported, tmp_path, master):
     with pytest.raises(DatasetError, match="holds points but no labels"):
         open_examples(exported("clouds"))
     with pytest.raises(DatasetError, match="is not a Graycast dataset"):
@@ -174,9 +174,7 @@ def test_an_export_of_a_former_format_names_the_one_to_take(exported, former):
 
 
 @pytest.mark.slow
-def test_a_dataset_and_its_exports_are_read_alike_where_little_is_installed(
-    master, exported, tmp_path
-):
+def test_a_dataset_and_its_exports_are_read_with_few_packages_installed(master, exported, tmp_path):
     options_of = {name: options for name, (options, _) in EXPORTS.items() if name != "parquet"}
     folders = [master, *(exported(name.split()[0], **options_of[name]) for name in options_of)]
     out = tmp_path / "examples.pickle"
@@ -188,8 +186,8 @@ def test_a_dataset_and_its_exports_are_read_alike_where_little_is_installed(
     assert here.mask.any()
 
 
-def test_what_is_called_absent_is_not_found():
-    """The test above would see an import of it."""
+def test_a_package_called_absent_cannot_be_imported():
+    """So the test above would notice an import of it."""
     wrong = READ.replace(
         "from graycast.dataset.training",
         "import graycast.camera.decode\nfrom graycast.dataset.training",
@@ -198,7 +196,7 @@ def test_what_is_called_absent_is_not_found():
     assert ended.returncode == 1 and "No module named" in ended.stderr
 
 
-def test_the_sum_of_a_dataset_changes_with_its_files_and_not_with_its_seconds(master, tmp_path):
+def test_the_checksum_of_a_dataset_changes_with_its_files_and_not_with_its_times(master, tmp_path):
     own = shutil.copytree(master, tmp_path / "own")
     before = open_examples(own).content_sum()
     assert before == open_examples(master).content_sum()

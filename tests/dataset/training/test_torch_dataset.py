@@ -1,4 +1,4 @@
-"""The dataset class for PyTorch: with a stand-in for the three names it takes, and with PyTorch."""
+"""The dataset class for PyTorch, with a stub of the three names that it uses, and with PyTorch."""
 
 import importlib
 import sys
@@ -10,7 +10,7 @@ import pytest
 from graycast.base.errors import GraycastError
 from graycast.dataset.training import open_examples
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 NAME = "graycast.dataset.training.torch_dataset"
@@ -18,7 +18,7 @@ NAME = "graycast.dataset.training.torch_dataset"
 
 @pytest.fixture
 def torch_dataset(monkeypatch):
-    """The module over a stand-in whose tensors are arrays; PyTorch refuses read-only ones."""
+    """Import the module with a stub whose tensors are arrays; PyTorch refuses read-only ones."""
 
     def from_numpy(array):
         assert array.flags.writeable
@@ -46,7 +46,7 @@ def check(item, example):
         assert box.tolist() == [x.min(), y.min(), x.max() + 1, y.max() + 1]
 
 
-def test_items_are_tensors_in_torchvisions_shapes(torch_dataset, master):
+def test_items_are_tensors_in_torchvision_s_shapes(torch_dataset, master):
     data = torch_dataset.TorchExamples(master)
     assert len(data) == 4
     check(data[1], open_examples(master)[1])
@@ -56,12 +56,12 @@ def test_items_are_tensors_in_torchvisions_shapes(torch_dataset, master):
     }  # fmt: skip
 
 
-def test_what_an_export_does_not_hold_is_not_among_the_keys(torch_dataset, exported):
+def test_data_that_an_export_lacks_are_not_among_the_keys(torch_dataset, exported):
     data = torch_dataset.TorchExamples(exported("yolo"), transform=sorted)
     assert data[0] == ["boxes", "labels", "masks", "rgb", "scene_id"]
 
 
-def test_without_pytorch_it_says_what_to_install(monkeypatch):
+def test_without_pytorch_the_error_names_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, NAME, raising=False)
     with pytest.raises(GraycastError, match="pip install torch"):

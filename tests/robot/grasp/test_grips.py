@@ -1,4 +1,4 @@
-"""Grips on shapes where the right ones are known: boxes, a plate with a hole, a U."""
+"""Grips on shapes with known solutions: boxes, a plate with a hole, a U."""
 
 import math
 from dataclasses import replace
@@ -45,7 +45,7 @@ def box(sides=SIDES_M):
     return mesh_of(trimesh.creation.box(sides))
 
 
-def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
+def test_suction_grips_of_a_box_are_a_cup_s_radius_inside_its_faces():
     places = suction_places(
         box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
     )
@@ -57,9 +57,9 @@ def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
         assert abs(T[axis, 2]) == pytest.approx(1)
         assert T[axis, 3] * T[axis, 2] == pytest.approx(half[axis])
         others = [k for k in range(3) if k != axis]
-        # The patch's nodes are half a millimetre apart, so an edge is seen by as much too late.
+        # The patch's nodes are half a millimetre apart, so an edge is seen that much too late.
         assert all(abs(T[k, 3]) <= half[k] - CUP.radius_m + 0.5e-3 for k in others)
-    # Of the even points those are left that lie so far inside: a share of the area.
+    # Of uniform points, those at least this far inside remain: a share of the area.
     inner = 2 * sum(
         max(SIDES_M[a] - 0.016, 0) * max(SIDES_M[b] - 0.016, 0) for a, b in ((0, 1), (0, 2), (1, 2))
     )
@@ -68,8 +68,8 @@ def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
     assert len(grips) == pytest.approx(expected, abs=3 * math.sqrt(expected) + 0.1 * expected)
 
 
-def test_robustness_is_the_chance_that_a_normal_law_gives():
-    """A cup beside an edge: it seals while the tool is off by less than what is left."""
+def test_the_robustness_of_a_cup_follows_a_normal_law():
+    """Next to an edge, a cup seals while the error of the tool is below the remaining distance."""
     left_m = 1.0e-3
     plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
     T = rigid(np.eye(3), np.array([0.05 - CUP.radius_m - left_m, 0.0, 0.001]))
@@ -81,8 +81,8 @@ def test_robustness_is_the_chance_that_a_normal_law_gives():
     assert share == pytest.approx(law, abs=4 * math.sqrt(law * (1 - law) / 500))
 
 
-def test_the_doubt_of_a_cup_s_place_is_one_of_the_load_s_arm():
-    """A load 0.5 mm within the arm at which it tilts the cup: Oracle: the normal law of 1 mm."""
+def test_the_uncertainty_of_a_cup_s_position_changes_the_load_s_lever_arm():
+    """A load is 0.5 mm within the arm at which it tilts the cup. Oracle: a normal law of 1 mm."""
     plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
     patch = patch_of_mesh(
         plate, rigid(np.eye(3), np.array([0, 0, 1e-3])), radius_m=0.012, step_m=5e-4
@@ -96,12 +96,12 @@ def test_the_doubt_of_a_cup_s_place_is_one_of_the_load_s_arm():
 
 
 def tilting_m(weight_n):
-    """How far aside of an upright cup a weight tilts it: load * arm = (pull - load) r / 2."""
+    """Return how far off an upright cup a weight tilts it: load * arm = (pull - load) r / 2."""
     load_n = SHAKE * weight_n
     return (CUP.pull_n - load_n) * CUP.radius_m / 2 / load_n
 
 
-def test_a_tool_may_lean_by_30_degrees_to_each_side():
+def test_a_tool_may_tilt_by_30_degrees_to_each_side():
     down = downs()
     np.testing.assert_allclose(np.linalg.norm(down, axis=1), 1)
     np.testing.assert_allclose(down[:, 2], [-1, *[-math.cos(math.pi / 6)] * 4])
@@ -110,24 +110,24 @@ def test_a_tool_may_lean_by_30_degrees_to_each_side():
 
 
 def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
-    """Tilt lets go where weight * shake * distance is above what N r / 2 holds."""
+    """A part tilts off if weight * shake * distance exceeds N r / 2."""
     long = box((0.2, 0.03, 0.02))
     weight_n, center = 1.0, np.array([0.03, 0.0, 0.0])
     places = suction_places(
         long, CUP, weight_n=weight_n, center_m=center, doubt=SURE, count=150, seed=2
     )
     top = [g.T_part_tool for g in best_first(places) if abs(g.T_part_tool[2, 2]) > 0.9]
-    # Leaning adds its moment, so no grip is farther than an upright tool allows.
+    # Tilting adds its moment, so no grip is farther away than an upright tool allows.
     reach = max(abs(T[0, 3] - center[0]) for T in top)
     assert 0.3 * tilting_m(weight_n) < reach <= tilting_m(weight_n)
-    # Law: in which frame a part is drawn changes nothing.
+    # Law: the frame in which a part is drawn changes nothing.
     R = Rotation.from_euler("xyz", [0.4, 1.2, -0.7]).as_matrix()
     turned = Mesh(vertices_m=long.vertices_m @ R.T, faces=long.faces)
     again = suction_places(
         turned, CUP, weight_n=weight_n, center_m=R @ center, doubt=SURE, count=150, seed=2
     )
     same = [one.score == other.score for one, other in zip(places, again, strict=True)]
-    assert np.mean(same) > 0.99  # but where a node lies on an edge
+    assert np.mean(same) > 0.99  # except where a node is on an edge
     assert 0.02 < np.mean([one.score > 0 for one in places]) < 0.98
 
 
@@ -146,20 +146,20 @@ def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit(opening_m, sides_mm
     assert {round(1e3 * grip.opening_m, 6) for grip in best_first(places)} == sides_mm
 
 
-def test_a_part_stands_no_higher_between_the_fingers_than_the_palm_lets_it():
-    """The palm is a finger's length less the pad's radius, 36 mm, above the pads' middle."""
+def test_the_palm_limits_the_height_of_a_part_between_the_fingers():
+    """The palm is a finger's length minus the pad's radius, 36 mm, above the pads' centre."""
     tall = box((0.01, 0.02, 0.12))
     places = jaw_places(
         tall, JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=SURE, count=50, chances=1
     )
-    # Grips whose tool points along the part, and away from its middle.
+    # Grips whose tool points along the part, away from its centre.
     upright = [g.T_part_tool for g in best_first(places) if abs(g.T_part_tool[2, 2]) > 0.99]
     above = [0.06 - T[2, 3] * np.sign(T[2, 2]) for T in upright]
     assert 0.030 < max(above) <= 0.036 + 1e-9
 
 
-def test_a_jaw_grip_s_score_is_the_chance_of_friction_enough():
-    """Oracle: the normal law of friction, at the factor of the planned grip in its worst lean."""
+def test_a_jaw_grip_s_score_is_the_probability_of_sufficient_friction():
+    """Oracle: the normal law of friction, at the factor of the planned grip in its worst tilt."""
     doubt = Doubt(position_m=0.0, angle_rad=0.0, friction_share=0.15, center_m=0.0)
     weight_n, chances = 5.0, 50
     places = jaw_places(
@@ -180,7 +180,7 @@ def test_a_jaw_grip_s_score_is_the_chance_of_friction_enough():
 
 
 @pytest.mark.slow
-def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
+def test_a_jaw_grip_s_score_includes_the_probability_that_both_pads_meet_the_part():
     """Oracle: two normal laws. A pad's middle must stay on the face, and the part between the open
     pads, with 2 mm of room on each side."""
     doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
@@ -191,7 +191,7 @@ def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
     for grip in places:
         R, middle = grip.T_part_tool[:3, :3], grip.T_part_tool[:3, 3]
         if grip.score == 0 or np.abs(R).max(axis=0).min() < 0.999:
-            continue  # in the way, or not along the edges
+            continue  # a collision, or not along the edges
         room = [half[np.abs(R[:, k]).argmax()] - abs(middle @ R[:, k]) for k in (1, 2)]
         if max(room) < JAWS.pad_radius_m + 3e-3:
             continue  # at a corner, where both edges cut the pad's disc
@@ -202,8 +202,8 @@ def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
     assert near_edge >= 2  # some are near an edge
 
 
-def test_no_finger_stands_in_the_part():
-    """A U of 3 mm walls, 10 mm apart: a finger of 6 mm fits in only beside 2 mm of room."""
+def test_no_finger_overlaps_the_part():
+    """A U of 3 mm walls, 10 mm apart: a finger of 6 mm with 2 mm of room just fits in."""
     walls = [
         trimesh.creation.box((0.040, 0.020, 0.003)),
         trimesh.creation.box((0.003, 0.020, 0.030), rigid(np.eye(3), np.array([0.0185, 0, 0.015]))),
@@ -233,7 +233,7 @@ def test_no_finger_stands_in_the_part():
         ((0, 0, -1), (0, 0.01, 0), 24 / math.hypot(1, 0.01 / (2 / 3 * 0.004))),
     ],
 )
-def test_jaws_hold_what_a_hand_calculation_says(force_n, point_m, limit):
+def test_the_holding_force_of_jaws_agrees_with_a_hand_calculation(force_n, point_m, limit):
     factor = jaw_load_factor(
         JAWS, np.array([force_n], float), np.cross([point_m], [force_n]) * 1.0
     )[0]
@@ -245,7 +245,7 @@ LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
 def plate_depth(tilt_rad=0.0):
-    """Depth of a plane through (0, 0, 0.6) that is turned about x."""
+    """Return the depth of a plane through (0, 0, 0.6) that is rotated about x."""
     y, x = np.mgrid[:200, :240].astype(float)
     ray = rays(CAMERA, np.stack([x, y], axis=-1))
     normal = axis_rotation("x", tilt_rad) @ np.array([0, 0, -1.0])
@@ -257,8 +257,8 @@ def search(depth_m, weight_n, doubt):
     return SuctionSearch(view=view, cup=CUP, weight_n=weight_n, doubt=doubt)
 
 
-def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weight_asks():
-    """The weight pulls askew: across the plane it tilts the cup by its arm from the middle."""
+def test_grips_in_depth_are_as_near_to_the_mask_s_centre_as_the_weight_requires():
+    """The weight is not along the axis: its part across tilts the cup by its lever arm."""
     lean_rad, weight_n = 0.6, 1.0
     depth_m = plate_depth(lean_rad)
     mask = np.zeros(depth_m.shape, bool)
@@ -276,13 +276,13 @@ def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weig
         np.testing.assert_allclose(T[:3, 2], normal, atol=1e-6)
         x, y = CAMERA.fx_px * T[:2, 3] / T[2, 3] + [119.5, 99.5]
         assert mask[round(y), round(x)]
-    # It leans by more than 45 degrees.
+    # It is inclined by more than 45 degrees.
     assert not search(plate_depth(0.9), 0.5, DOUBT).grips(mask, count=20)
 
 
 @pytest.mark.slow
-def test_no_grip_stands_on_unknown_ground():
-    """A grid of holes nearer to each other than the cup is wide leaves no place at all."""
+def test_no_grip_is_on_unknown_ground():
+    """A grid of holes closer than the width of the cup leaves no position."""
     depth_m = plate_depth()
     mask = np.ones(depth_m.shape, bool)
     mask[:20], mask[-20:], mask[:, :20], mask[:, -20:] = False, False, False, False
@@ -308,7 +308,7 @@ def test_the_same_seed_gives_the_same_grips():
     assert all((a.T_cam_tool == b.T_cam_tool).all() for a, b in zip(first, second, strict=True))
 
 
-def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
+def test_objects_beyond_an_open_pad_are_not_between_the_pads():
     """A plate 10 mm thick between pads 20 mm apart, and another one 6 mm beyond a pad."""
     near = trimesh.creation.box((0.010, 0.04, 0.04))
     far = trimesh.creation.box((0.004, 0.04, 0.04), rigid(np.eye(3), np.array([0.018, 0.0, 0.0])))
@@ -325,14 +325,14 @@ def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
 
 
 @pytest.mark.parametrize("kind", ["suction", "jaws"])
-def test_places_are_grips_and_those_that_do_not_hold(kind):
+def test_candidates_include_grips_that_hold_and_ones_that_do_not(kind):
     known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 24}
     if kind == "suction":
         places = suction_places(box(), CUP, **known)
         assert len(places) == 24
     else:
         places = jaw_places(box(), JAWS, **known, chances=6)
-        # All sides but the longest leave room; fingers may come from 8 ways.
+        # All sides but the longest leave room; fingers may approach in 8 ways.
         assert len(places) % 8 == 0
     grips = best_first(places)
     assert 0 < len(grips) < len(places)
@@ -343,8 +343,8 @@ def test_places_are_grips_and_those_that_do_not_hold(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("hole_m", "inside"), [(0.020, True), (0.007, False)])
-def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_m, inside):
-    """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""
+def test_a_wall_is_gripped_from_inside_if_the_hole_has_room_for_a_finger(hole_m, inside):
+    """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more room."""
     outer = trimesh.creation.box((hole_m + 0.008, hole_m + 0.008, 0.03))
     tube = mesh_of(outer.difference(trimesh.creation.box((hole_m, hole_m, 0.04))))
     places = jaw_places(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
@@ -352,14 +352,14 @@ def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_
     walls = [grip for grip in grips if grip.opening_m == pytest.approx(0.004)]
     assert bool(walls) == inside
     for grip in walls:
-        assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's mouth, not through the wall
+        assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's opening, not through the wall
         aside_m, *_ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
         assert aside_m == pytest.approx(0, abs=1e-9)
     assert any(grip.opening_m == pytest.approx(hole_m + 0.008) for grip in grips)
 
 
 def stepped(step_m, begins_m):
-    """Return a block between pads 20 mm apart, with a step on one side from a place along y on."""
+    """Return a block between pads 20 mm apart, with a step on one side from some y on."""
     block = trimesh.creation.box((0.020, 0.06, 0.03))
     middle = np.array([0.010 + step_m / 2 - 0.5e-3, begins_m + 0.005, 0.0])
     step = trimesh.creation.box((step_m + 1e-3, 0.010, 0.03), rigid(np.eye(3), middle))
@@ -372,10 +372,10 @@ def stepped(step_m, begins_m):
         (1.5e-3, 0.0042, 1.5e-3),  # beside the pad of 4 mm, under the finger of 10 mm
         (0.4e-3, 0.0042, 0.4e-3),
         (1.5e-3, 0.0052, 0.0),  # beside the finger, too
-        (9.0e-3, 0.0042, 5.0e-3),  # it reaches behind the open finger, which is 5 mm away
+        (9.0e-3, 0.0042, 5.0e-3),  # it extends behind the open finger, which is 5 mm away
     ],
 )
-def test_a_step_beside_the_pad_meets_the_finger_first(step_m, begins_m, ahead_m):
+def test_a_step_next_to_the_pad_meets_the_finger_first(step_m, begins_m, ahead_m):
     contact = closing(stepped(step_m, begins_m), JAWS, np.eye(4), opening_m=0.030)
     assert contact.ahead_m == pytest.approx(ahead_m, abs=1e-9)
     assert contact.on_pads == (ahead_m < 0.5e-3)
@@ -383,8 +383,8 @@ def test_a_step_beside_the_pad_meets_the_finger_first(step_m, begins_m, ahead_m)
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.05, 0.2])
-def test_a_finger_lies_along_a_flat_face_that_leans(lean_rad):
-    """Jaws whose pad meets one plane alone have nothing before the plane, however they lean."""
+def test_a_finger_is_along_a_flat_face_that_is_inclined(lean_rad):
+    """Jaws whose pad meets only one plane meet nothing before it, at any tilt."""
     T = rigid(axis_rotation("z", lean_rad), np.zeros(3))
     contact = closing(box((0.02, 0.08, 0.03)), JAWS, T, opening_m=0.048)
     assert contact.ahead_m == pytest.approx(0, abs=1e-9)
@@ -400,7 +400,7 @@ def test_a_flat_finger_meets_a_hollow_with_its_edges():
     solid = CrossSection([1e3 * np.asarray(outside)]) - CrossSection([1e3 * circle])
     wall = solid.extrude(40.0).to_mesh64()
     mesh = Mesh(vertices_m=1e-3 * wall.vert_properties[:, :3], faces=wall.tri_verts)
-    # One finger stands in the bore, the other one beside the block; a wall of 20 mm between them.
+    # One finger is in the bore, the other beside the block, with a wall of 20 mm between them.
     T = rigid(np.eye(3), np.array([0.020, 0.0, 0.020]))
     contact = closing(mesh, replace(JAWS, opening_m=0.03), T, opening_m=0.024)
     height = [math.sqrt(radius_m**2 - y**2) for y in (0.95 * JAWS.pad_radius_m, 0.005)]

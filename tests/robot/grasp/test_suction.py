@@ -1,4 +1,4 @@
-"""Seals by closed forms, on meshes and on depth; loads by hand."""
+"""Seals in closed form, on meshes and on depth; loads by hand."""
 
 import math
 
@@ -28,7 +28,7 @@ def at(x=0.0, y=0.0, z=0.0):
 
 
 def plate(hole_at=None, hole_m=0.003):
-    """100 mm square, 2 mm thick, its top at z = 0."""
+    """Return a plate, 100 mm square, 2 mm thick, with its top at z = 0."""
     body = trimesh.creation.box((0.1, 0.1, 0.002))
     body.apply_translation([0, 0, -0.001])
     if hole_at is not None:
@@ -46,8 +46,8 @@ def test_a_plate_is_sealed_without_strain():
 
 
 @pytest.mark.parametrize("angle", np.radians([0, 40, 200]))
-def test_a_hole_opens_a_seal_where_it_reaches_under_the_cup(angle):
-    """A hole of 3 mm radius: its rim is under the cup up to 13 mm from the axis."""
+def test_a_hole_opens_a_seal_if_it_extends_below_the_cup(angle):
+    """The hole has a radius of 3 mm: its rim is below the cup up to 13 mm from the axis."""
     for away_m, holds in ((0.0, False), (0.008, False), (0.0125, False), (0.0135, True)):
         hole = away_m * np.array([math.cos(angle), math.sin(angle)])
         lies = seal(CUP, under(plate(hole), at()))
@@ -64,7 +64,7 @@ def test_a_blind_hole_under_the_cup_does_no_harm():
 
 
 @pytest.mark.parametrize(("away_m", "holds"), [(0.0102, True), (0.0098, False), (0.0, False)])
-def test_an_edge_opens_a_seal_where_it_is_nearer_than_the_lip(away_m, holds):
+def test_an_edge_opens_a_seal_if_it_is_nearer_than_the_lip(away_m, holds):
     lies = seal(CUP, under(plate(), at(x=0.05 - away_m)))
     assert lies.holds == holds
     if away_m == 0:
@@ -75,12 +75,12 @@ def test_an_edge_opens_a_seal_where_it_is_nearer_than_the_lip(away_m, holds):
     ("gap", "open_share"),
     [
         ((3, -2), 1 / 1257),  # nodes within 20 steps, as Gauss counted them
-        ((0, 20), 1 / 32),  # one of the lip's 32 points stands on it
-        ((21, 0), 1 / 32),  # beside one of them nothing is known
+        ((0, 20), 1 / 32),  # one of the lip's 32 points is on it
+        ((21, 0), 1 / 32),  # next to one of them, the ground is unknown
         ((22, 0), 0),
     ],
 )
-def test_a_node_of_unknown_ground_under_a_cup_opens_its_seal(gap, open_share):
+def test_an_unknown_node_below_a_cup_opens_its_seal(gap, open_share):
     height_m = np.zeros((51, 51))
     height_m[25 + gap[1], 25 + gap[0]] = np.nan
     lies = seal(CUP, Patch(height_m=height_m, step_m=0.5e-3))
@@ -89,8 +89,8 @@ def test_a_node_of_unknown_ground_under_a_cup_opens_its_seal(gap, open_share):
 
 
 @pytest.mark.parametrize("slope", [(0.1, 0.0), (0.0, -0.08), (0.06, 0.06)])
-def test_a_cup_that_leans_with_the_surface_is_not_strained(slope):
-    """Leaning the other way, it is as strained as on twice the slope: by the lip's lowest point."""
+def test_a_cup_tilted_with_the_surface_has_no_strain(slope):
+    """Tilted the other way, it has the strain of twice the slope: by the lip's lowest point."""
     y, x = np.mgrid[-25:26, -25:26] * 0.5e-3
     patch = Patch(height_m=slope[0] * x + slope[1] * y, step_m=0.5e-3)
     lean = np.array([slope, (0.0, 0.0), (-slope[0], -slope[1])])
@@ -101,14 +101,14 @@ def test_a_cup_that_leans_with_the_surface_is_not_strained(slope):
 
 
 def sphere_strain(radius_m):
-    """All of the lip lies one sag lower: only the cone's springs are stretched."""
+    """All of the lip is lower by one sag: only the cone's springs are stretched."""
     r, h = CUP.radius_m, CUP.height_m
     sag = radius_m - math.sqrt(radius_m**2 - r**2)
     return math.hypot(r, h + sag) / math.hypot(r, h) - 1
 
 
 def cylinder_strain(radius_m):
-    """The lip's springs in a saddle: lengths between points whose heights are known."""
+    """Return the strain of the lip's springs in a saddle, from points of known height."""
     around = 2 * np.pi * np.arange(32) / 32
     x, y = CUP.radius_m * np.cos(around), CUP.radius_m * np.sin(around)
     z = np.sqrt(radius_m**2 - y**2) - radius_m
@@ -120,7 +120,7 @@ def cylinder_strain(radius_m):
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
-def test_a_seal_is_lost_at_the_radius_of_the_closed_form(shape):
+def test_a_seal_opens_at_the_radius_of_the_closed_form(shape):
     law = sphere_strain if shape == "sphere" else cylinder_strain
     limit_m = brentq(lambda radius_m: law(radius_m) - 0.10, 0.0101, 0.2)
     for radius_m in (0.97 * limit_m, 1.03 * limit_m, 0.04):
@@ -135,7 +135,7 @@ def test_a_seal_is_lost_at_the_radius_of_the_closed_form(shape):
 
 
 def test_measured_depth_gives_the_seal_of_the_surface():
-    """A sphere of 40 mm seen by a camera, its depth in closed form; the tool stands askew on it."""
+    """A sphere of 40 mm in a camera, with depth in closed form; the tool is tilted."""
     center_m, radius_m = np.array([0.0, 0.0, 0.5]), 0.04
     y, x = np.mgrid[:160, :200].astype(float)
     ray = rays(CAMERA, np.stack([x, y], axis=-1))
@@ -155,12 +155,12 @@ def test_measured_depth_gives_the_seal_of_the_surface():
     open_share = seal(
         CUP, patch_of_depth(holed, CAMERA, T_cam_tool, radius_m=0.011, step_m=STEP_M)
     ).open_share
-    # The six triangles about one pixel: three pixels' area, each of 0.46 m / 600 px a side.
+    # The six triangles at a pixel have three pixels' area, each of 0.46 m / 600 px a side.
     pixel_m = T_cam_tool[2, 3] / CAMERA.fx_px
     assert open_share == pytest.approx(3 * pixel_m**2 / (math.pi * CUP.radius_m**2), rel=0.15)
 
 
-def test_a_step_in_depth_is_no_surface():
+def test_a_cup_does_not_seal_on_a_step_in_depth():
     depth_m = np.full((160, 200), 0.5)
     depth_m[:, 100:] = 0.55
     T_cam_tool = rigid(axis_rotation("x", np.pi), np.array([-0.002, 0.0, 0.5]))
@@ -185,7 +185,7 @@ PULL_N = 50e3 * math.pi * 1e-4  # 15.7 N
         ((1, 0, 0), (0, 0.01, 0), 0.4 * PULL_N / math.sqrt(2)),  # across and about the axis
     ],
 )
-def test_a_load_s_limit_is_that_of_a_hand_calculation(force_n, point_m, limit):
+def test_the_limit_of_a_load_agrees_with_a_hand_calculation(force_n, point_m, limit):
     factor = load_factor(CUP, np.array([force_n], float), np.cross([point_m], [force_n]) * 1.0)[0]
     assert factor == pytest.approx(limit)
 

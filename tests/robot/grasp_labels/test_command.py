@@ -1,4 +1,4 @@
-"""The command: labels of a made dataset, gone on with, refused, and checked."""
+"""The command for grasp labels of a dataset: continued, refused, and validated."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ CUP = {"kind": "suction", "cup": {"radius_m": 0.008}, "length_m": 0.2, "tube_m":
 
 @pytest.fixture(scope="module")
 def original(robots, tmp_path_factory, mitsuba_renderer):
-    """A dataset of two scenes of a user's mesh, beside its configuration; and a tool's file."""
+    """Make a dataset of two scenes of a user's mesh, its configuration, and a tool's file."""
     folder = tmp_path_factory.mktemp("labels")
     assert main(["generate", str(write_cell(folder)), "--out", str(folder / "ds")]) == 0
     write_tool(folder, CUP)
@@ -46,7 +46,7 @@ def labels(folder, name="suction"):
 
 
 @pytest.mark.slow
-def test_labels_are_written_beside_the_scenes_and_are_sound(folder, capsys):
+def test_labels_are_written_next_to_the_scenes_and_are_valid(folder, capsys):
     before = content(folder / "ds")
     assert label(folder) == 0
     output = capsys.readouterr().out
@@ -61,11 +61,11 @@ def test_labels_are_written_beside_the_scenes_and_are_sound(folder, capsys):
 
 
 @pytest.mark.slow
-def test_the_same_command_goes_on_and_workers_change_nothing(folder):
+def test_the_same_command_continues_and_workers_do_not_change_the_labels(folder):
     assert label(folder) == 0
     whole = labels(folder)
     (folder / "ds/grasps/suction/train/000001.json").unlink()
-    for left in (".tmp-grasps.json-dead", "train/.tmp-000001.json-dead"):  # of a killed run
+    for left in (".tmp-grasps.json-dead", "train/.tmp-000001.json-dead"):  # left by a killed run
         (folder / "ds/grasps/suction" / left).write_bytes(b"half")
     assert label(folder) == 0
     assert labels(folder) == whole
@@ -94,7 +94,7 @@ def test_another_tool_and_missing_files_are_refused(folder, change, message, cap
 
 
 @pytest.mark.slow
-def test_a_part_that_changed_is_refused(folder, capsys):
+def test_a_changed_part_is_refused(folder, capsys):
     claim = folder / "ds/graycast.json"
     manifest = json.loads(claim.read_bytes())
     manifest["config"]["parts"][0]["density_kg_m3"] = 2.0
@@ -108,7 +108,7 @@ def test_a_part_that_changed_is_refused(folder, capsys):
 
 
 @pytest.mark.slow
-def test_jaws_that_fit_round_nothing_leave_no_trace(folder, capsys):
+def test_jaws_that_fit_no_part_leave_no_file(folder, capsys):
     jaws = {"kind": "jaws", "jaws": {"opening_m": 0.02}}
     write_tool(folder, jaws)
     assert label(folder) == 1

@@ -1,4 +1,4 @@
-"""Labels of plates where a hand calculation says what holds; and a dataset that gets labels."""
+"""Labels of plates for which a hand calculation is known; and labels of a dataset."""
 
 import math
 
@@ -59,8 +59,8 @@ def suction(robots):
     return world_of(SUCTION)
 
 
-def test_a_bin_that_changed_is_refused(tmp_path, monkeypatch):
-    """Labels of a run that goes on would else be of two bins."""
+def test_a_changed_bin_is_refused(tmp_path, monkeypatch):
+    """Otherwise the labels of a continued run would be of two bins."""
     parts = [{"builtin": "toothpaste"}]
     config = Config(rig="paper", parts=parts, bin={"mesh": "bin.stl", "unit": "mm"})
     (tmp_path / "bin.stl").write_text("a bin")
@@ -115,18 +115,18 @@ def ended(world, heap, grip, number=0):
 
 
 def tilt_limit_m(load_n):
-    """Beside the centre of mass by d the load tilts where load d > (pull - load) r / 2."""
+    """At a distance d from the centre of mass, the load tilts if load d > (pull - load) r / 2."""
     return (CUP.pull_n - load_n) * CUP.radius_m / 2 / load_n
 
 
 @pytest.mark.slow
 def test_a_plate_is_lifted_at_its_centre_and_lost_beyond_the_tilt_limit(suction):
-    """At rest it pulls with its weight, at the start with 1.5 times as much."""
+    """At rest, the force is its weight; at the start, 1.5 times as much."""
     weight_n = MASS_KG * GRAVITY_M_S2
     heap = heap_of(lying())
     centre = ended(suction, heap, on_top())
     assert centre.success
-    # The load at even acceleration; the spring overshoots it a little at the start.
+    # The load at constant acceleration; the spring overshoots it a little at the start.
     most_n = (1 + CARRIED_M_S2 / GRAVITY_M_S2) * weight_n
     assert centre.least_factor == pytest.approx(CUP.pull_n / most_n, rel=0.15)
     assert ended(suction, heap, on_top(0.6 * tilt_limit_m(most_n))).success
@@ -134,7 +134,7 @@ def test_a_plate_is_lifted_at_its_centre_and_lost_beyond_the_tilt_limit(suction)
     assert lost.ended == "lost seal" and lost.least_factor < 1
 
 
-def test_a_cup_over_the_edge_or_over_a_neighbour_s_does_not_seal(suction):
+def test_a_cup_over_the_edge_or_over_a_neighbour_s_edge_does_not_seal(suction):
     heap = heap_of(lying())
     assert ended(suction, heap, on_top(SIDES_M[0] / 2 - 0.5 * CUP.radius_m)).ended == "not held"
     above = lying(z=1.5 * SIDES_M[2] + 3 * SKIN_M, y=0.045)
@@ -144,8 +144,8 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_does_not_seal(suction):
 
 
 @pytest.mark.parametrize(("stroke_m", "ending"), [(0.015, "other part"), (0.005, None)])
-def test_a_place_under_another_part_is_no_success(robots, stroke_m, ending):
-    """A plate of 10 mm on a plate: met where the cup springs back so far, else in the way."""
+def test_a_label_below_another_part_is_no_success(robots, stroke_m, ending):
+    """A plate of 10 mm is on a plate: it is met if the cup's stroke allows it, else a collision."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
     label = _label(world, two, around(world, two), 0, on_top())
@@ -155,8 +155,8 @@ def test_a_place_under_another_part_is_no_success(robots, stroke_m, ending):
         assert label.reach == "free" and carry_out(world, two, label).ended == ending
 
 
-def test_a_weight_upon_the_part_that_the_score_does_not_know_tears_it_off(robots):
-    """25 mm beside the centre 0.18 Nm hang on a cup that holds 0.26 Nm; a second plate adds 0.5."""
+def test_an_unknown_weight_on_the_part_makes_the_cup_lose_it(robots):
+    """At 25 mm from the centre, 0.18 Nm load a cup that holds 0.26 Nm; a second plate adds 0.5."""
     world = world_of(SUCTION.model_copy(update={"cup": Cup(radius_m=0.015, height_m=0.015)}))
     beside = on_top(-0.025)
     assert ended(world, heap_of(lying()), beside).success
@@ -172,7 +172,7 @@ def test_a_weight_upon_the_part_that_the_score_does_not_know_tears_it_off(robots
         (rigid(axis_rotation("x", np.pi), np.array([0.0, 0.0, 0.1])), "table"),
     ],
 )
-def test_what_is_in_the_tool_s_way_is_named(suction, T, reach):
+def test_the_object_that_the_tool_collides_with_is_named(suction, T, reach):
     heap = heap_of(T)
     label = _label(suction, heap, around(suction, heap), 0, on_top())
     assert label.reach == reach
@@ -190,13 +190,13 @@ def test_jaws_hold_a_plate_that_stands_on_its_edge(robots):
     assert good and all(label.ending.success for label in good)
 
 
-def test_the_way_up_is_as_high_as_it_says_and_no_faster():
+def test_the_lift_has_its_stated_height_and_acceleration():
     path = straight_up(np.eye(4), 0.2)
     z = path[:, 2, 3]
     assert z[0] == 0 and z[-1] == pytest.approx(0.2, abs=2e-4)
     speed = np.diff(z) / STEP_S
     assert speed.max() == pytest.approx(0.25, rel=1e-6) and speed.min() >= 0
-    # A step in which the speed turns from growing to even has less.
+    # A step in which the acceleration ends has less.
     assert np.abs(np.diff(speed)).max() / STEP_S <= CARRIED_M_S2 * (1 + 1e-6)
     assert (path[:, :2, 3] == 0).all()
 
@@ -213,7 +213,7 @@ def test_the_way_up_is_as_high_as_it_says_and_no_faster():
         (9, 0, 4, 4),
     ],
 )
-def test_half_of_the_chosen_are_of_score_0_as_far_as_there_are(good, bad, count, goods):
+def test_half_of_the_selected_grips_have_score_0_if_there_are_enough(good, bad, count, goods):
     scores = [0.5] * good + [0.0] * bad
     indices = _half_and_half(scores, count, np.random.default_rng(0))
     assert len(set(indices)) == len(indices) == min(count, good + bad)

@@ -7,7 +7,7 @@ from graycast.score.evaluate.intervals import Interval
 
 
 def ranking_of(*counts):
-    """Return the ranking of labels with so many grips in each band, and these of them held."""
+    """Return the ranking of labels with this many grips in each band, and this many successes."""
     bands = tuple(
         Band(low=low, high=high, grips=grips, held=successes)
         for (low, high), (grips, successes) in zip(BANDS, counts, strict=True)
@@ -32,8 +32,8 @@ NOTHING = (0, 0)
     ("counts", "notes"),
     [
         ((38, 38), ["38 of 38 grips with score 0 were held"]),
-        ((38, 3), []),  # A few are held although they are not sure.
-        ((3, 3), []),  # These are too few to say: the interval begins at 44 %.
+        ((38, 3), []),  # a few hold although their score is low
+        ((3, 3), []),  # too few to decide: the interval begins at 44 %
     ],
 )
 def test_a_score_of_0_is_contradicted_by_grips_that_hold(counts, notes):

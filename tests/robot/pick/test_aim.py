@@ -1,4 +1,4 @@
-"""Which detections are looked at first: what lies free, what is covered, what failed."""
+"""The order of detections: free ones, covered ones, failed ones."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def square(left, top, size=20):
 
 
 def scene(*plates):
-    """A floor at 1 m, and plates on it: outlines with their depths, the later ones on top."""
+    """Return a floor at 1 m with plates: outlines with their depths, the later ones on top."""
     depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
@@ -38,18 +38,18 @@ def scene(*plates):
     return DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), candidates
 
 
-def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():
+def test_the_covered_share_of_an_outline_follows_geometry():
     """A strip across the middle of a square covers two sides of two rectangles of 20 x 6."""
     strip = np.zeros((60, 80), bool)
     strip[26:34, 5:60] = True
     view, (below, _) = scene((square(20, 20), 0.97), (strip, 0.94))
     share = covered_share(below.mask, view.depth_m)
-    # The window of five pixels also sees the strip from the second and last rows beside it.
+    # The window of five pixels also sees the strip from the two rows next to it.
     assert share == pytest.approx((2 * 20 + 4) / (2 * (2 * 20 + 2 * 4)), abs=0.03)
 
 
-def test_without_a_detector_all_that_is_seen_in_the_bin_may_be_parts():
-    """The floor, what stands beyond the walls, and pixels without depth are none."""
+def test_without_a_detector_all_surfaces_in_the_bin_may_be_parts():
+    """Excluded are the floor, objects outside the walls, and pixels without depth."""
     view, (inside, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
     view.depth_m[25, 35] = np.nan
     expected = inside.mask.copy()
@@ -58,7 +58,7 @@ def test_without_a_detector_all_that_is_seen_in_the_bin_may_be_parts():
 
 
 @pytest.mark.parametrize("kind", ["box", "mask"])
-def test_a_pose_is_found_by_the_box_of_a_detector_and_by_the_mask_of_truth(kind, monkeypatch):
+def test_a_pose_is_estimated_in_a_detector_s_box_or_in_a_true_mask(kind, monkeypatch):
     called = []
     for name, sort in (("find_pose", "mask"), ("find_pose_in_box", "box")):
         result = PoseMatch(T_cam_part=np.eye(4), score=1.0)
@@ -69,21 +69,21 @@ def test_a_pose_is_found_by_the_box_of_a_detector_and_by_the_mask_of_truth(kind,
     assert aiming._pose(object.__new__(PoseModel), target, view) is not None and called == [kind]
 
 
-def test_nothing_covers_what_lies_highest_or_alone():
+def test_the_highest_or_isolated_detection_is_not_covered():
     view, (low, high) = scene((square(5, 20), 0.97), (square(50, 20), 0.90))
     assert covered_share(low.mask, view.depth_m) == 0
     assert covered_share(high.mask, view.depth_m) == 0
 
 
-def test_what_is_free_comes_before_what_is_covered_although_that_is_higher():
+def test_free_detections_come_before_higher_covered_ones():
     strip = np.zeros((60, 80), bool)
     strip[18:21, 0:30] = True
     view, (covered, free, top) = scene((square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85))
     groups = ranked([covered, free, top], view)
-    assert groups == [[free], [covered], []]  # the strip is too small beside the others
+    assert groups == [[free], [covered], []]  # the strip is too small compared with the others
 
 
-def test_where_a_grip_failed_is_tried_last():
+def test_a_place_where_a_grip_failed_is_tried_last():
     view, (left, right) = scene((square(5, 20), 0.90), (square(50, 20), 0.95))
     assert ranked([left, right], view)[0] == [left, right]
     failed = np.array([(14.5 - 39.5) / 100 * 0.9, (29.5 - 29.5) / 100, 0.1])
@@ -100,7 +100,7 @@ def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
     return Aim(T_world_tool=T, score=score, target=target)
 
 
-def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
+def test_of_grips_with_similar_scores_the_highest_comes_first():
     low, high, doubtful = aim(0, 0.1, score=0.92), aim(0, 0.2, score=0.88), aim(0, 0.9, score=0.5)
     assert best_first([doubtful, low, high]) == [high, low, doubtful]
 

@@ -1,4 +1,4 @@
-"""What is told of a grip that met nothing, and what is remembered of failed ones."""
+"""Reasons of a grip that met nothing, and the memory of failed grips."""
 
 from types import SimpleNamespace
 
@@ -33,7 +33,7 @@ HERE = np.zeros(3)
 NEAR, FAR = np.array([0.9 * FREED_M, 0.0, 0.0]), np.array([0.0, 1.1 * FREED_M, 0.0])
 
 
-def test_a_failed_place_is_remembered_until_something_near_it_is_taken():
+def test_a_failed_place_is_remembered_until_a_part_near_it_is_removed():
     failed = EMPTY.gripped(NEAR, taken=False).gripped(FAR, taken=False)
     assert failed.tabu == (NEAR, FAR)
     assert failed.gripped(HERE, taken=True).tabu == (FAR,)
@@ -42,15 +42,15 @@ def test_a_failed_place_is_remembered_until_something_near_it_is_taken():
     assert again.gripped(HERE, taken=False).tabu == (FAR, HERE)
 
 
-def test_a_place_without_a_way_likewise_and_a_failure_elsewhere_leaves_it():
+def test_a_place_without_a_path_is_remembered_too_and_a_failure_elsewhere_keeps_it():
     blocked = EMPTY.without_way((NEAR,)).without_way((FAR,))
     assert blocked.blocked == (NEAR, FAR) and blocked.tabu == ()
     assert blocked.gripped(HERE, taken=True).blocked == (FAR,)
     assert blocked.gripped(HERE, taken=False).blocked == (NEAR, FAR)
 
 
-# A part whose middle is 50 mm from its origin, another of its kind beside it, and one of another
-# kind where the grip's pose is.
+# A part whose centre is 50 mm from its origin, another one of its kind next to it, and one of
+# another kind at the grip's pose.
 MIDDLE = np.array([0.05, 0.0, 0.0])
 MESH = Mesh(vertices_m=0.01 * BOX_CORNERS + MIDDLE, faces=box_part(1.0, lambert(0.5)).mesh.faces)
 T_WORLD_CAM = rigid(axis_rotation("x", np.pi), np.array([0.1, 0.0, 0.9]))
@@ -68,10 +68,10 @@ JOINTS = Trajectory(time_s=np.arange(2.0), q=np.arange(12.0).reshape(2, 6))
         (0.0, 5.5, Outcome.WRONG_POSE),
     ],
 )
-def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
+def test_a_grip_that_meets_nothing_is_blamed_on_a_wrong_pose(
     monkeypatch, turn_deg, shift_mm, outcome
 ):
-    """Its pose is turned about the part's middle and shifted; 10 degrees and 5 mm are too much."""
+    """The pose is rotated about the part's centre and shifted; 10 degrees and 5 mm are too much."""
     R = axis_rotation("z", np.radians(turn_deg))
     off = rigid(R, MIDDLE - R @ MIDDLE + [0, 0, shift_mm / 1e3])
     pose = Aim(
@@ -102,7 +102,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
 
 
 def bare(kind, **fields):
-    """One of a class with those fields alone."""
+    """Return an object of a class with these fields only."""
     result = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(result, name, value)
@@ -120,10 +120,10 @@ def bare(kind, **fields):
         ((False, False, False), 0.4, (1.0, 0.0), Outcome.WRONG_POSE, "after 0.40 s", (0, 1, 2)),
     ],
 )
-def test_what_a_lift_takes_out_and_what_stays(
+def test_a_lift_removes_the_carried_part_and_parts_outside_the_bin(
     monkeypatch, outside, lost_s, error, outcome, detail, left
 ):
-    """Part 1 is gripped; parts outside of the bin and the one that is carried away are gone."""
+    """Part 1 is gripped; parts outside of the bin and the carried one are removed."""
     lay = Layout(T_world_part=np.stack(POSES), part_index=np.array([0, 0, 1]))
     world = BinState(layout=lay, numbers=np.arange(3), hand_eye=np.eye(4), q=np.zeros(6))
     cell = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""Robots' cells that cannot work: each is refused in one line that names the thing."""
+"""Robots' cells that cannot work are refused in one line that names the reason."""
 
 import sys
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ def ready(folder, **changes):
     return make_ready(resolve_pick_cell(load_pick_config(path), folder))
 
 
-def test_the_small_cell_itself_is_fine(robots, tmp_path):
+def test_the_small_cell_itself_is_accepted(robots, tmp_path):
     setup = ready(tmp_path)
     assert (
         setup.known[0].grips
@@ -38,7 +38,7 @@ def test_the_small_cell_itself_is_fine(robots, tmp_path):
     )
 
 
-def test_a_robot_picks_under_a_scanner_of_the_shelf(tmp_path):
+def test_a_robot_picks_with_a_scanner_of_the_shelf(tmp_path):
     path = write_cell(tmp_path, rig="like-zivid-2-m70", view={"distance_m": 0.8})
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)
     assert cell.cell.scanner.rig.name == "like-zivid-2-m70"
@@ -68,7 +68,7 @@ def test_a_robot_picks_under_a_scanner_of_the_shelf(tmp_path):
         ({"domain": {"kind": "adapted"}}, "remove domain"),
     ],
 )
-def test_what_the_file_says_wrong_is_refused_by_name(tmp_path, changes, words):
+def test_wrong_values_in_the_file_are_refused_by_name(tmp_path, changes, words):
     refuses(tmp_path, changes, words)
 
 
@@ -103,7 +103,7 @@ def refuses(folder, changes, words):
 
 
 class OneClass:
-    """A detector that calls everything a part, finds one, and leaves out ids below 0."""
+    """A detector that finds one part of the only class, and leaves out ids below 0."""
 
     about = SimpleNamespace(names=("part",))
 
@@ -115,11 +115,11 @@ class OneClass:
 
 
 @pytest.mark.parametrize("parts", [1, slow(2)])
-def test_a_detector_of_one_class_serves_where_grips_need_no_model(
+def test_a_detector_of_one_class_is_enough_if_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts
 ):
-    """With one part its class is that part; with two it is none of them, which needs `depth`."""
-    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is looked for
+    """With one part, its class is this part; with two parts it is unknown, which needs `depth`."""
+    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is estimated
     detect = SimpleNamespace(load_detector=lambda path: OneClass())  # without PyTorch
     monkeypatch.setitem(sys.modules, "graycast.learn.detect", detect)
     (tmp_path / "run").mkdir()

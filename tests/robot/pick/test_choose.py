@@ -1,4 +1,4 @@
-"""The order in which grips are tried, what is not tried at all, and what is told of it."""
+"""The order in which grips are tried, what is not tried, and what is recorded."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -24,17 +24,17 @@ from graycast.robot.pose import pose_model
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=300.0, fy_px=300.0, cx_px=79.5, cy_px=59.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.6]))
-# The part is 60 x 40 x 30 mm and lies in the middle of the bin, in a layer as high as itself.
+# The part is 60 x 40 x 30 mm, in the middle of the bin, in a layer as high as itself.
 TOP_M = 0.03
 T_CAM_PART = inverse(LOOKING_DOWN) @ rigid(np.eye(3), np.array([0.0, 0.0, TOP_M / 2]))
 EVERYWHERE = np.ones((120, 160), bool)
 TARGET = Candidate(kind=0, score=1.0, mask=EVERYWHERE, T_cam_part=T_CAM_PART)
-# The second grip is on the same face as the first, 20 mm beside it; the third is elsewhere.
+# The second grip is on the same face as the first, 20 mm away; the third is elsewhere.
 FIRST, BESIDE, ELSEWHERE = (np.array([x, 0.0, TOP_M]) for x in (0.0, 0.02, 0.08))
 
 
 def bare(kind, **fields):
-    """One of a class with those fields alone."""
+    """Return an object of a class with these fields only."""
     result = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(result, name, value)
@@ -42,7 +42,7 @@ def bare(kind, **fields):
 
 
 def grips(*scores):
-    """Upright ones, whose tips come to those three places."""
+    """Return upright grips with tips at these three positions."""
     places = (FIRST, BESIDE, ELSEWHERE)
     return tuple(
         Grip(T_part_tool=rigid(np.eye(3), place - [0, 0, TOP_M / 2]), score=score)
@@ -52,13 +52,13 @@ def grips(*scores):
 
 @pytest.fixture(scope="module")
 def ready(tmp_path_factory):
-    """What a choice needs that does without libraries of robots."""
+    """Return the data of a choice, without libraries of robots."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, tool={"kind": "suction"}, picking={"pose": "truth"})
     cell = resolve_pick_cell(load_pick_config(path), folder)
     part = cell.cell.scene.parts[0]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is looked for
+        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is estimated
         model = pose_model(part.mesh, part.symmetry)
     return bare(
         Ready,
@@ -71,7 +71,7 @@ def ready(tmp_path_factory):
 
 
 def like(ready, **changes):
-    """The same with other fields, or with other words of its section `picking`."""
+    """Return the same with other fields, or with other keys of its section `picking`."""
     fields = {name: getattr(ready, name) for name in ("cell", "known", "load", "bodies", "robot")}
     words = {name: changes.pop(name) for name in ("knows", "grips") if name in changes}
     config = ready.cell.config
@@ -81,7 +81,7 @@ def like(ready, **changes):
 
 
 def scan(*bumps, lean_rad=0.0):
-    """A layer of even height, leaning about x, and places about which it is higher or lower."""
+    """Return a flat layer, inclined about x, that is higher or lower around some positions."""
     ray = rays(CAMERA, pixel_grid(120, 160)) @ LOOKING_DOWN[:3, :3].T
     normal = axis_rotation("x", lean_rad)[:, 2]
     depth = normal @ (FIRST - LOOKING_DOWN[:3, 3]) / (ray @ normal)
@@ -99,9 +99,9 @@ def choice_of(ready, view, candidates=(TARGET,), *, tabu=(), blocked=()):
 
 @pytest.fixture
 def reaching(robots, ready, monkeypatch):
-    """Chooses among the three grips with an arm that has ways to some places alone.
+    """Choose among the three grips with an arm that reaches only some of them.
 
-    What the arm was asked for is kept: the tip's pose, and what is carried how high.
+    The requests are recorded: the tip's pose, and the height and size of the load.
     """
     tool = ready.cell.config.tool
     here = Surroundings(
@@ -131,7 +131,7 @@ def places(sought):
     return [round(float(tip[0, 3]), 6) for tip, *_ in sought]
 
 
-def test_a_grip_beside_one_without_a_way_waits_for_all_others(reaching):
+def test_a_grip_near_an_unreachable_one_is_tried_after_all_others(reaching):
     result, sought = reaching(BESIDE, ELSEWHERE)
     assert isinstance(result, Choice) and places(sought) == [0.0, 0.08]
     np.testing.assert_allclose(result.aim.place_m, ELSEWHERE, atol=1e-9)
@@ -139,7 +139,7 @@ def test_a_grip_beside_one_without_a_way_waits_for_all_others(reaching):
     assert isinstance(result, Choice) and places(sought) == [0.0, 0.08, 0.02]
 
 
-def test_the_next_scan_begins_elsewhere(reaching):
+def test_the_next_scan_starts_with_other_grips(reaching):
     result, sought = reaching()
     assert result.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
     assert [round(float(place[0]), 6) for place in result.places_m] == places(sought)
@@ -147,12 +147,12 @@ def test_the_next_scan_begins_elsewhere(reaching):
     assert places(reaching(BESIDE, blocked=result.places_m)[1]) == [0.0, 0.02]  # all of them again
 
 
-def test_no_more_ways_are_sought_than_stated(reaching):
+def test_the_number_of_planned_paths_is_limited(reaching):
     result, sought = reaching(BESIDE, grips=2)
     assert isinstance(result, Blocked) and places(sought) == [0.0, 0.08]
 
 
-def test_where_a_grip_failed_none_is_tried(reaching):
+def test_no_grip_is_tried_where_one_failed(reaching):
     result, sought = reaching(tabu=(FIRST, BESIDE, ELSEWHERE))
     assert result.outcome is Outcome.GIVEN_UP and not sought and not result.places_m
     assert places(reaching(tabu=(FIRST,))[1]) == [0.02, 0.08]
@@ -165,24 +165,24 @@ def test_where_a_grip_failed_none_is_tried(reaching):
         (-0.006, Outcome.NOTHING_FOUND, "the part is not at the place of the cup"),
     ],
 )
-def test_no_way_is_sought_where_the_surface_is_another_s(reaching, higher_m, outcome, words):
-    """Beside the middles of all three cups; by 2 mm it may be off."""
+def test_no_path_is_planned_where_another_surface_is_measured(reaching, higher_m, outcome, words):
+    """Next to the centres of all three cups; a difference of 2 mm is allowed."""
     aside = [(np.array([x, 0, TOP_M]), 0.007) for x in (0.01, 0.07)]
     result, sought = reaching(view=scan(*((place, higher_m) for place in aside)))
     assert result.outcome is outcome and result.detail == words and not sought
     assert reaching(view=scan(*((place, higher_m / 3) for place in aside)))[1]
 
 
-def test_no_way_is_sought_to_where_the_tool_alone_meets_the_heap(reaching):
-    """A tower 25 mm from the tool's axis, up to above the bellows; the tube's radius is 12 mm."""
+def test_no_path_is_planned_if_the_tool_would_collide_with_the_heap(reaching):
+    """A tower is 25 mm from the tool's axis; the radius of the tube is 12 mm."""
     tower = (np.array([-0.025, 0, TOP_M]), 0.011)
     result, sought = reaching(ELSEWHERE, view=scan((tower, 0.05)))
     assert isinstance(result, Choice) and places(sought) == [0.02, 0.08]
     assert places(reaching(FIRST, view=scan((tower, 0.01)))[1]) == [0.0]
 
 
-def test_a_known_part_is_carried_over_the_rim_by_its_own_reach(reaching):
-    """From the middle of its top it reaches 30 mm down, and half its diagonal aside."""
+def test_a_known_part_is_lifted_above_the_rim_by_its_own_size(reaching):
+    """From the centre of its top it extends 30 mm down, and half its diagonal aside."""
     ((_, search, round_tool),) = reaching(FIRST)[1]
     assert search.load.below_m == pytest.approx(0.03)
     assert search.load.aside_m == pytest.approx(np.hypot(0.03, 0.02))
@@ -191,7 +191,7 @@ def test_a_known_part_is_carried_over_the_rim_by_its_own_reach(reaching):
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.3])
-def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean_rad):
+def test_an_unknown_part_extends_at_most_down_to_the_floor(reaching, lean_rad):
     """Oracle: the lowest of all points, within its size of the tip and above the floor, once the
     tool is upright."""
     unknown = (Candidate(kind=None, score=1.0, mask=few(9)),)
@@ -205,7 +205,7 @@ def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean
 
 
 def few(pixels):
-    """So many in the middle of the picture."""
+    """Return a few detections in the middle of the picture."""
     mask = np.zeros(EVERYWHERE.shape, bool)
     mask[60, 80 : 80 + pixels] = True
     return mask
@@ -229,7 +229,7 @@ UPSIDE_DOWN = T_CAM_PART @ rigid(axis_rotation("x", np.pi), np.zeros(3))
         ([TARGET], 0.57, (0.1, 0.2), "no grip: all have less than the least score"),
     ],
 )
-def test_nothing_found_says_what_was_not_found(ready, candidates, depth_m, scores, message):
+def test_a_failed_detection_names_the_reason(ready, candidates, depth_m, scores, message):
     known = {0: replace(ready.known[0], grips=grips(*scores))}
     view = replace(scan(), depth_m=np.full((120, 160), depth_m))
     got = choice_of(like(ready, known=known), view, candidates)

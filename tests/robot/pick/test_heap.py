@@ -1,4 +1,4 @@
-"""The measured heap: heights by hand, where nothing was seen, and that it stands where it is."""
+"""The measured heap: heights by hand, unseen areas, and its pose."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ from graycast.world.scene import Bin
 
 BOX = Bin(inner_m=(0.2, 0.16, 0.1))
 CAMERA = Optics(width_px=240, height_px=200, fx_px=400.0, fy_px=400.0, cx_px=119.5, cy_px=99.5)
-# Not upright, so that a depth taken for a height shows.
+# The camera is tilted, so that a depth used as a height would be noticed.
 T_WORLD_CAM = look_at(np.array([0.1, 0.05, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
 
 
 def depth_of(height_of, T_world_cam=T_WORLD_CAM):
-    """z of a surface z = height(x, y) by steps along each ray: an independent ray caster.
+    """Return z of a surface z = height(x, y) by steps along each ray, independently.
 
-    Steps of 2 mm, and from the last one before the surface steps of 0.2 mm.
+    Steps are 2 mm, and 0.2 mm from the last one before the surface.
     """
     way = rays(CAMERA, pixel_grid(CAMERA.height_px, CAMERA.width_px)) @ T_world_cam[:3, :3].T
     first = np.full(way.shape[:2], 0.35)
@@ -38,7 +38,7 @@ def depth_of(height_of, T_world_cam=T_WORLD_CAM):
 
 
 def block(x, y):
-    """40 mm high over a quarter that is no other quarter's mirror image."""
+    """Return a block, 40 mm high, over a quarter that is not the mirror image of another one."""
     return np.where((x > 0.02) & (x < 0.07) & (y > 0.01) & (y < 0.05), 0.04, 0.0)
 
 
@@ -66,13 +66,13 @@ def at(heap, x, y):
     return heap.height_m[round(y / CELL_M + (rows - 1) / 2), round(x / CELL_M + (columns - 1) / 2)]
 
 
-def test_heights_are_those_of_the_world(heap):
+def test_heights_are_in_the_world_frame(heap):
     assert at(heap, 0.045, 0.03) == pytest.approx(0.04, abs=1e-3)
     for x, y in ((-0.045, 0.03), (0.045, -0.03), (-0.045, -0.03), (0.09, 0.03)):
         assert at(heap, x, y) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_rim_reaches_as_far_beyond_the_part_as_a_tool_keeps_away(heap):
+def test_a_rim_extends_beyond_the_part_by_the_tool_s_clearance(heap):
     """The camera sees the block's faces at x = 70 mm and y = 50 mm; a cell is 4 mm."""
     high = heap.height_m > 0.02
     y, x = (np.argwhere(high) - (np.array(high.shape) - 1) / 2).T * CELL_M
@@ -80,20 +80,20 @@ def test_a_rim_reaches_as_far_beyond_the_part_as_a_tool_keeps_away(heap):
     assert y.max() == pytest.approx(0.05 + CELL_M, abs=CELL_M / 2 + 1e-9)
 
 
-def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it(depth):
+def test_an_unseen_area_is_as_high_as_the_nearest_seen_one(depth):
     inside = np.zeros(depth.shape, bool)
     rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
     heap = heap_of(np.where(inside, np.nan, depth))
     assert not heap.is_measured.all()
-    # Of the block's unseen half, what is nearer to the seen half than the floor counts as block.
+    # Unseen cells of the block that are nearer to its seen half than to the floor count as block.
     guessed = ~heap.is_measured
     assert heap.height_m[guessed].max() == pytest.approx(0.04, abs=1e-3)
     assert np.isfinite(heap.height_m).all()
 
 
-def test_a_shadow_beside_a_part_is_as_high_as_the_part():
-    """From far aside the camera sees nothing for 22 mm behind the block."""
+def test_a_shadow_next_to_a_part_is_as_high_as_the_part():
+    """From far aside, the camera sees nothing for 22 mm behind the block."""
     aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
     heap = heap_of(depth_of(block, aside), aside)
     shadow_m = 0.04 * (0.35 - 0.02) / (0.5 - 0.04)
@@ -102,28 +102,28 @@ def test_a_shadow_beside_a_part_is_as_high_as_the_part():
     assert at(heap, 0.02 - shadow_m - GUESSED_M - 2 * CELL_M, 0.03) == pytest.approx(0, abs=1e-3)
 
 
-def test_a_spike_is_not_believed_and_a_thin_post_is(depth):
-    """One pixel alone, and six side by side, both 60 mm above the floor."""
+def test_a_single_high_pixel_is_ignored_and_a_thin_post_is_not(depth):
+    """A single pixel, and six side by side, are 60 mm above the floor."""
     depth[60, 60] = depth[60, 60] - 0.06
     assert heap_of(depth).height_m.max() < 0.041
     depth[60:62, 60:63] = depth[60, 60]
     assert heap_of(depth).height_m.max() > 0.05
 
 
-def test_nothing_seen_is_a_full_bin():
+def test_a_bin_without_depth_counts_as_full():
     nothing = np.full((CAMERA.height_px, CAMERA.width_px), np.nan)
     assert (heap_of(nothing).height_m == BOX.inner_m[2]).all()
 
 
-def test_a_part_is_left_out_for_the_fingers_that_close_round_it(heap, depth):
+def test_a_part_is_removed_from_the_heap_for_the_fingers_that_grip_it(heap, depth):
     top = depth < np.nanmin(depth) + 0.012
     without = heap_of(depth, without=top)
     assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)
 
 
 @pytest.mark.slow
-def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
-    """What the camera sees of walls is the bin's; where the part was is as high as the floor."""
+def test_a_part_next_to_a_wall_does_not_become_as_high_as_the_wall():
+    """Depth of walls belongs to the bin; the area of the part is as high as the floor."""
     above = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
 
     def beside(x, y):
@@ -146,8 +146,8 @@ def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
     ("x", "y", "hit"),
     [(0.045, 0.03, True), (-0.045, 0.03, False), (0.045, -0.03, False), (-0.045, -0.03, False)],
 )
-def test_the_planner_meets_the_heap_where_it_is(robots, heap, x, y, hit):
-    """A ball 30 mm above the floor is in the block, and nowhere else."""
+def test_the_planner_has_the_heap_at_its_position(robots, heap, x, y, hit):
+    """A ball 30 mm above the floor overlaps the block, and nothing elsewhere."""
     import coal
 
     obstacle = heap_obstacle(heap, np.eye(4))

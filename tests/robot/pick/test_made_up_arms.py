@@ -1,4 +1,4 @@
-"""Ways of made-up arms in closed form, which need no library of robots."""
+"""Paths of simple arms in closed form, without a library of robots."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from graycast.robot.pick.ways import Load, Surroundings, _gently
 
 
 class Polar(Robot):
-    """It turns about an upright axis, stretches and lifts; its hand never turns."""
+    """An arm that rotates about a vertical axis, stretches and lifts; its hand does not rotate."""
 
     def __init__(self):
         pass
@@ -36,9 +36,9 @@ def at(x, y, z):
 
 
 @pytest.mark.parametrize(("aside_m", "smooth"), [(0.0335, True), (0.0310, False), (0.0, False)])
-def test_a_way_on_which_a_joint_would_jump_is_none(aside_m, smooth):
-    """Beside its axis, within a step of 10 mm, the arm turns by atan(10 mm / aside): 0.3 rad at
-    32.3 mm."""
+def test_a_path_on_which_a_joint_would_jump_is_refused(aside_m, smooth):
+    """Near its axis, the arm turns by atan(10 mm / distance) in a step of 10 mm: 0.3 rad at 32.3
+    mm."""
     arm = Polar()
     start = arm.follow(at(-0.1, aside_m, 0.2), np.zeros(3))
     corners = straight(arm, start, at(0.1, aside_m, 0.2), ())
@@ -50,7 +50,7 @@ def test_a_way_on_which_a_joint_would_jump_is_none(aside_m, smooth):
 
 
 class Wrist(Robot):
-    """It turns its tool about the tip, which stays where it is."""
+    """An arm that rotates its tool about the tip, which does not move."""
 
     def __init__(self):
         pass
@@ -61,8 +61,8 @@ class Wrist(Robot):
 
 
 @pytest.mark.parametrize("below_m", [0.01, 0.1])
-def test_the_end_of_a_long_part_is_carried_as_gently_as_the_tip(below_m):
-    """Turned by 20 rad/s it goes in a circle: 400 / s^2 times its radius."""
+def test_the_end_of_a_long_part_is_accelerated_no_more_than_the_tip(below_m):
+    """At 20 rad/s it moves in a circle: the acceleration is 400 / s^2 times its radius."""
     here = Surroundings(
         T_base_world=np.eye(4), T_flange_tip=T_flange_tip(SuctionTool()), standing=(),
         q_place=np.zeros(1), approach_m=0.06, straight_m_s=0.25, lift_off_m_s=0.05,
@@ -75,8 +75,8 @@ def test_the_end_of_a_long_part_is_carried_as_gently_as_the_tip(below_m):
     np.testing.assert_array_equal(slow.q, way.q)
 
 
-def test_angles_are_taken_within_the_limits_wherever_whole_turns_bring_them_there():
-    """Law, over joints of all spans: of the angles that are alike one is within, or none could."""
+def test_joint_angles_are_moved_into_the_limits_by_whole_turns():
+    """Law for joints of all ranges: an equivalent angle is in the limits, or none can be."""
     rng = np.random.default_rng(0)
     low, high = -rng.uniform(0.5, 6.0, 2000), rng.uniform(0.5, 6.0, 2000)
     near, q = rng.uniform(low, high), rng.uniform(-9, 9, 2000)

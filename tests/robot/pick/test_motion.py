@@ -1,4 +1,4 @@
-"""Ways: free, in the least time of a closed form, within limits, the same for a seed."""
+"""Paths: free, in the least time of a closed form, within limits, reproducible by seed."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ def wall(x, y, z, size):
 
 
 def least_s(angle, speed):
-    """One joint from rest to rest: full speed between two ramps, or two ramps alone."""
+    """Return the least time of a joint from rest to rest, with or without a phase of full speed."""
     if angle < speed**2 / ACCELERATION_RAD_S2:
         return 2 * np.sqrt(angle / ACCELERATION_RAD_S2)
     return angle / speed + speed / ACCELERATION_RAD_S2
@@ -43,7 +43,7 @@ def test_a_single_joint_takes_the_least_time_of_a_bang_bang_law(ur, angle):
     np.testing.assert_allclose(driven.q[-1], end, atol=1e-6)
 
 
-def test_no_joint_is_faster_than_it_may_be(ur):
+def test_no_joint_exceeds_its_speed(ur):
     rng = np.random.default_rng(3)
     corners = ur.home + rng.uniform(-1.0, 1.0, (4, 6))
     driven = drive(ur, corners, step_s=0.004)
@@ -51,13 +51,13 @@ def test_no_joint_is_faster_than_it_may_be(ur):
     assert (np.abs(speed) <= ur.speed * 1.01).all()
     gain = np.diff(speed, axis=0) / 0.004
     assert np.abs(gain).max() <= 1.1 * ACCELERATION_RAD_S2
-    # From one end of the span of accelerations to the other in no less than the time of rising.
+    # The acceleration changes over its whole range in no less than the rise time.
     jerk = np.diff(gain, axis=0) / 0.004
     assert np.abs(jerk).max() <= 1.1 * 2 * ACCELERATION_RAD_S2 / RISE_S
 
 
-def test_a_wall_in_the_way_is_gone_round(ur):
-    """From one side of the robot to the other, with a wall where the straight way passes."""
+def test_the_path_leads_around_a_wall(ur):
+    """From one side of the robot to the other, a wall blocks the direct path."""
     start, goal = ur.home.copy(), ur.home.copy()
     start[0], goal[0] = -1.0, 1.0
     between = [wall(-0.49, -0.13, 0.4, (0.3, 0.02, 0.5))]
@@ -71,7 +71,7 @@ def test_a_wall_in_the_way_is_gone_round(ur):
     assert (corners == again).all()
 
 
-def test_where_there_is_no_way_none_is_found(ur):
+def test_if_there_is_no_path_none_is_returned(ur):
     goal = ur.home.copy()
     goal[0] = 1.0
     T = ur.flange(goal)
@@ -79,7 +79,7 @@ def test_where_there_is_no_way_none_is_found(ur):
     assert plan(ur, ur.home, goal, in_it, seed=0) is None
 
 
-def test_a_straight_way_keeps_the_tool_s_line_and_stops_at_a_wall(ur):
+def test_a_straight_path_keeps_the_tool_s_line_and_ends_at_a_wall(ur):
     here = ur.flange(ur.home)
     down = here.copy()
     down[2, 3] -= 0.12

@@ -1,4 +1,4 @@
-"""Whole bins of a small cell: what is kept adds up, and one seed makes one folder."""
+"""Complete bins of a small cell: the records are consistent, and one seed gives one folder."""
 
 import json
 import os
@@ -28,7 +28,7 @@ TOOL = {"kind": "suction", "cup": {"radius_m": 0.01}, "length_m": 0.15}
 
 
 def cell_of(folder, **picking):
-    """The small cell, under a camera that shows poses: 400 x 300 pixels."""
+    """Return the small cell with a camera that shows poses: 400 x 300 pixels."""
     folder.mkdir(exist_ok=True)
     path = write_cell(folder, tool=TOOL, picking={"place_m": [0.0, -0.4, 0.3]} | picking)
     rig = preset_rig("paper")
@@ -43,7 +43,7 @@ def run(path, out, *options):
 
 
 def content(out):
-    """Every file but the lock and this machine's seconds."""
+    """Return every file except the lock and this machine's times."""
     return {
         str(path.relative_to(out)): path.read_bytes()
         for path in out.rglob("*")
@@ -60,7 +60,7 @@ def picks(robots, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_part_is_somewhere_and_every_attempt_is_told(picks):
+def test_every_part_is_accounted_for_and_every_attempt_is_recorded(picks):
     _, out = picks
     for episode in read_episodes(out):
         assert episode.filled == 3 == episode.taken + episode.left + episode.spilled
@@ -76,20 +76,20 @@ def test_every_part_is_somewhere_and_every_attempt_is_told(picks):
             if attempt["outcome"] == "picked":
                 assert attempt["part"] in before and attempt["least_factor"] >= 1
                 before -= {attempt["part"]}
-            # The arm ends where parts are let go, and its motion takes the time that is told.
+            # The arm ends where parts are released, and its motion takes the recorded time.
             if moved is not None:
                 assert moved["time_s"][-1] == pytest.approx(attempt["seconds"]["motion"], abs=1e-3)
 
 
 @pytest.mark.slow
-def test_boxes_before_a_plain_scanner_are_picked(picks):
-    """Three boxes with free tops: most grips hold, and parts that are gone are not seen again."""
+def test_boxes_in_front_of_a_plain_scanner_are_picked(picks):
+    """Three boxes with free tops: most grips hold, and removed parts are not detected again."""
     summary = summarize(read_episodes(picks[1]))
     assert summary.rate[0] >= 0.7 and summary.taken >= 5
 
 
 @pytest.mark.slow
-def test_the_same_command_finds_all_and_another_cell_is_refused(picks, tmp_path, capsys):
+def test_the_same_command_finds_all_bins_and_another_cell_is_refused(picks, tmp_path, capsys):
     path, out = picks
     before = content(out)
     assert run(path, out, "--bins", 2) == 0
@@ -101,14 +101,14 @@ def test_the_same_command_finds_all_and_another_cell_is_refused(picks, tmp_path,
 
 @pytest.mark.slow
 def test_a_wrong_calibration_makes_grips_fail(robots, tmp_path):
-    """40 mm off the tool meets nothing, or another part than it was sent to."""
+    """With an error of 40 mm, the tool meets nothing, or another part than planned."""
     path = cell_of(tmp_path, hand_eye_m=0.04, failures=2)
     assert run(path, tmp_path / "out", "--bins", 1) == 0
     summary = summarize(read_episodes(tmp_path / "out"))
     assert summary.picked <= 1 and summary.grips >= 1
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path):
+def test_a_folder_of_other_files_is_refused(tmp_path):
     path = cell_of(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("x")
@@ -126,7 +126,7 @@ def test_two_workers_make_the_same_bins(picks, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_that_was_killed_goes_on_to_the_same_bins(picks, tmp_path):
+def test_a_killed_run_continues_to_the_same_bins(picks, tmp_path):
     path, out = picks
     for _ in range(2):
         running = start("robot", "pick", path, "--out", tmp_path / "out", "--bins", 2)

@@ -1,4 +1,4 @@
-"""Arms: poses by hand, ways back from poses to angles, limits, and what they touch."""
+"""Arms: poses by hand, inverse kinematics, limits, and collisions."""
 
 import re
 from xml.etree import ElementTree
@@ -24,12 +24,12 @@ def robot(request, tmp_path_factory):
 
 
 def dh(d, a, alpha, q):
-    """Denavit and Hartenberg's own product."""
+    """Return the product of Denavit and Hartenberg."""
     turn = rigid(axis_rotation("z", q), np.array([0.0, 0.0, d]))
     return turn @ rigid(axis_rotation("x", alpha), np.array([a, 0.0, 0.0]))
 
 
-def test_the_ur5e_is_that_of_its_maker_s_table(tmp_path):
+def test_the_ur5e_agrees_with_its_maker_s_table(tmp_path):
     """Oracle: the product of the six transforms of the published table."""
     ur = open_robot("ur5e", folder=tmp_path)
     table = [
@@ -44,9 +44,9 @@ def test_the_ur5e_is_that_of_its_maker_s_table(tmp_path):
         np.testing.assert_allclose(ur.flange(q), T, atol=1e-12)
 
 
-def test_a_stretched_diana_stands_upright_and_looks_down(tmp_path):
+def test_a_stretched_diana_is_upright_and_looks_down(tmp_path):
     T = open_robot("diana7", folder=tmp_path).flange(np.zeros(7))
-    # Heights of the joints, one above the other; the last one hangs beside the arm, looking down.
+    # Heights of the joints, one above the other; the last one is beside the arm, looking down.
     assert T[2, 3] == pytest.approx(0.2856 + 0.4586 + 0.47702 - 0.0216 - 0.1169)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(T[:2, 3], [0.065 - 0.0528 - 0.0122 + 0.087, 0], atol=1e-12)
@@ -84,7 +84,7 @@ def test_each_link_of_a_built_in_arm_is_a_capsule(name):
         np.testing.assert_allclose([middle - half, middle + half], place, atol=1e-12)
 
 
-def test_angles_are_found_for_every_pose_that_angles_make(robot):
+def test_inverse_kinematics_finds_angles_for_every_pose_of_the_arm(robot):
     rng = np.random.default_rng(1)
     inner = 0.9
     solved = 0
@@ -100,12 +100,12 @@ def test_angles_are_found_for_every_pose_that_angles_make(robot):
     assert solved >= 18
 
 
-def test_what_is_out_of_reach_is_not_reached(robot):
+def test_a_pose_out_of_reach_has_no_angles(robot):
     far = rigid(np.eye(3), np.array([1.6, 0.0, 0.3]))
     assert robot.reach(far, robot.home, seed=0) == []
 
 
-def test_the_nearest_of_several_ways_is_taken(robot):
+def test_the_nearest_of_several_solutions_is_used(robot):
     q = robot.home + 0.05
     back, *others = robot.reach(robot.flange(q), robot.home, seed=0)
     assert np.abs(back - robot.home).max() < 0.5
@@ -118,7 +118,7 @@ def box(name, size, at, *, carries=False):
     return Obstacle(name=name, shape=coal.Box(*size), T_base_shape=T, carries=carries)
 
 
-def test_an_arm_touches_what_its_flange_is_in_and_nothing_else(robot):
+def test_an_arm_collides_only_with_objects_at_its_flange(robot):
     assert robot.touches(robot.home, []) is None
     T = robot.flange(robot.home)
     there = T[:3, 3] - 0.03 * T[:3, 2]
@@ -130,7 +130,7 @@ def test_an_arm_touches_what_its_flange_is_in_and_nothing_else(robot):
     assert robot.touches(robot.home, [box("bin", size, at)]) == "bin"
 
 
-def test_an_arm_folded_into_itself_is_told(tmp_path):
+def test_a_self_collision_of_the_arm_is_detected(tmp_path):
     ur = open_robot("ur5e", folder=tmp_path)
     folded = np.array([0.0, -1.57, 3.1, 0.0, 0.0, 0.0])
     assert ur.touches(folded, []) == "itself"
@@ -144,7 +144,7 @@ def test_a_robot_without_a_joint_that_moves_is_refused(tmp_path):
         open_robot("fixed.urdf", folder=tmp_path)
 
 
-def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
+def test_a_urdf_file_gives_the_robot_that_it_describes(tmp_path):
     (tmp_path / "arm.urdf").write_text(UR5E)
     mine = open_robot("arm.urdf", folder=tmp_path, home=ARMS["ur5e"])
     own = open_robot("ur5e", folder=tmp_path)
@@ -192,7 +192,7 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, message):
     assert "\n" not in str(error.value)
 
 
-def test_a_wrong_home_is_refused(tmp_path):
+def test_an_impossible_home_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="home has 2 angles, and the robot has 6 joints"):
         open_robot("ur5e", folder=tmp_path, home=[0, 0])
     with pytest.raises(ConfigError, match=r"home of joint 4 is -0.500 rad; its limits are 0.000"):

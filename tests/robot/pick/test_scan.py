@@ -1,4 +1,4 @@
-"""The depth that a robot acts on: the scanner's, or what simulators without a scanner give."""
+"""The depth for the robot: that of the scanner, or of simulators without a scanner."""
 
 from types import SimpleNamespace
 
@@ -18,7 +18,7 @@ NOWHERE = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
 
 
 class Unlit(Renderer):
-    """A plane that leans, in light without any pattern: no scanner measures it."""
+    """An inclined plane in light without any pattern: no scanner measures it."""
 
     name, device, denoiser, versions = "unlit", "cpu", "oidn", {}
 
@@ -55,19 +55,19 @@ def scanned(folder, **picking):
     )
 
 
-def test_the_scanner_does_not_see_what_carries_no_pattern(tmp_path):
+def test_the_scanner_does_not_see_surfaces_without_the_pattern(tmp_path):
     scans = scanned(tmp_path)
-    assert np.isnan(scans.depth_m[0]).mean() > 0.98  # noise alone passes for a code here and there
+    assert np.isnan(scans.depth_m[0]).mean() > 0.98  # noise alone looks like a code in a few pixels
     assert scans.all == [8, 8]
 
 
-def test_perfect_depth_is_the_truth_and_no_effort_is_spent_on_its_picture(tmp_path):
+def test_perfect_depth_is_the_truth_and_needs_no_high_quality_rendering(tmp_path):
     scans = scanned(tmp_path, depth="perfect")
     np.testing.assert_array_equal(scans.depth_m[0], scans.truth)
     assert scans.all == [1, 1]
 
 
-def test_noisy_depth_has_the_stated_gaussian_noise_and_other_noise_in_each_scan(tmp_path):
+def test_noisy_depth_has_the_stated_gaussian_noise_and_differs_between_scans(tmp_path):
     scans = scanned(tmp_path, depth="noisy", depth_noise_m=1e-3)
     off = [depth_m - scans.truth for depth_m in scans.depth_m]
     n = off[0].size
@@ -92,8 +92,8 @@ class OneBox:
         )
 
 
-def test_a_detection_has_the_true_pose_of_the_part_that_most_of_it_shows(tmp_path):
-    """Seven columns show the first part, nine the second, four none."""
+def test_a_detection_has_the_true_pose_of_the_part_that_it_mostly_shows(tmp_path):
+    """Seven columns show the first part, nine the second, four no part."""
     path = write_cell(tmp_path, picking={"pose": "truth"})
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)
     instance = np.full((120, 160), -1)

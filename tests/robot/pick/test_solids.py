@@ -26,7 +26,7 @@ def solid(mesh):
         (coal.Box(0.1, 0.2, 0.3), 0.1 * 0.2 * 0.3),
     ],
 )
-def test_a_shape_has_its_volume_about_its_middle(shape, volume):
+def test_a_shape_has_its_volume_and_its_centre(shape, volume):
     """Oracle: closed forms; a circle of n corners has n / 2 pi sin(2 pi / n) of its area."""
     mesh = solid(shape_mesh(shape))
     corners = ROUND / (2 * np.pi) * np.sin(2 * np.pi / ROUND)
@@ -35,18 +35,18 @@ def test_a_shape_has_its_volume_about_its_middle(shape, volume):
     np.testing.assert_allclose(mesh.center_mass, 0, atol=1e-9)
 
 
-def test_a_mesh_comes_back_as_it_was():
+def test_a_mesh_is_returned_unchanged():
     cube = trimesh.creation.box((0.1, 0.2, 0.3))
     mesh = shape_mesh(triangles(shape_mesh(coal.Box(0.1, 0.2, 0.3))))
     assert solid(mesh).volume == pytest.approx(cube.volume)
 
 
-def test_what_no_urdf_makes_is_named():
+def test_a_shape_that_no_urdf_has_is_named():
     with pytest.raises(ConfigError, match="Plane cannot be drawn"):
         shape_mesh(coal.Plane(0.0, 0.0, 1.0, 0.0))
 
 
-def test_joined_meshes_lie_where_they_were_put():
+def test_joined_meshes_keep_their_poses():
     box = shape_mesh(coal.Box(0.1, 0.1, 0.1))
     apart = rigid(np.eye(3), np.array([1.0, 0.0, 0.0]))
     both = solid(joined([(box, np.eye(4)), (box, apart)]))

@@ -1,4 +1,4 @@
-"""Rates, reasons and pairs of hand-made episodes."""
+"""Rates, reasons and pairs of episodes written by hand."""
 
 import cv2
 import numpy as np
@@ -29,7 +29,7 @@ def episode(bin_id, *outcomes, left=0, spilled=0):
     )
 
 
-def test_what_never_moved_is_no_grip():
+def test_a_part_that_never_moved_is_not_counted_as_gripped():
     total = summarize(
         [
             episode(0, "picked", "lost seal", "nothing found", "picked", spilled=1),
@@ -40,12 +40,12 @@ def test_what_never_moved_is_no_grip():
     assert total.rate == (3 / 5, *wilson(3, 5))
     assert (total.filled, total.taken, total.left, total.spilled, total.cleared) == (6, 3, 2, 1, 1)
     assert total.outcomes["picked"] == 3 and sum(total.outcomes.values()) == 7
-    # 7 scans and motions of 4.5 s, and a second of this machine's computing each.
+    # 7 scans and motions of 4.5 s, and a second of computing for each.
     assert total.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
     assert total.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
 
 
-def test_what_was_not_found_is_counted():
+def test_missed_parts_are_counted():
     one = episode(0, "nothing found", "nothing found", "picked")
     for attempt, detail in zip(
         one.attempts, ("no pose: none fits", "no detection", ""), strict=True
@@ -54,7 +54,7 @@ def test_what_was_not_found_is_counted():
     assert summarize([one]).missing == {"no pose: none fits": 1, "no detection": 1}
 
 
-def test_pairs_are_attempts_of_the_same_bin_in_their_order():
+def test_pairs_are_attempts_of_the_same_bin_in_order():
     first = [episode(0, "picked", "lost seal", "picked"), episode(2, "picked")]
     second = [
         episode(0, "nothing found", "lost seal", "picked", "picked", "picked"),
@@ -67,14 +67,14 @@ def test_pairs_are_attempts_of_the_same_bin_in_their_order():
     assert paired.p == mcnemar(1, 1) == 1.0
 
 
-def test_nothing_to_tell_is_said():
+def test_an_empty_summary_says_so():
     with pytest.raises(GraycastError, match="no bin is finished"):
         summarize([])
     with pytest.raises(GraycastError, match="have no common bin"):
         pair([episode(0, "picked")], [episode(1, "picked")])
 
 
-def test_runs_are_set_beside_the_first_in_a_table():
+def test_runs_are_compared_with_the_first_in_a_table():
     runs = {
         "scanner": [episode(0, "picked", "lost seal")],
         "perfect": [episode(0, "picked", "picked")],
@@ -90,7 +90,7 @@ def test_runs_are_set_beside_the_first_in_a_table():
     assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][8:] == ["2", "1", "0", "1"]
 
 
-def test_every_failure_has_a_colour_and_is_drawn_as_often_as_it_came(tmp_path):
+def test_every_failure_has_a_colour_and_an_area_in_proportion_to_its_count(tmp_path):
     """Oracle: in the picture, the areas of the two failures' colours are as 3 to 1."""
     assert set(COLOR) == set(Outcome) - set(TAKEN)
     outcomes = ["picked"] * 6 + ["lost seal"] * 3 + ["wrong pose"]

@@ -1,4 +1,4 @@
-"""A new gripper needs its class and its name in `tools.py`: nobody else knows which tools exist."""
+"""A new gripper needs its class and its name in `tools.py`; no other module names the tools."""
 
 import re
 from pathlib import Path
@@ -20,13 +20,13 @@ def files_that_name(tool):
             yield file.relative_to(SOURCE.parent).with_suffix("").as_posix().replace("/", ".")
 
 
-def test_a_tool_is_named_where_it_is_made_and_where_it_is_chosen():
-    """Settings name the tool that a cell has by default, too."""
+def test_a_tool_is_named_only_where_it_is_defined_and_selected():
+    """Settings also name the default tool of a cell."""
     for tool in TOOLS:
         settings = {PickConfig.__module__} if tool is DEFAULT else set()
         assert set(files_that_name(tool)) == {tool.__module__, Tool.__module__} | settings
 
 
-def test_every_tool_answers_all_questions():
+def test_every_tool_implements_all_methods():
     for tool in TOOLS:
         assert isinstance(tool(kind=get_args(tool.model_fields["kind"].annotation)[0]), Tool)

@@ -1,4 +1,4 @@
-"""What a tool meets: plates, edges, neighbours and wedges whose answers are known by hand."""
+"""Contacts of a tool: plates, edges, neighbours and wedges with solutions by hand."""
 
 import re
 
@@ -56,31 +56,31 @@ def test_a_cup_comes_to_rest_on_the_plate_within_its_stroke(plate, off_m):
     ("z", "outcome"),
     [(0.02, Outcome.MISSED), (0.0, Outcome.COLLISION_UNSEEN)],
 )
-def test_beyond_its_stroke_it_misses_or_pushes(plate, z, outcome):
+def test_beyond_its_stroke_a_cup_misses_or_pushes(plate, z, outcome):
     assert down_on(plate, at(0, 0, z), [at(0, 0, 0)]).outcome is outcome
 
 
-def test_over_the_edge_air_gets_in(plate):
+def test_a_cup_over_the_edge_does_not_seal(plate):
     inside = down_on(plate, at(0.04 - 0.0105, 0, 0.01), [at(0, 0, 0)])
     over = down_on(plate, at(0.04 - 0.0085, 0, 0.01), [at(0, 0, 0)])
     assert isinstance(inside, PartGrip)
     assert over.outcome is Outcome.NOT_HELD and "has no surface" in over.detail
 
 
-def test_two_plates_side_by_side_are_no_ground_for_one_cup(plate):
-    """They touch, and lie at one height: between them there is a gap all the same."""
+def test_a_cup_does_not_seal_on_two_adjacent_plates(plate):
+    """They touch at the same height, but there is a gap between them."""
     poses = [at(-0.04, 0, 0), at(0.04, 0, 0)]
     assert down_on(plate, at(0.004, 0, 0.01), poses).outcome is Outcome.NOT_HELD
     assert down_on(plate, at(0.02, 0, 0.01), poses).part == 1
 
 
-def test_the_upper_of_two_parts_is_met(plate):
+def test_a_cup_meets_the_upper_of_two_parts(plate):
     poses = [at(0, 0, 0), at(0, 0, 0.0205)]
     assert down_on(plate, at(0, 0, 0.0305), poses).part == 1
 
 
-def test_a_neighbour_stands_in_the_tube_s_way(plate):
-    """It stands 80 mm high, 12 mm beside the axis; the tube's radius is 12 mm."""
+def test_a_neighbour_collides_with_the_tube(plate):
+    """It is 80 mm high, 12 mm from the axis; the tube's radius is 12 mm."""
     upright = rigid(axis_rotation("y", np.pi / 2), np.array([0.018, 0, 0.04]))
     met = down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), upright])
     assert met.outcome is Outcome.COLLISION_UNSEEN and met.part == 1 and "tube" in met.detail
@@ -89,7 +89,7 @@ def test_a_neighbour_stands_in_the_tube_s_way(plate):
     assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), PartGrip)
 
 
-def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
+def test_jaws_close_on_a_bar_and_centre_it(robots):
     bar = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     kind = ContactPart.of(bar, make_bodies([bar])[0])
     met = down_on(kind, at(0.003, 0, 0), [at(0, 0, 0)], JAWS)
@@ -106,7 +106,7 @@ def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
 
 @pytest.fixture(scope="module")
 def flanged(robots, tmp_path_factory):
-    """A disc of 40 mm with a hub of 20 mm upon it, each 12 mm high."""
+    """Return a disc of 40 mm with a hub of 20 mm on it, each 12 mm high."""
     disc = Manifold.cylinder(12, 20, 20, 48) + Manifold.cylinder(24, 10, 10, 48)
     solid = disc.to_mesh64()
     part = part_of(trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts))
@@ -115,18 +115,18 @@ def flanged(robots, tmp_path_factory):
 
 
 def test_a_finger_that_meets_a_flange_before_its_pad_meets_the_hub_holds_nothing(flanged):
-    """The tips stand 1 mm deep in the flange, less than what a tool may push aside."""
+    """The tips are 1 mm deep in the flange, less than a tool may push aside."""
     for z, outcome in ((0.017, PartGrip), (0.015, NoGrip)):
         met = touch(
             JAWS, at(0, 0, z), [flanged], np.eye(4)[None], np.zeros(1, int), opening_m=0.020
         )
         assert isinstance(met, outcome), z
     assert met.outcome is Outcome.NOT_HELD
-    # The open finger is 2 mm from the hub, whose facets lean a little.
+    # The open finger is 2 mm from the hub, whose facets are slightly inclined.
     assert re.fullmatch(r"a finger meets the part 2\.[01] mm before its pad", met.detail)
 
 
-def test_no_grip_that_cannot_hold_by_its_score_is_held_in_the_simulation(flanged, robots):
+def test_no_grip_with_a_score_of_0_is_held_in_the_simulation(flanged, robots):
     part = flanged.part
     jaws = JAWS.jaws
     doubt = Doubt(position_m=2e-4, angle_rad=2e-3)
@@ -147,36 +147,36 @@ def test_no_grip_that_cannot_hold_by_its_score_is_held_in_the_simulation(flanged
 
 
 def extruded(outline_m):
-    """A prism over an outline, 40 mm high along z."""
-    # Metres are near the least length that the library distinguishes.
+    """Return a prism over an outline, 40 mm high along z."""
+    # Metres are near the smallest length that the library distinguishes.
     solid = CrossSection([1e3 * np.asarray(outline_m)]).extrude(40.0).to_mesh64()
     return trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.25])
-def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
-    """A wedge whose one side is upright and whose other leans by the slope."""
+def test_the_slope_below_the_pads_is_that_of_a_wedge(slope):
+    """One side of the wedge is vertical, and the other has the slope."""
     low, high = 0.02, 0.02 + slope * 0.04
     outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
     part = part_of(extruded(outline))
     aside_m, estimate, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert estimate == pytest.approx(slope, rel=1e-6)
-    # The pad meets the wedge where it is thickest under it, 0.95 of its radius up.
+    # The pad meets the wedge at its thickest point, 0.95 of its radius up.
     outermost = 0.02 + slope * (0.02 + 0.95 * 0.004)
     assert aside_m == pytest.approx(outermost / 2 - 0.01, abs=1e-9)
 
 
-def test_what_lies_behind_the_face_that_a_pad_meets_does_not_lean_it():
-    """A block 20 mm thick whose corner is cut at 45 degrees under the half of one pad."""
+def test_surfaces_behind_the_touched_face_do_not_change_the_slope():
+    """A block 20 mm thick has a corner cut at 45 degrees below half of a pad."""
     outline = [[0, -0.02], [0.02, -0.02], [0.02, 0.8e-3], [5e-3, 15.8e-3], [0, 15.8e-3]]
     part = part_of(extruded(outline))
     aside_m, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
-    # 3 mm farther along, the pad meets the cut alone, and slips.
+    # 3 mm farther along, the pad meets only the cut, and slips.
     _, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
     assert slope == pytest.approx(1, rel=1e-6)
 
 
-def test_a_pad_that_meets_nothing_closes_on_nothing():
+def test_a_pad_that_meets_nothing_has_no_grip():
     part = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     assert closing(part.mesh, Jaws(opening_m=0.06), at(0, 0.04, 0)) is None

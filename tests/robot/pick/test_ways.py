@@ -1,4 +1,4 @@
-"""Ways of a pick: where they begin and end, how a part is carried, and why there is none."""
+"""Paths of a pick: their ends, how a part is carried, and the reason if there is none."""
 
 from itertools import pairwise
 
@@ -51,7 +51,7 @@ def here(arm):
     )  # fmt: skip
 
 
-# Leaning by 20 degrees, over a place in front of the robot.
+# The tool is tilted by 20 degrees, above a point in front of the robot.
 GRIP = rigid(axis_rotation("y", np.radians(20)), np.array([-0.5, 0.1, 0.05]))
 
 
@@ -67,7 +67,7 @@ def tip(arm, here, q):
     return arm.flange(q) @ here.T_flange_tip
 
 
-def test_the_ways_join_and_end_where_they_should(arm, here):
+def test_the_paths_are_continuous_and_end_at_their_poses(arm, here):
     way = ways_of(arm, here)
     for before, after in pairwise(way.all):
         np.testing.assert_allclose(before.q[-1], after.q[0], atol=1e-6)
@@ -75,7 +75,7 @@ def test_the_ways_join_and_end_where_they_should(arm, here):
     np.testing.assert_allclose(way.away.q[-1], here.q_place, atol=1e-6)
     at = tip(arm, here, way.down.q[-1])
     np.testing.assert_allclose(at[:3, 3], GRIP[:3, 3], atol=1e-4)
-    np.testing.assert_allclose(at[:3, 2], GRIP[:3, 2], atol=1e-3)  # turned about its axis alone
+    np.testing.assert_allclose(at[:3, 2], GRIP[:3, 2], atol=1e-3)  # rotated about its axis only
     before = tip(arm, here, way.down.q[0])
     np.testing.assert_allclose(before[:3, 3], GRIP[:3, 3] + 0.06 * GRIP[:3, 2], atol=1e-4)
     raised = tip(arm, here, way.up.q[-1])
@@ -84,8 +84,8 @@ def test_the_ways_join_and_end_where_they_should(arm, here):
 
 
 @pytest.mark.slow
-def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(arm, here):
-    """Leaning, no turn of the tool has joint angles at the end of the way up; upright it has."""
+def test_a_tilted_tool_that_cannot_be_raised_becomes_upright_on_its_way_up(arm, here):
+    """While tilted, no rotation of the tool has joint angles at the top; upright, it has."""
     grip = rigid(axis_rotation("y", np.radians(-45)), np.array([-0.5, 0.1, 0.1]))
     raised = rigid(np.eye(3), grip[:3, 3] + [0, 0, 0.3])
     for turn in range(8):
@@ -96,14 +96,14 @@ def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(
     assert isinstance(way, Ways)
     poses = np.stack([tip(arm, here, way.up.at(t)) for t in np.linspace(0, way.up.seconds, 40)])
     off = np.linalg.norm(poses[:, :2, 3] - grip[:2, 3], axis=1)
-    assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # the flange goes straight
-    assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # and ever more upright
+    assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # the flange moves straight
+    assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # and the tilt decreases
     np.testing.assert_allclose(poses[-1][:3, 2], [0, 0, 1], atol=1e-3)
 
 
 @pytest.mark.slow
-def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
-    """By the engine's own steps of 2 ms, smoothed over 20: a coarser law would hide spikes."""
+def test_a_part_is_carried_with_no_more_force_than_its_grip_was_tested_for(arm, here):
+    """The engine's own steps of 2 ms are smoothed over 20: a coarser law would hide spikes."""
     way = ways_of(arm, here)
     for carried in way.loaded:
         time_s = np.arange(0, carried.seconds, 0.002)
@@ -119,7 +119,7 @@ def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
             assert np.linalg.norm(second, axis=1).max() < 1.1 * CARRIED_M_S2
 
 
-def test_straight_ways_are_no_faster_than_they_may_be(arm, here):
+def test_straight_paths_do_not_exceed_their_speed(arm, here):
     way = ways_of(arm, here)
     assert way.down.seconds >= 0.06 / 0.25
     assert way.off.seconds >= 0.01 / 0.05
@@ -133,14 +133,14 @@ def test_straight_ways_are_no_faster_than_they_may_be(arm, here):
         (rigid(np.eye(3), np.array([-0.86, 0, 0.05])), Outcome.UNREACHABLE, ""),
     ],
 )
-def test_what_is_too_far_is_unreachable(arm, here, grip, outcome, words):
+def test_a_distant_pose_is_unreachable(arm, here, grip, outcome, words):
     blocked = ways_of(arm, here, grip=grip)
     assert not isinstance(blocked, Ways)
     assert blocked.outcome is outcome and words in blocked.detail
 
 
-def test_a_thing_beside_the_grip_is_a_collision_that_was_seen(arm, here):
-    """A post where the tube comes down, free at the start of the straight way."""
+def test_an_object_next_to_the_grip_is_a_predicted_collision(arm, here):
+    """A post is below the tube, but the start of the straight path is free."""
     place = GRIP[:3, 3] + 0.05 * GRIP[:3, 2]
     post = Obstacle(name="the heap", shape=coal.Sphere(0.02), T_base_shape=rigid(np.eye(3), place))
     blocked = ways_of(arm, here, heap=post)
@@ -148,8 +148,8 @@ def test_a_thing_beside_the_grip_is_a_collision_that_was_seen(arm, here):
 
 
 @pytest.mark.slow
-def test_a_shelf_above_stops_the_way_up_with_a_part(arm, here):
-    """The free arm would pass under it, as the tip alone would; the part would not."""
+def test_a_shelf_above_stops_the_lift_of_a_part(arm, here):
+    """The free arm and the tip would pass below it; the part would not."""
     T = inverse(here.T_base_world) @ rigid(np.eye(3), GRIP[:3, 3] + [0, 0, 0.45])
     shelf = Obstacle(name="the heap", shape=coal.Box(0.5, 0.5, 0.02), T_base_shape=T)
     blocked = ways_of(arm, here, heap=shelf, up_m=0.3)

@@ -14,7 +14,7 @@ from graycast.robot.pose.drawing import Canvas, Facets, Window, lens
 CAMERA = Optics(width_px=120, height_px=90, fx_px=500.0, fy_px=500.0, cx_px=59.5, cy_px=44.5)
 TOLERANCE_M = 1e-3
 FRONT_M = 0.5  # the front's z, at which a pixel is 1 mm wide
-# The box is 40 x 30 x 10 mm, its front faces the camera, and it lies on a floor 10 mm behind.
+# The box is 40 x 30 x 10 mm, its front faces the camera, and it is on a floor 10 mm behind.
 HALF_M = np.array([0.020, 0.015, 0.005])
 FACES = box_part(1.0, lambert(0.5)).mesh.faces
 HERE = rigid(np.eye(3), np.array([0.0, 0.0, FRONT_M + HALF_M[2]]))
@@ -32,7 +32,7 @@ def covered(*windows):
 
 
 def depth(window=PART, z_m=FRONT_M):
-    """The box on its floor, but for another depth in a window."""
+    """Return the depth of the box on its floor, with another depth in a window."""
     z = np.full((90, 120), FRONT_M + 2 * HALF_M[2])
     z[PART] = FRONT_M
     z[window] = z_m
@@ -43,7 +43,7 @@ def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
     y, x = np.mgrid[:90, :120].astype(float)
     ray = np.ascontiguousarray(rays(CAMERA, np.stack([x, y], axis=-1))[..., :2])
     part = Facets(BOX_CORNERS * half_m, FACES.copy(), np.zeros(FACES.shape))
-    for array in (ray, *part, z, inside):  # as in a search, whose kernel this then is
+    for array in (ray, *part, z, inside):  # as in a search, which uses the same kernel
         array.flags.writeable = False
     rows, columns = np.nonzero(inside)
     box = np.array([columns.min(), rows.min(), columns.max(), rows.max()])
@@ -56,21 +56,21 @@ def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
     ("right", "outline", "expected"),
     [
         (FRONT_M, [PART], 1),
-        (NEARER_M, [PART], 1 / 2),  # within the outline nothing lies before the part
-        (NEARER_M, [LEFT], 1),  # outside it something hides the part
+        (NEARER_M, [PART], 1 / 2),  # inside the outline, nothing is in front of the part
+        (NEARER_M, [LEFT], 1),  # outside it, something hides the part
         (FARTHER_M, [PART], 1 / 2),  # the ray went through the part
         (FARTHER_M, [LEFT], 1 / 2),
         (np.nan, [PART], 1),
         (np.nan, [LEFT], 1),
-        (FRONT_M, [LEFT], 1 / 2),  # the part reaches beyond its outline
-        (FRONT_M, [PART, BESIDE], 2 / 3),  # 600 pixels of the outline, and no part there
+        (FRONT_M, [LEFT], 1 / 2),  # the part extends beyond its outline
+        (FRONT_M, [PART, BESIDE], 2 / 3),  # 600 pixels of the outline without a part
     ],
 )
-def test_a_score_within_an_outline_is_the_share_that_agrees(right, outline, expected):
+def test_a_score_in_an_outline_is_the_share_that_agrees(right, outline, expected):
     assert worth(depth(RIGHT, right), covered(*outline), tight=True) == expected
 
 
-def test_pixels_of_an_outline_beside_the_part_count_with_and_without_depth():
+def test_pixels_of_an_outline_outside_the_part_count_with_and_without_depth():
     z = depth(BESIDE, np.nan)
     assert worth(z, covered(PART, BESIDE), tight=True) == 2 / 3
 
@@ -79,17 +79,17 @@ def test_pixels_of_an_outline_beside_the_part_count_with_and_without_depth():
     ("right", "expected"),
     [
         (FRONT_M, 1),
-        # What is hidden is no extent of the part: its middle is then half a half width aside.
+        # Hidden pixels do not belong to the visible part, whose centre moves by a quarter width.
         (NEARER_M, 1 / 2 - HIDING / 2 - OFF_CENTRE / 4),
         (FARTHER_M, 0),
         (np.nan, 1 / 2),
     ],
 )
-def test_a_score_in_a_box_weighs_what_speaks_against_the_pose(right, expected):
+def test_a_score_in_a_box_is_reduced_by_contradicting_pixels(right, expected):
     assert worth(depth(RIGHT, right), covered(PART), tight=False) == pytest.approx(expected)
 
 
-def test_a_part_beside_the_middle_of_its_box_is_worth_less():
+def test_a_part_off_the_centre_of_its_box_has_a_lower_score():
     """A box 10 pixels to the right: 900 pixels inside, 300 outside, off by half its half width."""
     aside = covered(np.s_[30:60, 50:90])
     expected = (900 + 300 * OUTSIDE) / 1200 - OFF_CENTRE / 4
@@ -97,8 +97,8 @@ def test_a_part_beside_the_middle_of_its_box_is_worth_less():
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 1.05, -1.05])
-def test_a_part_that_is_sunk_flush_into_a_surface_is_worth_less(lean_rad):
-    """Law: all pixels beside it count, also where the surface leans by more than a tolerance a
+def test_a_part_flush_with_a_surface_has_a_lower_score(lean_rad):
+    """Law: all pixels next to it count, even if the surface changes by more than a tolerance per
     pixel. They are counted in the picture of the checking rasteriser."""
     thin_m = HALF_M * [1, 1, 0.002]
     T = rigid(axis_rotation("y", lean_rad), np.array([0.0, 0.0, FRONT_M]))

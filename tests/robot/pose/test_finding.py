@@ -1,4 +1,4 @@
-"""Poses found in depth that is drawn by the checking rasteriser, which the search does not use."""
+"""Poses found in depth of the checking rasteriser, which the search does not use."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def depth_of(mesh, T, camera=CAMERA):
 
 
 def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
-    """A part before a floor, with noise along z, holes, and the mask of the part."""
+    """Return a part in front of a floor, with noise along z, holes, and the mask of the part."""
     rng = np.random.default_rng(seed)
     z = depth_of(mesh, T)
     mask = np.isfinite(z)
@@ -45,7 +45,7 @@ def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
 
 
 def heap(mesh, seed):
-    """Six parts, five of them around the first: depth as a scan has it, whose pixel, where."""
+    """Return a scan's depth of six parts, five around the first; the part of each pixel; poses."""
     rng = np.random.default_rng(seed)
     around = 2 * np.pi * np.arange(5) / 5 + rng.uniform(0, 2 * np.pi)
     aside = [(0.0, 0.0), *(0.038 * np.stack([np.cos(around), np.sin(around)], axis=1))]
@@ -89,8 +89,8 @@ def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
 
 
 @pytest.mark.slow
-def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
-    """Depth lost at a known pose turns visible pixels into unknown ones, and none into others."""
+def test_missing_depth_counts_neither_for_nor_against_a_pose(bracket, model):
+    """Depth lost at a known pose turns visible pixels into unknown ones only."""
     T = pose(1)
     depth, mask = scan(bracket.mesh, T, noise_m=0.0, lost=0.0)
     estimate = find_pose(model, depth, CAMERA, mask)
@@ -103,8 +103,8 @@ def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
 
 
 @pytest.mark.slow
-def test_what_something_hides_is_no_contradiction(bracket, model):
-    """A plate 60 mm before a third of the part: those pixels are hidden, and the pose stands."""
+def test_hidden_pixels_do_not_contradict_a_pose(bracket, model):
+    """A plate is 60 mm in front of a third of the part: those pixels are hidden."""
     T = pose(2)
     depth, mask = scan(bracket.mesh, T, noise_m=0.0003, lost=0.0)
     columns = np.flatnonzero(mask.any(axis=0))
@@ -119,7 +119,7 @@ def test_what_something_hides_is_no_contradiction(bracket, model):
 
 
 @pytest.mark.slow
-def test_a_wrong_part_is_worth_less(bracket, model):
+def test_a_wrong_part_has_a_lower_score(bracket, model):
     box = builtin_part("yellow_salt_cube")
     depth, mask = scan(bracket.mesh, pose(0))
     mine = find_pose(model, depth, CAMERA, mask)
@@ -128,7 +128,7 @@ def test_a_wrong_part_is_worth_less(bracket, model):
 
 
 @pytest.mark.slow
-def test_a_box_does_without_a_mask(bracket, model):
+def test_a_part_is_found_in_a_box_without_a_mask(bracket, model):
     for seed in (0, 3):
         T = pose(seed)
         depth, mask = scan(bracket.mesh, T, seed=seed)
@@ -138,8 +138,8 @@ def test_a_box_does_without_a_mask(bracket, model):
 
 
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 4), marks=pytest.mark.slow)])
-def test_a_part_is_found_among_others_like_it(bracket, model, seeds):
-    """By its outline, and by a box in which the others are seen, too."""
+def test_a_part_is_found_among_equal_parts(bracket, model, seeds):
+    """By its outline, and by a box that contains the others, too."""
     for seed in seeds:
         depth, owner, places, share = heap(bracket.mesh, seed)
         free = [k for k in range(6) if share[k] >= 0.7]
@@ -154,9 +154,9 @@ def test_a_part_is_found_among_others_like_it(bracket, model, seeds):
 
 
 @pytest.mark.slow
-def test_a_turned_part_is_found_and_does_not_spin(bracket, monkeypatch):
-    """A cone without its tip, about an axis beside its origin: the turn is that of `near`."""
-    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 30)  # to prepare it takes an eighth
+def test_a_rotationally_symmetric_part_is_found_with_the_nearest_rotation(bracket, monkeypatch):
+    """A truncated cone about an axis off its origin: the rotation is that of `near`."""
+    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 30)  # preparation takes an eighth
     shape = trimesh.creation.revolve([[0, 0], [0.025, 0], [0.015, 0.03], [0, 0.03]], sections=48)
     shape.apply_translation([0.01, -0.02, 0.0])
     mesh = Mesh(vertices_m=np.array(shape.vertices), faces=np.array(shape.faces))
@@ -173,13 +173,13 @@ def test_too_little_depth_finds_nothing(bracket, model):
     assert find_pose(model, np.full_like(depth, np.nan), CAMERA, mask).T_cam_part is None
     assert find_pose(model, depth, CAMERA, np.zeros_like(mask)).T_cam_part is None
     assert find_pose_in_box(model, depth, CAMERA, np.array([900.0, 0, 5, 5])).score == 0
-    column = np.array([100.0, 0, 1, 160])  # a box of one column is searched all the same
+    column = np.array([100.0, 0, 1, 160])  # a box of one column is searched nevertheless
     assert find_pose_in_box(model, depth, CAMERA, column).T_cam_part is not None
 
 
 @pytest.mark.slow
-def test_a_symmetric_part_does_not_flip_from_noise_to_noise(bracket, model):
-    """The bracket looks the same after a half turn; the member nearest to `near` comes back."""
+def test_a_symmetric_part_does_not_flip_between_noise_samples(bracket, model):
+    """The bracket looks the same after a half turn; the pose nearest to `near` is returned."""
     T = pose(6)
     scans = [scan(bracket.mesh, T, seed=seed) for seed in (0, 1)]
     first, second = (find_pose(model, *_of(one)).T_cam_part for one in scans)
@@ -194,7 +194,7 @@ def _of(one):
     return depth, CAMERA, mask
 
 
-def test_another_cameras_picture_is_refused(bracket, model):
+def test_the_picture_of_another_camera_is_refused(bracket, model):
     depth, mask = scan(bracket.mesh, pose(0))
     with pytest.raises(ValueError, match="give depth, mask and camera of one picture"):
         find_pose(model, depth[:-1], CAMERA, mask[:-1])
@@ -215,8 +215,8 @@ def plate(x=0.08, y=0.05, z=0.0005):
     return Mesh(vertices_m=corner, faces=np.array(faces))
 
 
-def test_a_flat_plate_does_not_explode_and_is_found():
-    """All its pairs are alike but for their length; its outline tells where it is."""
+def test_a_flat_plate_is_found_without_an_explosion_of_pairs():
+    """All its pairs differ only in length; its outline shows its position."""
     mesh = plate()
     turns = [np.diag([-1.0, -1, 1, 1]), np.diag([1.0, -1, -1, 1]), np.diag([-1.0, 1, -1, 1])]
     symmetry = Symmetry(discrete=tuple(turns))
@@ -229,8 +229,8 @@ def test_a_flat_plate_does_not_explode_and_is_found():
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.12, 0.05, 0.002, -0.001, 0.0)])
-def test_the_quick_drawing_is_the_checking_rasters(bracket, model, distortion):
-    """Of a closed mesh, whose faces turned away are never seen; two programs."""
+def test_the_quick_rasteriser_agrees_with_the_checking_one(bracket, model, distortion):
+    """Two programs draw a closed mesh, whose faces turned away are invisible."""
     camera = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5,
                     cy_px=79.5, distortion=distortion)  # fmt: skip
     y, x = np.mgrid[:160, :200].astype(float)
@@ -258,7 +258,7 @@ def test_normals_of_a_plane_are_its_own_and_noise_is_measured():
     inside[60:100, 80:120] = True
     view = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
     known = np.isfinite(view.smooth)
-    assert known.sum() >= known.size - 4  # in the corners too little of a window is left
+    assert known.sum() >= known.size - 4  # in the corners, too little of a window is left
     np.testing.assert_allclose(view.smooth[known], view.z[known], rtol=1e-9)
     np.testing.assert_allclose(view.normal[known] - normal, 0, atol=1e-7)
     noisy = z + 0.0008 * np.random.default_rng(0).standard_normal(z.shape)

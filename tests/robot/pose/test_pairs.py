@@ -1,4 +1,4 @@
-"""Votes of pairs of points, and the bundles of poses that they make, each by itself."""
+"""Votes of pairs of points, and the clusters of poses that they form, tested separately."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ STEP_M = 0.004
 
 
 def scattered(count, seed=0):
-    """Places and directions of no order: hardly two pairs have one feature."""
+    """Return random positions and directions: hardly two pairs have one feature."""
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=(count, 3))
     return rng.uniform(-0.03, 0.03, (count, 3)), normal / np.linalg.norm(normal, axis=1)[:, None]
@@ -33,7 +33,7 @@ SOMEWHERE = rigid(
 
 
 def voted(scene, model, references, *, step_m=STEP_M, peaks=1):
-    """As the search asks: what belongs to a model is not to be written."""
+    """Return the votes as the search requests them; data of a model are read-only."""
     for array in model:
         array.flags.writeable = False
     points = OrientedPoints(*model)
@@ -43,7 +43,7 @@ def voted(scene, model, references, *, step_m=STEP_M, peaks=1):
     return votes(OrientedPoints(*scene), np.array(references), points, table, peaks)
 
 
-def test_every_pair_is_in_the_table_at_a_feature_that_no_motion_changes():
+def test_every_pair_is_in_the_table_with_a_feature_that_no_motion_changes():
     point, normal = scattered(60)
     table = pair_table(OrientedPoints(point, normal), STEP_M)
     assert len(table.first) == table.start[-1] == 2 * (pdist(point) > STEP_M / 2).sum()
@@ -52,12 +52,12 @@ def test_every_pair_is_in_the_table_at_a_feature_that_no_motion_changes():
     rows = min(len(table.start), len(again.start))  # the longest distances are reserved by boxes
     np.testing.assert_array_equal(again.start[:rows], table.start[:rows])
     np.testing.assert_array_equal(again.first, table.first)
-    for k in range(60):  # about a point's normal all others turn alike
+    for k in range(60):  # all others have the same angle to the point's normal
         turn = (again.turn_rad - table.turn_rad)[table.first == k].astype(float)
         np.testing.assert_allclose(np.exp(1j * turn), np.exp(1j * turn[0]), atol=1e-5)
 
 
-def test_each_reference_point_votes_for_the_pose_but_for_half_a_bin_of_turn():
+def test_each_reference_point_votes_for_the_pose_within_half_a_bin_of_rotation():
     point, normal = scattered(60)
     index = np.arange(5, 45)
     T, weight = voted(moved(SOMEWHERE, point[index], normal[index]), (point, normal), range(10))
@@ -74,8 +74,8 @@ def test_each_reference_point_votes_for_the_pose_but_for_half_a_bin_of_turn():
 
 
 @pytest.mark.parametrize("points", [2, 3, 6])
-def test_a_vote_weighs_one_over_the_root_of_the_pairs_that_share_its_feature(points):
-    """Points in a row: forth and back, each two neighbours are a pair of one feature."""
+def test_a_vote_has_a_weight_of_one_over_the_root_of_pairs_with_its_feature(points):
+    """Points in a row: in both directions, each two neighbours are a pair of one feature."""
     model = np.zeros((points, 3)), np.tile([0.0, 0.0, 1.0], (points, 1))
     model[0][:, 0] = 0.01 * np.arange(points)
     scene = np.array([[0.2, 0, 0], [0.21, 0, 0]]), np.tile([0.0, 0.0, 1.0], (2, 1))
@@ -88,7 +88,7 @@ HALF_M = np.array([0.04, 0.03, 0.02])
 
 @pytest.fixture(scope="module")
 def block():
-    """40 x 30 x 20 mm about (5, -10, 20) mm, alike after a half turn about its own z."""
+    """40 x 30 x 20 mm about (5, -10, 20) mm, symmetric under a half turn about its own z."""
     middle = np.array([0.005, -0.01, 0.02])
     mesh = Mesh(
         vertices_m=BOX_CORNERS * HALF_M / 2 + middle, faces=box_part(1.0, lambert(0.5)).mesh.faces
@@ -96,7 +96,7 @@ def block():
     half = rigid(axis_rotation("z", np.pi), middle - axis_rotation("z", np.pi) @ middle)
     turned = Symmetry(continuous=(((0.0, 0.0, 2.0), tuple(middle)),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # votes do without this grid
+        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # votes do not use this grid
         return pose_model(mesh, Symmetry(discrete=(half,))), pose_model(mesh, turned), half
 
 
@@ -105,8 +105,8 @@ def about(T, middle, axis, angle):
     return T @ rigid(R, middle - R @ middle)
 
 
-def test_like_poses_add_their_votes_and_the_best_of_them_stands_for_all(block):
-    """Three of 3, 2 and 2 votes, one of which is turned by the symmetry, beat one of 5."""
+def test_similar_poses_add_their_votes_and_the_best_of_them_represents_all(block):
+    """Three poses of 3, 2 and 2 votes, one of them rotated by the symmetry, beat one of 5."""
     model, _, half = block
     near = SOMEWHERE @ rigid(axis_rotation("x", 0.05), np.array([0.001, 0, 0]))
     other = SOMEWHERE @ rigid(axis_rotation("x", np.pi / 2), np.zeros(3))
@@ -115,7 +115,7 @@ def test_like_poses_add_their_votes_and_the_best_of_them_stands_for_all(block):
     np.testing.assert_array_equal(poses, [SOMEWHERE, other])
 
 
-def test_turns_about_an_axis_of_symmetry_are_one_bundle(block):
+def test_rotations_about_an_axis_of_symmetry_are_one_cluster(block):
     _, model, _ = block
     middle = np.array([0.005, -0.01, 0.02])
     turned = [about(SOMEWHERE, middle, "z", angle) for angle in (0.0, 1.0, 2.5)]

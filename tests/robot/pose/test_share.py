@@ -1,4 +1,4 @@
-"""How often poses are found in simulated scans, as docs/measurements/pose.md states it."""
+"""Success rate of poses in simulated scans, as stated in docs/measurements/pose.md."""
 
 from pathlib import Path
 
@@ -14,18 +14,18 @@ from graycast.score.evaluate import rotation_translation
 from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "detector"
-SCENE = 60  # none of those on which the constants were chosen
+SCENE = 60  # none of those with which the constants were chosen
 
 
 @pytest.mark.slow
 def test_nearly_all_poses_are_found_in_scans_by_outlines_and_most_by_boxes(
     mitsuba_renderer,
 ):
-    """A scene of each part under the rig `paper`, with 63 instances that are visible to 70 %.
+    """A scene of each part with the rig `paper` has 63 instances that are visible to 70 %.
 
-    The stated shares are 99.7 % and 95 %. With these, chance alone lets 3 of 63 fail by their
-    outlines once in 1000 seeds, and 9 by their boxes once in 200. If every tenth pose by an outline
-    were wrong, 3 would fail in 24 of 25 seeds.
+    The stated shares are 99.7 % and 95 %. By chance, 3 of 63 then fail by their outlines once in
+    1000 seeds, and 9 by their boxes once in 200. If every tenth pose by an outline were wrong, 3
+    would fail in 24 of 25 seeds.
     """
     right = np.array(
         [

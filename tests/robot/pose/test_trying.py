@@ -1,4 +1,4 @@
-"""Poses tried in a window of depth that the checking rasteriser draws."""
+"""Poses tried in a window of depth from the checking rasteriser."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from graycast.robot.pose.trying import Trials
 from graycast.world.parts import Mesh, Symmetry
 
 CAMERA = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5, cy_px=79.5)
-# Aside of the camera's axis, so that a shift along a ray is none along z.
+# Off the camera's axis, so that a shift along a ray is not along z.
 T = rigid(Rotation.from_euler("xyz", [0.5, 0.3, 0.2]).as_matrix(), np.array([0.06, -0.04, 0.85]))
 
 
@@ -28,9 +28,9 @@ def block():
 
 
 def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
-    """The block before a floor, in its outline or in a box around it.
+    """Return trials of the block in front of a floor, in its outline or in a box around it.
 
-    What may cover it stands 60 mm before it and over two of its pixels in each row, at the right.
+    An optional cover is 60 mm in front of it, over two of its pixels in each row, at the right.
     """
     vertices = transform_points(T, model.facets.vertex)
     z = rasterize(vertices, model.facets.face, CAMERA).over(CAMERA)[1]
@@ -50,7 +50,7 @@ def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
 
 
 @pytest.mark.parametrize("tight", [True, False])
-def test_a_pose_is_shifted_to_the_place_and_the_depth_of_its_detection(block, tight):
+def test_a_pose_is_shifted_to_the_position_and_the_depth_of_its_detection(block, tight):
     """From 5 and 4 mm aside and 15 mm too far to half a pixel, which is 0.76 mm wide."""
     away = T.copy()
     away[:3, 3] += [0.005, -0.004, 0.015]
@@ -59,14 +59,14 @@ def test_a_pose_is_shifted_to_the_place_and_the_depth_of_its_detection(block, ti
     np.testing.assert_array_equal(placed[:3, :3], T[:3, :3])
 
 
-def test_of_a_noisy_part_nearly_all_pixels_are_visible(block):
-    """Oracle: 3.5 sigma leave out 0.05 %; for a part without noise the tolerance is this sigma."""
+def test_nearly_all_pixels_of_a_noisy_part_count_as_visible(block):
+    """Oracle: 3.5 sigma exclude 0.05 %; for a part without noise the tolerance is this sigma."""
     tried, covered = trials(block, sigma_m=0.02 * block.diameter_m)
     assert tried.judge(T).number[VISIBLE] > 0.99 * covered
 
 
 @pytest.mark.parametrize(("hidden", "most_m"), [(False, 0.15e-3), (True, 0.76e-3)])
-def test_a_pose_that_is_a_little_off_is_aligned(block, hidden, most_m):
+def test_a_pose_with_a_small_error_is_aligned(block, hidden, most_m):
     """By 1.3 mm at the part's corners: to a tenth of a pixel, or to half a pixel where something
     hides one side, whose border is none of the part's."""
     turn = Rotation.from_rotvec(np.radians([1.2, -1.2, 1.0])).as_matrix()

@@ -435,9 +435,9 @@ def test_a_network_of_the_user_is_trained_saved_and_read_with_its_class(dataset,
     assert torch.equal(box, detector.network.box)
     moved = (box - torch.tensor([8.0, 8.0, 40.0, 40.0])).abs()
     assert 0 < moved.min() and moved.max() < 2 * 4 * 1.01 * 1e-2  # 2 epochs of at most 4 steps
-    found = again.detect(open_examples(dataset)[0], obj_ids={"disc": 1, "box": 2})
+    detections = again.detect(open_examples(dataset)[0], obj_ids={"disc": 1, "box": 2})
     scale = again.about.encoding.scale((96, 128))
-    np.testing.assert_allclose(found.box_px[0, :2], box[:2] / scale, rtol=1e-6)
+    np.testing.assert_allclose(detections.box_px[0, :2], box[:2] / scale, rtol=1e-6)
     with pytest.raises(GraycastError, match=r"'OwnNetwork' does not exist.*argument network"):
         load_detector(tmp_path / "run")
     with pytest.raises(GraycastError, match=r"network is .*: give a subclass of Network or None"):

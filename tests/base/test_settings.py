@@ -13,14 +13,13 @@ import pytest
 from pydantic import Field
 
 from graycast.base.errors import ArgumentError, ConfigError, GraycastError
+from graycast.base.sections import changes_of, section_of
 from graycast.base.settings import (
     Positive,
     Settings,
-    changes_of,
     check_fields,
     parse_yaml,
     read_settings,
-    section_of,
     setting_description,
 )
 from graycast.camera.decode import DecodeSpec, FilterSpec

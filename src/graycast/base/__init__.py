@@ -13,6 +13,7 @@ Each imports only from those above it:
     plotting         the style of plots, and how they are written
     yaml_loader      YAML without keys given twice and without aliases that fill the memory
     settings         YAML files: reading, checking, and errors of one clear line
+    sections         sections of files from the fields of dataclasses
     spawn            processes that do not run the user's script again
     usage            time and memory that processes have used
     streams          independent streams of random numbers, by the seed that they are of

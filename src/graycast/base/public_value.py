@@ -149,11 +149,12 @@ def section_lines(section: Any) -> Iterator[str]:
     A key without a description that holds another section has the first sentence about that one.
     """
     for name, info in section.model_fields.items():
-        default = ""
+        default, hint = "", info.annotation
         if not info.is_required():
-            default = f" = {_text(info.get_default(call_default_factory=True), 1)}"
-        read_as = (item.section for item in info.metadata if hasattr(item, "section"))
-        hint = next(read_as, info.annotation)
+            value = info.get_default(call_default_factory=True)
+            default = f" = {_text(value, 1)}"
+            if hint in (Any, object):  # The section of the default was made at run time.
+                hint = type(value)
         about = (_first_sentence(kind) for kind in _sections_in(hint))
         yield _field_line(name, hint, default, info.description or next(about, ""))
 

@@ -1,8 +1,8 @@
 """YAML files that hold frozen pydantic models: read, checked, and refused with one clear line.
 
 What a number may be is said once, in the annotation of the value's own dataclass, by pydantic's
-`Field`. The dataclass refuses what its annotations do not allow (`check_fields`), and a section of
-a file that sets its fields is made of them (`section_of`, `changes_of`) or is the dataclass itself.
+`Field`. The dataclass refuses what its annotations do not allow (`check_fields`). `sections` makes
+sections of files from dataclasses.
 """
 
 import math
@@ -18,10 +18,8 @@ from pydantic import (
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
-    GetPydanticSchema,
     TypeAdapter,
     ValidationError,
-    create_model,
 )
 from pydantic.fields import FieldInfo
 
@@ -121,10 +119,7 @@ class Settings(BaseModel, metaclass=_SectionType):
         return schema
 
 
-# --- dataclasses and their sections ------------------------------------------------------------
-
-
-Base = TypeVar("Base", bound=Settings)
+# --- dataclasses --------------------------------------------------------------------------------
 
 
 def check_fields(value: object) -> None:
@@ -152,61 +147,8 @@ def check_fields(value: object) -> None:
             raise ValueError(f"{name} is {item!r}: {why}{about}") from None
 
 
-def section_of(
-    dataclass: type,
-    name: str,
-    *,
-    module: str,
-    about: str,
-    base: type[Base],
-    more: Mapping[str, Any],
-) -> type[Base]:
-    """Return a section with the fields of a dataclass; those without a default must be given.
-
-    An infinite default becomes a key that may be left out, because files hold no infinity.
-
-    Args:
-        dataclass: with `Field` in its annotations.
-        name: of the section.
-        module: `__name__` of the module that holds it under that name, where pickle looks for it.
-        about: description of the section in its schema.
-        base: base class of the section.
-        more: extra or replacement fields as (annotation, field); None leaves out a field of the
-            dataclass.
-    """
-    own: dict[str, Any] = {}
-    for key, hint, info, default in _declared(dataclass):
-        if default == math.inf:
-            own[key] = _may_miss(hint, info)
-        else:
-            own[key] = (hint, _field(... if default is MISSING else default, info))
-    content = {key: field for key, field in (own | dict(more)).items() if field is not None}
-    return create_model(name, __base__=base, __doc__=about, __module__=module, **content)
-
-
-def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[Settings]:
-    """Return a section of changes, in which each field of a dataclass may be left out."""
-    own: dict[str, Any] = {
-        key: _may_miss(hint, info) for key, hint, info, _ in _declared(dataclass)
-    }
-    return create_model(name, __base__=Settings, __doc__=about, __module__=module, **own)
-
-
-def read_as(section: type[Any]) -> GetPydanticSchema:
-    """Return an annotation by which pydantic reads a field as a section made at run time."""
-    return GetPydanticSchema(lambda source, handler: handler(section))
-
-
-def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:
-    return hint | None, _field(None, info)
-
-
-def _field(default: Any, info: FieldInfo) -> Any:
-    return Field(default=default, description=info.description)
-
-
-def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
-    """Return the name, bare annotation, `Field` and default of each field."""
+def declared_fields(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
+    """Return the name, bare annotation, `Field` and default of each field of a dataclass."""
     hints = get_type_hints(dataclass, include_extras=True)
     rows = []
     for field in fields(dataclass):
@@ -231,7 +173,7 @@ def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
     """
     config = ConfigDict(strict=True, allow_inf_nan=False)
     limits = {}
-    for name, hint, info, default in _declared(dataclass):
+    for name, hint, info, default in declared_fields(dataclass):
         meaning = f" ({info.description.rstrip('.')})" if info.description else ""
         allowed = TypeAdapter(hint, config=config) if _says_more(hint) else hint
         limits[name] = (allowed, default, meaning)

@@ -12,7 +12,8 @@ from pydantic import Field
 from ...base.errors import ConfigError, GraycastError
 from ...base.folder import write_whole
 from ...base.frames import rigid
-from ...base.settings import Settings, check_settings, parse_yaml, read_text, section_of
+from ...base.sections import section_of
+from ...base.settings import Settings, check_settings, parse_yaml, read_text
 from ...rig.former_names import current_name
 from ...rig.optics import Optics
 from ...rig.pair import PRESETS, RESOLUTIONS, Rig

@@ -7,7 +7,8 @@ from dataclasses import MISSING, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...base.errors import ConfigError
-from ...base.settings import Settings, changes_of, read_as
+from ...base.sections import changes_of, read_as
+from ...base.settings import Settings
 from ...base.streams import device_seed
 from ...rig.pair import Rig
 from ...rig.pattern import Code, CodeSpec

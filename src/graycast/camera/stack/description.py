@@ -8,7 +8,8 @@ import yaml
 from pydantic import Field, model_validator
 
 from ...base.errors import ConfigError
-from ...base.settings import Level, Positive, Settings, read_as, read_settings, section_of
+from ...base.sections import read_as, section_of
+from ...base.settings import Level, Positive, Settings, read_settings
 from ...rig.pattern import AXES, Axis, Code, Frame
 from ..decode import DecodeSpec, levels_of
 from ..scanner import Scanner

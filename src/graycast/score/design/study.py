@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints, model_validator
 
 from ...base.errors import ConfigError
-from ...base.settings import Level, Positive, Settings, read_as, read_settings
+from ...base.sections import read_as
+from ...base.settings import Level, Positive, Settings, read_settings
 from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
 from ...cell.config import BinSection
 from ...rig.former_names import RigName

@@ -167,10 +167,10 @@ def command(dataset, out, *, epochs=8):
 
 @pytest.mark.slow
 def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch):
-    """kill -9 at five moments of the run, each at another place, then the same command again."""
+    """kill -9 at three moments of the run, each at another place, then the same command again."""
     subprocess.run(command(dataset, tmp_path / "whole"), check=True, capture_output=True)
     run, killed = tmp_path / "killed", 0
-    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+    for share in (0.1, 0.5, 0.9):
         process = subprocess.Popen(
             command(dataset, run), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
@@ -183,7 +183,7 @@ def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeyp
                 killed += process.wait() == -signal.SIGKILL
                 break
             time.sleep(0.01)
-    assert killed == 5
+    assert killed == 3
     subprocess.run(command(dataset, run), check=True, capture_output=True)
     assert same(weights(run), weights(tmp_path / "whole"))
     histories = [

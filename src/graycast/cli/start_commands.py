@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..base.errors import GraycastError
 from .arguments import CONTINUE, add_command, add_device, add_option, add_shared
@@ -161,6 +161,8 @@ def _schema(options: argparse.Namespace) -> None:
     from ..robot.pick.pick_sections import PickConfig
     from ..score.design.study import DesignSpec
 
-    models = (Config, RigModel, StackDescription, StudySpec, DesignSpec, PickConfig, ToolFile)
+    models: tuple[Any, ...] = (
+        Config, RigModel, StackDescription, StudySpec, DesignSpec, PickConfig, ToolFile,
+    )  # fmt: skip
     model = dict(zip(KINDS, models, strict=True))[options.kind]
     print(json.dumps(model.model_json_schema(), indent=2))

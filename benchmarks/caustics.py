@@ -55,7 +55,7 @@ def rows() -> Iterator[Figures]:
             metal = Material(base_color=(BASE,) * 3, metallic=1.0, roughness=roughness)
             scene = _with_material(cell.scene, metal)
             both = _pictures(renderer, scene, layout, patterns)
-            with patch("graycast.rendering.mitsuba._shiny_field", lambda *of: None):
+            with patch("graycast.rendering.mitsuba.renderer._shiny_field", lambda *of: None):
                 alone = _pictures(renderer, scene, layout, patterns)
             variance = _variance(both, near) / _variance(alone, near)
             yield {
@@ -79,7 +79,7 @@ def draw(file: Path, samples: int) -> None:
     metal = Material(base_color=(BASE,) * 3, metallic=1.0, roughness=0.1)
     scene, none = _with_material(cell.scene, metal), cell.patterns()[:0]
     with open_renderer("mitsuba") as renderer:
-        with patch("graycast.rendering.mitsuba._shiny_field", lambda *of: None):
+        with patch("graycast.rendering.mitsuba.renderer._shiny_field", lambda *of: None):
             alone = renderer.render(scene, layout, none, quality=Quality(samples=samples), seed=0)
         both = renderer.render(scene, layout, none, quality=Quality(samples=SAMPLES), seed=0)
     pair = np.hstack([one.radiance.white[CROP] for one in (alone, both)])

@@ -64,9 +64,9 @@ def page(
 
 def rendering() -> str:
     open_renderer("mitsuba")  # chooses the device, before these are imported
-    from graycast.rendering.mitsuba import light
-    from graycast.rendering.mitsuba_scene import build
-    from graycast.rendering.mitsuba_truth import truth
+    from graycast.rendering.mitsuba.renderer import light
+    from graycast.rendering.mitsuba.scene import build
+    from graycast.rendering.mitsuba.truth import truth
 
     cell = cell_of({})
     layout = drop(cell.scene, (PARTS,), seed=0, limits=DropLimits())

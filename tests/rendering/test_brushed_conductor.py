@@ -34,7 +34,7 @@ def widths(roughness, anisotropy):
 def metal(along, across, reflectance=GOLD):
     import mitsuba as mi
 
-    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba.scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": list(reflectance)}
     words = {"type": "brushed_conductor", "alpha": along, "alpha_across": across}
@@ -180,7 +180,7 @@ def hits(mesh, grain, poses, origin, ray, material=None):
     """
     import mitsuba as mi
 
-    from graycast.rendering.mitsuba_scene import _mesh
+    from graycast.rendering.mitsuba.scene import _mesh
 
     brushed = {"base_color": WHITE, "metallic": 1.0, "roughness": 0.35, "anisotropy": 0.8}
     material = material or Material(**brushed, grain=grain)
@@ -318,7 +318,7 @@ def test_a_turned_cylinder_has_a_narrow_highlight_and_a_drawn_one_a_wide_highlig
 def test_plain_metal_has_no_grain_on_its_mesh(cpu_device):
     import mitsuba as mi
 
-    from graycast.rendering.mitsuba_scene import _mesh
+    from graycast.rendering.mitsuba.scene import _mesh
 
     shape = _mesh("part", plate(), Material(metallic=1.0), np.eye(4)[None])
     assert not any("grain" in name for name, _ in mi.traverse(shape))

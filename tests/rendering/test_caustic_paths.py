@@ -52,10 +52,10 @@ class Traced:
 
 @pytest.fixture(scope="module")
 def open_tracer(mitsuba_renderer):
-    from graycast.rendering.mitsuba_caustics import CausticTracer
-    from graycast.rendering.mitsuba_projector import ShinyField
-    from graycast.rendering.mitsuba_scene import build
-    from graycast.rendering.mitsuba_stage import Stage
+    from graycast.rendering.mitsuba.caustics import CausticTracer
+    from graycast.rendering.mitsuba.projector import ShinyField
+    from graycast.rendering.mitsuba.scene import build
+    from graycast.rendering.mitsuba.stage import Stage
 
     mirror = Quad(
         center_m=(MIRROR_X, 0.0, (NEAR + FAR) / 2),
@@ -158,7 +158,7 @@ def test_the_variance_of_one_path_s_light_is_its_square(open_tracer):
 
 def test_paths_beyond_two_to_the_32_start_at_even_distances(open_tracer):
     """Oracle: Python's own integers, which have no limit."""
-    from graycast.rendering.mitsuba_projector import CELL_PX, R2_STEPS
+    from graycast.rendering.mitsuba.projector import CELL_PX, R2_STEPS
 
     field, total, lanes, start = open_tracer(1).field, 2**34 + 5, 16, (11, 13)
     cells = field._cells.numpy().tolist()
@@ -186,7 +186,7 @@ def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, exp
     tracer.total = 2**34
     count, lanes = tracer.field.count, 1000
     each = [(-(-k * tracer.total // count), lanes) for k in range(count)]
-    monkeypatch.setattr("graycast.rendering.mitsuba_caustics.blocks", lambda total: each)
+    monkeypatch.setattr("graycast.rendering.mitsuba.caustics.blocks", lambda total: each)
     light = traced(tracer, seed=2).white.sum() * tracer.field.paths / (count * lanes)
     assert light == pytest.approx(expected[0].sum(), rel=0.02)
 
@@ -194,7 +194,7 @@ def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, exp
 @pytest.mark.parametrize("samples", [1, 256, 257, MOST_SAMPLES])
 def test_the_brightest_light_of_every_sample_does_not_overflow_a_sum(open_tracer, samples):
     """A sum of 2^64 would start again at 0."""
-    from graycast.rendering.mitsuba_caustics import BRIGHTEST
+    from graycast.rendering.mitsuba.caustics import BRIGHTEST
 
     tracer = open_tracer(samples)
     lanes = SimpleNamespace(pixel=dr.zeros(mi.UInt32, samples))

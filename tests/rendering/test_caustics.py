@@ -115,7 +115,7 @@ def from_the_camera_alone(monkeypatch):
     """Render without light tracing."""
 
     def switch():
-        monkeypatch.setattr("graycast.rendering.mitsuba._shiny_field", lambda *of: None)
+        monkeypatch.setattr("graycast.rendering.mitsuba.renderer._shiny_field", lambda *of: None)
 
     return switch
 
@@ -227,9 +227,9 @@ def test_each_kind_of_path_alone_gives_the_same_energy(mitsuba_renderer, monkeyp
     shares = {"projector": (0.0, 1.0), "camera": (1.0, 0.0)}
     light = {}
     for name, (camera, projector) in shares.items():
-        monkeypatch.setattr("graycast.rendering.mitsuba_paths.share", lambda odds, x=camera: x)
+        monkeypatch.setattr("graycast.rendering.mitsuba.paths.share", lambda odds, x=camera: x)
         monkeypatch.setattr(
-            "graycast.rendering.mitsuba_caustics.share", lambda odds, x=projector: x
+            "graycast.rendering.mitsuba.caustics.share", lambda odds, x=projector: x
         )
         light[name] = pictures(mitsuba_renderer, scene, samples=1024, seeds=range(8))
     a, b = (one.sum(axis=(2, 3)) for one in light.values())
@@ -243,7 +243,7 @@ def test_a_matt_room_is_the_same_with_both_kinds_of_paths(mitsuba_renderer, monk
     """
     scene = room(CAMERA, PROJECTOR, lambert(0.7))
     plain = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
-    monkeypatch.setattr("graycast.rendering.mitsuba_scene._is_shiny", lambda material: True)
+    monkeypatch.setattr("graycast.rendering.mitsuba.scene._is_shiny", lambda material: True)
     mitsuba_renderer.close()  # so that the world is built again
     both = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
     mitsuba_renderer.close()

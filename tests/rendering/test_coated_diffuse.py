@@ -14,7 +14,7 @@ ALPHAS = [0.01, 0.09, 0.49, 1.0]
 def coated(alpha, base):
     import mitsuba as mi
 
-    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba.scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": base}
     return mi.load_dict(

@@ -17,7 +17,7 @@ INDEX = 1.47
 def filmed(roughness, film, reflectance=(1.0, 0.5, 0.1), index=INDEX):
     import mitsuba as mi
 
-    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba.scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": list(reflectance)}
     words = {"alpha": roughness**2, "film_alpha": film**2, "eta": index, "reflectance": color}

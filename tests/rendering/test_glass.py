@@ -304,12 +304,14 @@ def test_no_light_by_metal_and_glass_is_counted_twice(mitsuba_renderer, monkeypa
             material=glass("thin"),
         ),
     )
-    shiny = "graycast.rendering.mitsuba_scene._is_shiny"
+    shiny = "graycast.rendering.mitsuba.scene._is_shiny"
     monkeypatch.setattr(shiny, lambda material: material.metallic > 0)
     pictures = {}
     for kind, samples, seed in (("both", 256, 0), ("camera", 1024, 100)):
         if kind == "camera":
-            monkeypatch.setattr("graycast.rendering.mitsuba._shiny_field", lambda *of: None)
+            monkeypatch.setattr(
+                "graycast.rendering.mitsuba.renderer._shiny_field", lambda *of: None
+            )
         mitsuba_renderer.close()
         runs = [
             radiance(mitsuba_renderer, scene, depth=4, seed=seed + k, samples=samples).white

@@ -15,7 +15,7 @@ import drjit, mitsuba
 file = Path(sys.argv[1])
 mitsuba.Bitmap(np.ones((64, 128, 3), dtype=np.float32)).write(str(file))
 drjit.set_thread_count(1)
-from graycast.rendering.mitsuba_scene import _map_pixels
+from graycast.rendering.mitsuba.scene import _map_pixels
 assert _map_pixels(file).shape == (64, 128, 3)
 assert drjit.thread_count() == 1
 """

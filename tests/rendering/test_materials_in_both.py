@@ -57,7 +57,7 @@ def in_mitsuba(material, view_deg, lamp_deg):
     import drjit as dr
     import mitsuba as mi
 
-    from graycast.rendering.mitsuba_scene import _bsdf
+    from graycast.rendering.mitsuba.scene import _bsdf
 
     bsdf, context = mi.load_dict(_bsdf(material)), mi.BSDFContext()
     si = dr.zeros(mi.SurfaceInteraction3f, 1 if lamp_deg else SAMPLES)

@@ -22,7 +22,7 @@ GOLD = (1.0, 0.7, 0.3)
 def metal(roughness, reflectance=GOLD):
     import mitsuba as mi
 
-    import graycast.rendering.mitsuba_scene  # noqa: F401  (registers the material)
+    import graycast.rendering.mitsuba.scene  # noqa: F401  (registers the material)
 
     color = {"type": "rgb", "value": list(reflectance)}
     return mi.load_dict({"type": "rough_conductor", "alpha": roughness**2, "reflectance": color})
@@ -161,7 +161,7 @@ def test_a_texture_replaces_the_colour(cpu_device):
     import drjit as dr
     import mitsuba as mi
 
-    from graycast.rendering.mitsuba_scene import _bsdf
+    from graycast.rendering.mitsuba.scene import _bsdf
 
     texture = np.array([[[255, 188, 0]], [[100, 30, 255]]], dtype=np.uint8).repeat(8, axis=0)
     material = Material(texture=texture, metallic=1.0, roughness=0.1)

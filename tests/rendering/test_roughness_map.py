@@ -37,7 +37,7 @@ def halves(left, right):
 def bsdf_of(material):
     import mitsuba as mi
 
-    from graycast.rendering.mitsuba_scene import _bsdf
+    from graycast.rendering.mitsuba.scene import _bsdf
 
     return mi.load_dict(_bsdf(material))
 
@@ -170,7 +170,7 @@ def test_each_quarter_of_a_wall_equals_a_wall_of_its_roughness(request, engine, 
 
 
 def test_one_scratch_makes_rough_metal_shiny(cpu_device):
-    from graycast.rendering.mitsuba_scene import _is_shiny
+    from graycast.rendering.mitsuba.scene import _is_shiny
 
     scratch = np.full((9, 9), 255, dtype=np.uint8)
     assert not _is_shiny(replace(METAL, roughness_map=scratch))

@@ -1,34 +1,21 @@
 """Light transport: one file or folder for each back end, and a small exact reference.
 
-`mitsuba.py` and the modules that it imports load Mitsuba, so they are imported only after
-`open_device` has set Mitsuba's variant.
+The modules in `bsdf` and `mitsuba` load Mitsuba, so they are imported only after `open_device` has
+set Mitsuba's variant.
 
 Each module imports only from those above it:
 
-    ggx                the distribution of microfacets of all rough materials
-    radiance           what a renderer returns, and the protocol `Renderer`
-    wavelength         the scene in light of the projector's wavelength
-    trial              a small picture, rendered in a process that a broken driver may crash
-    dielectric         clear glass and plastic
-    mitsuba_patterns   patterns in few bits, and sums over them
-    mitsuba_lens       lenses in Dr.Jit
-    coated_diffuse     plastic and paint: a clear coat over a diffuse base
-    rough_conductor    metal, also brushed or turned
-    denoise            denoising by Open Image Denoise
-    path_noise         the error of a pixel from a finite number of light paths
-    device             finds the render devices that work, and opens one
-    mitsuba_sight      intersections of rays with the scene, through glass
-    mitsuba_projector  the projector as a light
-    filmed_conductor   metal under oil or lacquer
-    reference          planes and spheres in direct light, exact, in NumPy
-    cycles             Blender Cycles in a separate process, with a render for each pattern
-    mitsuba_scene      a scene in Mitsuba: materials, meshes, lights
-    mitsuba_stage      the data that all light paths through a scene share
-    mitsuba_caustics   light paths from the projector over shiny surfaces: caustics
-    mitsuba_truth      depth, normals and silhouettes at pixel centres
-    mitsuba_paths      light paths from the camera, for all patterns at once
-    mitsuba            the renderer of one pass for all patterns
-    trial_picture      the process of `trial`
+    radiance       what a renderer returns, and the protocol `Renderer`
+    wavelength     the scene in light of the projector's wavelength
+    trial          a small picture, rendered in a process that a broken driver may crash
+    bsdf           materials of Mitsuba: how surfaces scatter light
+    denoise        denoising by Open Image Denoise
+    path_noise     the error of a pixel from a finite number of light paths
+    device         finds the render devices that work, and opens one
+    reference      planes and spheres in direct light, exact, in NumPy
+    cycles         Blender Cycles in a separate process, with a render for each pattern
+    mitsuba        Mitsuba 3, with one pass of light paths for all patterns
+    trial_picture  the process of `trial`
 """
 
 import numpy as np
@@ -103,7 +90,7 @@ def open_renderer(
 
             device = choose_device(device)
             open_device(device, threads=threads)
-            from .mitsuba import MitsubaRenderer
+            from .mitsuba.renderer import MitsubaRenderer
 
             return MitsubaRenderer(device, on_pass=on_pass)
         case "cycles":

@@ -22,7 +22,7 @@ CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, c
 
 def _main(device: str) -> None:
     open_device(device)
-    from .mitsuba import MitsubaRenderer
+    from .mitsuba.renderer import MitsubaRenderer
 
     rig = replace(preset_rig("paper"), camera=CAMERA)
     wall = Quad(

@@ -76,7 +76,7 @@ def watched(tmp_path_factory):
     path = write_cell(tmp_path_factory.mktemp("live"), render={"samples": 6})
     watched = Watched(path)
     watched.line._opened(resolve_cell(watched.config, path.parent))  # before Mitsuba is imported
-    from graycast.rendering import mitsuba_paths
+    from graycast.rendering.mitsuba import paths as mitsuba_paths
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mitsuba_paths, "PASS_SAMPLES", 2 * 160 * 120)

@@ -7,10 +7,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..base.frames import inverse
-from ..world.scene import Scene
-from .mitsuba_lens import camera_ray, corner_share, picture_place, pixels_per_sr
-from .mitsuba_patterns import aligned
+from ...base.frames import inverse
+from ...world.scene import Scene
+from .lens import camera_ray, corner_share, picture_place, pixels_per_sr
+from .patterns import aligned
 
 CELL_PX = 8  # The projector's picture is divided into square cells of this side.
 PATHS_EACH = 0.2  # The number of paths from the projector per path from the camera.

@@ -77,7 +77,7 @@ class ThinDielectric(_DeltaBSDF):
     """A thin wall with two parallel surfaces, for light from both sides.
 
     With the reflectance R of one surface and all reflections between the two, the wall reflects
-    `2 R / (1 + R)` and transmits `(1 - R) / (1 + R)`, times the colour. In `mitsuba_sight.py`, rays
+    `2 R / (1 + R)` and transmits `(1 - R) / (1 + R)`, times the colour. In `mitsuba/sight.py`, rays
     pass the wall; the BSDF is evaluated only for the other rays, and mirrors them.
 
     Leaves out: the parallel shift of transmitted rays; the effect of the angle on the colour.

@@ -5,7 +5,7 @@ import math
 import drjit as dr
 import mitsuba as mi
 
-from ..rig.optics import Optics, fold_radius2
+from ...rig.optics import Optics, fold_radius2
 
 NEWTON_STEPS = 6  # Each step doubles the digits; four steps suffice for float32 and usual lenses.
 

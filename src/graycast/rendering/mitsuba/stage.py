@@ -4,13 +4,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..base.frames import inverse
-from ..world.scene import Scene
-from .mitsuba_patterns import PackedPatterns, finest_patterns
-from .mitsuba_projector import ProjectorLight
-from .mitsuba_scene import MitsubaWorld
-from .mitsuba_sight import Sight
-from .radiance import Quality
+from ...base.frames import inverse
+from ...world.scene import Scene
+from ..radiance import Quality
+from .patterns import PackedPatterns, finest_patterns
+from .projector import ProjectorLight
+from .scene import MitsubaWorld
+from .sight import Sight
 
 ROULETTE_FROM = 2  # The number of vertices of a path before Russian roulette begins.
 MAX_SURVIVAL = 0.95  # Below 1, so that paths between perfectly white surfaces end.

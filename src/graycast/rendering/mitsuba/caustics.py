@@ -30,11 +30,11 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..rig.pattern import Axis
-from .mitsuba_lens import blur_radius2, camera_place, on_pixel, picture_place, pixel_index, shines
-from .mitsuba_projector import ShinyField, odds_on_arrival, odds_onward, share
-from .mitsuba_sight import counted
-from .mitsuba_stage import ROULETTE_FROM, Stage, survival
+from ...rig.pattern import Axis
+from .lens import blur_radius2, camera_place, on_pixel, picture_place, pixel_index, shines
+from .projector import ShinyField, odds_on_arrival, odds_onward, share
+from .sight import counted
+from .stage import ROULETTE_FROM, Stage, survival
 
 LANES = 2_500_000  # The largest number of paths that run in parallel.
 UNIT = 2.0**-32  # Unit of the sums, relative to the light of white paper at one metre.

@@ -18,7 +18,7 @@ from the camera continues as if it had just started.
 import drjit as dr
 import mitsuba as mi
 
-from .dielectric import Dielectric, ThinDielectric
+from ..bsdf.dielectric import Dielectric, ThinDielectric
 
 OFFSET_M = 2e-5  # Start of rays from glass; Mitsuba's 2e-4 is a tenth of the wall of a bottle.
 DELTA_PDF = 1e15  # A finite substitute for infinity, with which weights would be NaN.

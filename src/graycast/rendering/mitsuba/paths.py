@@ -1,6 +1,6 @@
 """Light paths through a scene in Dr.Jit, and the contribution of each vertex to every pattern.
 
-The docstring of `mitsuba.py` explains the method; this file has the implementation.
+The docstring of `renderer.py` explains the method; this file has the implementation.
 """
 
 import math
@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..rig.pattern import Axis
-from .mitsuba_caustics import Caustics
-from .mitsuba_lens import (
+from ...rig.pattern import Axis
+from ..radiance import OnPass
+from .caustics import Caustics
+from .lens import (
     blur_radius2,
     camera_ray,
     in_field,
@@ -22,10 +23,9 @@ from .mitsuba_lens import (
     shines,
     through_focus,
 )
-from .mitsuba_projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
-from .mitsuba_sight import DELTA_PDF, counted
-from .mitsuba_stage import ROULETTE_FROM, Stage, survival
-from .radiance import OnPass
+from .projector import ShinyField, back_pdf, odds_on_arrival, odds_onward, share
+from .sight import DELTA_PDF, counted
+from .stage import ROULETTE_FROM, Stage, survival
 
 PASS_SAMPLES = 2_500_000  # Samples of all pixels together between two calls of `on_pass`.
 PATCH_LOOKUPS = 3  # Lookups of the patterns over a patch of indirect light.

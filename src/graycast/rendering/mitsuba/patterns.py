@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rig.pair import Rig, emission
-from ..rig.pattern import AXES, Axis
+from ...rig.pair import Rig, emission
+from ...rig.pattern import AXES, Axis
 
 
 class PackedPatterns:

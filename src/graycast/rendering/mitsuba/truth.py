@@ -4,14 +4,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..base.frames import inverse, transform_points
-from ..base.mask_box import mask_box
-from ..rig.optics import fold_radius2, project
-from ..world.scene import Layout, Scene
-from .mitsuba_lens import camera_ray, distorted, picture_place
-from .mitsuba_scene import PartShape
-from .mitsuba_stage import Stage
-from .radiance import GroundTruth, Silhouette
+from ...base.frames import inverse, transform_points
+from ...base.mask_box import mask_box
+from ...rig.optics import fold_radius2, project
+from ...world.scene import Layout, Scene
+from ..radiance import GroundTruth, Silhouette
+from .lens import camera_ray, distorted, picture_place
+from .scene import PartShape
+from .stage import Stage
 
 STEP_THROUGH_M = 2e-5  # More than the error of float32, and than the overlap of touching parts.
 OUTLINE_POINTS = 33  # The number of points per side of a part's box, which distortion bends.

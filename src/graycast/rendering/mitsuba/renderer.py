@@ -17,9 +17,9 @@ Both lenses are thin (`Optics`). Paths start all over the camera's pupil. The pr
 point with a disc of its picture, so the mean level over that disc is used, too. The samples of a
 pixel are pairs of opposite positions, so a smooth surface is seen at the exact centre of the pixel.
 
-For projector light on shiny surfaces, more paths start at the projector (`mitsuba_caustics.py`).
+For projector light on shiny surfaces, more paths start at the projector (`caustics.py`).
 
-Limits: the only transparent material is glass (`mitsuba_sight.py`); light over two polished
+Limits: the only transparent material is glass (`sight.py`); light over two polished
 surfaces is noisy. The shadow ray goes to a random point of the projector's lens, but patterns are
 averaged over the whole lens: penumbras have the right softness, but their stripes lack the shift
 from the hidden half of the lens.
@@ -34,18 +34,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rig.optics import relative_illumination
-from ..world.scene import Layout, Scene
-from .denoise import denoised, open_denoiser
-from .mitsuba_caustics import CausticTracer
-from .mitsuba_paths import Paths, Tracer
-from .mitsuba_patterns import aligned
-from .mitsuba_projector import ShinyField
-from .mitsuba_scene import MitsubaWorld, build
-from .mitsuba_stage import Stage
-from .mitsuba_truth import centre_places, truth
-from .path_noise import path_noise
-from .radiance import (
+from ...rig.optics import relative_illumination
+from ...world.scene import Layout, Scene
+from ..denoise import denoised, open_denoiser
+from ..path_noise import path_noise
+from ..radiance import (
     Denoiser,
     OnPass,
     PathNoise,
@@ -56,7 +49,14 @@ from .radiance import (
     Rendering,
     refuse_other_size,
 )
-from .wavelength import at_projector_wavelength
+from ..wavelength import at_projector_wavelength
+from .caustics import CausticTracer
+from .paths import Paths, Tracer
+from .patterns import aligned
+from .projector import ShinyField
+from .scene import MitsubaWorld, build
+from .stage import Stage
+from .truth import centre_places, truth
 
 
 @final

@@ -7,14 +7,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..base.errors import ConfigError
-from ..world.parts import Material, Mesh
-from ..world.parts.part import corner_grain
-from ..world.scene import Lamp, Layout, Quad, Scene, bin_surfaces, lamp_quad, quad_mesh, table_quad
-from .coated_diffuse import CoatedDiffuse
-from .dielectric import Dielectric, ThinDielectric
-from .filmed_conductor import FilmedConductor
-from .rough_conductor import GRAIN, BrushedConductor, RoughConductor
+from ...base.errors import ConfigError
+from ...world.parts import Material, Mesh
+from ...world.parts.part import corner_grain
+from ...world.scene import Lamp, Layout, Quad, Scene, bin_surfaces, lamp_quad, quad_mesh, table_quad
+from ..bsdf.coated_diffuse import CoatedDiffuse
+from ..bsdf.dielectric import Dielectric, ThinDielectric
+from ..bsdf.filmed_conductor import FilmedConductor
+from ..bsdf.rough_conductor import GRAIN, BrushedConductor, RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("filmed_conductor", FilmedConductor)

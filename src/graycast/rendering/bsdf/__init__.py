@@ -1,0 +1,10 @@
+"""How surfaces scatter light: bidirectional scattering distribution functions for Mitsuba.
+
+Each imports only from those above it:
+
+    ggx               the distribution of microfacets of all rough materials
+    dielectric        clear glass and plastic
+    coated_diffuse    plastic and paint: a clear coat over a diffuse base
+    rough_conductor   metal, also brushed or turned
+    filmed_conductor  metal under oil or lacquer
+"""

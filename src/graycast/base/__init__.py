@@ -12,6 +12,7 @@ Each imports only from those above it:
     folder           files and folders that are written completely or not at all
     plotting         the style of plots, and how they are written
     yaml_loader      YAML without keys given twice and without aliases that fill the memory
+    section_help     the help page of a section of a file: its keys with units and defaults
     settings         YAML files: reading, checking, and errors of one clear line
     sections         sections of files from the fields of dataclasses
     spawn            processes that do not run the user's script again

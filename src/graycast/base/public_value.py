@@ -139,59 +139,19 @@ def _field_lines(kind: Any) -> Iterator[str]:
     for field in fields(kind):
         if field.init:
             about = [getattr(item, "description", None) for item in get_args(field.type)[1:]]
-            default = "" if field.default is MISSING else f" = {_text(field.default, 1)}"
-            yield _field_line(field.name, field.type, default, next(filter(None, about), ""))
+            yield field_line(field.name, field.type, field.default, next(filter(None, about), ""))
 
 
-def section_lines(section: Any) -> Iterator[str]:
-    """Yield a line for each key of a pydantic model, as for the fields of a public value.
+def field_line(name: str, hint: Any, default: Any, meaning: str) -> str:
+    """Return the line of a help page about a field; MISSING is no default.
 
-    A key without a description that holds another section has the first sentence about that one.
+    The unit follows from the end of its name.
     """
-    for name, info in section.model_fields.items():
-        default, hint = "", info.annotation
-        if not info.is_required():
-            value = info.get_default(call_default_factory=True)
-            default = f" = {_text(value, 1)}"
-            if hint in (Any, object):  # The section of the default was made at run time.
-                hint = type(value)
-        about = (_first_sentence(kind) for kind in _sections_in(hint))
-        yield _field_line(name, hint, default, info.description or next(about, ""))
-
-
-def section_signature(section: Any) -> inspect.Signature:
-    """Return the keywords of a pydantic model and their defaults, without types."""
-    return inspect.Signature(
-        [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=inspect.Parameter.empty
-                if info.is_required()
-                else info.get_default(call_default_factory=True),
-            )
-            for name, info in section.model_fields.items()
-        ]
-    )
-
-
-def _sections_in(hint: Any) -> Iterator[Any]:
-    """Yield the pydantic models and dataclasses that an annotation names."""
-    if hasattr(hint, "model_fields") or is_dataclass(hint):
-        yield hint
-    for inner in get_args(hint):
-        yield from _sections_in(inner)
-
-
-def _first_sentence(kind: Any) -> str:
-    return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
-
-
-def _field_line(name: str, hint: Any, default: str, meaning: str) -> str:
     words = name.split("_")
     ends = ("_".join(words[k:]) for k in range(1, len(words)))
     unit = next((f" [{_UNITS[end]}]" for end in ends if end in _UNITS), "")
-    return f"{name}{unit} ({type_text(hint)}{default})" + (f": {meaning}" if meaning else "")
+    has = "" if default is MISSING else f" = {_text(default, 1)}"
+    return f"{name}{unit} ({type_text(hint)}{has})" + (f": {meaning}" if meaning else "")
 
 
 def type_text(hint: Any) -> str:

@@ -8,9 +8,9 @@ sections of files from dataclasses.
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
-from functools import cache, wraps
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -25,7 +25,8 @@ from pydantic.fields import FieldInfo
 
 from .argument_check import fits, nearest, value_text, words
 from .errors import ArgumentError, ConfigError
-from .public_value import one_line, section_lines, section_signature
+from .public_value import one_line
+from .section_help import SectionType
 
 Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -47,20 +48,7 @@ PositiveSpan = SpanOf[Positive]
 ShareSpan = SpanOf[Share]
 
 
-if TYPE_CHECKING:  # Type checkers know the keywords of a model by pydantic's own metaclass.
-    from pydantic._internal._model_construction import ModelMetaclass as _SectionType
-else:
-
-    class _SectionType(type(BaseModel)):
-        """The class of sections: their help shows their keys instead of pydantic's own methods."""
-
-        def __dir__(cls) -> list[str]:
-            own = (vars(kind) for kind in cls.__mro__ if Settings in kind.__mro__[1:])
-            names = {name for each in own for name in each if name[0] != "_"}
-            return [*sorted(names - {"model_config"}), "__init__"]
-
-
-class Settings(BaseModel, metaclass=_SectionType):
+class Settings(BaseModel, metaclass=SectionType):
     """Base of all models of user files: frozen; refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -80,21 +68,6 @@ class Settings(BaseModel, metaclass=_SectionType):
 
     # Pydantic otherwise calls this method for each section that it reads from a file.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Give a section a help page with its keys, their units, defaults and meaning."""
-        super().__pydantic_init_subclass__(**kwargs)
-        base: Any = Settings.__init__
-
-        @wraps(base)
-        def __init__(self: Settings, **settings: Any) -> None:
-            base(self, **settings)
-
-        __init__.__doc__ = "\n".join(section_lines(cls))
-        changed: Any = cls
-        changed.__init__ = __init__
-        changed.__signature__ = section_signature(cls)
 
     def __setattr__(self, name: str, value: Any) -> None:
         try:

@@ -11,7 +11,9 @@ from pydantic import BaseModel
 from .public_value import field_line
 
 if TYPE_CHECKING:  # Type checkers know the keywords of a model by pydantic's own metaclass.
-    from pydantic._internal._model_construction import ModelMetaclass as SectionType
+    from pydantic._internal._model_construction import ModelMetaclass
+
+    SectionType = ModelMetaclass
 else:
 
     class SectionType(type(BaseModel)):

@@ -8,7 +8,7 @@ Each module imports only from those above it:
     radiance       what a renderer returns, and the protocol `Renderer`
     wavelength     the scene in light of the projector's wavelength
     trial          a small picture, rendered in a process that a broken driver may crash
-    bsdf           materials of Mitsuba: how surfaces scatter light
+    bsdf           materials of Mitsuba
     denoise        denoising by Open Image Denoise
     path_noise     the error of a pixel from a finite number of light paths
     device         finds the render devices that work, and opens one

@@ -1,4 +1,4 @@
-"""How surfaces scatter light: bidirectional scattering distribution functions for Mitsuba.
+"""Materials of Mitsuba: bidirectional scattering distribution functions of surfaces.
 
 Each imports only from those above it:
 

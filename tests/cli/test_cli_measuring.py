@@ -290,16 +290,19 @@ def test_invalid_intrinsics_are_named(capsys, tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "lines",
+    ("lines", "problem"),
     [
-        "element vertex many\nproperty float x\nproperty float y\nproperty float z",
-        "element vertex 2\nproperty",
+        (
+            "element vertex many\nproperty float x\nproperty float y\nproperty float z",
+            "cannot be read (invalid literal for int() with base 10: 'many')",
+        ),
+        ("element vertex 2\nproperty", "have no x, y, z"),
     ],
 )
-def test_a_damaged_ply_header_is_reported_in_one_line(capsys, tmp_path, lines):
+def test_a_damaged_ply_header_is_reported_in_one_line(capsys, tmp_path, lines, problem):
     (tmp_path / "p.ply").write_text(f"ply\nformat ascii 1.0\n{lines}\nend_header\n")
     text = refused(capsys, "real", "measure", tmp_path / "p.ply", "--out", tmp_path / "o")
-    assert "p.ply: its header is damaged" in text
+    assert f"p.ply: its vertices {problem}" in text
 
 
 def test_compare_does_not_overwrite_a_measured_set(capsys, tmp_path):

@@ -18,8 +18,8 @@ from graycast.world.scene import Layout
 
 from .stages import cell_of
 
-# So deep a well that its noise is far under one digital number of 65535: what is left is the
-# renderer's.
+# The full well is so deep that the photon noise is at most 2 of 65535 digital numbers, so that
+# the noise of a picture is that of the renderer.
 QUIET_SENSOR = SensorSpec(
     full_well_e=1e9, gain_dn_per_e=6.5e-5, read_noise_e=0.0, dark_current_e_s=0.0, bit_depth=16
 )

@@ -41,7 +41,7 @@ def files_for(kind: str) -> set[str]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_new_thing_touches_three_files_at_most_and_they_exist(kind):
+def test_an_extension_touches_at_most_three_files_and_all_of_them_exist(kind):
     files = files_for(kind)
     assert 1 <= len(files) <= MOST_FILES
     assert all((ROOT / name).is_file() for name in files)

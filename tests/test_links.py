@@ -91,7 +91,7 @@ def pages():
     return sorted(path for path in files() if path.endswith(".md"))
 
 
-def test_each_link_of_each_page_leads_to_a_file_and_a_heading_of_a_clone():
+def test_each_link_on_each_page_leads_to_a_file_and_heading_that_exist_in_a_clone():
     paths, count, faults = files(), 0, []
     for page in pages():
         for link in links_of((ROOT / page).read_text(encoding="utf-8")):

@@ -31,7 +31,7 @@ def test_a_reason_on_the_list_passes_where_the_machine_lacks_what_it_names(tmp_p
 
 
 @pytest.mark.parametrize("reason", ["needs torch: pip install", "needs something else"])
-def test_another_reason_fails_the_run(tmp_path, reason):
+def test_a_skip_for_an_unlisted_reason_fails_the_run(tmp_path, reason):
     status, (line,) = finished(tmp_path, reason, [])
     assert status == 1
     assert "NOT ALLOWED HERE" in line

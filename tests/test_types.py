@@ -22,7 +22,7 @@ def test_the_checker_looks_at_every_module():
     assert tool["check_untyped_defs"] and tool["warn_unused_ignores"]
 
 
-def test_who_uses_the_package_is_told_that_it_has_types():
+def test_the_package_is_marked_as_typed():
     assert (ROOT / "src/graycast/py.typed").is_file()
 
 

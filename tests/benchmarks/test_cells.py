@@ -23,7 +23,7 @@ def test_a_crop_beyond_the_picture_is_refused():
         cells.cropped(preset_rig("like-phoxi-m").camera, (2000, 100))
 
 
-def test_the_quiet_sensors_noise_is_far_under_its_step():
+def test_the_photon_noise_of_the_quiet_sensor_is_at_most_two_digital_numbers():
     """Photon noise at the top of the range, in digital numbers."""
     sensor = cells.QUIET_SENSOR
     variance_dn2 = sensor.gain_dn_per_e**2 * sensor.full_well_e

@@ -262,7 +262,7 @@ def test_the_sea_shell_scanner_has_a_baseline_of_195_mm(tmp_path):
     assert same(load_scanner(tmp_path / "rig.yaml").rig, rig)
 
 
-def test_the_sea_shell_author_s_points_are_in_both_fields():
+def test_the_sea_shell_reference_cloud_is_in_the_fields_of_view_of_both_devices():
     """The author's cloud is in camera coordinates [mm] with y and z negated."""
     cloud = SEA_SHELL.with_name("reference_cloud.ply")
     if not cloud.is_file():

@@ -196,7 +196,7 @@ def test_the_time_of_a_scan_is_the_sum_of_its_frames():
     assert seconds == pytest.approx(3 * (0.002 + 0.008 + 0.020 + 3 * 0.01), rel=1e-6)
 
 
-def test_a_preset_s_raster_has_the_same_millimetres_at_every_resolution():
+def test_a_preset_s_raster_has_the_same_size_in_millimetres_at_every_resolution():
     small, low = (preset("like-phoxi-m", resolution) for resolution in ("small", "low"))
     place = [s.faults.raster_px / s.rig.camera.fx_px for s in (small, low)]
     assert place[0] == pytest.approx(place[1], rel=1e-3)

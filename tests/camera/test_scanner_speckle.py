@@ -149,7 +149,7 @@ def test_ambient_light_has_no_speckle(scanner, light):
     assert white.std() == pytest.approx(noise_dn, rel=0.05)
 
 
-def test_the_noise_of_a_raster_falls_from_black_to_white_as_speckle_does(scanner, light):
+def test_raster_noise_falls_with_reflectance_as_speckle_does(scanner, light):
     """Both come from uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
     a black surface's. The wall leans away from the projector, so it seems darker by the cosine.
     """

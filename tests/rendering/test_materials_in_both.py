@@ -102,7 +102,7 @@ def test_descriptions_are_applied_and_lambert_is_the_same_in_both(cpu_device, in
     assert np.abs(plastic - 1).max() < 0.03
 
 
-def test_metal_is_the_same_in_both(cpu_device, in_cycles):
+def test_metal_looks_the_same_in_mitsuba_and_cycles(cpu_device, in_cycles):
     """To 0.3 % in any direction: both are one published model with their own tables."""
     lamps = [(0, 0), (40, 0), (40, 180), (60, 90), (80, 180)]
     cases = [

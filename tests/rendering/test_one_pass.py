@@ -58,7 +58,9 @@ def test_one_pass_equals_each_pattern_alone_by_an_independent_integrator(quick_p
         assert agree(together[:, k], alone[:, k])
 
 
-def test_that_comparison_notices_two_percent_and_a_missing_bounce(quick_pair, mitsuba_renderer):
+def test_the_comparison_detects_a_2_percent_error_and_a_missing_bounce(
+    quick_pair, mitsuba_renderer
+):
     together, alone = quick_pair
     for k in range(together.shape[1]):
         assert not agree(1.02 * together[:, k], alone[:, k])

@@ -84,7 +84,7 @@ def test_each_abbreviated_source_is_explained_at_the_head_of_its_file(name):
     assert {word for word in names if word.lower() not in head} == set()
 
 
-def test_a_number_without_a_class_is_refused(monkeypatch, tmp_path):
+def test_a_number_without_a_class_of_source_is_refused(monkeypatch, tmp_path):
     (tmp_path / "like-phoxi-m.yaml").write_text("fx_px: 1785  # a good value\n")
     monkeypatch.setattr(sources, "files", lambda package: tmp_path)
     with pytest.raises(ValueError, match="fx_px has no class: state where 1785 is from"):

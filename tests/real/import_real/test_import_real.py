@@ -463,7 +463,9 @@ def test_a_picture_that_was_changed_after_the_import_is_detected(real, samples):
         assert "rgb/000000.png is not as it was written" in problem.what
 
 
-def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(simulation, real, samples, capsys):
+def test_depth_outside_the_range_of_the_scanner_given_by_like_is_refused(
+    simulation, real, samples, capsys
+):
     out, like = real.parent / "out", simulation[0] / "master"
     arguments = ["--intrinsics", "212,214,78.3,61.7", "--like", like, "--out", out]
     for factor in (10, 0.1):

@@ -50,7 +50,7 @@ def test_mitsuba_and_cycles_render_the_same_picture(dull_pair):
         assert agree(ours[:, k], theirs[:, k])
 
 
-def test_that_comparison_notices_two_percent_and_a_missing_bounce(dull_pair, mitsuba_renderer):
+def test_the_comparison_detects_a_2_percent_error_and_a_missing_bounce(dull_pair, mitsuba_renderer):
     ours, theirs = dull_pair
     for k in range(ours.shape[1]):
         assert not agree(1.02 * ours[:, k], theirs[:, k])

@@ -222,6 +222,6 @@ def test_a_tilted_cup_holds_what_the_three_limits_allow():
         ({"height_m": 0.0}, "greater than 0"),
     ],
 )
-def test_an_impossible_cup_is_refused(changed, message):
+def test_an_impossible_suction_cup_is_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         Cup(**changed)

@@ -100,7 +100,7 @@ def test_inverse_kinematics_finds_angles_for_every_pose_of_the_arm(robot):
     assert solved >= 18
 
 
-def test_a_pose_out_of_reach_has_no_angles(robot):
+def test_a_pose_out_of_reach_has_no_joint_angles(robot):
     far = rigid(np.eye(3), np.array([1.6, 0.0, 0.3]))
     assert robot.reach(far, robot.home, seed=0) == []
 

@@ -265,7 +265,7 @@ VISIBLE, OUTSIDE, BY_PARTS, BY_BIN = (
         (VISIBLE, VISIBLE, False, Reason.SATURATED, Fate.EDGE),
     ],
 )
-def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reason, fate):
+def test_geometry_takes_precedence_over_the_decoder_s_reason(camera, projector, own, reason, fate):
     surface, view = one_point(camera, projector)
     decoded = reason is Reason.DECODED
     truth = GroundTruth(

@@ -69,7 +69,7 @@ def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
     assert 0.7 - limits.low == pytest.approx(half, abs=error)
 
 
-def test_an_estimate_aside_of_its_draws_has_the_bias_corrected_interval():
+def test_an_estimate_off_centre_of_its_draws_gets_a_bias_corrected_interval():
     """Oracle: normal draws about `value + b sigma`: the limits are `value - b sigma -+ z sigma`."""
     draws = 0.6 + 0.05 * stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
     z = np.sqrt(30 / 29) * stats.t.ppf(0.975, 29)
@@ -119,7 +119,7 @@ def test_equal_results_differ_by_exactly_nothing():
         assert (one.value, one.low, one.high) == (0.0, 0.0, 0.0)
 
 
-def test_a_paired_difference_is_surer_than_its_two_sides():
+def test_a_paired_difference_has_a_narrower_interval_than_either_result():
     """Scenes differ much, the two results little: one misses one part more in every scene."""
     rng = np.random.default_rng(6)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(25)]

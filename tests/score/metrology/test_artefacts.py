@@ -54,7 +54,7 @@ def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
     assert all(clear(rig, bar.ends_m, bar.radius_m) for bar in bars)
 
 
-def test_devices_that_look_apart_have_no_working_volume():
+def test_devices_without_a_common_field_of_view_have_no_working_volume():
     rig = make_rig(
         centred(64, 48, 80), centred(64, 48, 80), rotation=turned(0.0, math.radians(90), 0.0)
     )

@@ -91,7 +91,7 @@ def test_forms_and_large_requests_are_refused(server):
     assert response(server, "POST", "/do", None, **{"Content-Length": "99999999"})[0] == 413
 
 
-def test_settings_are_set_undone_and_returned(server):
+def test_settings_can_be_set_undone_redone_and_restored(server):
     session = server.session
     assert do(server, do="set", key="exposure.target", value=0.3) == {"number": 1}
     do(server, do="set", key="exposure.target", value=0.4, draft=True)

@@ -108,7 +108,7 @@ def test_a_name_gives_the_material_and_one_key_overrides_one_property():
     assert resolved({"preset": "brass", "roughness": 0.4}) == replace(brass, roughness=0.4)
 
 
-def test_a_name_replaces_the_whole_look_of_a_built_in_part():
+def test_a_preset_replaces_the_whole_material_of_a_built_in_part():
     label = builtin_part("toothpaste").material
     line = Material(texture=label.texture, projector_reflectance=0.3)
     assert resolved({"preset": "rubber"}, own=line) == MATERIALS["rubber"].material

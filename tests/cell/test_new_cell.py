@@ -10,7 +10,7 @@ from backends import slow
 
 from graycast.base.frames import UNITS_M
 from graycast.cell.config import load_config
-from graycast.cell.framing import best_framing, bin_share, part_width_px
+from graycast.cell.framing import SCANNERS, best_framing, bin_share, part_width_px
 from graycast.cell.new_cell import bin_for, framing_text, new_cell
 from graycast.cell.resolve import resolve_cell
 from graycast.cli.command import main
@@ -84,6 +84,17 @@ def test_a_bin_that_fits_no_scanner_names_the_nearest_one_and_what_it_misses():
     framing = best_framing(box)
     lacking = f"this one is nearest: it lacks {1e3 * framing.missing_m:.0f} mm"
     assert framing_text(framing, builtin_part("toothpaste"), box).endswith(lacking)
+
+
+@pytest.mark.parametrize("inner_m", [(0.12, 0.09, 0.05), (0.15, 0.11, 0.06), (0.22, 0.16, 0.08)])
+def test_a_bin_that_is_small_for_every_scanner_says_so(inner_m):
+    """Oracle: the share of each scanner that holds the bin, one by one."""
+    box = Bin(inner_m=inner_m)
+    fits = [one for name in SCANNERS if (one := best_framing(box, [name])).missing_m <= 0]
+    share = max(bin_share(one.rig.camera, one.T_world_cam, box) for one in fits)
+    line = framing_text(best_framing(box), builtin_part("toothpaste"), box)
+    told = "; this bin is small: with every scanner of the shelf, it fills at most "
+    assert line.partition(told)[2] == (f"{100 * share:.0f} % of the picture" if share < 0.5 else "")
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])

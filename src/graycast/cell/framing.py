@@ -1,7 +1,7 @@
 """The share of a picture that a bin and a part cover, and the scanner of the shelf for a bin."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import cv2
@@ -29,14 +29,16 @@ class Framing:
     """A scanner of the shelf above a bin.
 
     `distance_m` is the one of `view` in a configuration. `bin_share` is the share of the picture
-    that the bin covers. `missing_m` is the distance of the bin's worst corner to the working range,
-    or to the field of camera or projector; 0 or less if all corners are inside.
+    that the bin covers, and `best_share` the largest of all compared scanners that fit. `missing_m`
+    is the distance of the bin's worst corner to the working range, or to the field of camera or
+    projector; 0 or less if all corners are inside.
     """
 
     rig: Rig
     T_world_cam: Pose
     distance_m: float
     bin_share: float
+    best_share: float
     missing_m: float
 
 
@@ -53,7 +55,8 @@ def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
     if not fits:
         return min(nearest, key=lambda one: one.missing_m)
     best = max(one.bin_share for one in fits)
-    return next(one for one in fits if one.bin_share >= ENOUGH * best)
+    chosen = next(one for one in fits if one.bin_share >= ENOUGH * best)
+    return replace(chosen, best_share=best)
 
 
 def _nearest(rig: Rig, box: Bin) -> Framing:
@@ -67,11 +70,13 @@ def _nearest(rig: Rig, box: Bin) -> Framing:
     best = int(np.argmax(fits) if fits.any() else np.argmin(missing_m))
     distance_m = round(float(step[best]) * STEP_M, 6)
     T_world_cam = _hang(rig, box, distance_m)
+    share = bin_share(rig.camera, T_world_cam, box)
     return Framing(
         rig=rig,
         T_world_cam=T_world_cam,
         distance_m=distance_m,
-        bin_share=bin_share(rig.camera, T_world_cam, box),
+        bin_share=share,
+        best_share=share,
         missing_m=float(missing_m[best]),
     )
 

@@ -17,6 +17,7 @@ BIN_M = (0.12, 1.0)  # inner lengths of the smallest and of the largest bin
 HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fill the bin.
 # The highlights and the dark sides of a metal need a wider bracket than the rig's.
 _METAL_EXPOSURE = "exposure: {auto: true}   # chosen from each picture: up to 5, which take longer"
+SMALL_SHARE = 0.5  # A bin that covers less of the picture looks like a wrong choice of the scanner.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
 
 
@@ -87,7 +88,11 @@ def bin_for(part: Part) -> tuple[float, float, float]:
 def framing_text(framing: Framing, part: Part, box: Bin) -> str:
     """Return a line that says which rig was chosen, and how large bin and part are in its picture.
 
-    If the bin fits no scanner, the line says how much is missing.
+    If the bin fits no scanner, the line says how much is missing. If it covers little of the
+    picture, the line says that it does so with every scanner.
+
+    Args:
+        framing: the best of all scanners of the shelf.
     """
     width_px = part_width_px(part, framing.rig.camera, framing.T_world_cam, box)
     small_px = width_px * BINNING["full"] / BINNING["small"]
@@ -96,8 +101,13 @@ def framing_text(framing: Framing, part: Part, box: Bin) -> str:
         f"{100 * framing.bin_share:.0f} % of the picture, a part is {width_px:.0f} px wide at "
         f"full, {small_px:.0f} px at small"
     )
-    if framing.missing_m <= 0:
+    if framing.missing_m <= 0 and framing.bin_share >= SMALL_SHARE:
         return line
+    if framing.missing_m <= 0:
+        return (
+            f"{line}; this bin is small: with every scanner of the shelf, it fills at most "
+            f"{100 * framing.best_share:.0f} % of the picture"
+        )
     return (
         f"{line}; no scanner of the shelf holds the whole bin, and this one is nearest: it lacks "
         f"{1e3 * framing.missing_m:.0f} mm"

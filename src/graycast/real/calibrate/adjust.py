@@ -16,16 +16,16 @@ from .board import CalibrationError
 DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
 REWEIGHTINGS = 4
-MOST_STEPS = 100  # Good views take some ten steps in one fit.
+MOST_STEPS = 100  # Good views need about ten steps per fit.
 NO_FIT = (
     "no camera and projector fit these views: decode each stack with graycast rig decode to see "
     "whether its code is right, and show the board in more different directions"
 )
-OUTLIER = 6.0  # A residual above this many medians means a wrong corner, not an inexact one.
+OUTLIER = 6.0  # A corner whose residual exceeds this many medians is wrong, not just inexact.
 RADIAL = ("k1", "k2", "k3")
 DETERMINED = 5.0  # A device's last radial term must differ from 0 by this many standard deviations.
-OUTLIER_FLOOR_PX = 0.05  # The median counts as at least this, so the worst good corner stays.
-LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of their board.
+OUTLIER_FLOOR_PX = 0.05  # A smaller median counts as this, so that no good corner is an outlier.
+LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of the board.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ class Observations:
     point_m: Float[np.ndarray, "n 3"]  # in the board's frame
     camera_px: Float[np.ndarray, "n 2"]
     projector_px: Float[np.ndarray, "n 2"]
-    per_camera_px: Float[np.ndarray, "n 2 2"]  # step in the projector for a step in the camera
+    per_camera_px: Float[np.ndarray, "n 2 2"]  # derivative of projector by camera pixels
 
     def only(self, keep: Bool[np.ndarray, " n"]) -> "Observations":
         return Observations(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
@@ -189,7 +189,7 @@ def _robust_fit(start, free, obs: Observations, stand):
     fitted, *_ = _fit(start, free, obs, stand)
     size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    # A view of nothing but outliers would have no pose: it stays in until the caller leaves it out.
+    # A view of outliers only would have no pose: it is kept until the caller removes it.
     whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
     good = obs.only(inlier) if whole else obs
     return inlier, good, _fit(fitted, free, good, stand)
@@ -278,7 +278,7 @@ def _fit(start, free, obs: Observations, stand):
         unknown[free] = outcome.x
         sigma_before = sigma_px
         squares = np.square(errors(outcome.x) * sigma_px[:, None]).mean(axis=(0, 2))
-        lost = 1 - free.sum() / (4 * len(obs.view))  # unknowns take up part of the scatter
+        lost = 1 - free.sum() / (4 * len(obs.view))  # fitted unknowns absorb part of the scatter
         sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
         if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
             break

@@ -21,17 +21,17 @@ from .adjust import Adjustment, Stands, adjust, adjust_stands
 from .board import CalibrationError
 from .observing import MIN_VIEWS, MINORITY, Observed
 
-SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of the others.
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # A view above both limits spoils the fit of the others.
 MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
 OUTLYING = 2.5  # A view fits badly if its residual is more than this many times the median view's.
-OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is good, whatever the others are.
-# One pose is too few if its residual is above both: this factor of that of a pose per view (of
-# 50 simulated good calibrations, with bent boards, none is above 1.2), and this many pixels.
+OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is always good.
+# One common pose does not suffice if its residual exceeds both limits: the residual with a pose per
+# view times APART (at most 1.2 in 50 simulated good calibrations with bent boards), and APART_PX.
 APART, APART_PX = 2.0, 0.05
-EXPLAINED = 1.5  # Groups explain the residual if theirs is at most this factor of the views'.
+EXPLAINED = 1.5  # A pose per group suffices up to this factor of the residual with a pose per view.
 MOST_GROUPS = 6
 Fit = TypeVar("Fit", Stands, Adjustment)
-CHANCE = 1e-3  # Poses that scatter so, or more, are not explained by the noise of the corners.
+CHANCE = 1e-3  # Below this p-value, noise of the corners does not explain the scatter of poses.
 
 
 def fit_agreeing(
@@ -61,7 +61,7 @@ def fit_agreeing(
         fit = _converged(one, corners)
         faults = _parted(observed, each, fit, some)
         if not faults:
-            fit = fit or one(corners)  # It raises again, for no group of views explains why.
+            fit = fit or one(corners)  # raises again: no group of views explains it
             faults = _spoiling(observed, fit) or _worst_outlier(observed, fit)
             if not faults:
                 return observed, replace(fit, deviation=_widened(fit, each, views))
@@ -235,7 +235,7 @@ def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]
     views: dict[str, tuple[float, str]] = {}
     for device in ("camera", "projector"):
         size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
-        residual_px = [  # It is a median, because a few wrong corners make no wrong view.
+        residual_px = [  # median: a few wrong corners do not spoil a view
             float(np.median(size_px[observed.corners.view == k]))
             for k in range(len(observed.views))
         ]

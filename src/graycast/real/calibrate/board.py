@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...base.errors import GraycastError
 
-MIN_SQUARES = 3  # Four inner corners, as 3 x 3 squares have, are the least that fixes a homography.
+MIN_SQUARES = 3  # A homography needs 4 points, the inner corners of 3 x 3 squares.
 FORMS = (
     "chessboard:9x6:0.025 (squares in x and y, side of a square in m) or "
     "charuco:8x5:0.03:0.022:DICT_5X5_100 (then side of a marker in m, ArUco dictionary; :legacy at "

@@ -16,15 +16,15 @@ from .agreement import fit_agreeing, outlying
 from .board import Board, CalibrationError
 from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe
 
-GOOD_SPREAD_RAD = math.radians(20)  # The directions of some two boards should differ by this.
+GOOD_SPREAD_RAD = math.radians(20)  # At least two boards should differ in direction by this angle.
 GOOD_COVERAGE = 0.4  # The hull of all corners should cover this share of the picture.
-# No device is beyond these bounds: of fx / fy or its inverse, of the focal length and of the
-# principal point in widths of the picture, of distortion as a share of the distance from the
-# middle, and of a standard deviation as a share of its number.
+# Real devices stay within these bounds: fx / fy or its inverse; principal point and focal length in
+# picture widths; distortion as a share of the distance from the picture's centre; and a standard
+# deviation as a share of its value.
 MOST_ASPECT, MOST_SHIFT, MOST_DISTORTION, MOST_DEVIATION = 3.0, 2.0, 0.7, 0.3
 FOCAL = (0.2, 50.0)
-GOOD_DEVIATION = 0.001  # The focal length and the baseline should be certain to this share.
-RANGE_MARGIN = 0.1  # The range goes beyond the nearest and farthest corner by this share of depth.
+GOOD_DEVIATION = 0.001  # good relative standard deviation of focal length and baseline
+RANGE_MARGIN = 0.1  # The range extends beyond the nearest and farthest corner by this share.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class ViewResidual:
     camera_rms_px: float
     projector_rms_px: float
     epipolar_rms_px: float
-    tilt_rad: float  # of the board against the camera's axis
+    tilt_rad: float  # angle between the board's normal and the camera's axis
     T_cam_board: Float[np.ndarray, "4 4"]
 
 

@@ -10,15 +10,15 @@ from scipy.special import erf
 from ...base.robust import robust_sigma
 from .board import Board, CalibrationError
 
-MIN_CORNERS = 8  # This many determine a view's pose and a homography, with some to spare.
-REFINE_REACH = 0.45  # It is a share of a square; beyond it the next edges come in.
-REFINE_REACH_PX = 15.0  # A longer reach costs time and lets distortion bend the edges.
+MIN_CORNERS = 8  # More than the four that a pose and a homography need.
+REFINE_REACH = 0.45  # As a share of a square; a larger window contains the next edges.
+REFINE_REACH_PX = 15.0  # A larger window costs time, and distortion bends its edges.
 REFINE_ITERATIONS = 20
 SMOOTH_PX = 0.8  # A blur of this standard deviation makes sharp edges wider than a pixel.
 MIN_BLUR_PX = 0.5
-MIN_CONTRAST = 0.05  # It is half the step from dark to bright, as a share of the picture's range.
-MAX_MOVE = 0.2  # If refining moves a corner by a larger share of a square, it found something else.
-CODE_REACH = 0.9  # It is in squares: every inner corner has a whole square around it on the board.
+MIN_CONTRAST = 0.05  # Half the step from dark to bright, as a share of the picture's range.
+MAX_MOVE = 0.2  # A corner that refining moves by a larger share of a square is rejected.
+CODE_REACH = 0.9  # In squares; on the board, a whole square surrounds every inner corner.
 MIN_SHARE = 0.3  # This share of the pixels around a corner must be decoded and agree.
 MIN_PIXELS = 20
 CODE_ROUNDS = 12
@@ -62,7 +62,7 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
     id_, start_px = start
     px_per_square = px_per_square_of(board, id_, start_px)
     reach = REFINE_REACH
-    if board.marker_m is not None:  # stay clear of the markers
+    if board.marker_m is not None:  # the window must exclude the markers
         reach = min(reach, 0.65 * (1 - board.marker_m / board.square_m))
     position_px, good = refine_corners(grey, start_px, px_per_square, reach=reach)
     if good.sum() < MIN_CORNERS:
@@ -103,7 +103,7 @@ def refine_corners(
         residual, jacobian = _edges(unknown, offset, value)
         weighted = jacobian * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, jacobian)
-        # Damped while the guess may still be half a pixel off; the tail keeps it solvable.
+        # Damp steps while the guess may be half a pixel off; 1e-12 avoids a singular matrix.
         damping = np.einsum("nii->ni", normal) * (0.05 if step < 4 else 1e-9) + 1e-12
         normal += damping[..., None] * np.eye(normal.shape[-1])
         gradient = np.einsum("nki,nk->ni", weighted, residual)
@@ -209,13 +209,13 @@ def _window(
 def _first_guess(position, px_per_square, offset, value, weight) -> Float[np.ndarray, "n 9"]:
     """(x, y, two angles of normals, blur, mean, contrast, gradient x, y) of each corner."""
     n = len(position)
-    normal = np.arctan2(px_per_square[:, 0], -px_per_square[:, 1])  # of the two edges
+    normal = np.arctan2(px_per_square[:, 0], -px_per_square[:, 1])  # angles of the edges' normals
     guess = np.zeros((n, 9))
     guess[:, :2], guess[:, 2:4], guess[:, 4] = position, normal, 1.0
     guess[:, 5] = (weight * value).sum(axis=1) / weight.sum(axis=1)
     guess[:, 6] = 1.0
     _, jacobian = _edges(guess, offset, value)
-    checker = weight * jacobian[..., 6]  # +1 and -1 by quadrant: the contrast is its share in value
+    checker = weight * jacobian[..., 6]  # +1 and -1 by quadrant; its coefficient is the contrast
     guess[:, 6] = (checker * (value - guess[:, 5:6])).sum(axis=1) / (checker**2).sum(axis=1)
     return guess
 
@@ -248,7 +248,7 @@ def _edges(unknown, offset, value) -> tuple[Float[np.ndarray, "n k"], Float[np.n
     return base * light - value, jacobian
 
 
-# --- the projector's ------------------------------------------------------------------------------
+# --- projector corners ----------------------------------------------------------------------------
 
 
 def projector_corners(
@@ -323,7 +323,7 @@ def _read_at(
     if known.sum() < enough:
         return nothing
     value, weight = value[known], weight[known] / weight[known].mean()
-    unit_px = np.abs(pixel - centre).max()  # keeps the powers of one size
+    unit_px = np.abs(pixel - centre).max()  # brings the powers to one scale
     offset = (pixel[known] - centre) / unit_px
     x, y = offset[:, 0], offset[:, 1]
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
@@ -331,7 +331,7 @@ def _read_at(
     if keep.sum() < enough:
         return nothing
     normal = (basis[keep] * weight[keep, None]).T @ basis[keep]
-    if np.linalg.cond(normal) > 1e8:  # decoded on one side only
+    if np.linalg.cond(normal) > 1e8:  # decoded on only one side of the corner
         return nothing
     return float(coefficient[0]), coefficient[1:3] / unit_px
 

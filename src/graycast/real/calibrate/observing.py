@@ -14,15 +14,15 @@ from .adjust import NO_FIT, Observations, joined, poses_between, rms_alone_px
 from .board import Board, CalibrationError
 from .corners import MIN_CORNERS, find_corners, projector_corners
 
-MIN_VIEWS = 3  # Fewer directions of a plane do not determine the intrinsics.
+MIN_VIEWS = 3  # Fewer board directions do not determine the intrinsics.
 GOOD_VIEWS = 8
-SAME_POSE = 0.005  # In a picture, corners of one pose are nearer, as a share of the board's radius.
-GROSS, GROSS_PX = 6.0, 2.0  # A corner above both, in its view's medians and in pixels, is wrong.
-MOST_RMS = 0.005  # A device's residual is at most this, in widths of its picture.
-GOOD_RMS_PX, SPOILING = 0.5, 3.0  # A device alone is good below it; one view may worsen it so far.
-MINORITY = 1 / 3  # A larger share is not left out, because then it is unknown which are right.
-# A view puts the projector elsewhere if it is off by this factor of the usual and at least this:
-# noise turns a view by up to 1.3 degrees. `fit_agreeing`, which knows the noise, finds the rest.
+SAME_POSE = 0.005  # Two views with nearer corners, as a share of the board's radius, have one pose.
+GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both: in medians of its view and in pixels.
+MOST_RMS = 0.005  # largest residual of a device, in widths of its picture
+GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS of a device; largest factor that one view may add
+MINORITY = 1 / 3  # A larger share is not left out: nothing shows which views are right.
+# A view disagrees on the projector's pose above both this factor of the median error and a minimum:
+# noise turns a view by up to 1.3 degrees. `fit_agreeing` knows the noise and finds smaller errors.
 ELSEWHERE, TURN_DEG, SHIFT = 4.0, 2.0, 0.15  # The shift is a share of the baseline.
 
 
@@ -149,7 +149,7 @@ def observe(
         try:
             one = _observe_one(view, board, projector_size_px)
             _refuse_same_pose(one, good)
-        except CalibrationError as error:  # tell of every bad view at once
+        except CalibrationError as error:  # collect the faults of all bad views
             faults[view.name] = str(error)
         else:
             good.append(one)
@@ -202,7 +202,7 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
             f"axes{''.join(f' ({symptom})' for symptom in view.symptoms)}"
         )
     position_px = lit_px[decoded]
-    # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
+    # The fit extrapolates, so a corner may be slightly outside the projector's picture.
     if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
         span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
         size = f"{projector_size_px[0]} x {projector_size_px[1]}"
@@ -240,7 +240,7 @@ def _less_gross(corners: Observations) -> Observations:
         mine = corners.view == k
         camera_px, projector_px = corners.camera_px[mine], corners.projector_px[mine]
         H, _ = cv2.findHomography(camera_px, projector_px, cv2.LMEDS)
-        if H is not None:  # a lens bends it by a few pixels
+        if H is not None:  # the homography ignores a distortion of a few pixels
             at = np.column_stack([camera_px, np.ones(len(camera_px))]) @ H.T
             off_px = np.linalg.norm(at[:, :2] / at[:, 2:] - projector_px, axis=1)
             keep[mine] = off_px <= max(GROSS * float(np.median(off_px)), GROSS_PX)

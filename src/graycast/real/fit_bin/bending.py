@@ -33,18 +33,18 @@ from ...world.scene import Bin, bin_mesh
 from .bin_views import BinView
 
 EDGE_M = 8e-3  # Shorter edges are not split; it is also the standard deviation of the smoothing.
-_LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is looked at in a few points.
-_CURVED_M = 1e-4  # A face may be this far from the smooth shape, as this is the noise of one pixel.
-# Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
+_LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is tested at few points.
+_CURVED_M = 1e-4  # Largest distance of a face from the smooth shape: the noise of a pixel.
+# A bin differs from its model by several millimetres; parts and wrong surfaces differ by more.
 REACH_M = 15e-3
-_AGREE_M = 1e-3  # Half of the views may be this far from their median, or
-_AGREE_USUAL = 5.0  # this many times the usual distance, as cameras have different noise.
-_STEP_M = 5e-3  # A step in depth is larger than its neighbours' steps by this.
-_MARGIN_PX = 3  # This many pixels beside a step or a part mix two surfaces.
+_AGREE_M = 1e-3  # Half of the views may differ by this much from their median, or by
+_AGREE_USUAL = 5.0  # this many times the usual difference: the noise depends on the camera.
+_STEP_M = 5e-3  # A depth edge exceeds both neighbouring differences by this.
+_MARGIN_PX = 3  # Pixels this near to a depth edge or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
-_LEAST_SHARE = 0.05  # If fewer of the mesh's pixels are measured near it, the pose is wrong.
-_COARSER = 0.01  # The next coarser level has this weight, which counts where little is measured.
-_ROUNDS = 3  # Smoothing takes 10 % off a bulge, and two rounds more put all but 0.1 % back.
+_LEAST_SHARE = 0.05  # The pose is wrong if a smaller share of the mesh's pixels has depth near it.
+_COARSER = 0.01  # weight of the next coarser level, for places with little measured depth
+_ROUNDS = 3  # One round flattens a bulge by 10 %; two more reduce this to 0.1 %.
 
 
 def bend_bin(
@@ -175,7 +175,7 @@ def _spread(
     return median_m, most_m
 
 
-# --- which pixels count ------------------------------------------------------------------------
+# --- valid pixels ---------------------------------------------------------------------------------
 
 
 def _cast(
@@ -189,7 +189,7 @@ def _taken(
     mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Return a mask of the pixels at which the measurement is of the bin."""
-    # A gap in the measurement has no margin: scans have single gaps everywhere.
+    # Pixels beside a gap are kept, because scans have single gaps everywhere.
     with np.errstate(invalid="ignore"):
         other = np.abs(depth_m - mesh_m) >= REACH_M
     known = np.isfinite(depth_m) & np.isfinite(mesh_m)
@@ -202,7 +202,7 @@ def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     A steep wall falls evenly from pixel to pixel, so a step is what falls by more than both
     neighbouring pairs do.
     """
-    z_m = np.nan_to_num(z_m)  # what ends falls to 0
+    z_m = np.nan_to_num(z_m)  # so the end of a surface is a step to 0
     return ~_widened(_steps(z_m) | _steps(z_m.T).T)
 
 
@@ -217,7 +217,7 @@ def _widened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return binary_dilation(mask, np.ones((3, 3), dtype=bool), iterations=_MARGIN_PX)
 
 
-# --- the ratio as a smooth function over the picture -------------------------------------------
+# --- smoothing of the ratio over the picture ------------------------------------------------------
 
 
 def _smooth(
@@ -239,7 +239,7 @@ def _smooth(
         return total / (share + _COARSER)
     pooled = _halved(weight)
     mean = _halved(value * weight) / np.where(pooled > 0, pooled, 1.0)
-    y, x = (np.arange(size) / 2 - 0.25 for size in value.shape)  # places of the centres
+    y, x = (np.arange(size) / 2 - 0.25 for size in value.shape)  # centres of the coarse pixels
     coarse = map_coordinates(
         _smooth(mean, pooled, sigma_px), np.meshgrid(y, x, indexing="ij"), order=1, mode="nearest"
     )
@@ -277,8 +277,8 @@ class _Bend:
     def _pixel(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         point = transform_points(inverse(self.T_world_cam), point_m)
         height_px, width_px = self.log_ratio.shape
-        # Beyond the picture's rays a lens model may fold: rays are held in before they are
-        # projected. The outermost rays are those of the border.
+        # A lens model may fold back outside the picture, so rays are limited to those of the
+        # picture's border before they are projected.
         border = pixel_grid(height_px, width_px)
         border = np.concatenate([border[[0, -1]].reshape(-1, 2), border[:, [0, -1]].reshape(-1, 2)])
         ray = rays(self.camera, border)[:, :2]
@@ -288,8 +288,8 @@ class _Bend:
         return np.clip(pixel, 0, [width_px - 1, height_px - 1])
 
 
-# A face has corners 0 to 2 and middles 3 to 5 of its edges 01, 12 and 20. These faces take its
-# place, by which edges are split (bits 1, 2 and 4).
+# A face has corners 0 to 2; the midpoints of its edges 01, 12 and 20 are 3 to 5. Each entry lists
+# the faces that replace it; its index has bits 1, 2 and 4 for the edges that are split.
 _PIECES = (
     ((0, 1, 2),),
     ((0, 3, 2), (3, 1, 2)),
@@ -302,7 +302,7 @@ _PIECES = (
 )
 
 
-_STEPS = 4  # A face and the smooth shape are compared at points, this many steps per edge.
+_STEPS = 4  # A face and the smooth shape are compared at points, with this many steps per edge.
 _WITHIN = np.array(
     [(i, j, _STEPS - i - j) for i in range(_STEPS + 1) for j in range(_STEPS + 1 - i)]
 ) / float(_STEPS)
@@ -318,7 +318,7 @@ def _split(mesh: Mesh, bend: _Bend) -> Mesh:
     multigrid techniques", 1984.
     """
     vertices_m, faces, uv = mesh.vertices_m, mesh.faces, mesh.corner_uv
-    new = np.arange(len(faces))  # Faces that are flat enough are not checked again.
+    new = np.arange(len(faces))  # faces to check; flat ones are not checked again
     while True:
         edge, of_face = _edges(faces)
         length_m = np.linalg.norm(np.diff(vertices_m[edge], axis=1)[:, 0], axis=1)

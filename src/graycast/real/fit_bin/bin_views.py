@@ -17,10 +17,10 @@ from ...rig.optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES, FileOptions
 from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 
-SHARED_M = 2e-3  # Two depths nearer to each other than this are of one surface.
+SHARED_M = 2e-3  # Two depths that differ by less belong to one surface.
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
-_NORMALS_ACROSS = 400  # Normals come from pixels a two-hundredth of the picture apart, or 2.
+_NORMALS_ACROSS = 400  # Normals use neighbours 1/200 of the picture away, at least 2 pixels.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +237,7 @@ def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h
     ordered = np.sort(np.where(np.isnan(depth_m), -np.inf, depth_m), axis=0)[::-1]
     shared = np.full(depth_m.shape[1:], np.nan)
     for farther, nearer in pairwise(ordered):
-        with np.errstate(invalid="ignore"):  # infinity less infinity, where neither has depth
+        with np.errstate(invalid="ignore"):  # infinity minus infinity where neither has depth
             agree = np.isnan(shared) & (farther - nearer < SHARED_M)
         shared[agree] = (0.5 * (farther + nearer))[agree]
     return shared

@@ -13,7 +13,7 @@ from ...base.kernels import kernel
 from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
-# Content starts this far above the floor; walls and what places are off widen it by the second.
+# Content starts at the first height above the floor; the second widens it for walls and pose error.
 _RAISED_M, _AROUND_M = 0.015, 0.025
 
 
@@ -109,7 +109,7 @@ class OpenBox:
         each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
         faces = np.stack([self.low_m, self.high_m]), self.axis, each_m
         inner_m = np.array(self.inner_m)
-        # The kernel is compiled for each layout of arrays, and parts of a grid have another one.
+        # Slices of a grid have another memory layout, for which the kernel would be compiled again.
         views = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
         return _evidence(*views, *faces, inner_m, content)
 

@@ -169,7 +169,7 @@ def write_fit(
         (aside / out.name).write_text(text, encoding="utf-8")
         if fit.bent is not None and mesh is not None:
             (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
-        refuse_there(*files)  # Another process may have written meanwhile.
+        refuse_there(*files)  # Another process may have written them meanwhile.
     return files
 
 
@@ -179,7 +179,7 @@ def azimuth_of(config: Config) -> float:
     return math.radians(config.view.azimuth_deg) if T is None else math.atan2(T[4], T[0])
 
 
-# --- what is written ---------------------------------------------------------------------------
+# --- written files --------------------------------------------------------------------------------
 
 
 def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Mapping[str, Any]]:

@@ -37,10 +37,10 @@ SURFACES = ("walls", "floor", "table")
 _ACROSS_PX = 256
 _SAMPLES = 64
 _ROUNDS = 12
-_SETTLED = 0.003  # The rounds end when no reflectance changes by a larger share.
-_EXPONENT = 0.9  # A step is reduced, as light from wall to wall answers more than in proportion.
+_SETTLED = 0.003  # Iteration stops when all relative changes of reflectance are smaller.
+_EXPONENT = 0.9  # Damps a step: light between walls grows faster than reflectance.
 _LEAST_PX = 60
-_NEAR_M = 0.004  # A pixel is of a surface where its depth is as near to it.
+_NEAR_M = 0.004  # largest distance between a surface and the depth of its pixels
 _DARK, _BRIGHT = 6, 250  # Darker 8-bit values are noise, and brighter ones are clipped.
 
 Color = tuple[float, float, float]
@@ -193,13 +193,13 @@ def _masks(
     grid, step = view.grid(_ACROSS_PX), view.step(_ACROSS_PX)
     face, _ = shape.cast(T_world_cam, grid)
     point = transform_points(T_world_cam, grid.point_m)
-    # Where the bin is missed only the table, at its bottom, can be seen.
+    # A ray that misses the bin can only hit the table, which is level with the bin's bottom.
     missed = face == NO_FACE
     off_m = np.where(missed, point[..., 2] + floor_m, height_over(shape, point, face))
     bin_surface = np.where(is_floor(shape)[face], *map(SURFACES.index, ("floor", "walls")))
     surface = np.where(missed, SURFACES.index("table"), bin_surface)
     label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
-    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours
+    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours are alike
     rgb = _rgb(view)[::step, ::step]
     usable = ((rgb >= _DARK) & (rgb <= _BRIGHT)).all(axis=-1)
     masks = {}

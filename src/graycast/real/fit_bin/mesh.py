@@ -25,7 +25,7 @@ NAMES = (
     "underside",
 )
 _SAMPLES, _LEAST_SPACING_M = 200_000, 1e-3
-_REACH_M = 0.05  # Faces that are farther away are not looked for.
+_REACH_M = 0.05  # Faces farther away than this are not found.
 
 
 @final
@@ -45,7 +45,7 @@ class MeshShape:
     offset_m: Float[np.ndarray, " f"]
     axis: Int[np.ndarray, " f"]
     spacing_m: float
-    # Faces that look along one axis the same way: their samples, and whose they are.
+    # By axis and sign of the normal: samples of the faces, and the face of each sample.
     trees: tuple[tuple[cKDTree, Int[np.ndarray, " _"]] | None, ...] = field(repr=False)
 
     @property
@@ -154,7 +154,7 @@ def _surfaces(
     each = np.arange(len(normal))
     sign = np.sign(normal[each, axis])
     place = middle_m[each, axis]
-    # A wall on the positive side looks inside where its normal is negative.
+    # The normal of a wall on the positive side is negative where it points inwards.
     inward = sign * place < 0
     side = np.where(axis == 0, 0, 1) + np.where(place > 0, 0, 2)
     surface = np.where(inward, 1 + side, 5 + side)

@@ -19,20 +19,20 @@ from .registration import LAST_M, FacePairs, equations, pairs_of, register
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 
-FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # They are in the bin's own frame.
+FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # in the bin's frame
 _LEAST_INLIERS = 60  # Fewer points on the faces across an axis do not fix the shift along it.
-_FINE_M = 0.005  # The evidence that picks one of the starts falls to 0 over this distance.
+_FINE_M = 0.005  # Evidence for a start falls to 0 over this distance.
 _SEARCH_PX = 64
-_NEARLY_SQUARE = 0.8  # Coarse steps may take a bin of a larger width over length crosswise.
-_STARTS, _FINALISTS = 10, 4  # Poses that begin on each plane, and poses that are finished.
-_LEAST_AGREEING = 0.35  # This share of what is measured where the bin should be must agree.
+_NEARLY_SQUARE = 0.8  # Above this ratio of width to length, a quarter turn is tried as well.
+_STARTS, _FINALISTS = 10, 4  # start poses per plane; poses that are refined to the end
+_LEAST_AGREEING = 0.35  # This share of the depth measured where the bin should be must agree.
 SEARCHED = ("x", "y", "about z")
 _FIRST_M, _LAST_M = 4e-3, 0.05e-3
-_LEVER_M = 0.2  # A turn is as large a step as a shift of a point this far away.
+_LEVER_M = 0.2  # lever arm [m] that converts a step [m] into a turn
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
-_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must cost as many pixels as the second.
-_AROUND_M = np.array([0.01, 0.01, 0.02])  # A bin's own space reaches this far about it.
+_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must lose this many votes.
+_AROUND_M = np.array([0.01, 0.01, 0.02])  # The bin's space extends this far beyond the bin.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
@@ -66,10 +66,10 @@ class PoseFit:
     T_world_cam: Float[np.ndarray, "4 4"]
     faces: tuple[FaceFit, ...]
     rms_m: float
-    median_m: float  # of absolute residuals
+    median_m: float  # median absolute residual
     p95_m: float
-    inlier_share: float  # of all measured points in the bin's own space
-    agreeing: float  # of what is measured where the floor should be seen, or the walls if less
+    inlier_share: float  # as a share of all measured points in the bin's space
+    agreeing: float  # share of agreeing depth on floor or walls, the smaller
     sigma: Float[np.ndarray, "6"]
     by_edges: tuple[str, ...]
     loose: tuple[str, ...]
@@ -111,7 +111,7 @@ def find_pose(
     if box.turns < 4 and min(box.inner_m[:2]) > _NEARLY_SQUARE * max(box.inner_m[:2]):
         quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
         candidates.append(register(cloud, quarter @ best, shape))
-    # Length and width are told apart where the bin ends, so by what edges hold, too.
+    # Only the bin's ends distinguish length from width, so edges are compared, too.
     turned = [_turned(T, box, azimuth_rad) for T in candidates]
     return _best_settled(views, shape, grids, turned)
 

@@ -14,9 +14,9 @@ from .bin_views import BinView
 from .pose_fit import PoseFit
 from .shape import NO_FACE, BinShape, height_over
 
-_RANGE_M = 0.006  # What is farther off is not the bin.
+_RANGE_M = 0.006  # Depth farther from the model does not belong to the bin.
 _ACROSS_PX = 640
-_BELOW = (0.5, -0.1)  # It counts in sizes of the axes.
+_BELOW = (0.5, -0.1)  # position of the legend, as a share of the axes' size
 
 
 def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], path: Path) -> None:

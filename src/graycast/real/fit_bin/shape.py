@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from .bin_views import Grid
 
 NO_FACE = -1
-COS_ALIKE = 0.707  # A point's normal and its face's differ by at most 45 degrees.
+COS_ALIKE = 0.707  # The normals of a point and of its face differ by at most 45 degrees.
 
 
 @runtime_checkable

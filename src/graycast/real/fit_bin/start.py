@@ -17,16 +17,16 @@ from .bin_views import Grid
 from .box import OpenBox, open_box
 from .shape import is_floor
 
-PLANES = 6  # The floor is among the largest planes: the others are the table and the walls.
+PLANES = 6  # The floor is one of the largest planes; others are the table and the walls.
 _TRIALS = 400
-_PLANE_M = 0.004  # A plane's points lie this far to either side of it, noise included.
+_PLANE_M = 0.004  # largest distance of a plane's points from it, with noise
 _LEAST_SHARE = 0.02  # A plane has at least this share of all points.
 _YAW_STEP_RAD = np.radians(7.5)
-_STEPS = 12  # The box's shorter side has this many steps between places.
+_STEPS = 12  # The box's shorter side is divided into this many steps.
 _CONTENT = 1.0
-_CLIMBERS = 200  # This many of the best places are moved to where they fit best.
-_CENTRES = 2000  # At most about this many places are tried on one plane.
-_APART = 0.25  # Poses that are nearer than this share of the box's shorter side are one.
+_CLIMBERS = 200  # This many of the best positions are refined.
+_CENTRES = 2000  # About the largest number of positions that are tried on one plane.
+_APART = 0.25  # Poses nearer than this share of the box's shorter side count as one.
 
 
 def start_poses(
@@ -44,15 +44,15 @@ def start_poses(
     """
     known = np.isfinite(grid.depth_m)
     ray, depth_m = grid.ray[known], grid.depth_m[known]
-    inside = open_box(box.inner_m)  # coarse steps do not resolve a wall's thickness
+    inside = open_box(box.inner_m)  # the coarse grid does not resolve the walls' thickness
     coarse_m = max(
         0.005, min(box.inner_m[:2]) / 2 / _STEPS
-    )  # A place between the grid's is so off.
+    )  # largest distance of a position from the grid
 
     def score(
         T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
     ) -> Float[np.ndarray, " p"]:
-        # A plane is known better than the place on it.
+        # The plane is known more precisely than the position on it.
         tolerance_m = np.where(is_floor(inside), floor_m, coarse_m)
         some, z = ray[::step], depth_m[::step]
         return inside.evidence(T_world_cam, some, z, tolerance_m, content=_CONTENT)
@@ -60,8 +60,8 @@ def start_poses(
     starts = []
     for normal, offset_m in planes(grid.point_m, seed=seed):
         T_world_cam = _poses_on(box, grid.point_m[known], normal, offset_m)
-        # Most places are out of the question after a few rays. A table hardly lower than the floor
-        # makes one plane with it, between the two: so more may be off, and climbing mends it.
+        # A few rays exclude most positions. If the table is hardly lower than the floor, the plane
+        # found is between the two: a larger tolerance keeps it, and refinement corrects it.
         likely = np.argsort(-score(T_world_cam, 24, 2 * _PLANE_M), kind="stable")
         T_world_cam = T_world_cam[likely[: 500 + len(likely) // 6]]
         likely = np.argsort(-score(T_world_cam, 4, 2 * _PLANE_M), kind="stable")[:_CLIMBERS]
@@ -123,7 +123,7 @@ def planes(
             mine = np.abs(rest @ normal - offset_m) < _PLANE_M
         if mine.sum() < max(least, 10):
             break
-        sign = 1.0 if offset_m < 0 else -1.0  # the camera, at 0, is on the side of the normal
+        sign = 1.0 if offset_m < 0 else -1.0  # normals point to the camera, which is at 0
         largest.append((sign * normal, sign * offset_m))
         rest = rest[~mine]
         candidate = candidate[support > 0]
@@ -190,7 +190,7 @@ def _distinct(
     distinct: list[Float[np.ndarray, "4 4"]] = []
     places_of_others: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
-        places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
+        places = transform_points(inverse(T), corner)  # floor's corners in the camera's frame
         if all(_shift_m(places, other) > apart_m for other in places_of_others):
             distinct.append(T)
             places_of_others.append(places)

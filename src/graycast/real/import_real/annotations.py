@@ -25,7 +25,7 @@ from ...dataset.training.foreign import refuse_repeated
 from ..depth_file import load_json
 
 _REMEDY = "give a COCO file or LabelMe files"
-_CUT_PX = 3.0  # Labelling tools place corners up to this far outside; other pictures' lie farther.
+_CUT_PX = 3.0  # Labelling tools put corners up to this far outside the picture.
 _MARGIN_PX = math.ceil(_CUT_PX)
 
 Runs = Mapping[str, Any]  # compressed run lengths
@@ -245,7 +245,7 @@ def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) ->
     return coco_mask.encode(whole)
 
 
-# --- both ---------------------------------------------------------------------------------------
+# --- shared by both formats -----------------------------------------------------------------------
 
 
 def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:

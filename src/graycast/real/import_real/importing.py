@@ -37,7 +37,7 @@ class Import:
     instances: int
     holds: tuple[str, ...]
     depth_scale_mm: float
-    notes: tuple[str, ...]  # what looks wrong, and what was left out, a sentence each
+    notes: tuple[str, ...]  # a sentence for each suspicion and each omission
 
 
 def import_real(
@@ -167,7 +167,7 @@ class _Writer:
     ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
-        # BOP's plain names always, the scanner's where it saw something.
+        # Always write BOP's plain names; write the scanner's if it has a picture or depth.
         suffixes = ("", "_sl") if {"gray_sl", "depth_sl"} & set(self.holds) else ("",)
         for suffix in suffixes:
             files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
@@ -177,7 +177,7 @@ class _Writer:
             files["gray_sl/000000.png"] = png(images.gray)
         if images.depth_m is not None:
             known = ~np.isnan(images.depth_m)
-            depth_m = np.maximum(images.depth_m, self.step_mm / MM_PER_M)  # Step 0 means no depth.
+            depth_m = np.maximum(images.depth_m, self.step_mm / MM_PER_M)  # 0 means no depth.
             steps = depth_steps(depth_m, self.step_mm, needed=known)
             files["depth_sl/000000.png"] = png(steps)
         if labels is not None:
@@ -238,7 +238,7 @@ class _Writer:
                 run_length=runs,
                 box=[x, y, w, h],
                 area_px=area_px,
-                visib_fract=1.0,  # unknown: nothing is ignored
+                visib_fract=1.0,  # unknown; 1 lets no score ignore the object
                 height_px=height_px,
                 width_px=width_px,
             )

@@ -11,9 +11,9 @@ from ..depth_file import FileOptions
 from ..depth_sense import depth_kind_note, filled_holes, plane_shares, refuse_beyond
 from ..picture_pairs import RealPicture, ShotData, depth_step_mm, is_whole, read_shot
 
-_USUAL = 0.99  # This share of the depth of a picture says in which steps it could be stored.
-_COARSER = 5.0  # Steps that are this many times as coarse because of the rest are worth a note.
-_FOR_KIND = 20  # This many pictures show whether depth is z.
+_USUAL = 0.99  # The step of depth could be fine enough for this share of a picture's pixels.
+_COARSER = 5.0  # A note is given if the other pixels make the step this many times coarser.
+_FOR_KIND = 20  # number of pictures tested for z or ray length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ def survey(
         sample += [images.depth_m] if len(sample) < _FOR_KIND else []
         if note := filled_holes(images.depth_m, str(shot.depth)):
             notes.append(note)
-    assert first is not None  # There is at least one picture.
+    assert first is not None  # there is at least one picture
     paths = [shot.depth for shot in shots if shot.depth is not None]
     scale_m = files.scale_m if paths and all(is_whole(path) for path in paths) else None
     step_mm = depth_step_mm(deepest[0], scale_m)
@@ -72,7 +72,7 @@ def survey(
         notes += _step_notes(deepest, step_mm, usual_m, depth_step_mm(usual_m, scale_m))
     if sample:
         optics = optics_of(first.K, first.size_px, files.distortion or (0.0,) * 5)
-        # The files' own numbers are judged, which --ray-length has converted to z.
+        # --ray-length has converted the depth to z: convert it back to test the files' own values.
         per_z = np.linalg.norm(picture_rays(optics), axis=-1) if files.ray_length else 1.0
         shares = plane_shares([depth_m * per_z for depth_m in sample], optics)
         if note := depth_kind_note(shares, ray_length=files.ray_length):

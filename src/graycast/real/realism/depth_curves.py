@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from ...base.plotting import save_png
 from .realism_record import BinRecord, Realism
 
-_LEAST_PATCHES = 5  # A bin of fewer is in the table, with its count, but in no curve.
+_LEAST_PATCHES = 5  # A bin with fewer patches is in the table, but not in the curves.
 _DIRECTIONS = ("right", "left", "below", "above")
 
 

@@ -116,7 +116,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         gray = None if picture is None else read_gray(picture)
         colour = _find(files, "rgb", number)
         if gray is None and colour is not None:
-            beside = read_gray(colour)  # Another camera tells nothing here.
+            beside = read_gray(colour)  # A picture of another shape is not used.
             gray = beside if beside.shape == depth_m.shape else None
         why = files.png_path(f"reason{suffix}", number)
         reasons = scanner[number].reasons if number in scanner else {}

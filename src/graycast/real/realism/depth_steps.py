@@ -11,7 +11,7 @@ _Values = Float[np.ndarray, "..."]
 _Mask = Bool[np.ndarray, "..."]
 
 _REACH_PX = 8
-_MARGIN = 0.25  # A flyer is off both surfaces and its neighbours by this share of the least step.
+_MARGIN = 0.25  # A flyer differs from surfaces and neighbours by this share of the least step.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
         a, b, c, d = (window[..., i] for i in (0, 1, -2, -1))
         reach = (1 + between) / 2
         ends = b + reach * (b - a), c - reach * (d - c)
-        with np.errstate(invalid="ignore"):  # a missing pixel compares false
+        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
             jump = _smooth(a, b, share) & _smooth(c, d, share) & _apart(*ends, share)
             jump &= _apart(b, c, share)
             if between:
@@ -82,19 +82,19 @@ def flying_pixels(
     flying_image = np.zeros(inverse.shape, dtype=bool)
     if len(row) < 7:
         return at_image, flying_image
-    # Of every run of seven valid pixels the middle one, if all are in one row.
+    # Test the middle pixel of each seven successive valid pixels that are in one row.
     windows = np.lib.stride_tricks.sliding_window_view
     one_row = row[:-6] == row[6:]
     a, b, before, middle, after, c, d = windows(inverse[row, column], 7)[one_row].T
     place = windows(column, 7)[one_row]
-    # Slopes are noisy: over wide gaps they are not believed.
+    # Slopes are noisy, so they are not extrapolated across wide gaps.
     reach_left = np.minimum(place[:, 3] - place[:, 1], _REACH_PX)
     reach_right = np.minimum(place[:, 5] - place[:, 3], _REACH_PX)
     ends = (
         b + reach_left * (b - a) / (place[:, 1] - place[:, 0]),
         c - reach_right * (d - c) / (place[:, 6] - place[:, 5]),
     )
-    # One gap is the rim of a shadow; more of them are a surface full of holes.
+    # One gap is a shadow; several gaps are a surface with many holes.
     at = (np.diff(place, axis=1) > 1).sum(axis=1) <= 1
     at &= _smooth(a, b, share) & _smooth(c, d, share)
     at &= _apart(*ends, share) & _apart(b, c, share)
@@ -105,7 +105,7 @@ def flying_pixels(
     return at_image, flying_image
 
 
-# Differences of 1/z are compared as shares of it, which are those of z.
+# Differences of 1/z are compared relative to 1/z, where they equal relative differences of z.
 
 
 def _smooth(a: _Values, b: _Values, share: float) -> _Mask:

@@ -32,8 +32,8 @@ INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
 _OUTLIER = 6.0  # A difference is an outlier beyond this many sigmas of the tile or square.
 _MOST_OUTLIERS = 0.05  # A tile with a larger share of outliers is an edge.
 _LEAST_DIFFERENCES = 20  # A tile has 36 differences.
-_FACING_DEG = 45.0  # Noise is compared over brightness up to this angle.
-_SAME_M = 3e-3  # Two maps show the same surface where they differ by less.
+_FACING_DEG = 45.0  # Noise by brightness uses tiles up to this angle of incidence.
+_SAME_M = 3e-3  # Two maps that differ by less show the same surface.
 _PERCENTILES = (5, 25, 50, 75, 95)
 _LAGS = (1, 2, 3)
 
@@ -42,7 +42,7 @@ _LAGS = (1, 2, 3)
 class FineNoise:
     """The smooth tiles of one map."""
 
-    tiles: int  # that have enough pixels
+    tiles: int  # tiles with enough pixels
     variance_m2: Float[np.ndarray, " n"]
     incidence_rad: Float[np.ndarray, " n"]
     brightness: Float[np.ndarray, " n"]  # NaN without a picture
@@ -162,7 +162,7 @@ def median_over_mean() -> float:
 
     Source: Liu, Tang & Zhang, Computational Statistics & Data Analysis 53 (2009), central case.
     """
-    one = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # how [1 -2 1] correlates with itself
+    one = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # autocorrelation of [1 -2 1]
     step = np.arange(TILE_PX - 2)
     apart = np.abs(step[:, None] - step)
     along = np.where(apart <= 2, one[np.minimum(apart, 2) + 2], 0.0)

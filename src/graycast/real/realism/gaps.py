@@ -25,28 +25,28 @@ from .realism_record import Baseline
 from .scan import DepthScan
 
 _LEAST_GAP_PX = 4
-_RIM_PX = 3  # A gap has this many valid pixels on one surface on either side.
+_RIM_PX = 3  # A gap needs this many valid pixels of one surface on each side.
 _SMOOTH = 1 / 3  # Neighbours on a surface differ by at most this share of a jump.
-_AGREE = 0.2  # Estimates agree within this share.
+_AGREE = 0.2  # Estimates that differ by at most this share agree.
 _ROUNDS = 3
-_LEAST_ROWS = 5  # Fewer rows that cut the same edge are no edge.
+_LEAST_ROWS = 5  # An edge must appear in at least this many rows.
 _LEAST_EDGES = 5
 _LEAST_AGREEING = 0.25
-_EDGE_PX = 2.0  # A shadow's width follows the formula so well, for each edge (one sigma).
-_EATEN_PX = 2.0  # A scanner's filters take so much off the rims (one sigma).
-_FORWARD = 0.5  # It is t's relative sigma about its value for axes meeting in the middle distance.
+_EDGE_PX = 2.0  # Error of the formula for a shadow's width, per edge (one sigma).
+_EATEN_PX = 2.0  # Pixels that a scanner's filters remove from the rims (one sigma).
+_FORWARD = 0.5  # relative sigma of t around its value for axes that meet at the middle distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gaps:
     """Shadows along the rows (or columns) of a map, from their near to their far rim."""
 
-    near: Float[np.ndarray, " n"]  # x / z (or y / z) in the middle of the rims
+    near: Float[np.ndarray, " n"]  # x / z (or y / z) in the middle between the rims
     far: Float[np.ndarray, " n"]
     near_m: Float[np.ndarray, " n"]
     far_m: Float[np.ndarray, " n"]
     focal_px: Float[np.ndarray, " n"]
-    weight: Float[np.ndarray, " n"]  # 1 over the rows that cut the same edge
+    weight: Float[np.ndarray, " n"]  # 1 / (number of rows that cut the same edge)
 
     @property
     def step(self) -> Float[np.ndarray, " n"]:
@@ -225,7 +225,7 @@ def _smooth_rims(
     for rim, away in ((left, -1), (right, 1)):
         place = (rim + away * np.arange(_RIM_PX)[:, None]).clip(0, last)
         z = depth_m[y, place]
-        with np.errstate(invalid="ignore"):  # a missing pixel compares false
+        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
             smooth &= (np.abs(np.diff(z, axis=0)) < _SMOOTH * jump_share * z[0]).all(axis=0)
     return smooth
 

@@ -22,12 +22,12 @@ _LEAST_PATCHES = 10  # Fewer patches do not determine an autocorrelation.
 class Measurement:
     """Contribution of one map to the record of a set."""
 
-    median_depth_m: float  # NaN where nothing is valid
+    median_depth_m: float  # NaN if no pixel is valid
     known_baseline_m: float | None
     missing: MissingCounts
     noise: PatchNoise
     fine: FineNoise
-    pair: PairNoise | None  # with the map before it, where that is of the same camera
+    pair: PairNoise | None  # with the previous map, if it is of the same camera
     steps: StepCounts
     gaps: tuple[Gaps, Gaps]  # along rows, along columns
 

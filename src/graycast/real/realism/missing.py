@@ -11,12 +11,12 @@ from scipy.optimize import isotonic_regression
 from .realism_record import BinRecord, DropOut, Islands, Missing
 from .scan import DepthScan
 
-LEVELS = 4095  # The histogram of brightness keeps the levels of 8, 10 and 12 bits apart.
+LEVELS = 4095  # The histogram of brightness resolves the levels of 8, 10 and 12 bits.
 ISLAND_PX = 10
-# A sensor's response is judged by ratios, so bins are octaves; the last one is where it saturates.
+# Ratios of brightness matter to a sensor, so bins are octaves; the last one is saturation.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
-SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # Islands are counted by sizes from and to these.
-_LEAST_DROP = 0.2  # The share that is missing must drop by this at a step.
+SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # smallest and largest size of each class of islands
+_LEAST_DROP = 0.2  # The missing share must drop by this at a step.
 _NEIGHBOURS = np.ones((3, 3), dtype=int)
 
 

@@ -24,12 +24,12 @@ _MOST_OUTLIERS = 0.05  # A patch with a larger share of outliers is an edge.
 _OUTLIER_SIGMAS = 5.0
 _DEGREE = 5
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
-_PLANE = 3  # This many terms of the basis make a plane; the rest of it bends.
-_CERTAINTY = 0.999  # A patch is called bent only if that is so certain.
+_PLANE = 3  # The first three terms of the basis are a plane; the others describe bending.
+_CERTAINTY = 0.999  # A patch is called bent only with this statistical certainty.
 _ROUNDS = 4
 _LEAST_PATCHES = 5  # Fewer patches do not determine an autocorrelation.
 
-# Each pair of pixels has one of these lags (dx, dy): they are half of the plane, and zero first.
+# Lags (dx, dy) between two pixels: half of the plane, as the other half is the same; zero first.
 LAGS = [(dx, dy) for dy in range(REACH_PX + 1) for dx in range(-REACH_PX, REACH_PX + 1)
         if dy > 0 or dx >= 0]  # fmt: skip
 
@@ -40,11 +40,11 @@ class PatchNoise:
 
     candidates: int
     outliers: int
-    pixels: int  # of the flat patches
+    pixels: int  # number of pixels in flat patches
     sigma_m: Float[np.ndarray, " n"]
-    depth_m: Float[np.ndarray, " n"]  # in their middles
-    whole: int  # flat patches without a hole
-    products: Float[np.ndarray, " lags"]  # sums over them of the products of residuals
+    depth_m: Float[np.ndarray, " n"]  # in the middle of each flat patch
+    whole: int  # number of flat patches without a hole
+    products: Float[np.ndarray, " lags"]  # sums of products of residuals over these patches
 
 
 def measure_noise(scan: DepthScan) -> PatchNoise:
@@ -61,7 +61,7 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
     flat, correlation = _flat(fit)
     clean = fit.used.all(axis=1) & flat
     count, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
-    # Holes take from the noise as much as from the pixels; what the fit takes stays the same.
+    # A hole removes one pixel's noise and one pixel; the loss by the fit does not change.
     variance = fit.plane_power[flat] / (count - loss)
     depth_m = 1.0 / (fit.plane[flat, 0] / PATCH_PX)
     return PatchNoise(
@@ -94,13 +94,13 @@ def autocorrelation(
 class _Fit:
     """Least-squares fits to n patches of inverse depth [1/m]."""
 
-    used: Bool[np.ndarray, "n pixels"]  # valid and no outlier
+    used: Bool[np.ndarray, "n pixels"]  # valid and not an outlier
     outliers: Float[np.ndarray, " n"]
-    plane: Float[np.ndarray, "n 3"]  # in terms of the basis
-    plane_power: Float[np.ndarray, " n"]  # sum of squares that the plane leaves
-    rest_power: Float[np.ndarray, " n"]  # and that the full fit leaves
+    plane: Float[np.ndarray, "n 3"]  # coefficients of the first three terms
+    plane_power: Float[np.ndarray, " n"]  # sum of squared residuals of the plane
+    rest_power: Float[np.ndarray, " n"]  # sum of squared residuals of the full fit
     plane_rest: Float[np.ndarray, "n pixels"]
-    rest: Float[np.ndarray, "n pixels"]  # what the full fit leaves
+    rest: Float[np.ndarray, "n pixels"]  # residuals of the full fit
 
 
 def _fit(inverse: Float[np.ndarray, "n pixels"]) -> _Fit:
@@ -136,7 +136,7 @@ def _least_squares(
     terms = basis.shape[1]
     squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
     normal = (used.astype(float) @ squares).reshape(-1, terms, terms)
-    # An outlier search may leave too few pixels; the patch is refused for its outliers later.
+    # If too few pixels are inliers, this avoids a singular matrix; the patch is refused later.
     normal = normal + 1e-9 * np.eye(terms)
     coefficient = np.linalg.solve(normal, ((value * used) @ basis)[..., None])[..., 0]
     return coefficient, value - coefficient @ basis.T

@@ -21,17 +21,17 @@ from .scan import DepthScan
 SQUARE_PX = 32
 STRIDE_PX = 16
 _LEAST_VALID = {"smooth": 0.7, "floor": 0.5}
-_SMOOTH_M = 2e-3  # All but `_STRAY` of a smooth square lie so near to a paraboloid.
-_FLOOR_M = 4e-3  # All but `_STRAY` of a square on the floor lie so near to its plane.
+_SMOOTH_M = 2e-3  # A smooth square is this near to a paraboloid, except for the share `_STRAY`.
+_FLOOR_M = 4e-3  # A square on the floor is this near to a plane, except for the share `_STRAY`.
 _STRAY = 0.03
 _FLOOR_SHARE = 0.05  # A floor has more than this share of a map's pixels.
-_SAMPLED = 4000  # The valid ones among this many pixels of a map vote for a floor.
-# Three pixels lie on a floor of a fifth of the depth once in 125 draws, and of these planes only
-# some are right to 4 mm everywhere.
+_SAMPLED = 4000  # The valid ones of this many sampled pixels vote for a floor.
+# If a fifth of the pixels is floor, all three drawn pixels are on it once in 125 draws, and only
+# some of these planes are within 4 mm of the floor everywhere.
 _DRAWS = 6000
-_ELECTORS = 2000  # This many of the pixels judge all draws, and all pixels judge the best of these.
+_ELECTORS = 2000  # All draws are judged by this many pixels, and the best draws by all pixels.
 _FINALISTS = 20
-_LEAST_TRIANGLE_PX2 = 4000.0  # It is twice the area: a smaller triangle determines no slope.
+_LEAST_TRIANGLE_PX2 = 4000.0  # Twice the area; smaller triangles do not determine a slope.
 _TINY_M = 1e-6
 _LEAST_PAIRS = 30  # A correlation needs this many pairs of values.
 
@@ -92,7 +92,7 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
     make a plane. Random samples of three pixels, the best refined by least squares over what lies
     near it.
     """
-    rng = np.random.default_rng(0)  # it chooses samples, not results: any seed finds the same floor
+    rng = np.random.default_rng(0)  # samples pixels; any seed finds the same floor
     samples = [_some_pixels(one, rng) for one in depth_m]
     pixel, z_m = (np.concatenate(column) for column in zip(*samples, strict=True))
     if len(z_m) < 3:
@@ -145,7 +145,7 @@ def correlation(
     pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]
     sigma = robust_sigma(pair, axis=(0, -2, -1))
     limit = 4 * (sigma + _TINY_M)[:, None, None]
-    a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair that is not known adds nothing
+    a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair with a NaN adds nothing
     product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
     coefficient = np.full(enough.shape, np.nan)
     power = np.sqrt(a2 * b2)

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...base.errors import DatasetError, GraycastError
 
-RECORD_FILE = "realism.json"  # It is in the folder that `graycast real measure` writes.
+RECORD_FILE = "realism.json"  # in the folder that `graycast real measure` writes
 FORMAT_VERSION = 4
 
 
@@ -20,8 +20,8 @@ class BinRecord(_Record):
     low: float
     high: float
     count: int
-    value: float | None  # none where `count` is 0
-    interval: tuple[float, float] | None = None  # 95 % of the value
+    value: float | None  # None if `count` is 0
+    interval: tuple[float, float] | None = None  # 95 % interval of the value
 
 
 class DropOut(_Record):
@@ -61,7 +61,7 @@ class Noise(_Record):
     bent: float | None
     outliers: float | None
     percentiles_m: list[float] | None
-    relative: float | None  # median of noise over depth
+    relative: float | None  # median ratio of noise to depth
 
 
 class Fine(_Record):
@@ -77,8 +77,8 @@ class Fine(_Record):
     tiles: int
     rough: float | None
     percentiles_m: list[float] | None
-    by_brightness: list[BinRecord]  # median noise [m], incidence under 45 degrees
-    by_incidence: list[BinRecord]  # limits in degrees
+    by_brightness: list[BinRecord]  # median noise [m] at angles of incidence below 45 degrees
+    by_incidence: list[BinRecord]  # bin limits in degrees
     dark_to_bright: float | None
     steep_to_facing: float | None
 
@@ -107,7 +107,7 @@ class Autocorrelation(_Record):
 class Jumps(_Record):
     """Neighbours that both have depth and lie on different surfaces, pairs per scan."""
 
-    right_farther: float  # left near, right far
+    right_farther: float  # the right pixel is farther than the left one
     left_farther: float
     below_farther: float
     above_farther: float
@@ -126,8 +126,8 @@ class Baseline(_Record):
 
     side: str
     gaps: int
-    edges: float  # at which the gaps are
-    agreeing: float  # share of the edges within 20 % of the fit
+    edges: float  # number of edges that cause the gaps
+    agreeing: float  # share of edges that agree with the fit within 20 %
     plain_m: float
     baseline_m: float
     error_m: float

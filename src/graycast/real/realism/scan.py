@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-JUMP_FOOTPRINTS = 10.0  # A surface at arctan(10), 84 degrees, still counts as one surface.
+JUMP_FOOTPRINTS = 10.0  # Slopes up to arctan(10), 84 degrees, count as one surface.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,7 @@ _TREES = 200
 _LEAST_IN_LEAF = 3
 _LEAST_SQUARES = 20
 _FOLDS = 5
-_MOST_HALVES = 6  # The first set is divided into two in at most this many ways.
+_MOST_HALVES = 6  # The first set is split into halves in at most this many ways.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +160,7 @@ def _against_itself(squares: Squares, seed: int) -> Auc:
     scans = sorted(set(squares.scan.tolist()))
     ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
-        ways = ways[: len(ways) // 2]  # the rest are the same halves, named the other way round
+        ways = ways[: len(ways) // 2]  # the others are the same halves, swapped
     order = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
     halves = [
         (squares.of_scans(ways[k]), squares.of_scans([s for s in scans if s not in ways[k]]))

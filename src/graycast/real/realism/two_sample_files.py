@@ -14,8 +14,8 @@ from .scan import DepthScan
 from .two_sample import PLACES, Auc, TwoSample
 
 CLASSIFIER = "classifier.md"
-_COLUMNS = 8  # A row of the picture has this many squares of one set.
-_RELIEF_MM = 0.8  # It goes from black to white.
+_COLUMNS = 8  # Each row of the picture has this many squares of one set.
+_RELIEF_MM = 0.8  # range of heights from black to white
 _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 

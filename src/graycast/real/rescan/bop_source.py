@@ -42,7 +42,7 @@ from .source_files import REPAIR, pose_of, source_image, stored_depth
 
 CAMERAS = "scene_camera*.json"
 DEPTHS = (*PICTURES, ".npy")
-_NEAR = 0.02  # The farthest object lies no nearer than this share of the middle depth.
+_NEAR = 0.02  # If all objects are nearer than this share of the median depth, units differ.
 
 
 class _View(AnyCamera):
@@ -101,7 +101,7 @@ def open_bop(folder: Path, options: SourceOptions) -> Source:
         notes=models.notes,
         image_of=partial(_read, scenes, sensor, options),
         sensor="" if options.ray_length else sensor,
-        # BOP's form has z: the result cannot link to files with lengths, so that it gets its own.
+        # BOP stores z: a result whose source has ray lengths needs files of its own, not links.
         scenes={} if options.ray_length else scenes,
     )
 
@@ -184,7 +184,7 @@ def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
     """Return the entries of a file by image; refuse an image number that is listed twice."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
     entries = scene.record(name, form)
-    # JSON's readers take the last of two; no other key in these files is a number.
+    # A JSON reader keeps the last of equal keys; only image numbers are numeric keys here.
     numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
     if twice := [number for number, count in numbers.items() if count > 1]:
         raise Unreadable(f"{path.name}: image {twice[0]} is listed twice")

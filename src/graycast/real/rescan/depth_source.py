@@ -30,7 +30,7 @@ def open_depth(folder: Path, options: SourceOptions) -> Source:
             f"{folder}: depth alone does not state its camera: give --intrinsics K.json, or "
             "fx,fy,cx,cy"
         )
-    read_models({}, (), options.materials)  # This refuses names of objects.
+    read_models({}, (), options.materials)  # refuses materials for named objects
     if any(path.suffix.lower() == ".exr" for path in visible_entries(folder / "depth")):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)
@@ -61,7 +61,7 @@ def _image(
             "--depth-scale 0.1"
         )
     data = read_shot(shot, files)
-    assert data.depth_m is not None  # as the file is there
+    assert data.depth_m is not None  # the file exists
     rgb = data.rgb
     if rgb is None and data.gray is not None:
         rgb = np.repeat(data.gray[..., None], 3, axis=2)

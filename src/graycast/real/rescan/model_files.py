@@ -36,7 +36,7 @@ from ...world.parts.surface import RawMesh, Refusal, welded
 from .source_files import record_of
 
 FOLDERS = ("models", "models_cad", "models_reconst", "models_eval")
-_BACKGROUND = "background"  # the key of a materials file for what is no object
+_BACKGROUND = "background"  # key of the materials file for everything but objects
 _GREY = Material(base_color=(0.3, 0.3, 0.3))
 _REMEDY = "give their folder with --models DIR, or leave objects out with --depth-only"
 

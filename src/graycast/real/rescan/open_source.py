@@ -18,7 +18,7 @@ from .model_files import read_background
 from .sileane_source import IPA, SILEANE, open_ipa, open_sileane
 from .source import Source, SourceOptions
 
-_FOR_KIND = 3  # This many images show whether depth is z or a ray length.
+_FOR_KIND = 3  # number of images tested for z or ray length
 _Opener = Callable[[Path, SourceOptions], Source]
 _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
     "BOP": (open_bop, {"sensor", "models", "materials", "depth_scale_mm", "unit", "ray_length"}),
@@ -42,7 +42,7 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         ConfigError: the materials file is not what it should be.
     """
     options = options or SourceOptions()
-    folder = Path(os.path.abspath(path))  # Models are next to a link, not to its target.
+    folder = Path(os.path.abspath(path))  # keeps a link: models are next to it, not to its target
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "no such folder"
         raise DatasetError(f"{path}: {problem}: give a split such as lm/train_pbr")
@@ -64,13 +64,13 @@ def _depth_notes(source: Source, ray_length: bool) -> list[str]:
     """Return a note if the first images show that depth is of the other kind, z or ray lengths."""
     images = []
     for place in source.images[:_FOR_KIND]:
-        with suppress(DatasetError):  # The error is raised later, when the image is scanned.
+        with suppress(DatasetError):  # raised later, when the image is scanned
             images.append(source.read(*place))
     images = [image for image in images if image.camera == images[0].camera]
     if not images:
         return []
     optics = images[0].camera
-    # The files' own numbers are judged, which the option has converted to z.
+    # The option has converted the depth to z: convert it back to test the files' own values.
     per_z = np.linalg.norm(picture_rays(optics), axis=-1) if ray_length else 1.0
     shares = plane_shares([image.depth_m * per_z for image in images], optics)
     note = depth_kind_note(shares, ray_length=ray_length)

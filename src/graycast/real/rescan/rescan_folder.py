@@ -138,13 +138,13 @@ class RescanFolder:
         if place.exists() and not (linked and self.copies):
             return
         if not self.copies:
-            place.unlink(missing_ok=True)  # It is absent, or a link to what is gone.
+            place.unlink(missing_ok=True)  # absent, or a broken link
             place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
             return
-        with beside(place) as aside:  # What is there is whole: the next run takes it as it is.
+        with beside(place) as aside:  # complete or absent, as the next run keeps it
             (shutil.copytree if path.is_dir() else shutil.copyfile)(path, aside)
             if linked:
-                place.unlink()  # A folder cannot be renamed to a link.
+                place.unlink()  # a folder cannot be renamed onto a link
 
 
 @contextmanager

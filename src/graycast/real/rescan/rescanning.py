@@ -48,9 +48,9 @@ from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage
 from .staging import Staged, stage, with_camera
 
-_LEAST_IN_RANGE = 0.01  # At least this share of the depth must be in the rig's range.
-_NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim has the seed beside its options.
-_BY_CONTENT = ("models", "materials", "intrinsics")  # The claim has what these files hold.
+_LEAST_IN_RANGE = 0.01  # least share of the depth that must be in the rig's range
+_NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim stores the seed separately.
+_BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the contents of these files.
 
 
 @public_value
@@ -106,7 +106,7 @@ class ImageScanner:
         start = time.perf_counter()
         task = self._task
         scene, number = task.source.images[scene_id]
-        sums = task.source.sums(scene, [number])[number]  # A change while it is read is noticed.
+        sums = task.source.sums(scene, [number])[number]  # before reading, to detect a later change
         image = task.source.read(scene, number)
         _refuse_out_of_range(image, task.scanner)
         scanner = task.scanner
@@ -120,12 +120,12 @@ class ImageScanner:
             unknown_look=task.source.plain,
             background=task.source.background,
         )
-        # Rescans by two rigs, or of the pictures of two cameras, do not share their noise.
+        # Rescans by different rigs, or of different cameras' pictures, have independent noise.
         name = f"{scanner.rig.name} {task.source.sensor}".rstrip()
         seeds = rescan_seeds(task.seed, scene, scanner=name, image=number)
         sample, facts = self._scanned(staged, scanner, seeds, number)
         files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
-        for key in ("cam_R_w2c", "cam_t_w2c"):  # The world of `stage` exists only in this run.
+        for key in ("cam_R_w2c", "cam_t_w2c"):  # `stage`'s world frame is valid only in this run.
             del entries["scene_camera_sl"][key]
         step_mm = image.step_m * MM_PER_M
         if not task.source.scenes:
@@ -182,8 +182,8 @@ class ImageScanner:
             "reasons": reasons,
             "part_reasons": reason_shares(depth.reason[own]),
         }
-        # The staged depth is no file of the result, and where it is deeper than the rig measures it
-        # need not fit into its steps.
+        # The staged depth is not written, so depth beyond the rig's range is clipped to the largest
+        # value that 16 bits can store.
         deepest_m = DEPTH_MAX * task.depth_scale_mm / MM_PER_M
         truth = replace(
             rendering.truth, depth_m=np.minimum(rendering.truth.depth_m, np.float32(deepest_m))
@@ -330,7 +330,7 @@ def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: 
             return
         except DecodeError as error:
             errors.append(f"scene {scene_id}, image {image_id}: {error}")
-        except DatasetError:  # The run sets it aside, with this reason.
+        except DatasetError:  # the run skips this image and records the reason
             return
     raise ConfigError(errors[0])
 

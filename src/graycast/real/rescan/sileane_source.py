@@ -42,7 +42,7 @@ from .source_files import REPAIR, pose_of, record_of, source_image, stored_steps
 SILEANE, IPA = "camera_params.txt", "parameter.json"
 _IPA_DEPTH = "_depth_uint16.png"
 _WHITE = 65535
-_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left and y up become x right and y down.
+_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # from x left and y up to x right and y down
 
 
 class _Record(BaseModel):
@@ -64,7 +64,7 @@ class _CameraParams(_Record):
 
 
 class _Parameter(_Record):
-    perspectiveAngle: Annotated[float, Field(ge=0, lt=180)]  # [deg], of the square picture
+    perspectiveAngle: Annotated[float, Field(ge=0, lt=180)]  # [deg] field of view, square picture
     resolutionX: Count
     resolutionY: Count
     resolution_big: Annotated[int, Field(ge=1)]
@@ -177,7 +177,7 @@ def _beside(kind: str, end: str, depth: Path) -> Path:
 
 def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
     path = _beside("gt", ".csv", depth)
-    if int(path.stem) == 0 and not path.exists():  # the empty bin that a cycle begins with
+    if int(path.stem) == 0 and not path.exists():  # image 0 of a cycle is the empty bin
         return []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]

@@ -16,7 +16,7 @@ from ..picture_pairs import refuse_damaged
 from .source import SourceImage
 
 REPAIR = "repair the file, or download it again"
-_ROUNDED = 2e-3  # Files with three digits have rotations that are off by half of it.
+_ROUNDED = 2e-3  # twice the error of rotations that are written with three digits
 
 R = TypeVar("R")
 

@@ -31,14 +31,14 @@ from ..depth_solid import STEP_M, Rounds, from_nearest, solid_of, surfaces
 from .source import SourceImage
 
 BACKGROUND = "background"
-_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth is an object's own if it is off by less than their sum.
-_MOST_BEHIND = 0.2  # If depth lies behind more of the objects' pixels, the poses are wrong.
-_LEAST_PX = 50  # Fewer pixels of objects say nothing of poses.
-_FINE_M = 2e-4  # Depth in finer steps needs little smoothing.
-_SLOPE = 6.0  # Neighbours that are this many times their distance apart in depth are not joined.
-_AROUND_PX = 5  # Sides run as deep as the surface is within a square of this many pixels.
-_COARSE = 4  # The membrane is found on blocks of this many pixels.
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of a picture is darker than this reflectance.
+_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth nearer to an object than their sum belongs to it.
+_MOST_BEHIND = 0.2  # If more of the objects' pixels have depth behind them, the poses are wrong.
+_LEAST_PX = 50  # Fewer pixels of objects do not show whether the poses are right.
+_FINE_M = 2e-4  # Depth with finer steps needs little smoothing.
+_SLOPE = 6.0  # Neighbours with a steeper slope in depth are not joined.
+_AROUND_PX = 5  # Sides extend to the largest depth in a square of this many pixels.
+_COARSE = 4  # The membrane is computed on blocks of this many pixels.
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance, and quantile of the light that gets it
 _DARKEST, _MOST = 0.03, 0.9
 _GREY = Material(base_color=(0.4, 0.4, 0.4))
 
@@ -67,7 +67,7 @@ def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
         cx_px=camera.cx_px,
         cy_px=camera.cy_px,
         distortion=camera.distortion,
-        psf_px=own.psf_px * camera.fx_px / own.fx_px,  # A blur is an angle.
+        psf_px=own.psf_px * camera.fx_px / own.fx_px,  # A blur is a fixed angle.
     )
     pitch_m = scanner.sensor.pixel_pitch_m * own.fx_px / camera.fx_px
     return replace(
@@ -164,7 +164,7 @@ def _of_objects(
 ) -> Bool[np.ndarray, "h w"]:
     """Return a mask of the pixels whose depth is that of an object, or unknown."""
     near_m = _NEAR_M + _NEAR_SHARE * nearest_m + step_m
-    with np.errstate(invalid="ignore"):  # NaN is not <
+    with np.errstate(invalid="ignore"):  # comparisons with NaN are false
         agrees = np.abs(depth_m - nearest_m) < near_m
     return agrees | (np.isnan(depth_m) & np.isfinite(nearest_m))
 

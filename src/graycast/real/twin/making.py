@@ -30,9 +30,9 @@ from .searching import Fit, scans_of, search
 from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
-LEAST_ASIDE = 2  # The classifier learns from these scans, which the search does not see.
-_SMOOTHEST = 0.1  # A coat of less roughness shows the lamp in single pixels.
-_LEAST_JUMPS = 20  # Fewer jumps per map do not show which side is in shadow.
+LEAST_ASIDE = 2  # The classifier learns from scans that the search does not use.
+_SMOOTHEST = 0.1  # A smoother coat reflects the projector in single pixels only.
+_LEAST_JUMPS = 20  # Fewer depth jumps per map do not show which side is in shadow.
 _MOST_SHARE = 0.25  # A side is in shadow if its jumps are at most this share of the other side's.
 COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats.
 
@@ -46,7 +46,7 @@ class Twin:
     """
 
     fit: Fit
-    scans: int  # that were fitted
+    scans: int  # number of fitted scans
     examples: tuple[DepthScan, DepthScan, DepthScan]
     classified: dict[str, TwoSample]
 
@@ -107,7 +107,7 @@ def make_twin(
         seed=seed,
         progress=progress,
     )
-    other = seed + 100_000  # The judged scans have other noise than the search.
+    other = seed + 100_000  # The judged scans need noise that the search did not see.
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
     if aside:
         lit += light(rest, (fit.scanner.named_code(),))

@@ -15,15 +15,15 @@ from jaxtyping import Float
 from ...camera.scanner import Scanner
 from ...rig.pattern import CodeSpec
 
-# These keys are no scanner's: they are factors on the bin's own colour and on the coat over it, and
-# how much rougher the coat is.
+# These keys do not belong to a scanner: they are factors on the bin's colour and its coat's gloss,
+# and an increase of the coat's roughness.
 BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS = OF_BIN = (
     "bin.material.base_color",
     "bin.material.specular",
     "bin.material.roughness",
 )
-ROUGHER = 0.15  # The roughness may differ this far to either side from the configured one.
-FULL_WELL = "sensor.full_well_e"  # The gain follows, so that a full well keeps its digital number.
+ROUGHER = 0.15  # largest change of the configured roughness, in both directions
+FULL_WELL = "sensor.full_well_e"  # The gain changes so that a full well keeps its digital number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

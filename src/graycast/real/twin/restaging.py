@@ -25,16 +25,16 @@ from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
 from ..depth_solid import Planes, Rounds, from_nearest, solid_of, surfaces
 from ..realism import DepthScan
 
-_THIN_M = 1.5e-3  # A thing stands higher above the bin, whose mesh and noise are off by less.
+_THIN_M = 1.5e-3  # least height of an object above the bin; errors of mesh and depth are smaller
 _LEAST_BIN = 0.05  # If less of all depth is near the bin, the pose is wrong.
-_LEAST_PX = 30  # A mirror image in a glossy wall has fewer pixels than a thing.
-_MOST_GAP_PX = 60  # A gap of at most this many pixels is crossed by the surface about it.
-_BENT_M = 4e-3  # The surface about a gap may be this far from a plane, or the gap stays.
-_LEAST_AROUND = 0.8  # This share of what is about a gap must have a surface.
-_MOST_COVERED = 0.95  # A pixel beside a thing is covered by it to this share at most.
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # So much of all pictures is darker than this reflectance.
+_LEAST_PX = 30  # Objects have at least this many pixels; mirror images in glossy walls have fewer.
+_MOST_GAP_PX = 60  # Gaps up to this size are filled from the surface around them.
+_BENT_M = 4e-3  # A gap is filled only if the surface around it is this flat.
+_LEAST_AROUND = 0.8  # This share of the pixels around a gap must have a surface.
+_MOST_COVERED = 0.95  # largest share of a neighbouring pixel that an object covers
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance, and quantile of the light that gets it
 _DARKEST = 0.03  # Black print and plastic reflect about as much.
-_GREY = 0.5  # It is for a part without a picture.
+_GREY = 0.5  # reflectance of a part without a picture
 _ROUGHNESS = 0.5
 # A gap of 0.6 mm is three times the noise of dark plastic.
 _ROUNDS: Rounds = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
@@ -94,7 +94,7 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
     near = known = 0
     for scan in scans:
         known += int(scan.valid.sum())
-        with np.errstate(invalid="ignore"):  # NaN is not <
+        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
             near += int((np.abs(scan.depth_m - bin_m) < _THIN_M).sum())
     if near < _LEAST_BIN * known:
         raise GraycastError(
@@ -117,7 +117,7 @@ def standing_before(
     known = np.isfinite(depth_m)
     both = known & np.isfinite(bin_m)
     before_m = np.where(both, bin_m - depth_m, 0.0)
-    # Noise is evened out over 3 x 3 pixels, but the bin beside a high thing stays the bin's.
+    # A mean over 3 x 3 pixels reduces noise, but must not add the bin beside a high object.
     mean_m = _mean(np.clip(before_m, -3 * _THIN_M, 3 * _THIN_M), both, 3)
     before = (mean_m > _THIN_M) & (before_m > _THIN_M / 2)
     label, _ = ndimage.label(known & (before | ~np.isfinite(bin_m)))
@@ -201,7 +201,7 @@ def _brightness(
     return linear(_at_depth(texture, shape)) @ np.array(scene.rig.band_weights)
 
 
-# --- what is on it -------------------------------------------------------------------------------
+# --- colours --------------------------------------------------------------------------------------
 
 
 def _textures(
@@ -233,7 +233,7 @@ def _textures(
                 "shape and as many pixels or more"
             )
         value = linear(picture)
-        # A picture that was mapped onto the depth is black where it has no colour: the nearest.
+        # A picture mapped onto the depth is black where colour is missing: use the nearest colour.
         black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
         if not black.all():
             value = from_nearest(value, black)

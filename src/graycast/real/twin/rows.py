@@ -23,15 +23,15 @@ from ..realism.patches import (
 )
 from ..realism.scan import tiles
 
-Places = Mapping[str, Bool[np.ndarray, "h w"]]  # Missing depth is counted there, by `PLACES`.
-_SIGMAS = 2.0  # A row is met within this many standard deviations of the real scans' mean.
-_LEAST_SPREAD = 0.05  # It is a share of the mean, as three scans do not determine a spread well.
+Places = Mapping[str, Bool[np.ndarray, "h w"]]  # by `PLACES`: where missing depth is counted
+_SIGMAS = 2.0  # A row agrees within this many standard deviations of the real mean.
+_LEAST_SPREAD = 0.05  # share of the mean, because few scans determine a spread badly
 _LEAST_KNOWN = 0.7  # This share of a square's differences must be known.
 _LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # With fewer, scans differ by chance.
-_SMOOTH_M = 5e-4  # A square whose differences scatter more is no smooth surface.
+_SMOOTH_M = 5e-4  # A square with a larger scatter of differences is not a smooth surface.
 PLACES = ("visible", "left", "right", "upper", "lower", "blind")
-_UNKNOWN_Z = 5.0  # A row that is missing in the twin's scans counts as this far off.
-_FAR_Z = 3.0  # What is farther off counts by its logarithm.
+_UNKNOWN_Z = 5.0  # deviation that counts for a row without a value in the twin's scans
+_FAR_Z = 3.0  # Larger deviations count by their logarithm.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +117,7 @@ def loss_of(rows: Sequence[Row]) -> float:
     return float((pulls_of(rows) ** 2).mean())
 
 
-# Each name has its unit and the least spread that is believed.
+# Unit and smallest accepted spread of each row.
 ROWS: dict[str, tuple[str, float]] = {
     "missing where a real scan has depth": ("%", 3.0),
     "missing on the bin's left side": ("%", 3.0),

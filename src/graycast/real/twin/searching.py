@@ -36,13 +36,13 @@ from .parameters import (
 from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, LitScene, scan_lit
 
-_DARK_LOSS = 1e3  # It is the loss of a scanner that sees nothing.
-_LEVER = 0.1  # Slopes are taken over this share of a range, as over less they are mostly noise.
-_STARTS = 16  # This many places of the first look are spread over the ranges.
-# Steps have a first damping [spreads^2 per range^2], a number that may fail before slopes are taken
-# anew, and a shortest way.
+_DARK_LOSS = 1e3  # loss of a scanner that measures no depth
+_LEVER = 0.1  # Slopes use this share of a range; shorter steps give mostly noise.
+_STARTS = 16  # number of start points that are spread over the ranges
+# First damping of steps [spreads^2 per range^2]; number of failed steps before slopes are computed
+# again; and the shortest step.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
-_LEAST_PIXELS = 1000  # A scan with depth in fewer pixels is none.
+_LEAST_PIXELS = 1000  # A scan with fewer valid pixels counts as failed.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class Fit:
 
     scanner: Scanner
     estimates: tuple[Estimate, ...]
-    by_code: dict[float | None, float]  # least loss by period [px] of the code
+    by_code: dict[float | None, float]  # smallest loss for each period [px] of the code
     before: tuple[Row, ...]
     after: tuple[Row, ...]
     trials: int
@@ -98,7 +98,7 @@ def search(
     _, before = run.judge(start.named_code(), x0)
     laser = np.array([p.share(p.laser) for p in parameters])
     spread = qmc.Sobol(len(x0), seed=np.random.default_rng(seed)).random(_STARTS)
-    each = trials // (len(codes) + 1)  # of the trials
+    each = trials // (len(codes) + 1)  # trials per code
     for number, code in enumerate(codes, start=1):
         for x in run.ranked(code, (x0, laser, *spread)):
             run.descend(code, x, number * each - run.done)

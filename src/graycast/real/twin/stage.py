@@ -22,7 +22,7 @@ from ...world.scene import Scene, bin_of
 from ..realism import DepthScan
 from .restaging import layout_of
 
-_STEEP, _STEP = 0.6, 10.0  # Both are tangents of the camera's angle of incidence.
+_STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +46,7 @@ class LitScene:
     radiance: dict[CodeSpec, Radiance]
     coats: Mapping[float, dict[CodeSpec, Radiance]] = field(default_factory=dict)
     is_bin: Bool[np.ndarray, "h w"]
-    truth: DepthScan  # perfect depth
+    truth: DepthScan  # exact depth
     corner_share: Float[np.ndarray, "h w"] | float = 0.0
     falloff: float = 0.0
 
@@ -149,12 +149,12 @@ def missing_places(
     """
     visible = np.any([scan.valid for scan in real], axis=0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that no scene shows the bin at
+        warnings.simplefilter("ignore", RuntimeWarning)  # all NaN where no scene shows the bin
         far_m = np.nanmax([np.where(one.is_bin, one.truth.depth_m, np.nan) for one in lit], axis=0)
     K = lit[0].truth.K
     down, right = np.gradient(far_m)
     across, along = right * K[0, 0] / far_m, down * K[1, 1] / far_m
-    with np.errstate(invalid="ignore"):  # NaN is not >
+    with np.errstate(invalid="ignore"):  # comparisons with NaN are false
         steep = (np.hypot(across, along) > _STEEP) & (np.hypot(across, along) < _STEP) & visible
         sideways = np.abs(across) > np.abs(along)
         return {
@@ -221,7 +221,7 @@ def _with_look(
         if share:
             scaled += np.float32(share) * coats[more]
     if coats:
-        np.maximum(scaled, 0, out=scaled)  # each of them has noise of its own
+        np.maximum(scaled, 0, out=scaled)  # their independent noise may make it negative
     return np.where(is_bin, scaled, light)
 
 

@@ -52,7 +52,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         (aside / report.name).write_text(report_text(twin), encoding="utf-8")
         save_scanner(replace(twin.fit.scanner, rig=named), aside / rig.name)
         (aside / out.name).write_text(text, encoding="utf-8")
-        refuse_there(rig, report, picture, out)  # Another process may have written meanwhile.
+        refuse_there(rig, report, picture, out)  # Another process may have written them meanwhile.
     return [out, rig, report, picture]
 
 
@@ -174,7 +174,7 @@ def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
         if material is not None:
             own = section.setdefault(key, {})
             own["base_color"] = [_scaled(band, color) for band in material.base_color]
-            if material.projector_reflectance is not None:  # The camera sees this reflectance.
+            if material.projector_reflectance is not None:  # used in the projector's light
                 own["projector_reflectance"] = _scaled(material.projector_reflectance, color)
             if gloss is not None:
                 own["specular"] = round(min(material.specular * gloss, 1.0), 4)

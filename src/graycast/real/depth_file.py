@@ -22,7 +22,7 @@ NO_CAMERA = "the file does not state its camera: give the intrinsics (--intrinsi
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
 _FARTHEST_M = 100.0
 _SIZE = {"num_cols": "width", "width": "width", "num_rows": "height", "height": "height"}
-_FIT_PX = 0.5  # It is the largest RMS of a cloud about its own pinhole camera.
+_FIT_PX = 0.5  # largest RMS of a cloud about its own pinhole camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +108,7 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
     value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
     if options.K is None:
         raise DatasetError(f"{path}: {NO_CAMERA}")
-    if value.ndim == 3 and value.shape[2] == 1:  # one channel, as pictures of a batch are kept
+    if value.ndim == 3 and value.shape[2] == 1:  # one channel, as in an array of several pictures
         value = value[..., 0]
     if value.ndim != 2:
         raise DatasetError(

@@ -9,14 +9,14 @@ from jaxtyping import Float, Float32
 from ..base.errors import DatasetError
 from ..rig.optics import Optics, picture_rays
 
-BEYOND = 1.5  # No place of the camera explains a median beyond far times this or near over this.
-FILLED = 0.05  # A larger share of the known pixels at exactly the farthest depth may be a fill.
-_APART = 1.2  # No surface ends at one exact depth that is this many times the next one.
-_PIXELS, _PLANES = 3000, 300  # This many pixels and triples of them show the largest plane.
+BEYOND = 1.5  # A median depth above far * BEYOND or below near / BEYOND means a wrong unit.
+FILLED = 0.05  # A larger share of known pixels at the farthest depth may be a fill value.
+_APART = 1.2  # A farthest depth this many times the second farthest is a fill value.
+_PIXELS, _PLANES = 3000, 300  # sampled pixels, and sampled triples of them, for the largest plane
 _LEAST_PX = 300
-_OFF = 3e-3  # A pixel on a plane is off by less of its depth.
-_PLANE_SHARE, _TIMES = 0.1, 2.0  # A plane has at least so much of a picture; it wins by a factor.
-_FEWER = 5  # Far measured depth thins out; a fill has this many times the pixels of depths below.
+_OFF = 3e-3  # largest distance of a pixel from its plane, as a share of its depth
+_PLANE_SHARE, _TIMES = 0.1, 2.0  # least share of a plane's pixels; factor over the other kind
+_FEWER = 5  # A fill has this many times the pixels of the depths just below it.
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
 
@@ -99,7 +99,7 @@ def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
     Args:
         depths_m: z or lengths [m], NaN where there is none, of the size of the optics.
     """
-    rng = np.random.default_rng(0)  # a choice of pixels; the result hardly depends on it
+    rng = np.random.default_rng(0)  # samples pixels; the result hardly depends on the seed
     ray = picture_rays(optics).reshape(-1, 3)
     length = np.linalg.norm(ray, axis=1)
     on_plane, known_px = np.zeros(2), 0

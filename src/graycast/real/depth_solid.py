@@ -18,17 +18,17 @@ from ..base.kernels import kernel
 from ..rig.optics import Optics, rays
 from ..world.parts import Mesh
 
-STEP_M = 5e-3  # Neighbours of a scan whose surfaces are farther apart are not joined.
-_UNDER_M = 2e-3  # The sides go so deep into the ground.
-_FLAT_M = 5e-5  # A square of pixels whose surface is off a plane by less is two triangles.
-_LARGEST_PX = 16  # With distortion, the side of a larger square is bent in the picture.
-_WIDTHS = 1.7  # A window's radius is this many standard deviations of its weight.
-_RIDGE = 1e-3  # It is in weights of pixels: it makes a slope small that few pixels show.
+STEP_M = 5e-3  # Neighbouring pixels with a larger step in depth are not joined.
+_UNDER_M = 2e-3  # The solid's sides extend this far below the ground.
+_FLAT_M = 5e-5  # A square of pixels that is this flat becomes two triangles.
+_LARGEST_PX = 16  # Lens distortion would bend the sides of larger squares.
+_WIDTHS = 1.7  # radius of a window in standard deviations of its Gaussian weight
+_RIDGE = 1e-3  # Ridge weight in pixels: it reduces slopes that few pixels determine.
 _TERMS = 6
 
-Planes = Float[np.ndarray, "h w 3"]  # It is inverse depth [1/m] and its change per pixel in x, y.
-# A round has the radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is
-# near to a surface [m].
+Planes = Float[np.ndarray, "h w 3"]  # inverse depth [1/m] and its change per pixel in x and y
+# A round has the window's radius [px], the number of terms (3: plane, 6: paraboloid) and the
+# distance [m] within which a pixel belongs to a surface.
 Rounds = tuple[tuple[int, int, float], ...]
 
 
@@ -83,7 +83,7 @@ def _fitted(value, before, radius, terms, near_m):
                         b[k] += weight * value[y, x] * basis[k]
                         for m in range(k + 1):
                             A[k, m] += weight * basis[k] * basis[m]
-            if A[0, 0] > 1e-9:  # else the round before lies near to none: it stays
+            if A[0, 0] > 1e-9:  # else no pixel is near the last fit, which is kept
                 _solve(A, b)
                 fitted[i, j, :terms] = b
     return fitted
@@ -167,11 +167,11 @@ def solid_of(
 
 # --- the mesh ------------------------------------------------------------------------------------
 
-# These are the steps from a corner's row and column to those of the four pixels about it. Corner
-# (i, j) lies above and left of pixel (i, j). It lies a bit aside, as the ray of a pixel's centre
-# would otherwise run along the edge between the two triangles of the pixel, and may miss both.
+# Offsets from a corner's row and column to its four pixels. Corner (i, j) is above and left of
+# pixel (i, j). It is slightly off the exact corner: otherwise the ray of a pixel's centre would run
+# along the edge between the pixel's two triangles and might miss both.
 _ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
-_CORNER_PX = np.array([-0.45, -0.48])  # It is x and y from the centre of pixel (i, j).
+_CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
 
 
 def _corners(
@@ -225,12 +225,12 @@ def _outwards(
     for k, (down, right) in enumerate(_ABOUT):
         i, j = np.nonzero(vertex[..., k] >= 0)
         number, y, x = vertex[i, j, k], i + down, j + right
-        # A corner is on the pixel's right side where the pixel is on its left, and so on.
+        # The pixel on a corner's left has this corner on its right side, and so on.
         np.maximum.at(most[:, 0], number, covered[y, x, 1] if right else 0.0)
         np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
         np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
         np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
-    return np.where((most > 0) & (least > 0), 0.0, most - least)  # a thing one pixel wide stays
+    return np.where((most > 0) & (least > 0), 0.0, most - least)  # keeps objects of one pixel
 
 
 def _pixel_corners(
@@ -251,7 +251,7 @@ def _rim(
     around = np.pad(corners, ((1, 1), (1, 1), (0, 0)), constant_values=-1)
     height, width = corners.shape[:2]
     rim, beside_rim = [], corners[..., 0] < 0
-    # A side runs from one of the pixel's corners to the next; its neighbour has it the other way.
+    # The neighbour that shares a side has its two corners in the opposite order.
     for side, (down, right) in enumerate(((0, -1), (1, 0), (0, 1), (-1, 0))):
         beside = around[1 + down : 1 + down + height, 1 + right : 1 + right + width]
         own = corners[..., [side, (side + 1) % 4]]
@@ -271,7 +271,7 @@ def _blocks(
     on its side, which are off it by as little, along the camera's rays: the camera sees no crack.
     """
     rectangles = [corners[beside_rim & (corners[..., 0] >= 0)]]
-    whole, mean, size = ~beside_rim, planes, 1  # They are of the squares of one size.
+    whole, mean, size = ~beside_rim, planes, 1  # state of all squares of the current size
     while whole.any():
         joined, larger = _joined(whole, mean, size)
         rows, columns = (2 * n for n in joined.shape)

@@ -86,6 +86,6 @@ def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
 
 def _block(key: str, value: Mapping[str, Any] | str, comment: str) -> list[str]:
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
-    flow = False if isinstance(value, str) else None  # a lone word would be put into braces
+    flow = False if isinstance(value, str) else None  # None would put braces around a string
     dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=flow, width=96)
     return head + dumped.rstrip("\n").splitlines()

@@ -26,7 +26,7 @@ from .depth_file import (
 )
 
 FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
-_NEAREST_M = 0.01  # No scanner measures from nearer.
+_NEAREST_M = 0.01  # No scanner measures a smaller distance.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +153,7 @@ def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
     if scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
     try:
-        return depth_scale_mm(deepest_m or _NEAREST_M)  # without any depth the step means nothing
+        return depth_scale_mm(deepest_m or _NEAREST_M)  # without depth, any step will do
     except ValueError as error:
         raise DatasetError(
             f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.534 m: "
@@ -225,10 +225,10 @@ def refuse_damaged(path: Path) -> None:
             read_png(path)
             return
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Everything that matters is raised.
+            warnings.simplefilter("ignore")  # Pillow raises every relevant fault.
             with Image.open(path) as image:
                 image.load()
     except UnidentifiedImageError:
-        return  # For TIFFs that Pillow does not know, OpenCV reports errors.
+        return  # OpenCV checks TIFFs that Pillow does not know.
     except (Unreadable, OSError, ValueError, SyntaxError) as error:
         raise DatasetError(f"{path}: is cut off or damaged ({error}): copy it again") from error

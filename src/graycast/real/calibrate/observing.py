@@ -19,7 +19,7 @@ GOOD_VIEWS = 8
 SAME_POSE = 0.005  # Two views with nearer corners, as a share of the board's radius, have one pose.
 GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both: in medians of its view and in pixels.
 MOST_RMS = 0.005  # largest residual of a device, in widths of its picture
-GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS of a device; largest factor that one view may add
+GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS; factor by which a bad view raises a device's RMS
 MINORITY = 1 / 3  # A larger share is not left out: nothing shows which views are right.
 # A view disagrees on the projector's pose above both this factor of the median error and a minimum:
 # noise turns a view by up to 1.3 degrees. `fit_agreeing` knows the noise and finds smaller errors.

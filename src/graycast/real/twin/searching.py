@@ -42,7 +42,7 @@ _STARTS = 16  # number of start points that are spread over the ranges
 # First damping of steps [spreads^2 per range^2]; number of failed steps before slopes are computed
 # again; and the shortest step.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
-_LEAST_PIXELS = 1000  # A scan with fewer valid pixels counts as failed.
+_LEAST_PIXELS = 1000  # A scan without more valid pixels is not used.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -155,7 +155,7 @@ def test_automatic_exposure_measures_all_light_of_the_brightest_frame(flat_light
 
 def test_aperture_and_f_number_must_agree():
     scanner = preset("like-phoxi-s")
-    with pytest.raises(ValueError, match=r"f_number is 8, .* makes f/4: give both alike"):
+    with pytest.raises(ValueError, match=r"f_number is 8, .* makes f/4: make both agree"):
         replace(scanner, sensor=replace(scanner.sensor, f_number=8.0))
     pinhole = replace(scanner.rig.camera, aperture_m=0.0)
     replace(scanner, rig=replace(scanner.rig, camera=pinhole), sensor=SensorSpec(f_number=8.0))

@@ -330,7 +330,7 @@ DATASET_DAMAGE = {
     ),
     "a split annotation of no image": (
         coco(lambda c: c["annotations"][0].update(image_id=99)),
-        "1 annotations of image 99, which is none",
+        "1 annotations of image 99, which does not exist",
     ),
     "an axis of symmetry of length 2": (
         models(

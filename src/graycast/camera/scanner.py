@@ -82,7 +82,7 @@ class Scanner:
                 raise ValueError(
                     f"sensor.f_number is {self.sensor.f_number:g}, but camera.aperture_m "
                     f"{camera.aperture_m:g} with pixels of {self.sensor.pixel_pitch_m:g} m makes "
-                    f"f/{f_number:.3g}: give both alike"
+                    f"f/{f_number:.3g}: make both agree"
                 )
 
     def light_code(self) -> Code:

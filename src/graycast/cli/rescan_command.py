@@ -76,8 +76,9 @@ def add_rescan(commands) -> None:
         "the camera sees, and everything is matt.",
     )  # fmt: skip
     add_option(
-        rescan, "--images", positive, "Scan only so many images, the first ones.", usual="all"
-    )
+        rescan, "--images", positive, "The number of images to scan, from the first one on.",
+        usual="all",
+    )  # fmt: skip
     add_option(rescan, "--copy", None, "Copy the original files instead of linking to them.")
     add_shared(rescan, "--seed", default=0)
     add_shared(rescan, "--backend", default="mitsuba")

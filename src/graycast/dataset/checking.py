@@ -259,7 +259,10 @@ def _split_problems(
         by_image.setdefault(entry.image_id, []).append(entry)
     for image_id, entries in by_image.items():
         if image_id not in places:
-            yield f"train_coco.json: {len(entries)} annotations of image {image_id}, which is none"
+            yield (
+                f"train_coco.json: {len(entries)} annotations of image {image_id}, "
+                "which does not exist"
+            )
             continue
         yield from _split_image_problems(out, image_id, places[image_id], entries)
 

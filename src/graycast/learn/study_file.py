@@ -55,7 +55,8 @@ class EncodingSection(Settings):
     name: str = Field(description="The name of the encoding in the table.")
     holes: Literal["channel", "zero", "far"] = Field(
         default="channel",
-        description="How missing depth is encoded: as a channel of its own, as zero, or as far.",
+        description="The encoding of missing depth: an additional channel, zero, or the far end of "
+        "the range.",
     )
     relief: bool = Field(
         default=True,

@@ -130,7 +130,7 @@ class Rig:
     ] = 0.0
     line_noise: Annotated[
         float,
-        Field(ge=0, le=0.2, description="Of each projected line's light in a picture, a share."),
+        Field(ge=0, le=0.2, description="Noise of each projected line's light, as a share of it."),
     ] = 0.0
     line_noise_length_m: Annotated[
         Positive,

@@ -224,7 +224,7 @@ class DecodeSpec:
             ge=0,
             le=24,
             description="A pixel with a phase whose Gray bits contradict each other takes the "
-            "period that at least so many of its 24 neighbours lead to. 0 switches this off.",
+            "period that at least this many of its 24 neighbours imply. 0 switches this off.",
         ),
     ] = 0
     min_visibility: Annotated[

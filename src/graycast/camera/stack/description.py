@@ -32,7 +32,9 @@ class FrameSection(Settings):
     kind: Literal["white", "black", "gray", "complementary", "phase", "line"] = Field(
         description="The pattern that the projector shows."
     )
-    axis: Axis | None = Field(default=None, description="What the frame codes: column or row.")
+    axis: Axis | None = Field(
+        default=None, description="The projector axis that the frame codes: column or row."
+    )
     bit: int | None = Field(
         default=None,
         ge=0,

@@ -34,7 +34,7 @@ class CodeSpec:
     `base_bit` is the bit with which `xor_gray` combines the coarser bits.
     """
 
-    codec: Annotated[Codec, Field(description="How projector positions are coded.")] = "gray"
+    codec: Annotated[Codec, Field(description="The code of projector positions.")] = "gray"
     axes: Annotated[
         tuple[Axis, ...],
         Field(
@@ -54,7 +54,7 @@ class CodeSpec:
         Field(
             ge=2,
             description="The period of a second, finer phase of the code gray_phase, in projector "
-            "pixels. Where the two phases disagree, light came by way of another surface.",
+            "pixels. Where the two phases disagree, light came from another surface.",
         ),
     ] = None
     steps: Annotated[

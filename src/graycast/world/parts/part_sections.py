@@ -78,13 +78,13 @@ class MaterialSection(Settings):
     )
     roughness: Roughness | None = Field(
         default=None,
-        description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. What is "
-        "transparent has none. The default is 0.5.",
+        description="The roughness: 0.05 is polished, 1 is matt, and 0.01 is the least. "
+        "Transparent materials have no roughness. The default is 0.5.",
     )
     roughness_map: Path | None = Field(
         default=None,
-        description="A picture file, grey and read as numbers, of where roughness is less, such as "
-        "in scratches: white is roughness itself, black is polished. It lies as a texture does.",
+        description="A grey picture file, read as numbers, that lowers roughness, such as in "
+        "scratches: white is roughness itself, black is polished. It is mapped as a texture is.",
     )
     specular: Share | None = Field(
         default=None,
@@ -98,8 +98,8 @@ class MaterialSection(Settings):
     )
     anisotropy: Share | None = Field(
         default=None,
-        description="How much smoother metal is along its grooves than across them: 0 is not at "
-        "all, 0.8 is brushed. It needs grain or turned. The default is 0.",
+        description="The difference of roughness along and across the grooves of metal: 0 is none, "
+        "0.8 is brushed. It needs grain or turned. The default is 0.",
     )
     grain: Direction | None = Field(
         default=None,

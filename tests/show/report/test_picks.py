@@ -153,6 +153,8 @@ def test_the_page_has_all_bins_and_only_changed_ones_are_built_again(copied, tmp
     assert [one["present"] for one in record["attempts"]] == [[0, 1], [1], [1]]
     scan = script(tmp_path / "page/scenes/bin-000002/attempt-002.js")
     assert (scan["stride"], scan["width"], scan["motion"]["time_s"]) == (2, 80, [0.0])
+    thumb = np.array(Image.open(tmp_path / "page/scenes/bin-000002/thumb.jpg"))
+    assert thumb.shape == (120, 160, 3) and np.abs(thumb - 60.0).max() <= 2  # the first picture
     shutil.rmtree(copied / "bins/000000")
     work = copied / "bins/000002/work.json"
     work.write_text(work.read_text() + "\n")

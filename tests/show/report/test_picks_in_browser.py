@@ -168,7 +168,7 @@ def test_attempts_are_listed_and_filtered_by_outcome(page, address):
     assert dict(rows) == {"picked": "2", "lost seal": "2", "nothing found": "2"}
     page.click('[data-outcome="lost seal"].outcome')
     assert page.locator(".strip a:not(.dim)").count() == 2
-    page.click('[data-bin="bin-000002"] th a')
+    page.click('[data-bin="bin-000002"] .open')
     ready(page, "bin-000002")
     assert page.locator("#ended h1").inner_text() == "lost seal"  # the first that is looked for
     assert page.locator(".attempt").count() == 1
@@ -208,3 +208,18 @@ def test_no_two_rows_of_the_table_of_seconds_have_one_name(page):
     """The scanner's own seconds and those of computing a scan are different."""
     names = page.locator("#stages th").all_inner_texts()
     assert len(names) >= 3 and len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1024, 768)])
+def test_all_bins_fill_the_window(page, size):
+    """Law: a card of each bin is next to the other one, with its picture, down to the edge."""
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_function(
+        "[...document.querySelectorAll('.bin img')].every((i) => i.naturalWidth === 160)"
+    )
+    tables = [page.locator(name).bounding_box() for name in ("#outcomes", "#stages")]
+    assert tables[0]["x"] + tables[0]["width"] < tables[1]["x"]
+    cards = [page.locator(".bin").nth(k).bounding_box() for k in range(2)]
+    assert cards[0]["y"] == cards[1]["y"]
+    low, right = (cards[1][a] + cards[1][b] for a, b in (("y", "height"), ("x", "width")))
+    assert 0.95 * size[1] < low <= size[1] and 0.95 * size[0] < right < size[0]

@@ -1,4 +1,4 @@
-"""The page's files of one bin: a script of its attempts, and one for each scan and motion."""
+"""The page's files of a bin: a thumbnail, a script of its attempts, and one for each scan."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,12 +12,13 @@ from ....base.errors import GraycastError
 from ....base.file_limits import refuse_large_picture
 from ....robot.pick.pick_files import BINS, DEPTH_STEP_M, EPISODE, MOTION, WORK, StoredEpisode
 from ....robot.pick.replay import Motion, open_replay, read_motions
-from ..page.packing import jpeg_url, pack_words, receiving, shrunk
+from ..page.packing import jpeg, jpeg_url, pack_words, receiving, shrunk
 from ..page.pieces import stamp_of
 from .bodies import packed_places, placed
 
-_FORM = "1"  # If this changes, the files of all bins are built again.
+_FORM = "2"  # If this changes, the files of all bins are built again.
 _QUALITY = 85
+_THUMB_PX = 480
 _ATTEMPT_KEYS = (
     "outcome", "detail", "targets", "part", "kind", "score", "pose_error", "least_factor",
     "seconds", "present",
@@ -53,6 +54,8 @@ class BinPiece:
         attempts = [_attempt_record(attempt, work_s) for attempt, work_s in timed]
         content = {"key": self.key, "kinds": replay.kinds(episode), "attempts": attempts}
         yield "scene.js", receiving(content)
+        if motions:
+            yield "thumb.jpg", jpeg(shrunk(self._picture(0), _THUMB_PX), _QUALITY)
         for number, motion in enumerate(motions):
             name = f"attempt-{number:03d}.js"
             content = {"key": f"{self.key}/{name}", **self._record(number)}
@@ -63,7 +66,6 @@ class BinPiece:
         depth = read_image(self.folder / "depth" / f"{number:03d}.png")
         if depth.dtype != np.uint16 or depth.ndim != 2:
             raise GraycastError(f"{self.folder}/depth/{number:03d}.png: holds no depth")
-        picture = read_image(self.folder / "pictures" / f"{number:03d}.png")
         stride = -(-depth.shape[1] // self.width_px)
         thin = np.ascontiguousarray(depth[::stride, ::stride])
         return {
@@ -72,8 +74,11 @@ class BinPiece:
             "height": thin.shape[0],
             "depth_scale_mm": 1e3 * DEPTH_STEP_M,
             "depth": pack_words(thin),
-            "picture": jpeg_url(shrunk(picture[..., ::-1], thin.shape[1]), _QUALITY),
+            "picture": jpeg_url(shrunk(self._picture(number), thin.shape[1]), _QUALITY),
         }
+
+    def _picture(self, number: int) -> np.ndarray:
+        return read_image(self.folder / "pictures" / f"{number:03d}.png")[..., ::-1]
 
 
 def bin_key(bin_id: int) -> str:

@@ -1,5 +1,5 @@
 "use strict";
-// All bins at a glance: the summary, the outcomes, and a strip of attempts for each bin.
+// All bins at a glance: the summary, the outcomes, and a card for each bin.
 
 {
   const { el, count, percent, outcomes } = Graycast;
@@ -108,7 +108,7 @@
       row("scanner", seconds(s.seconds.scan / attempts), "simulated, mean"),
       row("robot", seconds(s.seconds.motion / attempts), "simulated, mean"),
       Object.entries(s.work_s).map(([stage, value]) =>
-        row(`computing: ${stage}`, seconds(value), "on the machine that made it, median"),
+        row(`computing: ${stage}`, seconds(value), "this machine, median"),
       ),
     );
   }
@@ -129,17 +129,29 @@
             : null,
           el("em", {}, `${count(shown.length)} of ${count(bins.length)} bins`),
         ),
-        el("table", { id: "bin-list" }, el("tbody", {}, shown.map(row))),
+        el("div", { id: "bin-list" }, shown.map(card)),
       );
   }
 
-  function row(bin) {
+  function card(bin) {
     return el(
-      "tr",
-      { "data-bin": bin.key },
-      el("th", {}, el("a", { href: `#/${bin.key}` }, `bin ${bin.id}`)),
+      "div",
+      { class: "bin", "data-bin": bin.key },
       el(
-        "td",
+        "a",
+        { href: `#/${bin.key}`, class: "open" },
+        bin.attempts.length
+          ? el("img", { src: `scenes/${bin.key}/thumb.jpg`, loading: "lazy", alt: "first picture" })
+          : null,
+        el("b", {}, `bin ${bin.id}`),
+        el("span", {}, `${bin.taken} of ${bin.filled} taken`),
+        el("em", {}, bin.left ? `${bin.left} left` : "cleared"),
+        bin.spilled ? el("em", {}, `${bin.spilled} spilled`) : null,
+        el("span", { class: "spring" }),
+        el("em", {}, `${bin.seconds.toFixed(1)} s`),
+      ),
+      el(
+        "div",
         { class: "strip" },
         bin.attempts.map((k, i) =>
           el("a", {
@@ -152,10 +164,6 @@
           }),
         ),
       ),
-      el("td", { class: "number" }, `${bin.taken} of ${bin.filled} taken`),
-      el("td", { class: "soft" }, bin.left ? `${bin.left} left` : "cleared"),
-      el("td", { class: "soft" }, bin.spilled ? `${bin.spilled} spilled` : ""),
-      el("td", { class: "number soft" }, `${bin.seconds.toFixed(1)} s`),
     );
   }
 

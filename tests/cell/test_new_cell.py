@@ -93,8 +93,10 @@ def test_a_bin_that_is_small_for_every_scanner_says_so(inner_m):
     fits = [one for name in SCANNERS if (one := best_framing(box, [name])).missing_m <= 0]
     share = max(bin_share(one.rig.camera, one.T_world_cam, box) for one in fits)
     line = framing_text(best_framing(box), builtin_part("toothpaste"), box)
-    told = "; this bin is small: with every scanner of the shelf, it fills at most "
-    assert line.partition(told)[2] == (f"{100 * share:.0f} % of the picture" if share < 0.5 else "")
+    words = "; this bin is small: with every scanner of the shelf, it fills at most "
+    assert line.partition(words)[2] == (
+        f"{100 * share:.0f} % of the picture" if share < 0.5 else ""
+    )
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])

@@ -55,8 +55,8 @@ def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
     if not fits:
         return min(nearest, key=lambda one: one.missing_m)
     best = max(one.bin_share for one in fits)
-    chosen = next(one for one in fits if one.bin_share >= ENOUGH * best)
-    return replace(chosen, best_share=best)
+    first = next(one for one in fits if one.bin_share >= ENOUGH * best)
+    return replace(first, best_share=best)
 
 
 def _nearest(rig: Rig, box: Bin) -> Framing:

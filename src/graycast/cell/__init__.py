@@ -5,6 +5,7 @@ Each imports only from those above it:
     domain           how scenes differ from their cell, and a record of the differences
     views            the camera poses of a scene's images
     config           the configuration in YAML, and the values that it resolves to
+    stored_bin       the bin of a stored dataset
     framing          how much of a picture a bin and a part cover; the scanner that fits a bin
     new_cell         a commented configuration for one part
     resolve          a configuration with all its files read, shared by all scenes

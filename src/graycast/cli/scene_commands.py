@@ -121,6 +121,7 @@ def _add_reading(commands) -> None:
         "Detections that the page also shows: a folder that graycast detector find wrote, or a "
         "file of COCO results.",
     )
+    add_shared(report, "--files", default=Path(), usual="the current folder")
     add_shared(report, "--width", default=WIDTH_PX)
 
     add_parts(commands)
@@ -348,6 +349,7 @@ def _report(options: argparse.Namespace) -> int:
             workers=options.workers,
             width_px=options.width,
             detections=options.detections,
+            files=options.files,
             progress=bars,
         )
     print(

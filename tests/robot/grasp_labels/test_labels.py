@@ -81,7 +81,7 @@ def test_a_changed_bin_is_refused(tmp_path, monkeypatch):
         holds=frozenset(),
     )
     box = Bin(inner_m=(0.4, 0.3, 0.15))
-    monkeypatch.setattr(stored_world, "resolve_bin", lambda *_: (box, ()))
+    monkeypatch.setattr("graycast.cell.stored_bin.resolve_bin", lambda *_: (box, ()))
     monkeypatch.setattr(stored_world, "resolve_parts", lambda *_: ((), ()))
     assert stored_world.read_stock(dataset, tmp_path).bin is box
     (tmp_path / "bin.stl").write_text("another bin")

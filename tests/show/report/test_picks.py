@@ -18,8 +18,9 @@ from graycast.cli.command import main
 from graycast.robot.pick import Outcome, read_episodes
 from graycast.robot.pick.replay import open_replay, read_motions
 from graycast.robot.pick.tools import T_flange_tip
+from graycast.show.report.page.walls import open_bin
 from graycast.show.report.picks import write_pick_report
-from graycast.show.report.picks.bodies import open_bin, packed_places
+from graycast.show.report.picks.bodies import packed_places
 from graycast.show.report.picks.words import outcome_words
 
 from .picked import FROM_GRIP_TO_PART, GRIP, LOST_S, STEP_S, STEPS, T_world_part, write_picks
@@ -123,7 +124,7 @@ def test_the_quaternions_of_a_full_rotation_have_no_jump():
 
 def test_the_inside_of_the_bin_is_visible_from_every_side(replay):
     """Only the inside and the rim of the bin are drawn: no face looks outwards."""
-    mesh = open_bin(replay)
+    mesh = open_bin(replay.cell.box)
     corner = mesh.vertices_m[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

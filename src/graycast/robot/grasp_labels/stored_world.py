@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from ...base.errors import ConfigError, DatasetError
 from ...base.frames import inverse
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...cell.config import Config, resolve_bin, resolve_parts
+from ...cell.config import Config, resolve_parts
+from ...cell.stored_bin import stored_bin
 from ...dataset.claim import BESIDE_CONFIG, part_digest, rig_of
 from ...dataset.example import pose_m
-from ...dataset.seal import sha256
 from ...dataset.stored import StoredDataset, StoredScene
 from ...rig.pair import Rig
 from ...world.drop import Body, make_bodies
@@ -58,13 +58,13 @@ class ScenePoses:
 
 
 def read_stock(dataset: StoredDataset, files: Path) -> Stock:
-    """Parts and bin from the configuration that a dataset holds.
+    """Return the parts, the bin and the rig of a dataset.
 
     Args:
         files: the folder from which the configuration's paths start.
 
     Raises:
-        DatasetError: it tells nothing of physics, or its parts or bin are not these any more.
+        DatasetError: its poses are not known, or the files of its parts or its bin have changed.
         GraycastError: a file that the configuration names cannot be used.
     """
     claim = dataset.claim
@@ -93,15 +93,7 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
                 f"{dataset.folder}: part {record['name']} has changed since the dataset was made: "
                 "restore its files, or use the version of Graycast that made the dataset"
             )
-    box, mesh = resolve_bin(config.bin, files)[0], config.bin.mesh
-    if mesh is not None and (
-        sha256((files / mesh).read_bytes()) != claim["config"]["files"].get(str(mesh))
-    ):
-        raise DatasetError(
-            f"{dataset.folder}: the bin's mesh {files / mesh} has changed since the dataset was "
-            "made: restore the file"
-        )
-    return Stock(bin=box, parts=parts, rig=rig_of(claim["rig"]))
+    return Stock(bin=stored_bin(dataset, files), parts=parts, rig=rig_of(claim["rig"]))
 
 
 def make_world(

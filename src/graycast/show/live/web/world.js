@@ -4,7 +4,6 @@
 
 {
   const { el } = Graycast;
-  const BIN = [0.72, 0.58, 0.4];
   const LINES = {
     camera: [40, 110, 200],
     projector: [225, 120, 30],
@@ -59,7 +58,7 @@
       }
       if (things) {
         if (things.bin && now.bin)
-          out.push({ thing: things.bin, place: put(unit), tint: BIN, open: true });
+          out.push({ thing: things.bin, place: put(unit), tint: Graycast.shapes.BIN, open: true });
         if (now.parts)
           world.kinds.forEach((kind, k) =>
             out.push({

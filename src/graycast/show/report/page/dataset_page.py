@@ -21,6 +21,7 @@ from .index import index_script
 from .packing import plain_text, receiving
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
+from .walls import dataset_walls
 
 WIDTH_PX = 1300  # Maps of wider cameras are thinned; a camera with 1032 columns keeps all.
 _FORM = "5"  # If this changes, the files of all scenes are built again.
@@ -45,6 +46,7 @@ _WEB = Web(
         "viewer.js",
         "shapes.js",
         "cloud.js",
+        "walls.js",
         "side.js",
         "toolbar.js",
         "scene.js",
@@ -94,6 +96,7 @@ def write_report(
     workers: int = 1,
     width_px: int = WIDTH_PX,
     detections: Path | None = None,
+    files: Path = Path(),
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
     """Write a dataset's page, or update it.
@@ -107,6 +110,8 @@ def write_report(
         width_px: wider maps are thinned; see `scene_page_files`.
         detections: results to show in the scenes: a file of COCO results, or a folder of
             `graycast detector find`. None removes those of an earlier build.
+        files: the folder in which the relative path of the bin's mesh begins. Without that file,
+            the 3D view has no bin.
         progress: counts scenes.
 
     Raises:
@@ -124,7 +129,7 @@ def write_report(
     with writing_page(out, dataset):
         summary = write_pieces(out, pieces, workers=workers, what="scenes", progress=progress)
         _write_detections(out / PIECES, evaluation, stored)
-        _write_page(stored, out, evaluation)
+        _write_page(stored, out, evaluation, dataset_walls(stored, files))
     return summary
 
 
@@ -138,7 +143,9 @@ def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: Store
             (scene / DETECTIONS).unlink(missing_ok=True)
 
 
-def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None) -> None:
+def _write_page(
+    stored: StoredDataset, out: Path, evaluation: Evaluation | None, walls: dict[str, Any] | None
+) -> None:
     def figures() -> Iterator[SceneFigures]:
         for scene in stored.pictures:
             yield SceneFigures.model_validate_json(
@@ -146,7 +153,7 @@ def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None)
             )
 
     detections = None if evaluation is None else detection_index(evaluation, stored)
-    write_whole(out / "index.js", index_script(stored, figures(), detections))
+    write_whole(out / "index.js", index_script(stored, figures(), detections, walls))
     write_web(out, _WEB)
 
 

@@ -24,11 +24,13 @@ def index_script(
     stored: StoredDataset,
     figures: Iterable[SceneFigures],
     detections: Mapping[str, Any] | None = None,
+    walls: Mapping[str, Any] | None = None,
 ) -> bytes:
     """Return the content of `index.js`; `figures` may be a generator.
 
     Args:
         detections: the result of `detection_index`; None if no results were evaluated.
+        walls: the result of `dataset_walls`.
     """
     rows: list[list[Any]] = []
 
@@ -52,6 +54,7 @@ def index_script(
         "columns": _COLUMNS,
         "scenes": rows,
         "detections": detections,
+        "bin": walls,
     }
     return report_script(content)
 

@@ -1,6 +1,5 @@
-"""Meshes and poses of bodies for the page."""
+"""Poses of bodies for the page, its table and its viewpoint."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,21 +9,9 @@ from scipy.spatial.transform import Rotation
 from ....robot.pick.replay import Replay
 from ....robot.pick.solids import joined
 from ....world.parts import Mesh
-from ....world.scene import bin_mesh
-from ..page.packing import pack_bytes
+from ..page.walls import packed_values
 
-UPRIGHT = 0.9  # A face points up if the cosine of its angle to the vertical is larger.
 TABLE_BEYOND_M = 0.25
-
-
-def open_bin(replay: Replay) -> Mesh:
-    """Return the bin without its outer sides, so that its inside is visible from anywhere."""
-    whole = bin_mesh(replay.cell.box)
-    normal, centre = whole.face_normal, whole.vertices_m[whole.faces].mean(axis=1)
-    low, high = whole.bounds_m
-    middle = np.array([*(low + high)[:2] / 2, high[2]])
-    inwards = np.einsum("fi,fi->f", normal, middle - centre) > 0
-    return Mesh(vertices_m=whole.vertices_m, faces=whole.faces[inwards | (normal[:, 2] > UPRIGHT)])
 
 
 def table(replay: Replay) -> Mesh:
@@ -56,15 +43,6 @@ def look(replay: Replay) -> dict[str, Any]:
     }
 
 
-def packed_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Return vertices [mm] and faces in the form that the page unpacks."""
-    mesh = replace(mesh, corner_uv=None, corner_normals=None)
-    return {
-        "vertices": _packed((1e3 * mesh.vertices_m).astype("<f4")),
-        "faces": _packed(mesh.faces.astype("<u4")),
-    }
-
-
 def placed(T: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
     """Return poses as (x, y, z) [mm] and a unit quaternion (x, y, z, w)."""
     flat = T.reshape(-1, 4, 4)
@@ -78,8 +56,4 @@ def packed_places(T: Float[np.ndarray, "t limbs 4 4"]) -> str:
     turn = places[..., 3:]
     flips = np.where((turn[1:] * turn[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     turn[1:] *= np.cumprod(flips, axis=0)[..., None]
-    return _packed(places.reshape(len(places), -1).astype("<f4"))
-
-
-def _packed(values: np.ndarray) -> str:
-    return pack_bytes(np.ascontiguousarray(values).view(np.uint8))
+    return packed_values(places.reshape(len(places), -1).astype("<f4"))

@@ -13,8 +13,9 @@ from ....robot.pick.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary
 from ..page.packing import color_table, report_script, view_record
 from ..page.pieces import Web, write_pieces, write_web, writing_page
+from ..page.walls import open_bin, packed_mesh
 from .bin_files import BinPiece, bin_key
-from .bodies import look, open_bin, packed_mesh, table
+from .bodies import look, table
 from .words import outcome_words
 
 _WEB = Web(
@@ -89,7 +90,7 @@ def _cell(replay: Replay) -> dict[str, Any]:
             for i, limb in enumerate(replay.limbs)
         ],
         "parts": [{"name": part.name, **packed_mesh(part.mesh)} for part in scene.parts],
-        "bin": packed_mesh(open_bin(replay)),
+        "bin": packed_mesh(open_bin(replay.cell.box)),
         "table": packed_mesh(table(replay)),
         "look": look(replay),
     }

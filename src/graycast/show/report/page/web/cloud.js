@@ -49,9 +49,9 @@
 
   /**
    * Make a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), onScreen(point), close()}.
-   * `space` is a result of `shapes.space`; null makes the scene's own. `bodies(gl)` returns a function
-   * that lists {thing, place (a matrix), tint, open (only its front is drawn)}, or lines {thing, lines:
-   * true}, for each picture. `perfect` shows also the perfect surface and the boxes.
+   * `space` is a result of `shapes.space`; null makes the scene's own. `bodies(gl, space)` returns a
+   * function that lists {thing, place (a matrix), tint, open (only its front is drawn), share (of its
+   * colour in a pixel)}, or lines {thing, lines: true}, for each picture. `perfect` shows also the perfect surface and the boxes.
    */
   Graycast.makeCloud = (scene, { space = null, bodies = null, perfect = true } = {}) => {
     const canvas = el("canvas", { id: "cloud" }),
@@ -69,7 +69,7 @@
     }
     const program = link(gl),
       shapes = Graycast.shapes,
-      moving = bodies?.(gl);
+      moving = bodies?.(gl, space);
     const where = Object.fromEntries(
       ["uClip", "uPlace", "uSize", "uEye", "uShade", "uTint"].map((name) => [
         name,
@@ -123,11 +123,13 @@
           put(body.thing, gl.LINES, 0);
           continue;
         }
-        gl.uniformMatrix4fv(where.uPlace, false, body.place);
+        gl.uniformMatrix4fv(where.uPlace, false, body.place ?? STILL);
         gl.uniform3fv(where.uTint, body.tint);
         if (body.open) gl.enable(gl.CULL_FACE);
         else gl.disable(gl.CULL_FACE);
+        if (body.share) mix(gl, body.share);
         put(body.thing, gl.TRIANGLES, 2);
+        if (body.share) mix(gl, 0);
       }
     };
     /** Load the fused cloud, or update its colours. */
@@ -222,6 +224,16 @@
     gl.bindAttribLocation(program, 2, "aNormal");
     gl.linkProgram(program);
     return program;
+  }
+
+  /** Mix the next body with the picture behind it, and let it lose against a surface in its plane. */
+  function mix(gl, share) {
+    for (const what of [gl.BLEND, gl.POLYGON_OFFSET_FILL])
+      share ? gl.enable(what) : gl.disable(what);
+    gl.depthMask(!share);
+    gl.blendColor(0, 0, 0, share);
+    gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+    gl.polygonOffset(1, 1);
   }
 
   // --- the eye ----------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ Graycast.KEYS = {
     ["+ − 0", "zoom in, out, whole picture"],
     ["↑ ↓ or [ ]", "previous, next pattern frame"],
     ["p", "pattern frames: play, stop"],
-    ["s p f", "3D: perfect surface, scanner points, fused cloud"],
+    ["s p f w", "3D: perfect surface, scanner points, fused cloud, walls of the bin"],
     ["n", "the scene's next picture, if it has several"],
     ["x", "tick the scene"],
     ["g", "tag the scene"],

@@ -22,6 +22,7 @@
     surfacePaint: "instance",
     pointPaint: "difference", // Its colours differ from those of the surface.
     pointSize: 1,
+    bin: true,
     fused: false,
     fusedPaint: "colour",
     found: true,
@@ -147,7 +148,7 @@
     at("#found-list").replaceChildren(...list);
     const three = prefs.view === "cloud";
     at("#readout").hidden = three; // In 3D, the pointer selects no pixel.
-    if (three) open.cloud ??= Graycast.makeCloud(scene);
+    if (three) open.cloud ??= Graycast.makeCloud(scene, { bodies: Graycast.wallsOf(scene) });
     const stage = three ? open.cloud.stage : viewer.stage;
     if (at(".hold").firstChild !== stage) at(".hold").replaceChildren(stage);
     if (three) {
@@ -326,6 +327,7 @@
     else if (event.key === "b") press("toggle-boxes");
     else if (event.key === "d") press("toggle-found");
     else if (event.key === "s") press("toggle-surface");
+    else if (event.key === "w") press("toggle-bin");
     else if (event.key === "x") press("tick-scene");
     else if (event.key === "g") document.getElementById("tag-scene").focus();
     else if (event.key === "+" || event.key === "=") open.viewer.zoomAt(1.4);

@@ -8,6 +8,7 @@
   /** @type {Shapes} */
   const shapes = /** @type {any} */ ({});
   Graycast.shapes = shapes;
+  shapes.BIN = [0.72, 0.58, 0.4]; // the colour of a bin
 
   /** Return a function that converts a pixel and its depth in steps to a point of the world. */
   shapes.pointOf = (scene) => {

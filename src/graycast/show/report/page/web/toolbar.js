@@ -165,11 +165,18 @@
       scene.fusedKey && prefs.fused ? choose(prefs, set, "fusedPaint", "", FUSED) : null,
       depth && scanner && prefs.pointPaint === "difference" ? limit(prefs, set) : null,
       scene.instances[0]?.box3d ? toggle(prefs, set, "boxes", "boxes", "b") : null,
+      binButton(prefs, set),
       el("span", { class: "spring" }),
       ...["camera", "oblique", "side", "top"].map((name) =>
         el("button", { title: `look from: ${name}`, onclick: () => look(name) }, name),
       ),
     ];
+  }
+
+  function binButton(prefs, set) {
+    const { bin } = Graycast.report;
+    if (!bin?.missing) return bin ? toggle(prefs, set, "bin", "bin", "w") : null;
+    return el("button", { id: "toggle-bin", disabled: true, title: bin.missing }, "bin missing");
   }
 
   function pictureOptions(scene, prefs, actions) {

@@ -123,6 +123,7 @@ interface Drawn {
   place?: Float32Array; // a matrix
   tint?: number[];
   open?: boolean; // Only its front is drawn.
+  share?: number; // The rest of a pixel is the picture behind it.
   lines?: boolean;
 }
 
@@ -149,6 +150,7 @@ interface Viewer {
 type GL = WebGL2RenderingContext;
 
 interface Shapes {
+  BIN: number[];
   pointOf(scene: Seen): (i: number, step: number) => Point;
   space(scene: Scene): Space;
   mesh(gl: GL, scene: Scene, space: Space): Thing;
@@ -297,10 +299,11 @@ interface Shared {
     scene: Scene,
     options?: {
       space?: Space;
-      bodies?: (gl: GL) => (prefs: Prefs) => Drawn[];
+      bodies?: (gl: GL, space: Space) => (prefs: Prefs) => Drawn[];
       perfect?: boolean;
     },
   ): Cloud;
+  wallsOf(scene: Scene): ((gl: GL, space: Space) => (prefs: Prefs) => Drawn[]) | null;
   shapes: Shapes;
   found: Found;
   side: Side;

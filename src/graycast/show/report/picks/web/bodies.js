@@ -5,7 +5,6 @@
 {
   const ARM = [0.66, 0.7, 0.76],
     TOOL = [0.19, 0.21, 0.25],
-    BIN = [0.72, 0.58, 0.4],
     TABLE = { light: [0.83, 0.83, 0.81], dark: [0.24, 0.25, 0.27] };
 
   /** @type {(place: number[]) => Float32Array} from a translation and a quaternion, real part last */
@@ -139,7 +138,7 @@
         if (prefs.bin) {
           const theme = document.documentElement.dataset.theme;
           out.push({ thing: table, place: still, tint: TABLE[theme] ?? TABLE.light });
-          out.push({ thing: bin, place: still, tint: BIN, open: true });
+          out.push({ thing: bin, place: still, tint: Graycast.shapes.BIN, open: true });
         }
         if (prefs.robot)
           Graycast.limbsAt(motion, time).forEach((place, k) =>

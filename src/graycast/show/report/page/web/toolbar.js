@@ -176,7 +176,7 @@
   function binButton(prefs, set) {
     const { bin } = Graycast.report;
     if (!bin?.missing) return bin ? toggle(prefs, set, "bin", "bin", "w") : null;
-    return el("button", { id: "toggle-bin", disabled: true, title: bin.missing }, "bin missing");
+    return el("button", { id: "toggle-bin", disabled: true, title: bin.missing }, "no bin");
   }
 
   function pictureOptions(scene, prefs, actions) {

@@ -18,7 +18,7 @@ def stored_bin(dataset: StoredDataset, files: Path) -> Bin:
         files: the folder in which the relative paths of the configuration begin.
 
     Raises:
-        DatasetError: the configuration is of another version, or the bin's mesh has changed.
+        DatasetError: the configuration has no readable bin, or the mesh of the bin has changed.
         GraycastError: the bin's mesh cannot be read.
     """
     config = dataset.claim["config"]

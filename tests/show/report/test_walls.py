@@ -125,8 +125,8 @@ def test_the_3d_view_draws_the_bin_where_it_is(browser, rig, tmp_path):
             picture = cv2.imdecode(data, cv2.IMREAD_COLOR).astype(int)
             return {name: picture[v, u] for name, (u, v) in at.items()}
 
-        shown = colors()
+        before = colors()
         page.keyboard.press("w")
         without = colors()
-        changed = {name: np.abs(shown[name] - without[name]).max() > 10 for name in spots}
+        changed = {name: np.abs(before[name] - without[name]).max() > 10 for name in spots}
         assert changed == {"floor": True, "rim": True, "table": False}

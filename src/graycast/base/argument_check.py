@@ -103,7 +103,7 @@ def _checker(
             values = signature.bind(*args, **kwargs).arguments
         except TypeError:
             refuse_unknown(name, kwargs, signature)
-            return  # An argument is missing or given twice: the call itself says so.
+            return  # An argument is missing or given twice: the call itself raises a TypeError.
         for argument, value in values.items():
             hint = hints()[argument]
             if not fits(value, hint):
@@ -170,7 +170,7 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def _is_array(hint: Any) -> bool:
-    """Return whether an annotation is that of an array with its axes."""
+    """Return whether an annotation is an array type with named axes."""
     return isinstance(hint, type) and hasattr(hint, "array_type")
 
 

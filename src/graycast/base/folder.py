@@ -48,7 +48,7 @@ def visible_entries(folder: Path) -> list[Path]:
 
 
 def leads_out(name: str) -> bool:
-    """Return whether a file's name in a list of others leads out of the folder of the list.
+    """Return whether a file name read from a list points outside the list's folder.
 
     Such a name is an absolute path, or has `..`: it could open any file of the reader's machine.
     Windows' `\\` counts as `/`.

@@ -56,7 +56,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**options)(inspect.unwrap(function))
-        if isinstance(dispatcher, Dispatcher):  # It is the function where NUMBA_DISABLE_JIT is set.
+        if isinstance(dispatcher, Dispatcher):  # With NUMBA_DISABLE_JIT, njit returns the function.
             dispatcher._cache = _KernelCache(dispatcher.py_func)
         return dispatcher
 

@@ -30,7 +30,7 @@ class ProgressMeter(Protocol):
 
 @runtime_checkable
 class TextStream(Protocol):
-    """Receiver of text, such as `sys.stderr`; a notebook's stream is one, and no `TextIO`."""
+    """Receiver of text, such as `sys.stderr` or a notebook's stream, which is not a `TextIO`."""
 
     def write(self, text: str, /) -> object:
         """Write a text."""

@@ -17,6 +17,7 @@ from .sensor import SensorSpec, auto_exposure_s
 DARKEST, BRIGHTEST = 1.0, 99.8
 # A pixel is well exposed from this share of the range up to `target`; this is our choice.
 WELL_EXPOSED = 0.1
+LEAST_STEP = 2.0  # Neighbouring exposures differ at least by this factor, so that each adds light.
 # A Mech-Eye has exposure times from 0.1 to 99 ms (docs.mech-mind.net, Scanning3DSettings), a ratio
 # of 1000. It takes up to 3 exposures; LMI's GoPxL takes up to 5 (am.lmi3d.com, Multiple Exposure).
 SPAN_MAX, MOST = 1000.0, 5
@@ -117,7 +118,7 @@ def _bracket(
 
     shortest_s = time_s(BRIGHTEST)
     ratio = max(time_s(DARKEST) / shortest_s, 1.0)
-    step_max = max(exposure.target / WELL_EXPOSED, 2.0)
+    step_max = max(exposure.target / WELL_EXPOSED, LEAST_STEP)
     count = max(1, math.ceil(math.log(ratio) / math.log(step_max) - 1e-9))
     count = min(count, exposure.most)
     step = ratio ** (1 / count)

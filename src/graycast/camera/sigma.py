@@ -4,7 +4,8 @@
 position are standard deviations of the decoded column or row [projector px]; `triangulate` converts
 them to depth by |dz/du|. Terms of a depth are standard deviations of z [m]. Terms are taken as
 independent, so their variances add up. Filters are applied between them: smoothing reduces the
-noise that is white from pixel to pixel, and comes before the terms `raster` and `bend`.
+noise that is white from pixel to pixel, and comes before the terms `raster` and `bend`. A depth
+that `filters.outlier_repair` replaces has the scatter of its neighbours instead of these terms.
 
 The decoder's kernels compute the terms that follow from a pixel's own frames; functions of this
 module compute all others.
@@ -94,21 +95,21 @@ TERMS = (
         of="position",
         law="P/(2 pi) e sqrt(5/(2 N))",
         source="sigma.line_noise_px",
-        zero="with rig.line_noise 0",
+        zero="in real pictures, and with rig.line_noise 0",
     ),
     Term(
         name="speckle",
         of="depth",
         law="C w |grad u| dz/du",
         source="sigma.speckle_m",
-        zero="with rig.speckle_contrast 0",
+        zero="in real pictures, and with rig.speckle_contrast 0",
     ),
     Term(
         name="raster",
         of="depth",
         law="j |grad z|, at most raster_limit_m",
         source="faults.with_faults",
-        zero="with faults.raster_px 0",
+        zero="in real pictures, and with faults.raster_px 0",
     ),
     Term(
         name="bend",

@@ -170,7 +170,7 @@ def _correlated(
 
 
 def _spectrum(size: int, share: list[float]) -> Float[np.ndarray, " size"]:
-    """Return the power spectrum, of mean 1, of a line of pixels with that autocorrelation."""
+    """Return the power spectrum, of mean 1, of a line of pixels with autocorrelation `share`."""
     angle = 2 * np.pi * np.arange(size) / size
     power = 1 + sum(2 * rho * np.cos(lag * angle) for lag, rho in enumerate(share) if lag)
     power = np.maximum(power, 0.0)

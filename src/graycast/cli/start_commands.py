@@ -1,4 +1,4 @@
-"""Commands for beginners, demo and new; and about this machine, doctor and schema."""
+"""Commands to get started (demo, new) and for reference (doctor, schema)."""
 
 import argparse
 import json

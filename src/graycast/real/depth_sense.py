@@ -130,7 +130,7 @@ def _on_plane(
 
 
 def depth_kind_note(shares: PlaneShares, *, ray_length: bool) -> str | None:
-    """Return a sentence if depth seems to be of the other kind than it is taken for."""
+    """Return a warning if depth seems to be ray length but is read as z, or the reverse."""
     if shares.lengths is None or shares.lengths is ray_length:
         return None
     z, length = f"{shares.as_z:.0%}", f"{shares.as_length:.0%}"

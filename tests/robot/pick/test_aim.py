@@ -10,10 +10,10 @@ from graycast.robot.pick import aim as aiming
 from graycast.robot.pick.aim import (
     Aim,
     Candidate,
-    best_first,
     covered_share,
     ranked,
     spread,
+    trial_order,
     whole_bin,
 )
 from graycast.robot.pose import PoseMatch, PoseModel
@@ -102,7 +102,7 @@ def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
 
 def test_of_grips_with_similar_scores_the_highest_comes_first():
     low, high, doubtful = aim(0, 0.1, score=0.92), aim(0, 0.2, score=0.88), aim(0, 0.9, score=0.5)
-    assert best_first([doubtful, low, high]) == [high, low, doubtful]
+    assert trial_order([doubtful, low, high]) == [high, low, doubtful]
 
 
 @pytest.mark.parametrize(

@@ -294,7 +294,7 @@ def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
 
 @kernel()
 def _unite(z, torn, margin, w, parent):
-    """Write the lowest index of its island to each pixel, by union-find (Tarjan, 1975)."""
+    """Label each pixel with the lowest index in its island, by union-find (Tarjan, 1975)."""
     for i in range(len(parent)):
         y, x = i // w + margin, i % w + margin
         if np.isnan(z[y, x]):

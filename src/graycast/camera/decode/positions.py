@@ -298,7 +298,8 @@ def _judge_row(high, low, strength, top, why, law, dark):
         reason[x] = reason[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
-        reason[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else reason[x]
+        dim = strength[x] * strength[x] < sigmas * sigmas * noise2
+        reason[x] = np.int32(Reason.LOW_MODULATION) if dim else reason[x]
         contrast = high[x] - low[x]
         unlit = contrast * contrast < shadow2 * noise2
         reason[x] = np.int32(Reason.SHADOW) if unlit else reason[x]

@@ -68,7 +68,7 @@ def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, floa
 
 
 def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]:
-    """Yield each candidate error: a text, the order of the bits, and a mask of inverted bits."""
+    """Yield each candidate error: its description, the bit order, and a mask of inverted bits."""
     count = len(plan.bits)
     names = [code.frames[bit.frame].name for bit in plan.bits]
     as_is = [*range(count)]

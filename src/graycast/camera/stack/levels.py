@@ -120,7 +120,7 @@ def _saturation(high, low, dtype) -> tuple[float, str]:
 def _noise(
     frames: Stack, code: Code, high, low, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float, str]:
-    """Return floor [DN^2], slope [DN], and the method by which they were measured."""
+    """Return the noise variance's floor [DN^2] and slope [DN], and how they were measured."""
     bounds = offset_dn, saturation_dn
     computed = set(computed_pairs(frames, code))  # These lack the noise of a second picture.
     pairs = [pair for pair in inverse_pairs(code) if pair not in computed]

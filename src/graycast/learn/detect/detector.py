@@ -200,7 +200,7 @@ def _detections(
 def _outline(
     probability: np.ndarray, edge: np.ndarray, picture_px: tuple[int, int], scale: float
 ) -> dict[str, Any]:
-    """A mask at the picture's size: probability between pixels is linear, its edge at a half.
+    """Mask at the picture's size: probability, interpolated linearly, is thresholded at 0.5.
 
     Only the box and one of the input's pixels about it are looked at, for speed.
     """

@@ -15,7 +15,7 @@ _MARGIN = 0.08  # margin of a cut-out around the detections, as a share of its l
 # Most detections are this wide, and the longer side of the drawing lies between the other two.
 _LEAST_SIDE_PX, _WIDE_PX, _MOST_PX = 90, 1200, 2400
 _FONT, _TEXT_SCALE, _PAD_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 4
-_STEPS = 10  # A label without room in its detection moves away by this many of its heights.
+_STEPS = 10  # A label that does not fit its detection moves away by up to this many label heights.
 # Vivid colours in RGB. Neighbours in the list differ, because consecutive parts may touch.
 _INKS = (
     (238, 102, 119), (34, 136, 221), (204, 187, 68), (170, 51, 119), (34, 160, 80),

@@ -64,7 +64,7 @@ class Solov2(Network):
         self.painter = _Painter(kernel)
         self.kernels = _tower(PYRAMID_WIDTH + 2, width, depth, kernel)
         self.judges = _tower(PYRAMID_WIDTH, width, depth, classes)
-        # One in a hundred: nearly all cells are empty.
+        # Initial score of about 0.01 (sigmoid of -4.6), as nearly all cells are empty.
         nn.init.constant_(self.judges[-1].bias, -4.6)
 
     def forward(

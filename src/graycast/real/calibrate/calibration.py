@@ -258,7 +258,7 @@ def _coverage(position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]) -
 
 
 def _symptoms(views: Sequence[BoardView], observed: Observed):
-    """Return the warnings of the stacks of the views that are used."""
+    """Yield the warnings from the stacks of the views that are used."""
     used = {view.name for view in observed.views}
     most = max((len(view.symptoms) for view in views), default=0)
     for k in range(most):

@@ -109,7 +109,7 @@ def _joined(views: Sequence[ViewCorners]) -> Observations:
 
 
 def check_views(views: Sequence[BoardView]) -> tuple[int, int]:
-    """Return the camera's (width, height), after seeing that there are enough views of one size."""
+    """Return the camera's (width, height); refuse too few views, or views of unequal size."""
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
             f"{len(views)} views of the board; at least {MIN_VIEWS} in different directions are "

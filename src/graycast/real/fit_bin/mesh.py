@@ -134,7 +134,7 @@ def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
 def _spread(
     corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, " f"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Points spread evenly over the faces, and the middle of each, with the faces' numbers."""
+    """Points spread evenly over the mesh, plus each face's centroid, and the face of each point."""
     rng = np.random.default_rng(0)  # fixed: a fit depends on its input alone
     place = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES
     owner = np.searchsorted(np.cumsum(area_m2) / area_m2.sum(), place).clip(0, len(corner) - 1)

@@ -76,7 +76,7 @@ def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
 def flying_pixels(
     inverse: Float[np.ndarray, "h w"], share: float
 ) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Return pixels at a step along the rows of 1/z, and those of them that fly."""
+    """Return the pixels at a step of 1/z along their row, and the flying pixels among them."""
     row, column = np.nonzero(~np.isnan(inverse))
     at_image = np.zeros(inverse.shape, dtype=bool)
     flying_image = np.zeros(inverse.shape, dtype=bool)

@@ -136,7 +136,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
 
 
 def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
-    """Return means over the pairs, weighted by what they share."""
+    """Return means over the pairs, weighted by the number of pixels that each pair shares."""
     if not pairs:
         return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
     weight = np.array([p.pixels for p in pairs], dtype=np.float64)

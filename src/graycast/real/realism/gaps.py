@@ -200,7 +200,7 @@ def _along_rows(
 def _rows_of_edges(
     shape: tuple[int, ...], y: Int[np.ndarray, " n"], x: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " n"]:
-    """Count the rows over which the edge of each gap's near rim continues.
+    """Count the rows over which the near rim of each gap continues.
 
     It may step by 3 px from row to row, and be torn over 10 rows: where noise does that, its pieces
     would else count as many edges.

@@ -61,7 +61,7 @@ class ModelFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """Objects by their ids; `plain` are those whose look nothing states, `notes` are sentences."""
+    """Objects by id; `plain` are the ids without a stated appearance, `notes` are sentences."""
 
     parts: Mapping[int, Part]
     plain: frozenset[int]

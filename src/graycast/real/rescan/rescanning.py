@@ -56,7 +56,7 @@ _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the cont
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSpec:
-    """Options of a scan of images: the camera, the rendering of light, and the seed.
+    """Options of a rescan: the camera, the rendering, the images, and the seed.
 
     With the `camera` of an 'image', its intrinsics take the place of the rig's; with that of the
     'rig', the rig's own camera stands where the image's stood. The first `images` are made, or all
@@ -91,7 +91,7 @@ class RescanSummary:
 
 
 class ImageScanner:
-    """Scans images of one task; the renderer is kept."""
+    """Scans the images of one task with one renderer, which stays open between images."""
 
     def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress

@@ -1,4 +1,4 @@
-"""Scenes of a cell under light, rendered once for every code: what a twin's search looks at."""
+"""Lit scenes of a cell, rendered once and reused for all codes in the search for a twin."""
 
 import warnings
 from collections.abc import Mapping, Sequence

@@ -91,7 +91,7 @@ class RoughConductor(ggx.GlossyBSDF):
     def _returned(
         self, si, alpha: ggx.Alpha, cos_half: mi.Float, length_i: mi.Float, active
     ) -> mi.Color3f:
-        """Return the Fresnel reflectance times the factor for light that leaves later."""
+        """Return the Fresnel reflectance times the factor for multiple scattering."""
         normal = self.reflectance.eval(si, active)
         fresnel, mean = ggx.schlick(normal, cos_half), self.mean
         if self.roughness is not None:

@@ -44,7 +44,7 @@ class CyclesState:
 
 
 def find_cycles() -> Path | None:
-    """Return the Python with Blender: GRAYCAST_CYCLES_PYTHON, else that of `make cycles` if any."""
+    """Return the Python that has Blender: GRAYCAST_CYCLES_PYTHON's, else that of `make cycles`."""
     named = os.environ.get(PYTHON_VARIABLE)
     if named:
         return Path(named)

@@ -1,4 +1,9 @@
-"""Coded light: the frames that a projector shows, and the codes made of them."""
+"""Coded light: the frames that a projector shows, and the codes made of them.
+
+frame  one picture of a code; it also describes the pictures of real scanners
+code   codes as lists of frames, and the functions that make them
+spec   a code by its name and parameters, for a projector of any size
+"""
 
 from .code import (
     Code,

@@ -42,7 +42,7 @@ class Burden:
 def robustness(
     cup: Cup, patch: Patch, burdens: Sequence[Burden], doubt: Doubt, *, seed: int, chances: int = 24
 ) -> float:
-    """The share of random trials in which the cup seals and holds, the smallest over all burdens.
+    """The share of random trials in which the cup seals and holds; the minimum over all burdens.
 
     The first chance is the grip as planned. Positions off by more than three deviations count as
     three, so that the patch need not be larger than that.

@@ -197,7 +197,7 @@ def aims_in_depth(
     ]
 
 
-def best_first(aims: Sequence[Aim]) -> list[Aim]:
+def trial_order(aims: Sequence[Aim]) -> list[Aim]:
     """Highest score first; among scores within 0.1, the highest position first."""
     return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
 from ..grasp import DepthView, Doubt, patch_of_depth
-from .aim import PLACES, Aim, Candidate, aims_by_pose, aims_in_depth, best_first, ranked, spread
+from .aim import PLACES, Aim, Candidate, aims_by_pose, aims_in_depth, ranked, spread, trial_order
 from .clock import Clock
 from .obstacles import heap_obstacle, measured_heap, measured_points
 from .outcome import Outcome
@@ -79,7 +79,7 @@ def choose(
             fresh = [aim for aim in candidates if not _near(aim.place_m, tabu, TABU_M)]
             if candidates and not fresh and why.outcome is Outcome.NOTHING_FOUND:
                 why = Blocked(outcome=Outcome.GIVEN_UP)
-            for aim in spread(best_first(fresh), ALIKE_M, round_tool=ready.tool.is_round):
+            for aim in spread(trial_order(fresh), ALIKE_M, round_tool=ready.tool.is_round):
                 if _near(aim.place_m, (*blocked, *sought), BLOCKED_M):
                     later.append(aim)
                 else:

@@ -26,7 +26,7 @@ from ...world.scene import TABLE_HALF_M, Bin, Scene, bin_mesh, bin_of
 from .robot import Obstacle
 
 CELL_M = 4e-3
-BESIDE = ndimage.generate_binary_structure(2, 1)  # A node is as high as the four beside it.
+BESIDE = ndimage.generate_binary_structure(2, 1)  # maximum of a node and its four neighbours
 GUESSED_M = 8e-3
 NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
 FLOOR_M = 3e-3  # Points less than this above the bin's floor belong to the floor.

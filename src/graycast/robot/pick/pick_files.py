@@ -130,7 +130,7 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
 
 
 def _tidy(out: Path) -> None:
-    """Remove the claim of a folder in which no bin was finished."""
+    """Release and remove an output folder in which no bin was finished."""
     with suppress(OSError):
         (out / BINS).rmdir()  # only where no bin was finished
         (out / CLAIM).unlink(missing_ok=True)

@@ -56,7 +56,7 @@ class Ready:
         return max(body.mass_kg for body in self.bodies) * GRAVITY_M_S2
 
     def tip(self, q: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "4 4"]:
-        """`T_world_tip` by the arm's own account."""
+        """`T_world_tip` from the arm's forward kinematics."""
         return self.cell.T_world_base @ self.robot.flange(q) @ self.here.T_flange_tip
 
 

@@ -188,7 +188,7 @@ class WaySearch:
         )
 
     def _straights(self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]) -> Lines:
-        """Straight motions of the tip, one after the other, up to the first that there is not."""
+        """Straight motions of the tip in sequence, ending before the first that is not possible."""
         lines: Lines = {}
         for name, end in ends.items():
             line = straight(self.robot, q, self.here.flange(end), self.obstacles)

@@ -78,7 +78,7 @@ def claim_setting(out: Path, placed: Placed, described: Mapping[str, Any]) -> No
 
 @contextmanager
 def open_design(out: Path) -> Iterator[None]:
-    """Make a study's folder, or go on with one; other runs are kept out of it.
+    """Create or resume a study's folder, locked against other runs.
 
     Raises:
         GraycastError: it is a file, holds something else, is in use, or cannot be written.

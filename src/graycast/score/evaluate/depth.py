@@ -68,7 +68,7 @@ Tables = Mapping[str, Sequence[DepthRow]]
 def evaluate_depth(
     dataset: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> dict[str, list[DepthRow]]:
-    """Return rows over all pixels (`all`) and over the parts (`parts`) of all images of a dataset.
+    """Return depth errors over all pixels (`all`) and over the parts (`parts`) of a dataset.
 
     Raises:
         DatasetError: the dataset cannot be read.

@@ -46,7 +46,7 @@ class Evaluation:
 
 
 def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> None:
-    """Fill a folder; without mistakes of a kind there is no sheet of them.
+    """Write the evaluation's files; a kind of mistake that never occurs gets no sheet.
 
     Args:
         picture: reads a scene's picture.

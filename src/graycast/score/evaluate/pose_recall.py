@@ -155,7 +155,7 @@ def _vsd_of_pairs(
     estimates: Sequence[PoseEstimate],
     solid: Solid,
 ) -> Float[np.ndarray, "10 e n"]:
-    """VSD by tolerance. Silhouettes that share no pixel have an error of 1 without being drawn."""
+    """VSD for each tolerance; silhouettes that share no pixel get an error of 1, undrawn."""
     height, width = truth.measured_m.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
     length = np.linalg.norm(rays(truth.camera, np.stack([x, y], axis=-1)), axis=-1)

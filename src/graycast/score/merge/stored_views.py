@@ -109,7 +109,7 @@ def _T_world_cam(view: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
 def _sigma_m(
     stored: StoredDataset, shot: StoredScene, depth_m: Float[np.ndarray, "h w"], step_m: float
 ) -> tuple[Float[np.ndarray, "h w"], str]:
-    """Return sigma of z, with the rounding to steps, and its source; NaN where depth is missing."""
+    """Return sigma of z, including rounding to depth steps, and its source; NaN without depth."""
     rig = rig_of(stored.taker(shot.sensor)["rig"])
     slope_m = depth_slope_m(depth_m, rig)
     try:

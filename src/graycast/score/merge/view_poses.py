@@ -222,7 +222,7 @@ def _least_squares(
     kernel_m: float,
     determined_m: float,
 ) -> Float[np.ndarray, "6"]:
-    """Solve by least squares with Cauchy weights, in directions that the noise determines.
+    """Solve by Cauchy-weighted least squares, only in directions determined despite the noise.
 
     Such a direction is known to `determined_m`. The kernel is wide at first, because a leaning
     surface shows a sideways shift and would be an outlier next to a floor that shows none.

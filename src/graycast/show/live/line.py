@@ -298,7 +298,7 @@ class _Run:
 
 
 def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hashable:
-    """Return a key of the configuration and its files that determines the world and its light.
+    """Return a cache key: all that the light depends on in the configuration and its files.
 
     Args:
         digests: the digests of the files that it names, except its rigs, which are read here.

@@ -26,7 +26,7 @@ PAGE = "rescan.html"
 _MOST = 60  # At most this number of images is drawn.
 _QUALITY = 88
 _BLACK = (0.0, 0.0, 0.0)
-_ERROR_MM = 1.0  # The picture of errors has its extreme colours here.
+_ERROR_MM = 1.0  # The colour scale of the error maps ends at this error.
 _HEADS = (
     "picture",
     "white frame",

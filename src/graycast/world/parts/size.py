@@ -55,7 +55,7 @@ def full_count(part: Part, inner_m: tuple[float, float, float]) -> float:
 
 
 def size_notes(parts: Iterable[Part], inner_m: tuple[float, float, float]) -> tuple[str, ...]:
-    """Notes on parts that are longer than the bin's diagonal inside, or heavier than parts are.
+    """Notes on parts that are longer than the bin's inner diagonal, or implausibly heavy.
 
     Both mostly come from a wrong `unit` of a mesh, which no file of meshes states.
     """

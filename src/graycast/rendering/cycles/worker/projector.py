@@ -90,7 +90,7 @@ class Projector:
         return nodes.math("SUBTRACT", 1.0, missing)
 
     def _position(self, nodes: Nodes, ray: bpy.types.Node, way: list, T: np.ndarray) -> tuple:
-        """Return the normalised coordinates of the ray's point in the plane in focus."""
+        """Return where the ray meets the plane of focus, in normalised coordinates."""
         focus_m = self.optics["focus_m"]
         slope = [nodes.math("DIVIDE", way[i], way[2]) for i in range(2)]
         if self.optics["aperture_m"] == 0 or focus_m is None:

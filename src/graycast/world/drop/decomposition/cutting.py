@@ -33,7 +33,7 @@ EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = (
     120,
     24,
-)  # Numbers of tested points of a hull; the smaller number is tested first.
+)  # Points tested per hull: all, and the first few, which reject a bad hull early.
 DEEPEST_CUTS = 40  # After this many consecutive cuts, a piece is accepted unchanged.
 THIN = 0.02  # Sheets and slivers thinner than this share of the limit (9 um) are ignored.
 HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.

@@ -44,7 +44,7 @@ def tolerance_m(mesh: Mesh) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshSamples:
-    """Triangles, and points spread over them by area, for questions on distance."""
+    """Triangles, and points sampled on them uniformly by area, for distance queries."""
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]

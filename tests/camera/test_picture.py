@@ -91,7 +91,7 @@ def flat_rendering(ambient_rgb, white_rgb):
     ],
 )
 def test_the_colour_picture_has_all_light_with_the_brightest_at_its_target(words, light):
-    """By hand: idle light is (1 - 1/contrast) + 1/contrast times white, here 8 in each band.
+    """Idle light by hand: (1 - 1/contrast) + 1/contrast times white, here 8 in each band.
 
     The brightest band is exposed to 0.85 of the range; the encoding is IEC 61966-2-1's.
     """

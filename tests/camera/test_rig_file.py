@@ -129,7 +129,7 @@ def test_saving_writes_one_file_and_no_other(tmp_path):
 
 
 def test_a_file_has_the_pose_of_the_projector_in_camera_coordinates(tmp_path):
-    """By hand: 0.2 m to the camera's right, 0.7 m in front of it, turned by -90 degrees about y."""
+    """The pose by hand: 0.2 m to the right of the camera, 0.7 m in front, -90 degrees about y."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["R_cam_proj"] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]
@@ -205,7 +205,7 @@ def test_a_calibration_without_distortion_is_reported_with_the_keys_that_it_has(
 
 
 def test_a_projector_that_faces_away_is_refused(tmp_path):
-    """By hand: turned by half a turn about y, it faces away from all that the camera sees."""
+    """After half a turn about y, the projector faces away from all that the camera sees."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["R_cam_proj"] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]

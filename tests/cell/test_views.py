@@ -120,7 +120,7 @@ def test_a_mounted_scanner_keeps_its_pose_on_the_first(tmp_path):
 
 
 def test_scanners_of_the_shelf_are_moved_to_several_poses(tmp_path):
-    """As on a robot's hand: each has its own camera, and is placed where the first one is."""
+    """Each scanner has its own camera and takes the pose of the first, as on a robot's hand."""
     names = ("like-zivid-2-m70", "like-mech-eye-pro-s")
     views = [{"distance_m": 0.7}, {"distance_m": 0.7, "tilt_deg": 20}]
     scanners = [{"name": name, "rig": name} for name in names]

@@ -28,7 +28,7 @@ def test_written_results_are_read_back(tmp_path):
 
 
 def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
-    """By hand: a quarter turn about z moves x to y."""
+    """Computed by hand: a quarter turn about z moves x to y."""
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n3,0,1,0.5,0 -1 0 1 0 0 0 0 1,10 20 900,-1\n")
     (result,) = read_pose_results(path)

@@ -75,12 +75,12 @@ def test_every_pixel_is_projected_back_to_itself(optics):
 
 
 def test_a_known_point_is_projected_to_its_pixel():
-    """By hand: 800 * 0.1 / 2 + 319.5 and 600 * (-0.2) / 2 + 200."""
+    """Computed by hand: 800 * 0.1 / 2 + 319.5 and 600 * (-0.2) / 2 + 200."""
     assert project(PLAIN, np.array([0.1, -0.2, 2.0])).tolist() == [359.5, 140.0]
 
 
 def test_each_coefficient_has_the_effect_of_brown_s_model():
-    """By hand at (x, y) = (0.2, 0.1), r2 = 0.05."""
+    """Computed by hand at (x, y) = (0.2, 0.1), r2 = 0.05."""
     point, unit = np.array([0.2, 0.1]), np.eye(5)
     moved = [distort(point, tuple(row)) - point for row in unit]
     expected = [

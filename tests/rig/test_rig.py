@@ -106,9 +106,9 @@ def test_depth_per_column_of_a_parallel_rig_follows_similar_triangles(z_m):
 
 
 def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_rotated_by_one_column():
-    """Where the axes meet, a projector ray rotates by 1 / f per column and cuts the camera's axis.
+    """Oracle: near the crossing of the axes, a projector ray rotates by 1 / f per column.
 
-    Both devices are equally far from this point, so the cut moves by distance / f / sin(angle).
+    Both devices are equally far from the crossing: depth changes by distance / f / sin(angle).
     """
     rig = preset_rig("like-phoxi-m")
     z_m = best_depth_m(rig)
@@ -207,7 +207,7 @@ def test_a_linear_projector_emits_in_proportion_to_the_grey_level():
 
 
 def test_the_response_is_linear_between_its_equally_spaced_values():
-    """By hand: knots at 0, 85, 170 and 255."""
+    """Computed by hand: knots at 0, 85, 170 and 255."""
     rig = replace(parallel_rig("x"), response=(0.0, 0.1, 0.4, 1.0))
     level = np.array([0, 17, 85, 170, 187, 255], dtype=np.uint8)
     assert emission(rig, level) == pytest.approx([0, 0.02, 0.1, 0.4, 0.52, 1.0])

@@ -49,9 +49,9 @@ def deviations(u, codes):
 @pytest.mark.parametrize("name", FINE_CODES)
 @pytest.mark.parametrize("white_dn", [pytest.param(300.0, marks=pytest.mark.slow), 3000.0])
 def test_errors_of_positions_agree_with_their_stated_sigma(name, white_dn):
-    """Of 48,000 normal deviations, 68.3 % are under 1 and 95.4 % under 2 (+- 0.2 %); their mean
-    square is 1 (+- 0.7 %). The staircase of the projector's pixels adds 0.004 px (rms); the finest
-    sigma here, that of the lines in bright light, is 0.010 px.
+    """Normal law for 48,000 deviations: 68.3 % are below 1 and 95.4 % below 2 (+- 0.2 %), and the
+    mean square is 1 (+- 0.7 %). The staircase of the projector's pixels adds 0.004 px (rms); the
+    smallest sigma here, that of the lines in bright light, is 0.010 px.
     """
     u, codes = noisy(FINE_CODES[name], white_dn=white_dn)
     z, decoded = deviations(u, codes)

@@ -79,7 +79,7 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
 
 
 def test_a_kind_of_part_remains_however_small_its_share():
-    """By hand, rounded: a fifth of 40, of 7, of 1 and of 0."""
+    """Computed by hand: a fifth of 40, 7, 1 and 0, rounded, but at least one part of each kind."""
     assert shared_out((40, 7, 1, 0), 0.2) == (8, 1, 1, 0)
 
 

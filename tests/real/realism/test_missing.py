@@ -30,7 +30,7 @@ def test_reasons_are_counted_for_missing_pixels_only():
 
 
 def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
-    """Of a ramp of brightness, nine of ten pixels are missing below 0.04, one of fifty above."""
+    """In a ramp of brightness, 90 % of the pixels are missing below 0.04 and 2 % above."""
     rng = np.random.default_rng(1)
     depth_m = plane(height_px=400, width_px=600)
     gray = np.round(255 * np.linspace(0, 0.3, depth_m.size)).reshape(depth_m.shape) / 255

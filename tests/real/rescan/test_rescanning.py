@@ -183,7 +183,7 @@ def test_the_reader_for_training_reads_both_depths(dataset):
 
 
 def test_one_of_several_cameras_is_rescanned_and_read_for_training(tmp_path):
-    """As in IPD, all file names contain the names of cameras."""
+    """All file names contain the name of a camera, as in the dataset IPD."""
     split = write_dataset(tmp_path / "ipd", sensor="photoneo")
     write_scene(split / "000000", sensor="cam1")
     source = open_source(split, SourceOptions(sensor="photoneo"))
@@ -316,7 +316,7 @@ def test_the_original_is_not_written_to(tmp_path):
 
 @pytest.mark.slow
 def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
-    """By the rig's own camera, and with copies: nothing of the result lies elsewhere."""
+    """The rig's own camera scans, and files are copied, so the result has no links to the input."""
     (tmp_path / "in/depth").mkdir(parents=True)
     np.save(tmp_path / "in/depth/a.npy", true_depth_m().astype(np.float32))
     K = ",".join(str(v) for v in (CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px))
@@ -382,7 +382,7 @@ def test_validate_finds_what_was_changed(dataset, tmp_path, file, damage, words)
 
 
 def sealed_again(scene):
-    """What somebody does who knows the format: all sums and JSON files of a scene made anew."""
+    """Write all checksums and JSON files of a scene again, as a forger with the format would."""
     for path in (scene / "scan_sl").iterdir():
         record = json.loads(path.read_text())
         sums = {

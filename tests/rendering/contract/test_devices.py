@@ -104,7 +104,7 @@ def test_light_falls_with_the_squared_distance_from_the_picture_s_centre(rendere
 
 @pytest.mark.parametrize("levels", [(0, 255), (0, 51, 64, 128, 200, 255)])
 def test_grey_levels_have_the_radiance_of_the_response_curve(renderer, levels):
-    """By hand, between the knots at 0, 127.5 and 255: 0, 0.2 and 1."""
+    """Computed by hand, between the knots (0, 0), (127.5, 0.2) and (255, 1) of the response."""
     by_hand = {0: 0.0, 51: 0.08, 64: 0.2 * 64 / 127.5, 128: 0.2 + 0.8 * 0.5 / 127.5}
     by_hand |= {200: 0.2 + 0.8 * 72.5 / 127.5, 255: 1.0}
     rig = askew_rig(response=(0.0, 0.2, 1.0))

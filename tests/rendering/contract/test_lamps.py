@@ -251,7 +251,7 @@ def test_a_spot_of_a_map_lights_a_wall_by_its_angle_and_solid_angle(path_tracer,
 
 @pytest.mark.parametrize("turn_deg", [90.0, -35.0])
 def test_a_map_rotates_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
-    """Where the rotation moves the spot, it is visible and lights a wall by its cosine."""
+    """The spot is visible in the rotated direction, and lights a wall by the cosine law."""
     turn = axis_rotation("z", np.radians(turn_deg))
     direction = turn @ spot_direction()
     environment = Environment(

@@ -139,7 +139,7 @@ def test_a_part_is_found_in_a_box_without_a_mask(bracket, model):
 
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 4), marks=pytest.mark.slow)])
 def test_a_part_is_found_among_equal_parts(bracket, model, seeds):
-    """By its outline, and by a box that contains the others, too."""
+    """The part is found from its mask, and from a box that also contains other parts."""
     for seed in seeds:
         depth, owner, places, share = heap(bracket.mesh, seed)
         free = [k for k in range(6) if share[k] >= 0.7]

@@ -67,8 +67,8 @@ def test_nearly_all_pixels_of_a_noisy_part_count_as_visible(block):
 
 @pytest.mark.parametrize(("hidden", "most_m"), [(False, 0.15e-3), (True, 0.76e-3)])
 def test_a_pose_with_a_small_error_is_aligned(block, hidden, most_m):
-    """By 1.3 mm at the part's corners: to a tenth of a pixel, or to half a pixel where something
-    hides one side, whose border is none of the part's."""
+    """An error of 1.3 mm at the corners falls to a tenth of a pixel, or to half a pixel where
+    something hides one side, so that the border of that side is not the part's."""
     turn = Rotation.from_rotvec(np.radians([1.2, -1.2, 1.0])).as_matrix()
     off = T @ rigid(turn, np.array([0.0007, -0.0005, 0.0005]))
     aligned = trials(block, hidden=hidden)[0].align(off)

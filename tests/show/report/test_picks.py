@@ -71,7 +71,7 @@ def test_the_robot_s_links_have_the_poses_of_its_kinematics(replay, motions):
 
 
 def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
-    """By hand: of four grips in two bins, two removed a part and two lost it."""
+    """Computed by hand: of four grips in two bins, two removed a part and two lost it."""
     other = shutil.copytree(picks, tmp_path / "other")
     plot = tmp_path / "runs.png"
     assert main(["robot", "summary", str(picks), str(other), "--out", str(plot)]) == 0

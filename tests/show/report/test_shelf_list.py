@@ -77,8 +77,8 @@ def test_without_a_condition_all_scanners_are_listed():
 
 
 def test_those_with_a_large_field_at_one_metre_are_listed():
-    """By hand: 600 x 400 mm at 1 m is more than an XS, S, nano or M60 has, and nearer than an XL's
-    range. The M130 has 2448 / 4028 m of width and 2048 / 4028 m of height."""
+    """Computed by hand: 600 x 400 mm at 1 m is too large for an XS, S, nano or M60, and 1 m is too
+    near for an XL. The field of the M130 is 2448 / 4028 m wide and 2048 / 4028 m high."""
     listed = names(field_m=(0.6, 0.4), at_m=1.0)
     assert {"like-phoxi-m", "like-phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(
         listed
